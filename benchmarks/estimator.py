@@ -96,9 +96,10 @@ def detections(**how: DetectorModel | Calibration) -> Reading:
 
 DETECTIONS: dict[str, Reading] = {
     "detections": detections(detector=DetectorModel()),
-    **{f"detections repeats={share}": detections(detector=DetectorModel(repeats=share)) for share in (0.5, 0.75, 0.9)},
+    **{f"detections look_alikes={n}": detections(detector=DetectorModel(look_alikes=n)) for n in (0, 0.1, 2)},
+    "detections kept_for=10": detections(detector=DetectorModel(kept_for=10.0)),
     "detections pd=0.5 clutter=0.5": detections(detector=DetectorModel(0.5, 0.5)),
-    "detections pd=0.5 clutter=0.5 repeats=0.75": detections(detector=DetectorModel(0.5, 0.5, repeats=0.75)),
+    "detections pd=0.5 clutter=0.5 look_alikes=0.7": detections(detector=DetectorModel(0.5, 0.5, look_alikes=0.7)),
     "detections as a map": detections(calibration=Calibration()),
     "detections as a map temperature=6 persistence=0.5": detections(calibration=Calibration(0.4, 0.05, 6.0, 0.5)),
 }

@@ -5,6 +5,8 @@
   random walk is a heat kernel in harmonics (there the density between cells is interpolated).
 - `Walked`: places in space, in cells of direction and log range about the start of the walk, which are split in eight
   where the mass gathers. The density of a direction is a line integral of the exact posterior from the camera onwards.
+- `Assigned`: which detections are of the target, which of each look-alike, which of nothing that lasts, where each of
+  these has its own habit. Habits and places are integrated out in closed form; only the list of assignments is cut.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from typing import Any
 
 import healpy
 import numpy as np
-from ideal_worlds import STEP, Detector, Motion
+from ideal_worlds import ALIKE_HABIT, ALIKES, HABIT, STEP, Detector, Motion, near
+from scipy.special import betaln
 
 from eagor.sphere import unit
 
@@ -252,3 +255,122 @@ class Walked(Contestant):
     def claim(self) -> tuple[float, float]:
         odds = math.exp(self.log_total)
         return odds / (1 + odds), math.nan
+
+
+# ---------- exact: habits
+
+
+class Assigned(Contestant):
+    """Bayes for the world `habits`: a Poisson multi-Bernoulli mixture of things that stand.
+
+    (García-Fernández, Williams, Granström and Svensson, IEEE Transactions on Aerospace and Electronic Systems 54(4),
+    2018.) A hypothesis parts all detections of T looks into the target's (perhaps none) and groups, with at most one of
+    each look in a group; a group of several is a look-alike, one alone a look-alike or nothing that lasts. Against
+    "none lasts", n detections with the sum s of their directions have the likelihood
+
+        h(n) J,   h(n) = B(a + n, b + T - n) / B(a, b),   J = mean over the sphere of prod_i g(z_i | x) / lambda,
+
+    for a habit of Beta(a, b); J is known in closed form, and where the thing is has density ~ exp(kappa s.x).
+    Look-alikes that were never detected change nothing. All of it is exact, wherever things lie, but that only the
+    `most` likeliest hypotheses are kept, and none below exp(-`depth`) of the best. Regions of highest density are
+    measured at `drawn` directions.
+    """
+
+    def __init__(self, detector: Detector, most: int = 2000, depth: float = 14.0, drawn: int = 512) -> None:
+        self.detector, self.most, self.depth, self.drawn = detector, most, depth, drawn
+        # Of each hypothesis and group, the first of which is the target's: number and sum of the detections.
+        self.counts, self.sums = np.zeros((1, 1), dtype=int), np.zeros((1, 1, 3))
+        self.looks = 0
+        self.any = False
+        self.rng = np.random.default_rng(29)
+
+    def _log_places(self, counts: np.ndarray, sums: np.ndarray) -> np.ndarray:
+        """log J."""
+        kappa = self.detector.concentration
+        height = math.log(2 * kappa / (-math.expm1(-2 * kappa) * self.detector.alarms))
+        length = kappa * np.maximum(np.linalg.norm(sums, axis=-1), 1e-9)
+        # The closed form: (height exp(-kappa))^n sinh(kappa |s|) / (kappa |s|).
+        return counts * (height - kappa) + length + np.log(-np.expm1(-2 * length) / (2 * length))
+
+    def _log_groups(self, counts: np.ndarray, sums: np.ndarray) -> np.ndarray:
+        """The log likelihood of each group, after so many looks."""
+        many = np.arange(self.looks + 1)
+        own, other = (betaln(a + many, b + self.looks - many) - betaln(a, b) for a, b in (HABIT, ALIKE_HABIT))
+        other += math.log(ALIKES)
+        alone = np.log1p(np.exp(other[1]) / self.detector.alarms)
+        places = self._log_places(counts, sums)
+        counts = np.minimum(counts, self.looks)
+        found = np.where(counts > 1, other[counts] + places, np.where(counts == 1, alone, 0.0))
+        found[:, 0] = own[counts[:, 0]] + places[:, 0]
+        self.absent = -own[0]  # log of how much likelier nothing detected of the target is if it is absent
+        return found
+
+    def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
+        self.looks += 1
+        self.pose = pose
+        self.logs = self._log_groups(self.counts, self.sums).sum(axis=1)
+        used = np.zeros(self.counts.shape, dtype=bool)
+        for detection in detections @ pose.T:
+            used = self._assign(detection, used)
+        self.any |= len(detections) > 0
+        self._answer()
+
+    def _assign(self, detection: np.ndarray, used: np.ndarray) -> np.ndarray:
+        """Part one more detection, in all ways that count; `used`: groups that have one of this look already."""
+        self.counts = np.pad(self.counts, ((0, 0), (0, 1)))
+        self.sums = np.pad(self.sums, ((0, 0), (0, 1), (0, 0)))
+        used = np.pad(used, ((0, 0), (0, 1)))
+        more = self._log_groups(self.counts + 1, self.sums + detection) - self._log_groups(self.counts, self.sums)
+        free = (self.counts > 0) & ~used
+        free[:, 0] = ~used[:, 0]
+        free[:, -1] = True
+        logs = np.where(free, self.logs[:, None] + more, -np.inf)
+        worth = logs.copy()  # where the target has none, a hypothesis stands for its absence too
+        worth[:, 1:] += np.where(self.counts[:, :1] == 0, np.logaddexp(0.0, self.absent), 0.0)
+        best = np.flatnonzero(worth.ravel() > worth.max() - self.depth)
+        if len(best) > self.most:
+            best = best[np.argpartition(-worth.ravel()[best], self.most)[: self.most]]
+        which, group = np.unravel_index(best, logs.shape)
+        self.counts, self.sums, self.logs, used = self.counts[which], self.sums[which], logs[which, group], used[which]
+        rows = np.arange(len(which))
+        self.counts[rows, group] += 1
+        self.sums[rows, group] += detection
+        used[rows, group] = True
+        return used
+
+    def _answer(self) -> None:
+        """The mixture over directions: one part for each set of detections that may be the target's."""
+        weights = np.exp(self.logs - self.logs.max())
+        weights /= weights.sum()
+        none = self.counts[:, 0] == 0
+        self.unseen = float(weights[none].sum())
+        self.presence = 1 / (1 + self.unseen * math.exp(self.absent))
+        sums, index = np.unique(self.sums[~none, 0].round(9), axis=0, return_inverse=True)
+        self.shares = np.bincount(index.ravel(), weights[~none], minlength=len(sums))
+        lengths = np.linalg.norm(sums, axis=1)
+        self.centres, self.kappas = sums / np.maximum(lengths, 1e-9)[:, None], self.detector.concentration * lengths
+        if self.any:
+            ranks = np.searchsorted(np.cumsum(self.shares), (np.arange(self.drawn) + 0.5) / self.drawn)
+            seen = ranks[ranks < len(sums)]
+            elsewhere = unit(self.rng.normal(size=(self.drawn - len(seen), 3)))
+            self.points = np.concatenate([near(self.centres[seen], self.kappas[seen], self.rng), elsewhere])
+            self.heights = self.at(self.points)
+            likely = self.centres[np.argsort(-self.shares, kind="stable")[:64]]
+            self.direction = search_top(self.at, likely[self.at(likely).argmax()], 0.1) @ self.pose
+
+    def at(self, directions: np.ndarray) -> np.ndarray:
+        """Log density per steradian at world directions ``(n, 3)``."""
+        tops = self.shares * self.kappas / (-2 * math.pi * np.expm1(-2 * self.kappas))
+        seen = np.exp(self.kappas * (directions @ self.centres.T - 1)) @ tops
+        return np.log(seen + self.unseen / (4 * math.pi))
+
+    def log_density(self, direction: np.ndarray) -> float:
+        return float(self.at((self.pose @ direction)[None])[0])
+
+    def mass_above(self, direction: np.ndarray) -> float:
+        return float(np.mean(self.heights > self.log_density(direction)))
+
+    def claim(self) -> tuple[float, float]:
+        if self.direction is None:
+            return self.presence, math.nan
+        return self.presence, float(np.mean(self.points @ (self.pose @ self.direction) > math.cos(NEAR)))

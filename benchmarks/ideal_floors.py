@@ -34,7 +34,7 @@ class KindUnknown(Contestant):
             filter_.look(time, pose, position, detections)
         self.weights = self.weights * [filter_.looks[-1][1] for filter_ in self.filters]
         self.weights /= self.weights.sum()
-        self.ratio = sum(w * f.ratio for w, f in zip(self.weights, self.filters, strict=True))
+        self.ratio = self.weights @ [f.ratio for f in self.filters]
         if any(len(seen) for seen, _ in self.filters[0].looks):
             points = self.filters[0].points
             top = search_top(self.at, points[self.ratio.argmax()], 1 / self.filters[0].nside)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from ideal_filters import NEAR, PRIOR_RANGE, UNIFORM, Contestant, cells
-from ideal_worlds import Detector, Motion, near
+from ideal_worlds import ALIKE_HABIT, ALIKES, HABIT, Detector, Motion, near
 from scipy.stats import qmc
 
 import eagor
@@ -18,28 +19,41 @@ from eagor.sphere import unit
 # ---------- ours
 
 
+def stated(detector: Detector) -> eagor.DetectorModel:
+    """All of a detector whose looks are independent."""
+    return replace(
+        learnt(detector), detection_probability=detector.detection, false_alarms_per_look=detector.alarms, look_alikes=0
+    )
+
+
+def stated_habits(detector: Detector) -> eagor.DetectorModel:
+    """All of a detector in the world `habits`."""
+    return replace(
+        learnt(detector),
+        false_alarms_per_look=detector.alarms,
+        look_alikes=ALIKES,
+        habit=HABIT,
+        look_alike_habit=ALIKE_HABIT,
+        kept_for=None,
+        kept_within=None,
+    )
+
+
+def learnt(detector: Detector) -> eagor.DetectorModel:
+    """Only the spread is stated."""
+    return eagor.DetectorModel(spread=math.radians(detector.spread))
+
+
 class Tracker(Contestant):
-    """`DirectionTracker` by its public calls; a detector without P_D and clutter learns them.
+    """`DirectionTracker` by its public calls.
 
     `motion`: a turn that is known; poses are then given in axes that turn along.
     """
 
     def __init__(
-        self,
-        detector: Detector,
-        learn: bool = False,
-        config: eagor.TrackerConfig | None = None,
-        motion: Motion | None = None,
+        self, model: eagor.DetectorModel, config: eagor.TrackerConfig | None = None, motion: Motion | None = None
     ) -> None:
-        self.motion = motion or Motion()
-        spread = math.radians(detector.spread)
-        self.model = (
-            eagor.DetectorModel(spread=spread)
-            if learn
-            else eagor.DetectorModel(
-                detection_probability=detector.detection, false_alarms_per_look=detector.alarms, spread=spread
-            )
-        )
+        self.model, self.motion = model, motion or Motion()
         self.tracker = eagor.DirectionTracker(config or eagor.TrackerConfig())
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
@@ -70,11 +84,7 @@ class Core(Contestant):
     """`Belief` alone, turned and updated by hand."""
 
     def __init__(self, detector: Detector, degree: int) -> None:
-        self.model = eagor.DetectorModel(
-            detection_probability=detector.detection,
-            false_alarms_per_look=detector.alarms,
-            spread=math.radians(detector.spread),
-        )
+        self.model = stated(detector)
         self.belief = eagor.Belief.uniform(degree)
         self.pose: np.ndarray | None = None
         self.any = False

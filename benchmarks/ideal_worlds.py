@@ -3,6 +3,9 @@
 One target, one look a second. A look detects the target with probability `Detector.detection`, at a place that is von
 Mises-Fisher distributed about it with concentration 1 / spread^2, among false alarms: Poisson in number, even over the
 sphere. The camera takes a fresh, uniformly random orientation before every look (in `drift` it only yaws).
+
+In worlds with habits the target, and each of the things that are taken for it (Poisson in number, anywhere on the
+sphere), is detected in a share of the looks that is its own, drawn once from a beta distribution.
 """
 
 from __future__ import annotations
@@ -22,6 +25,8 @@ CLEARANCE = 0.3  # metres: the walker never comes nearer to the target
 TURN_RATE = 10.0  # degrees per second, `turn`
 JUMP_RATE = 1 / 15  # per second, `jumps`
 DRIFT_RATE = 1.0  # degrees per second, `drift`
+# `habits`: beta distributions of the share of looks that detect the target, and a look-alike; look-alikes expected.
+HABIT, ALIKE_HABIT, ALIKES = (0.8, 0.8), (0.5, 2.0), 0.7
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class Run:
 
     `poses` ``(T, 3, 3)``: world_R_body as it is; `told`: as the odometry says; `positions` ``(T, 3)``: metres, or None
     where the camera stays where it is; `looks`: detections ``(n, 3)`` of each look in the body frame; `targets`
-    ``(T, 3)``: where it is in the world, a unit vector where there are no positions.
+    ``(T, 3)``: where it is in the world, a unit vector where there are no positions; `present`: whether it is there.
     """
 
     poses: np.ndarray
@@ -84,6 +89,7 @@ class Run:
     targets: np.ndarray
     motion: Motion
     detector: Detector
+    present: bool = True
 
     def __len__(self) -> int:
         return len(self.looks)
@@ -120,12 +126,13 @@ def any_rotations(count: int, rng: np.random.Generator) -> np.ndarray:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def near(direction: np.ndarray, concentration: float, rng: np.random.Generator) -> np.ndarray:
-    """One draw of the von Mises-Fisher distribution about `direction` ``(3,)``; on the sphere it is drawn exactly."""
-    share = rng.random()
-    cosine = 1 + math.log(share + (1 - share) * math.exp(-2 * concentration)) / concentration
-    side = unit(np.cross(direction, anywhere(rng)))
-    return cosine * direction + math.sqrt(max(0.0, 1 - cosine**2)) * side
+def near(direction: np.ndarray, concentration: float | np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A draw of the von Mises-Fisher distribution about each `direction` ``(..., 3)``; on the sphere it is exact."""
+    shape = direction.shape[:-1]
+    share = rng.random(shape)
+    cosine = 1 + np.log(share + (1 - share) * np.exp(-2 * concentration)) / concentration
+    side = unit(np.cross(direction, anywhere(rng, *shape)))
+    return cosine[..., None] * direction + np.sqrt(np.maximum(0.0, 1 - cosine**2))[..., None] * side
 
 
 def looks(truths: np.ndarray, detector: Detector, rng: np.random.Generator) -> list[np.ndarray]:
@@ -216,6 +223,20 @@ def drift(rng: np.random.Generator, detector: Detector, steps: int = 30) -> Run:
     return replace(run, told=errors @ poses, motion=Motion(np.array(up), math.radians(DRIFT_RATE)))
 
 
+def habits(rng: np.random.Generator, detector: Detector, presence: float = 1.0, steps: int = 30) -> Run:
+    """As `turning`, with habits and look-alikes; the target is there with probability `presence`."""
+    there, recall = rng.random() < presence, rng.beta(*HABIT)
+    targets = np.tile(anywhere(rng), (steps, 1))
+    run = _run(targets, rng, replace(detector, detection=recall if there else 0.0))
+    alikes = anywhere(rng, rng.poisson(ALIKES))
+    taken = rng.random((steps, len(alikes))) < rng.beta(*ALIKE_HABIT, len(alikes))
+    seen = [
+        np.concatenate([look, near(alikes[which] @ pose, detector.concentration, rng)])
+        for look, which, pose in zip(run.looks, taken, run.poses, strict=True)
+    ]
+    return replace(run, looks=seen, detector=detector, present=there)
+
+
 World = Callable[[np.random.Generator, Detector], Run]
 WORLDS: dict[str, World] = {
     "turning": turning,
@@ -228,6 +249,8 @@ WORLDS: dict[str, World] = {
     "drift, 1 deg/s, error of 3 deg": lambda rng, detector: drift(rng, replace(detector, spread=3.0)),
     "turning, error of 3 deg": lambda rng, detector: turning(rng, replace(detector, spread=3.0)),
     "turning, error of 1 deg": lambda rng, detector: turning(rng, replace(detector, spread=1.0)),
+    "habits": habits,
+    "habits, half of them absent": lambda rng, detector: habits(rng, detector, presence=0.5),
 }
 
 

@@ -58,7 +58,6 @@ TILT = math.radians(10)
 SEEN = ("yaw", "tumble", "large", "jpeg", "tilt")  # what has to be looked at; the others use the same looks
 LOOKS_OF = {"drift": "yaw", "drift-told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
-FITTED = (0, 1, 20, 21)  # frames of each case that the model of the detector is fitted on: neighbours, and far apart
 JUDGED = (0, *range(FRAMES - 10, FRAMES))  # frames in which coverage is judged
 FITTED_IN = ("yaw", "tumble")
 BOX = 0.3  # score from which on a single box would be believed
@@ -207,20 +206,16 @@ def fitted(cases: Sequence[Case], left_out: str) -> DetectorModel:
 
 def labelled(case: Case) -> list[LabelledLook]:
     """The looks of a case that a model is fitted on, with the truth."""
-    true, group = poses(case.condition), f"{case.photograph}, {case.query}, {case.condition}"
+    group = f"{case.photograph}, {case.query}, {case.condition}"
     return [
-        LabelledLook(case.evidence(frame, DetectorModel()), case.targets @ true[frame], float(frame), group)
-        for frame in FITTED
+        LabelledLook(case.evidence(frame, DetectorModel()), case.targets @ pose, float(frame), group, pose)
+        for frame, pose in enumerate(poses(case.condition))
     ]
 
 
 def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
-    """How to read scores, spread and repeats.
-
-    The rates stay unknown: they differ from class to class, and the tracker learns them.
-    """
-    found = fit_detector(looks, resamples=0).model
-    return replace(found, detection_probability=None, false_alarms_per_look=None)
+    """The numbers of the detector; the share of looks in which a thing is found differs from place to place."""
+    return replace(fit_detector(looks, resamples=0).model, detection_probability=None)
 
 
 def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:

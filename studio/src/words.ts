@@ -181,7 +181,7 @@ export const words = {
     stale: "stale",
     means: {
       searching: "It may not be here, or lie anywhere.",
-      tracking: "More likely than not it is here, within 15 degrees of the answer.",
+      tracking: "More likely than not it is here, within 15 degrees of the answer or half its own size.",
       ambiguous: "It is likely here, and several directions fit.",
       stale: "There was an answer, and nothing has been looked at for a while.",
     } as Record<string, string>,

@@ -470,18 +470,19 @@ def test_a_point_is_spread_as_its_line_says_or_as_the_detector_does():
     assert spreads(DetectorModel(spread=math.radians(3))) == pytest.approx([12, 3])
 
 
-def test_looks_that_agree_are_believed_and_a_box_that_repeats_itself_less():
+def test_looks_that_agree_are_believed_and_a_box_that_may_be_a_look_alike_less():
     boxes, grid = [[500, 250, 524, 270]], ErpGrid(512, 1024)
 
-    def presence(repeats, looks):
+    def presence(alikes, looks):
         tracker = DirectionTracker()
         for step in range(looks):
-            model = DetectorModel(repeats=repeats)
+            model = DetectorModel(look_alikes=alikes)
             tracker.observe(Evidence.from_boxes(boxes, grid, [0.9], detector=model, stamp=0.5 * step))
         return tracker.estimate(0.5 * looks).presence
 
-    assert 0.5 < presence(0.0, 1) < presence(0.5, 3) < presence(0.0, 3)
+    assert 0.5 < presence(0.7, 1) < presence(0.7, 3) < presence(0.0, 3)
     assert presence(0.0, 3) > 0.95
+    assert presence(0.7, 12) < 0.97, "however many looks there are"
 
 
 def test_records_are_sorted_and_the_nearest_answers(replay_file):

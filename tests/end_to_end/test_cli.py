@@ -276,35 +276,37 @@ def test_a_detector_is_described_in_one_line(room, tmp_path):
     with path.open("w") as file:
         write_record(file, 1.0, query="chair", points=[{"azimuth_deg": 40, "elevation_deg": 10, "score": 1.0}])
     words = ("locate", room, "chair", "--perception", f"replay:{path}")
-    good = answer(*words, "--detector", "pd=0.7,clutter=0.2,spread=5")
+    stated = "detection_probability=0.7,false_alarms_per_look=0.2,look_alikes=0"
+    good = answer(*words, "--detector", f"{stated},spread=5")
     assert good["presence"] == pytest.approx(0.79, abs=0.01)  # METHOD: whatever the spread
-    assert answer(*words, "--detector", "pd=0.7,clutter=0.2")["presence"] == pytest.approx(0.79, abs=0.01)
-    poor = answer(*words, "--detector", "pd=0.3,clutter=3,spread=5")
+    assert answer(*words, "--detector", f"{stated},spread=9")["presence"] == pytest.approx(0.79, abs=0.01)
+    poor = answer(*words, "--detector", "detection_probability=0.3,false_alarms_per_look=3,look_alikes=0,spread=5")
     assert poor["presence"] < 0.5
     assert poor["credible_angle_deg"] > good["credible_angle_deg"]
-    assert answer(*words, "--detector", "pd=?,spread=5") == answer(*words)
+    assert answer(*words, "--detector", "detection_probability=?,spread=5") == answer(*words)
     for text, says in (
-        ("pd=0.7,kappa=3", "'kappa=3'"),
-        ("pd=7", "a probability above 0 and below 1"),
+        ("detection_probability=0.7,kappa=3", "'kappa=3'"),
+        ("detection_probability=7", "a probability above 0 and below 1"),
         ("spread=0.2 rad", "is not a number"),
-        ("pd=0.5,pd=0.6", "once"),
+        ("look_alikes=0,look_alikes=1", "look_alikes=1"),
+        ("habit=0.8", "two numbers from 0.001 to 500"),
     ):
         line = refused(*words, "--detector", text)
         assert line.startswith(f"eagor: error: --detector {text}")
         assert says in line
     poses = tmp_path / "poses.csv"
     poses.write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n")
-    assert "--detector pd:" in refused("track", room, "chair", "--poses", poses, "--detector", "pd")
+    assert "--detector spread:" in refused("track", room, "chair", "--poses", poses, "--detector", "spread")
 
 
 def test_a_detector_of_a_perception_that_detects_nothing_has_no_effect_and_says_so(room, tmp_path):
     path = tmp_path / "looks.jsonl"
     with path.open("w") as file:
         write_record(file, 1.0, query="chair", response=np.eye(18, 36))
-    done = eagor("locate", room, "chair", "--perception", f"replay:{path}", "--detector", "pd=0.5")
+    done = eagor("locate", room, "chair", "--perception", f"replay:{path}", "--detector", "detection_probability=0.5")
     assert done.returncode == 0
     assert "response maps" in done.stderr
-    assert eagor("locate", room, "red", "--detector", "pd=0.5").stderr == ""
+    assert eagor("locate", room, "red", "--detector", "detection_probability=0.5").stderr == ""
 
 
 def test_views_of_one_moment_are_one_look_whatever_their_order(room, tmp_path):

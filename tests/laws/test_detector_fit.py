@@ -1,15 +1,18 @@
-"""Fitting a detector's model on labelled looks: it recovers what made them, and says little where they say little."""
+"""Fitting a detector's model on looks: it recovers what made them, and says little where they say little."""
 
 import math
 from itertools import product
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from eagor.errors import DirectionError, EagorError, ResponseError
-from eagor.evaluation.detector_em import Estimate
+from eagor.errors import DirectionError, EagorError, ResponseError, RotationError
+from eagor.evaluation.detector_em import expected_look_alikes
 from eagor.evaluation.detector_fit import fit_detector
-from eagor.evaluation.labelled_looks import LabelledLook, rows_of
+from eagor.evaluation.detector_places import fitted_habit, scatter
+from eagor.evaluation.detector_unlabelled import fit_unlabelled
+from eagor.evaluation.labelled_looks import LabelledLook, rows_of, stretches
 from eagor.evaluation.score_curve import ScoreCurve, fitted_curve, knots_of
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -18,84 +21,163 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import FORWARD, direction, unit, world_R_body
 
 NOTHING = np.zeros((0, 3))
-
-
-def kept(rng, before, fresh, share):
-    """`fresh`, or with probability `share` what was `before`."""
-    return before if before is not None and rng.random() < share else fresh
+BASE = DetectorModel()
 
 
 def looks_of(
-    rng, groups=12, each=20, recall=0.7, alarms=0.5, spread=0.1, repeats=0.0, targets=(0, 1, 2), right=(4, 2),
-    false=(2, 4),
+    rng, groups=12, each=20, habit=(1.5, 1.0), alarms=0.3, spread=0.1, offset=0.0, alikes=0.0, alike=(0.5, 2.0),
+    targets=(0, 1, 2), right=(4, 2), false=(2, 4), posed=True,
 ):  # fmt: skip
-    """Looks of a detector with these numbers; scores of right and false detections are Beta distributed."""
+    """Looks of a tumbling camera with a detector of these numbers; `right`, `false`: Beta distributions of scores."""
     found = []
     for group in range(groups):
-        at = unit(rng.normal(size=(targets[group % len(targets)], 3))) if targets[group % len(targets)] else NOTHING
-        hits, errors, wrong = [None] * len(at), [None] * len(at), None
+        count, others = targets[group % len(targets)], rng.poisson(alikes)
+        at, bad = (unit(rng.normal(size=(n, 3))) if n else NOTHING for n in (count, others))
+        shares, bad_shares = rng.beta(*habit, size=count), rng.beta(*alike, size=others)
+        kept = at + offset * rng.normal(size=(count, 3))
         for step in range(each):
-            hits = [kept(rng, hit, rng.random() < recall, repeats) for hit in hits]
-            errors = [kept(rng, error, spread * rng.normal(size=3), repeats) for error in errors]
-            wrong = kept(rng, wrong, rng.normal(size=(rng.poisson(alarms), 3)), repeats)
-            seen = [true + error for true, error, hit in zip(at, errors, hits, strict=True) if hit]
+            turn = Rotation.random(rng=rng).as_matrix() if posed else np.eye(3)
+            seen = (kept + spread * rng.normal(size=(count, 3)))[rng.random(count) < shares]
+            wrong = (bad + spread * rng.normal(size=(others, 3)))[rng.random(others) < bad_shares]
+            wrong = np.concatenate([wrong, rng.normal(size=(rng.poisson(alarms), 3))])
             scores = np.concatenate([rng.beta(*right, size=len(seen)), rng.beta(*false, size=len(wrong))])
-            places = np.concatenate([np.reshape(seen, (-1, 3)), wrong])
-            found.append(
-                LabelledLook(Evidence.from_points(places, scores=scores, stamp=0.5 * step), at, None, str(group))
-            )
+            look = Evidence.from_points(np.concatenate([seen, wrong]) @ turn, scores=scores, stamp=0.5 * step)
+            found.append(LabelledLook(look, at @ turn, None, str(group), turn if posed else None))
     return found
+
+
+def share(model):
+    return model.habit[0] / sum(model.habit)
 
 
 @pytest.mark.parametrize(
     "truth",
     [
         {},
-        {"recall": 0.95, "alarms": 3.0, "spread": 0.03},
-        {"recall": 0.4, "alarms": 0.1, "spread": 0.2},
+        {"habit": (9.0, 1.0), "alarms": 3.0, "spread": 0.03},
+        {"habit": (2.0, 4.0), "alarms": 0.1, "spread": 0.2},
         {"targets": (3, 2), "groups": 10, "each": 12},
+        {"posed": False},
     ],
-    ids=["usual", "sharp among many false alarms", "blunt", "three at once"],
+    ids=["usual", "sharp among many false alarms", "blunt", "three at once", "without poses"],
 )
 def test_each_number_lies_in_its_interval(truth):
-    made = {"recall": 0.7, "alarms": 0.5, "spread": 0.1} | truth
-    names = {"detection_probability": "recall", "false_alarms_per_look": "alarms", "spread": "spread"}
+    made = {"habit": (1.5, 1.0), "alarms": 0.3, "spread": 0.1} | truth
+    true = {
+        "detection_share": made["habit"][0] / sum(made["habit"]),
+        "false_alarms_per_look": made["alarms"],
+        "spread": made["spread"],
+    }
     held = 0
     for seed in range(3):
         looks = looks_of(np.random.default_rng(seed), **truth)
         found = fit_detector(looks, resamples=40)
-        for name, key in names.items():
+        model = found.model
+        told = {"detection_share": share(model)} | {name: getattr(model, name) for name in [*true][1:]}
+        for name, value in true.items():
             low, high = found.intervals[name]
-            held += low <= made[key] <= high
-            assert low <= getattr(found.model, name) <= high
-            assert getattr(found.model, name) == pytest.approx(made[key], rel=0.3, abs=0.05)
-            assert high - low < 0.5 * made[key] + 0.2, "an interval of everything says nothing"
-        assert found.model.repeats < 0.15
+            held += low <= value <= high
+            assert low <= told[name] <= high
+            assert told[name] == pytest.approx(value, rel=0.3, abs=0.15 if name == "detection_share" else 0.05)
+            assert high - low < 0.5 * value + 0.3, "an interval of everything says nothing"
+        assert model.detection_probability is None
+        assert model.offset < 0.5 * made["spread"]
+        assert ("look_alikes" in found.intervals) == made.get("posed", True)
         assert found.targets == sum(len(look.targets) for look in looks)
-        assert found.matched == pytest.approx(made["recall"] * found.targets, rel=0.2)
     assert held >= 7, "of 9 intervals of 95 %"
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6])
-def test_mistakes_that_repeat_are_counted(share):
-    looks = looks_of(np.random.default_rng(3), groups=20, repeats=share, targets=(1, 1, 0))
-    found = fit_detector(looks, resamples=25)
-    low, high = found.intervals["repeats"]
-    assert low - 0.02 <= share <= high + 0.02
-    assert found.model.repeats == pytest.approx(share, abs=0.12)
-    scrambled = [LabelledLook(look.evidence, look.targets, None, str(number)) for number, look in enumerate(looks)]
-    assert fit_detector(scrambled, resamples=0).model.repeats == 0, "without consecutive looks nothing is known of it"
-    assert fit_detector(scrambled, DetectorModel(repeats=0.4), resamples=0).model.repeats == 0.4
+@pytest.mark.parametrize("habit", [(0.6, 0.6), (6.0, 2.0)], ids=["all or nothing", "alike everywhere"])
+def test_the_habit_of_places_is_told_from_chance(habit):
+    model = fit_detector(looks_of(np.random.default_rng(1), groups=40, habit=habit, targets=(1, 2)), resamples=0).model
+    assert share(model) == pytest.approx(habit[0] / sum(habit), abs=0.07)
+    assert sum(model.habit) == pytest.approx(sum(habit), rel=0.4)
+
+
+@pytest.mark.parametrize(("alikes", "alike"), [(1.0, (2.0, 2.0)), (0.7, (0.5, 2.0)), (0.0, (1.0, 1.0))])
+def test_look_alikes_are_told_from_false_alarms_that_pass(alikes, alike):
+    """Their number to the square root of it over the views, and how much of what is false comes of them."""
+    looks = looks_of(np.random.default_rng(2), groups=60, each=30, alikes=alikes, alike=alike, spread=0.05, alarms=0.2)
+    found = fit_detector(looks, resamples=0)
+    model = found.model
+    assert model.look_alikes == pytest.approx(alikes, abs=0.3)
+    assert model.false_alarms_per_look == pytest.approx(0.2, abs=0.04)
+    lasting = model.look_alikes * model.look_alike_habit[0] / sum(model.look_alike_habit)
+    assert lasting == pytest.approx(alikes * alike[0] / sum(alike), abs=0.06)
+    low, high = found.intervals["look_alikes"]
+    assert low <= model.look_alikes <= high
+    blind = [LabelledLook(look.evidence, look.targets, None, look.group) for look in looks]
+    unknown = fit_detector(blind, resamples=0).model
+    assert (unknown.look_alikes, unknown.look_alike_habit) == (BASE.look_alikes, BASE.look_alike_habit)
+    assert unknown.offset == BASE.offset
+    assert unknown.false_alarms_per_look == pytest.approx(0.2 + lasting, abs=0.06), "all that is false is counted"
+
+
+@pytest.mark.parametrize(("spread", "offset"), [(0.03, 0.06), (0.06, 0.03), (0.05, 0.0)])
+def test_what_a_place_keeps_is_told_from_what_each_look_errs(spread, offset):
+    looks = looks_of(np.random.default_rng(3), groups=40, spread=spread, offset=offset, targets=(1, 2))
+    model = fit_detector(looks, resamples=0).model
+    assert model.spread == pytest.approx(spread, rel=0.2)
+    assert model.offset == pytest.approx(offset, rel=0.25, abs=0.012)
+
+
+def test_the_scatter_of_places_is_the_likelihood_of_their_covariance():
+    rng = np.random.default_rng(0)
+    own, offsets, angles = rng.uniform(0, 0.01, (5, 2)), rng.normal(size=(5, 2)), rng.uniform(0, 6, 5)
+    turns = np.array([[[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]] for a in angles])
+    place, spread, offset = np.array([0, 0, 0, 1, 1]), 0.3, 0.5
+    wanted = 0.0
+    for number in (0, 1):
+        of = np.flatnonzero(place == number)
+        covariance = np.kron(np.ones((len(of), len(of))), offset**2 * np.eye(2))
+        for row, index in enumerate(of):
+            own_part = turns[index].T @ np.diag(own[index] + spread**2) @ turns[index]
+            covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own_part
+        values = np.concatenate([turns[index].T @ offsets[index] for index in of])
+        wanted -= 0.5 * (values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
+    errors = own, offsets, turns
+    assert scatter(errors, place, np.ones(5), np.ones(2), spread, offset) == pytest.approx(wanted)
+    twice = scatter(errors, place, np.ones(5), np.array([2.0, 2.0]), spread, offset)
+    assert twice == pytest.approx(2 * wanted)
+
+
+def test_a_thing_is_the_same_place_where_it_lies_in_the_same_direction():
+    rng, looks = np.random.default_rng(0), []
+    things = direction(np.array([0.3, 2.0]), np.array([0.1, -0.2]))
+    for step in range(6):
+        turn, order = Rotation.random(rng=rng).as_matrix(), rng.permutation(2)
+        looks.append(LabelledLook(Evidence.from_points([]), things[order] @ turn, step, "", turn))
+    rows = rows_of(looks, BASE)
+    assert sorted(np.bincount(rows.place)) == [6, 6]
+    unposed = [LabelledLook(look.evidence, things, look.stamp) for look in looks]
+    assert rows_of(unposed, BASE).place.tolist() == [0, 1] * 6, "without poses, by their index"
+
+
+def test_a_view_lasts_as_long_as_its_habits():
+    def all_of(stamps, metres):
+        places = [np.array([x, 0.0, 0.0]) for x in metres]
+        none = Evidence.from_points([])
+        pairs = zip(stamps, places, strict=True)
+        return stretches([LabelledLook(none, NOTHING, at, "a", np.eye(3), place) for at, place in pairs], BASE)
+
+    assert all_of([0, 50, 70, 120], [0, 0, 0, 0]).tolist() == [0, 0, 1, 1]
+    assert all_of([0, 1, 2, 3], [0, 0.6, 1.2, 1.4]).tolist() == [0, 0, 1, 1]
+    assert all_of([0, 30, 31], [0, 0.4, 0.6]).tolist() == [0, 0, 1], "seconds and metres add up"
+
+
+def test_a_habit_without_places_is_the_prior():
+    prior, none = np.array([0.8, 0.8]), np.zeros(0)
+    assert fitted_habit(none, none, none, prior, np.array([3.0, 1.0])) == pytest.approx(prior, rel=1e-3)
 
 
 def test_scores_that_tell_are_believed_and_others_are_not():
     """Beta(4, 2) over Beta(2, 4) is (s / (1 - s))^2."""
-    telling = fit_detector(looks_of(np.random.default_rng(1), groups=20), resamples=0).model
+    telling = fit_detector(looks_of(np.random.default_rng(1), groups=20, alarms=0.5), resamples=0).model
     logs = np.log([telling.ratios(np.array([score]), 1)[0] for score in (0.25, 0.5, 0.75)])
     assert logs == pytest.approx(2 * np.log([1 / 3, 1, 3]), abs=0.7)
     ratios = [ratio for _, ratio in telling.score_ratios]
     assert ratios == sorted(ratios)
-    alike = fit_detector(looks_of(np.random.default_rng(1), groups=20, false=(4, 2)), resamples=0).model
+    alike = fit_detector(looks_of(np.random.default_rng(1), groups=20, alarms=0.5, false=(4, 2)), resamples=0).model
     scores = np.linspace(0.3, 0.9, 7)
     assert np.abs(np.log(alike.ratios(scores, 7))).mean() < 0.25 < np.abs(np.log(telling.ratios(scores, 7))).mean() / 4
     same = [LabelledLook(Evidence.from_points([FORWARD], scores=[0.6]), FORWARD)] * 9
@@ -116,8 +198,8 @@ def test_a_score_curve_never_falls_and_few_scores_say_little():
 
 
 def test_the_fit_mends_looks_that_it_has_not_seen():
-    found = fit_detector(looks_of(np.random.default_rng(2), alarms=3.0, recall=0.9, spread=0.03), resamples=0)
-    judged = found.held_out
+    looks = looks_of(np.random.default_rng(2), alarms=3.0, habit=(9.0, 1.0), spread=0.03)
+    judged = fit_detector(looks, resamples=0).held_out
     assert judged.density[1] > judged.density[0] + 0.5
     assert judged.presence[1] > judged.presence[0]
     assert judged.interval[0] > 0
@@ -180,6 +262,75 @@ def test_several_targets_are_assigned_as_an_enumeration_says():
     assert np.median(errors) < 0.05
 
 
+# --- without labels --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("truth", "habit_within", "alikes_within"),
+    [
+        ({"alikes": 0.7, "alarms": 0.2, "spread": 0.03}, 0.15, 0.35),
+        ({"alikes": 0.0, "alarms": 0.5}, 0.12, 0.2),
+        ({"alikes": 0.7, "alarms": 0.1, "habit": (4.0, 2.0)}, 0.15, 0.35),
+    ],
+    ids=["sharp", "no look-alikes", "often found"],
+)
+def test_footage_without_labels_tells_the_same(truth, habit_within, alikes_within):
+    made = {"habit": (1.5, 1.0), "spread": 0.1} | truth
+    for seed in range(2):
+        looks = looks_of(np.random.default_rng(seed), groups=40, each=30, targets=(0, 1), **truth)
+        found = fit_unlabelled(looks, resamples=10)
+        model = found.model
+        assert share(model) == pytest.approx(made["habit"][0] / sum(made["habit"]), abs=habit_within)
+        assert model.look_alikes == pytest.approx(made["alikes"], abs=alikes_within)
+        assert model.false_alarms_per_look == pytest.approx(made["alarms"], rel=0.2, abs=0.03)
+        assert model.spread == pytest.approx(made["spread"], rel=0.15)
+        assert found.things == pytest.approx(0.5, abs=0.3)
+        ratios = [ratio for _, ratio in model.score_ratios]
+        assert ratios == sorted(ratios)
+        assert ratios[0] < 0.6 < 1.6 < ratios[-1]
+        low, high = found.intervals["look_alikes"]
+        assert low <= model.look_alikes <= high
+        assert (model.offset, model.kept_for, model.kept_within) == (BASE.offset, BASE.kept_for, BASE.kept_within)
+
+
+def test_the_targets_of_looks_are_not_read_without_labels():
+    looks = looks_of(np.random.default_rng(0), groups=6)
+    bare = [LabelledLook(look.evidence, NOTHING, None, look.group, look.world_R_body) for look in looks]
+    assert fit_unlabelled(looks, resamples=0).model == fit_unlabelled(bare, resamples=0).model
+
+
+def test_what_little_footage_does_not_tell_stays():
+    base = DetectorModel(look_alikes=0.4, spread=0.06, score_ratios=((0.2, 0.5), (0.8, 3.0)))
+    found = fit_unlabelled(looks_of(np.random.default_rng(0), groups=1, each=6, targets=(1,)), base)
+    for name in ("habit", "look_alikes", "look_alike_habit", "false_alarms_per_look", "score_ratios"):
+        assert not found.tells(name)
+        assert getattr(found.model, name) == getattr(base, name)
+    assert found.intervals == {}
+    nothing = [LabelledLook(Evidence.from_points([]), NOTHING, n, "", np.eye(3)) for n in range(20)]
+    silent = fit_unlabelled(nothing, base)
+    assert silent.model.false_alarms_per_look < 0.05
+    assert silent.model.spread == base.spread
+    assert silent.as_json()["numbers"]["habit"] == {"carried": 0.0, "told": False}
+
+
+def test_views_see_only_a_part():
+    """A place out of view is not missed: one view that turns round and round finds each thing whenever it sees it."""
+    rng, looks = np.random.default_rng(0), []
+    for group in range(30):
+        at = direction(rng.uniform(-3, 3), 0.0)
+        for step in range(36):
+            turn = world_R_body(math.radians(10 * step))
+            body = turn.T @ at
+            ahead = PerspectiveGrid(64, 64, math.radians(90))
+            seen = bool(ahead.project(body[None])[2][0])
+            points = [unit(body + 0.03 * rng.normal(size=3))] if seen and rng.random() < 0.9 else []
+            look = Evidence.from_points(points, grid=ahead)
+            looks.append(LabelledLook(look, NOTHING, 0.1 * step, str(group), turn))
+    found = fit_unlabelled(looks, resamples=0)
+    assert found.carried["habit"] == pytest.approx(30, abs=2)
+    assert share(found.model) > 0.7, "a third of what it would be, were all looks counted"
+
+
 # --- little, and nothing ---------------------------------------------------------------------------------------------
 
 
@@ -188,30 +339,44 @@ def test_few_looks_shrink_to_the_prior():
     one = LabelledLook(Evidence.from_points([FORWARD]), FORWARD)
     found = fit_detector([one], base)
     assert found.held_out is None
-    assert 0.57 < found.model.detection_probability < 0.9
+    assert 0.5 < share(found.model) < 0.9
     assert math.radians(4) < found.model.spread < math.radians(8)
-    low, high = found.intervals["detection_probability"]
+    low, high = found.intervals["detection_share"]
     assert high - low > 0.5, "one look is not much"
-    more = fit_detector([one] * 100, base, resamples=0).model
-    assert more.detection_probability > 0.97
-    assert more.spread < math.radians(2)
+    more = fit_detector([one] * 100, base, resamples=0)
+    assert share(more.model) < 0.9, "nor is one place"
+    assert more.model.spread < math.radians(2)
+    places = [LabelledLook(one.evidence, FORWARD, None, str(n % 50)) for n in range(200)]
+    assert share(fit_detector(places, base, resamples=0).model) > 0.95
+
+
+def test_a_stated_detection_probability_is_the_mean_of_the_prior():
+    base = DetectorModel(detection_probability=0.9)
+    absent = [LabelledLook(Evidence.from_points([]), NOTHING, n) for n in range(5)]
+    assert fit_detector(absent, base, resamples=0).model.detection_probability == 0.9
+    one = fit_detector([LabelledLook(Evidence.from_points([FORWARD]), FORWARD)], base).model
+    assert one.detection_probability is None
+    assert share(one) == pytest.approx(0.9, abs=0.05)
 
 
 def test_an_absent_thing_tells_of_false_alarms_only():
     looks = [LabelledLook(Evidence.from_points(unit(np.eye(3)[: n % 3])), [], n) for n in range(30)]
-    base = DetectorModel()
-    found = fit_detector(looks, base, resamples=20)
-    assert found.model.detection_probability is None
-    assert "detection_probability" not in found.intervals
+    found = fit_detector(looks, BASE, resamples=20)
+    assert found.model.habit == BASE.habit
+    assert "detection_share" not in found.intervals
     assert found.model.false_alarms_per_look == pytest.approx(1, abs=0.05)
-    assert found.model.spread == pytest.approx(base.spread, rel=1e-2)
+    assert found.model.spread == pytest.approx(BASE.spread, rel=1e-2)
     assert found.held_out.density is None
+    posed = [LabelledLook(look.evidence, [], look.stamp, "", np.eye(3)) for look in looks]
+    lasting = fit_detector(posed, BASE, resamples=0).model
+    assert lasting.look_alikes > expected_look_alikes(BASE), "the same two places, again and again"
+    assert lasting.false_alarms_per_look < 0.1
 
 
 def test_a_detector_that_never_answers():
-    looks = [LabelledLook(Evidence.from_points([]), FORWARD, n) for n in range(20)]
+    looks = [LabelledLook(Evidence.from_points([]), FORWARD, n, str(n)) for n in range(20)]
     found = fit_detector(looks, resamples=20)
-    assert found.model.detection_probability < 0.1
+    assert share(found.model) < 0.15
     assert found.model.false_alarms_per_look < 0.05
     assert found.model.score_ratios is None
     assert found.detections == found.matched == 0
@@ -219,21 +384,23 @@ def test_a_detector_that_never_answers():
 
 def test_what_a_view_does_not_show_is_not_missed():
     view = PerspectiveGrid(64, 64, math.radians(60), world_R_body(0.0))
-    behind = [LabelledLook(Evidence.from_boxes([], view), [direction(math.pi, 0.0)], n) for n in range(20)]
-    ahead = [LabelledLook(Evidence.from_boxes([[28, 28, 36, 36]], view), FORWARD, n) for n in range(20)]
+    behind = [LabelledLook(Evidence.from_boxes([], view), [direction(math.pi, 0.0)], n, str(n)) for n in range(20)]
+    ahead = [LabelledLook(Evidence.from_boxes([[28, 28, 36, 36]], view), FORWARD, n, str(n)) for n in range(20)]
     assert fit_detector(behind, resamples=0).targets == 0
-    assert fit_detector(behind + ahead, resamples=0).model.detection_probability > 0.9
+    assert share(fit_detector(behind + ahead, resamples=0).model) > 0.9
 
 
 def test_what_cannot_be_fitted_is_refused():
     grid = ErpGrid(8, 16)
     mapped = Evidence.from_response(np.zeros((8, 16)), grid, Calibration())
-    with pytest.raises(EagorError, match="there are no labelled looks"):
-        fit_detector([])
+    for fit in (fit_detector, fit_unlabelled):
+        with pytest.raises(EagorError, match="there are no looks with detections"):
+            fit([])
     with pytest.raises(ResponseError, match="a response map has no detections"):
         LabelledLook(mapped, NOTHING)
     with pytest.raises(ResponseError, match=r"wanted eagor\.Evidence"):
         LabelledLook([[1, 2, 3]], NOTHING)
     with pytest.raises(DirectionError, match=r"wanted \(n, 3\)"):
         LabelledLook(Evidence.from_points([]), [[0.1, 0.2]])
-    assert Estimate(0.5, 1.0, 0.1, ScoreCurve.flat()).model(DetectorModel()).detection_probability is None
+    with pytest.raises(RotationError, match="world_R_body"):
+        LabelledLook(Evidence.from_points([]), NOTHING, world_R_body=2 * np.eye(3))

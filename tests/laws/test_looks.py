@@ -57,7 +57,8 @@ def test_a_response_has_the_chance_that_its_calibration_states():
     chance = Chance.of(Evidence.from_response(response, GRID, read, stamp=0.0), 0.5)
     silent = float(np.asarray(Evidence.from_response(np.zeros(GRID.shape), GRID, read, stamp=0.0).log_ratio)[0, 0])
     assert chance.recall == pytest.approx(1 - math.exp(silent), rel=1e-5)
-    assert (chance.repeating.share, chance.elapsed) == (0.6, 0.5)
+    assert (chance.repeats, chance.elapsed) == (0.6, 0.5)
+    assert chance.left(3.0) == 1, "what a response map repeats does not fade"
 
 
 def test_only_what_was_covered_counts():
@@ -69,13 +70,15 @@ def test_only_what_was_covered_counts():
     assert Chance.of(found, 0.5).recall == pytest.approx(Chance.of(whole, 0.5).recall)
 
 
-@pytest.mark.parametrize(("stated", "low", "high"), [(0.8, 0.8, 0.8), (None, 0.2, 0.8)])
-def test_a_detector_has_the_chance_that_its_model_states(stated, low, high):
-    model = DetectorModel(detection_probability=stated, repeats=0.3)
+# Of a beta distribution (a, b): its mean, and the correlation 1 / (a + b + 1) of two draws with one share.
+@pytest.mark.parametrize(("stated", "recall", "repeats"), [(0.8, 0.8, 0.0), (None, 2 / 3.5, 1 / 4.5)])
+def test_a_detector_has_the_chance_that_its_model_states(stated, recall, repeats):
+    model = DetectorModel(detection_probability=stated, habit=(2.0, 1.5), kept_for=10.0, kept_within=2.0)
     found = Evidence.from_points(direction(0.3, 0.1)[None], scores=np.array([0.9]), detector=model, stamp=0.0)
     chance = Chance.of(found, 0.5)
-    assert low - 1e-9 <= chance.recall <= high + 1e-9
-    assert chance.repeating.share == 0.3
+    assert chance.recall == pytest.approx(recall)
+    assert chance.repeats == pytest.approx(repeats, abs=1e-9)
+    assert chance.left(0.4) == pytest.approx(math.exp(-0.5 / 10 - 0.4 / 2))
 
 
 @pytest.mark.parametrize("level", [0.0, 0.5, 1.0])

@@ -120,8 +120,11 @@ def test_names_with_settings():
         ("eagor:death=-3", r"'eagor:death=-3': MotionModel: death = -3\.0; wanted a rate"),
         ("eagor:wander=3+", "'eagor:wander=3\\+': a setting wants a number"),
         ("eagor:wander=3+0", "MotionModel: wander = .*; wanted radians per root second above 0"),
-        ("eagor:pd=1.5", r"DetectorModel: detection_probability = 1\.5; wanted a probability"),
-        ("eagor:repeats=?", "a setting wants a number"),
+        ("eagor:detection_probability=1.5", r"DetectorModel: detection_probability = 1\.5; wanted a probability"),
+        ("eagor:look_alikes=?", "a setting wants a number"),
+        ("eagor:habit=0.8+", "a setting wants a number"),
+        ("eagor:habit=0.8", r"DetectorModel: habit = \(0\.8,\); wanted two numbers"),
+        ("eagor:pd=0.7", "no setting 'pd'"),
         ("eagor:keep=0.9", "no setting 'keep'"),
         ("vmf:noise=nan", "noise = nan"),
         ("vmf:degree=7", "no setting 'degree'; known for vmf: floor"),
@@ -168,12 +171,19 @@ def test_how_targets_move_is_set_in_degrees_and_rates():
 
 
 def test_a_variant_varies_the_detector_of_the_perception():
-    own = DetectorModel(0.6, 0.3, math.radians(4), 0.2)
-    varied = make_method("eagor:pd=?,dspread=7,repeats=0", np.random.default_rng(0), detector=own)
-    assert varied.tracker.config.detector == DetectorModel(None, 0.3, math.radians(7), 0.0)
-    varied = make_method("eagor:repeats_for=2.5,persists_for=3", np.random.default_rng(0), detector=own)
-    assert varied.tracker.config.detector == replace(own, repeats_for=2.5)
-    assert varied.tracker.config.calibration.persists_for == 3
+    own = DetectorModel(0.6, 0.3, math.radians(4), look_alikes=0.2)
+
+    def varied(text):
+        return make_method(f"eagor:{text}", np.random.default_rng(0), detector=own).tracker.config.detector
+
+    unknown = DetectorModel(None, 0.3, math.radians(7), look_alikes=0)
+    assert varied("detection_probability=?,dspread=7,look_alikes=0") == unknown
+    assert varied("false_alarms_per_look=?,offset=2") == replace(
+        own, false_alarms_per_look=None, offset=math.radians(2)
+    )
+    assert varied("kept_for=2.5,kept_within=?") == replace(own, kept_for=2.5, kept_within=None)
+    habits = varied("habit=2+1.5,look_alike_habit=0.5+3")
+    assert habits == replace(own, habit=(2.0, 1.5), look_alike_habit=(0.5, 3.0))
     assert make_method("eagor:degree=7", np.random.default_rng(0), detector=own).tracker.config.detector is None
 
 

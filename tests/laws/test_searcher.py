@@ -7,7 +7,7 @@ import pytest
 from box_scenes import scene_of, shell, thing
 
 from eagor.errors import WorldError
-from eagor.evidence.repeating import Repeating
+from eagor.evidence.detector import DetectorModel
 from eagor.sphere import world_R_body
 from eagor.tasks.approach import Approach
 from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
@@ -264,7 +264,7 @@ def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(recall, 
     world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
     missed = []
     for _ in range(3):
-        ground.look(world.situation(chance=Chance(recall, Repeating(repeats))))
+        ground.look(world.situation(chance=Chance(recall, repeats)))
         row, col = ground.known.cells(np.array([2.6, 3.0]))
         missed.append(ground.known.worth[row, col])
     again = (1 - recall) ** (1 - repeats)
@@ -291,7 +291,8 @@ def test_it_searches_both_rooms_whatever_its_looks_can_find(chance):
 def test_mistakes_that_fade_are_not_repeated_later():
     world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
     for _ in range(2):
-        ground.look(world.situation(chance=Chance(0.5, Repeating(0.9, seconds=1.0), elapsed=50.0)))
+        fading = DetectorModel(kept_for=1.0).habits
+        ground.look(world.situation(chance=Chance(0.5, 0.9, fading, elapsed=50.0)))
     row, col = ground.known.cells(np.array([2.6, 3.0]))
     assert ground.known.worth[row, col] == pytest.approx(0.25)
 

@@ -15,7 +15,6 @@ from eagor.errors import EagorError, PoseError, RotationError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
-from eagor.evidence.repeating import CommonError, Repeating
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
 from eagor.tracking.config import AnswerSettings, TrackerConfig
@@ -26,7 +25,8 @@ from eagor.tracking.tracker import DirectionTracker
 GRID = PatchGrid(12, 24)
 STILL = MotionModel.still()
 FLAT = {"ranges": None, "target_motion": STILL}  # all that happens is adding
-MODEL = DetectorModel(0.7, 0.2, math.radians(8))
+MODEL = DetectorModel(0.7, 0.2, math.radians(8), look_alikes=0)  # looks are independent
+ALIKE = DetectorModel(false_alarms_per_look=0.2, spread=math.radians(8), look_alikes=0.7)  # places have habits
 FORWARD = np.array([1.0, 0.0, 0.0])
 SOME = random_directions(60, 7)
 
@@ -101,107 +101,64 @@ def test_looks_that_repeat_each_other_add_up_in_part(count):
     assert np.allclose(held, (0.4 * count + 0.6) * one, atol=1e-9)
 
 
-def test_what_a_detector_repeats_adds_up_in_part():
+def test_what_a_detector_takes_for_the_thing_again_and_again_proves_less():
+    """Habits bound what any number of looks from one place can prove: the more look-alikes there may be, the less."""
     presences = {}
-    for repeats in (0.0, 0.5, 0.9):
+    for alikes in (0.0, 0.1, 0.7):
         tracker = DirectionTracker(TrackerConfig(**FLAT))
         for t in range(6):
-            tracker.observe(look(FORWARD, float(t), DetectorModel(0.7, 0.2, math.radians(8), repeats)))
-        presences[repeats] = tracker.estimate(5.0).presence
-    assert presences[0.0] > presences[0.5] > presences[0.9] > 0.75, "one look says 0.79, and none says less"
+            tracker.observe(look(FORWARD, float(t), replace(ALIKE, look_alikes=alikes)))
+        presences[alikes] = tracker.estimate(5.0).presence
+    assert presences[0.0] > presences[0.1] > presences[0.7] > 0.75
 
 
-def test_what_repeats_is_never_averaged_out():
-    """Of a spread s, the part s sqrt(repeats) is the same in all looks: so wide the belief stays for good."""
+def test_what_a_place_keeps_of_the_spread_is_never_averaged_out():
+    """The part `offset` of a spread is the same in all looks: so wide the belief stays for good."""
     spread = math.radians(6)
-    for repeats in (0.2, 0.5, 0.8):
+    for offset in (0.45 * spread, 0.7 * spread, 0.9 * spread):
         tracker = DirectionTracker(TrackerConfig(**FLAT))
         for t in range(60):
-            tracker.observe(look(FORWARD, float(t), DetectorModel(0.7, 0.2, spread, repeats)))
+            tracker.observe(look(FORWARD, float(t), replace(MODEL, spread=spread, offset=offset)))
         angle = tracker.estimate(59.0).credible_angle
-        wanted = math.sqrt(2 * math.log(10)) * spread * math.sqrt(repeats)  # of a Gaussian, 90 % lie within 2.15 s
+        wanted = math.sqrt(2 * math.log(10)) * offset  # of a Gaussian, 90 % lie within 2.15 s
         assert angle > 0.95 * wanted
         assert angle < 2.3 * spread
 
 
-def turned_away(model, stamps, away=0.1):
-    """What is said after looks that are `away` apart in direction, in turns, at these stamps."""
+def turned_away(model, stamps, away=0.1, step=0.0):
+    """What is said after looks that are `away` apart in direction, in turns, and `step` metres apart in place."""
     tracker = DirectionTracker(TrackerConfig(**FLAT))
     for index, stamp in enumerate(stamps):
+        tracker.add_pose(stamp, np.eye(3), np.array([step * index, 0.0, 0.0]))
         tracker.observe(look(direction(away * (index % 2), 0.0), stamp, model))
     return said(tracker.estimate(stamps[-1]))
 
 
+# Each look finds the thing with the mean probability of its habit.
+FRESH = replace(ALIKE, look_alikes=0, detection_probability=0.5)
+
+
 def test_looks_far_apart_in_time_are_independent():
-    fading, independent = replace(MODEL, repeats=0.6, repeats_for=0.5), MODEL
-    stamps = [0.0, 600.0, 1300.0]
-    assert np.allclose(turned_away(fading, stamps), turned_away(independent, stamps), atol=1e-9)
-    assert np.ptp(turned_away(fading, stamps) - turned_away(replace(MODEL, repeats=0.6), stamps)) > 0.1
+    fading, stamps = replace(ALIKE, look_alikes=0, kept_for=0.5), [0.0, 600.0, 1300.0]
+    assert np.allclose(turned_away(fading, stamps), turned_away(FRESH, stamps), atol=1e-9)
+    assert np.ptp(turned_away(fading, stamps) - turned_away(replace(fading, kept_for=None), stamps)) > 0.1
 
 
 def test_looks_from_places_far_apart_are_independent():
-    """And from one place they repeat as ever: a poster is the same poster until it is seen from elsewhere."""
-
-    def walked(model, step):
-        tracker = DirectionTracker(TrackerConfig(ranges=None, target_motion=MotionModel.still()))
-        for stamp in range(4):
-            tracker.add_pose(float(stamp), np.eye(3), np.array([step * stamp, 0.0, 0.0]))
-            tracker.observe(look(direction(0.2 * (stamp % 2), 0.0), float(stamp), model))
-        return said(tracker.estimate(3.0))
-
-    near, lasting = replace(MODEL, repeats=0.6, repeats_within=0.1), replace(MODEL, repeats=0.6)
-    assert np.allclose(walked(near, 50.0), walked(MODEL, 50.0), atol=1e-9)
-    assert np.allclose(walked(near, 0.0), walked(lasting, 0.0), atol=1e-9)
-    assert np.ptp(walked(near, 0.05) - walked(lasting, 0.05)) > 0.01
-    assert Repeating(0.5, 2.0, 1.0).after(1.0, 3.0) == pytest.approx(0.5 * math.exp(-0.5 - 3))
+    """And from one place habits last: a poster is the same poster until it is seen from elsewhere."""
+    near, stamps = replace(ALIKE, look_alikes=0, kept_for=None, kept_within=0.1), [0.0, 1.0, 2.0, 3.0]
+    lasting = replace(near, kept_within=None)
+    assert np.allclose(turned_away(near, stamps, step=50.0), turned_away(FRESH, stamps), atol=1e-9)
+    assert np.allclose(turned_away(near, stamps), turned_away(lasting, stamps), atol=1e-9)
+    assert np.ptp(turned_away(near, stamps, step=0.05) - turned_away(lasting, stamps)) > 0.01
+    assert DetectorModel(kept_for=2.0, kept_within=1.0).habits.anew(1.0, 3.0) == pytest.approx(-math.expm1(-3.5))
 
 
-def test_looks_near_each_other_repeat_as_if_for_ever():
-    fading, lasting = replace(MODEL, repeats=0.6, repeats_for=1e7), replace(MODEL, repeats=0.6)
+def test_looks_near_each_other_share_their_habits_as_if_for_ever():
+    fading, lasting = replace(ALIKE, kept_for=1e7), replace(ALIKE, kept_for=None)
     stamps = [0.0, 0.5, 1.0, 1.5]
     assert np.allclose(turned_away(fading, stamps), turned_away(lasting, stamps), atol=1e-4)
-
-
-def test_a_response_map_fades_by_the_time_between_two_looks():
-    """Of looks alike the older counts 1 - persistence exp(-elapsed / persists_for), the newest in full."""
-    tracker = DirectionTracker(TrackerConfig(**FLAT))
-    response, calibration = np.random.default_rng(0).random(GRID.shape), Calibration(persistence=0.6, persists_for=2.0)
-    for stamp in (0.0, 1.0, 4.0):
-        tracker.observe(Evidence.from_response(response, GRID, calibration, stamp))
-    one = Evidence.from_response(response, GRID, calibration).coefficients(15)
-    held = tracker.estimate(4.0).cases.standing.coarse.coefficients
-    assert np.allclose(held, (3 - 0.6 * math.exp(-0.5) - 0.6 * math.exp(-1.5)) * one, atol=1e-9)
-
-
-@pytest.mark.parametrize("repeated", [0.0, 0.3, 0.8])
-def test_what_errors_have_in_common_is_the_mean_correlation_of_pairs(repeated):
-    """Against the sum over all pairs of looks, with the weights that a belief gives them."""
-    rng = np.random.default_rng(0)
-    stamps, tells, lasts = np.cumsum(rng.exponential(0.5, 12)), rng.random(12) < 0.8, 2.0
-    repeating = Repeating(repeated, lasts)
-    tells[0], common, weights = True, CommonError(), np.zeros(12)
-    for k in range(12):
-        elapsed = stamps[k] - stamps[k - 1] if k else 0.0
-        taken = repeating.after(elapsed) if k and tells[k - 1] else 0.0
-        common = common.with_look(repeating.left(elapsed), taken, bool(tells[k]))
-        weights[k - 1] -= taken
-        weights[k] += float(tells[k])
-        pairs = np.outer(weights, weights) * ~np.eye(12, dtype=bool)
-        if pairs.any():
-            correlations = np.exp(-np.abs(stamps[:, None] - stamps) / lasts)
-            assert common.correlation == pytest.approx(np.sum(pairs * correlations) / pairs.sum())
-        else:
-            assert common.correlation == 1
-
-
-def test_a_pause_does_not_mend_what_looks_before_it_had_in_common():
-    """Twenty looks in two seconds err alike; one more after a pause is a small part of the whole."""
-    model, wide = replace(MODEL, repeats=0.5, repeats_for=2.0), []
-    tracker = DirectionTracker(TrackerConfig(**FLAT))
-    for stamp in [*(0.1 * k for k in range(20)), 60.0]:
-        tracker.observe(look(FORWARD, stamp, model))
-        wide.append(tracker.estimate(stamp).credible_angle)
-    assert wide[-1] > 0.85 * wide[-2]
+    assert np.ptp(turned_away(replace(ALIKE, kept_for=0.5), stamps) - turned_away(lasting, stamps)) > 0.1
 
 
 def test_what_was_not_looked_at_gains_nothing():
@@ -387,7 +344,7 @@ def test_a_known_floor_tells_distance_at_once():
     for floor in (None, 0.0, -0.8):
         tracker = DirectionTracker(TrackerConfig(floor_height=floor))
         tracker.add_pose(0.0, np.eye(3), np.array([0.0, 0.0, 1.25]))
-        tracker.observe(look(down, 0.0, DetectorModel(0.7, 0.2, math.radians(4))))
+        tracker.observe(look(down, 0.0, replace(MODEL, spread=math.radians(4))))
         found[floor] = tracker.estimate(0.0)
     assert found[0.0].distance_spread < 0.85 * found[None].distance_spread
     assert found[0.0].distance < found[-0.8].distance, "from higher up, the same depression is farther away"
@@ -484,7 +441,7 @@ def seeded(seed, steps=6, **changes):
         if rng.random() < 0.6:
             seen.append(unit(pose.T @ target + 0.1 * rng.normal(size=3)))
         points = np.array(seen).reshape(-1, 3)
-        model = DetectorModel(None, None, math.radians(rng.uniform(1, 12)), float(rng.choice([0.0, 0.5])))
+        model = DetectorModel(spread=math.radians(rng.uniform(1, 12)), look_alikes=float(rng.choice([0.0, 0.7])))
         tracker.observe(Evidence.from_points(points, scores=rng.random(len(points)), detector=model, stamp=float(t)))
     return tracker.estimate(float(t))
 
@@ -634,11 +591,10 @@ def test_trust_is_presence_times_what_lies_about_the_answer():
     assert estimate.within(0.1) < estimate.within(0.3) < estimate.presence
 
 
-@pytest.mark.parametrize("repeats", [0.0, 0.6])
-def test_the_answer_is_the_heaviest_mode_whatever_was_answered_before(repeats):
-    """Also of a detector that repeats its mistakes: the belief counts these less, and the answer is read from it."""
+@pytest.mark.parametrize("model", [MODEL, ALIKE])
+def test_the_answer_is_the_heaviest_mode_whatever_was_answered_before(model):
+    """Also of a detector that repeats its mistakes."""
     one, other = direction(0.5, 0.0), direction(-2.0, 0.1)
-    model = DetectorModel(0.7, 0.2, math.radians(8), repeats)
     tracker = DirectionTracker(TrackerConfig(**FLAT))
     for stamp, scores, answer in ((0.0, [0.9, 0.8], one), (1.0, [0.8, 0.99], other), (2.0, [0.99, 0.6], one)):
         tracker.observe(Evidence.from_points([one, other], scores=scores, detector=model, stamp=stamp))
@@ -731,7 +687,7 @@ def test_poses_must_be_poses():
         ("degree", 0),
         ("degree", 7.5),
         ("calibration", "scout"),
-        ("detector", "pd=0.7"),
+        ("detector", "detection_probability=0.7"),
         ("ranges", (3.0, 1.0)),
         ("ranges", (1.0,)),
         ("ranges", (0.0, 1.0)),

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, Evidence, MotionModel, TrackerConfig
-from eagor.evidence.detector import Spread
+from eagor.evidence.detector import Alarms, Spread
 from eagor.grids import ErpGrid
 from eagor.sphere import angular_distance, rotation, unit
 from eagor.tracking.look import Look, Sight
 from eagor.tracking.turning import Turning
 
 GRID = ErpGrid(96, 192)
-MODEL = DetectorModel(detection_probability=0.7, false_alarms_per_look=0.2, spread=math.radians(8))
+PD = 0.7
+MODEL = DetectorModel(detection_probability=PD, false_alarms_per_look=0.2, spread=math.radians(8), look_alikes=0)
 RATES = (math.radians(6),)
 AXIS = unit(np.array([0.3, -0.2, 1.0]))
 FAST = math.radians(10)  # a second
@@ -24,7 +25,11 @@ FAST = math.radians(10)  # a second
 
 def look(directions, model=MODEL, stamp=0.0):
     evidence = Evidence.from_points(np.reshape(directions, (-1, 3)), detector=model, stamp=stamp)
-    return Sight.of([evidence], 15, stamp, np.eye(3), None).read(None)
+    return Sight.of([evidence], 15, stamp, np.eye(3), None).read(Alarms.prior(model))
+
+
+def sightings(directions):
+    return look(directions).sightings(PD)
 
 
 def circling(step):
@@ -37,7 +42,7 @@ def followed(steps=20, noise=0.0, seed=0):
     for step in range(steps):
         if step:
             turning = turning.after(1.0, 0.0, 0.0)
-        turning, _, _ = turning.updated(look(unit(circling(step) + noise * rng.normal(size=3))))
+        turning, _, _ = turning.updated(sightings(unit(circling(step) + noise * rng.normal(size=3))))
     return turning
 
 
@@ -78,9 +83,9 @@ def test_a_look_is_weighed_by_bayes_rule(aside):
     """The gain is the mean of the likelihood ratio under the density; the density becomes their product."""
     before = followed(6, 0.1).after(1.0, 0.05, 0.0)
     seen: Look = look([rotation((0, 1, 0), angle) @ circling(6) for angle in aside])
-    after, gain, _ = before.updated(seen)
+    after, gain, _ = before.updated(seen.sightings(PD))
     assert seen.world is not None
-    ratio = seen.world.ratio(GRID.directions, seen.rates, 1.0, 0.0)
+    ratio = seen.world.ratio(GRID.directions, 1.0)
     product = before.density(GRID.directions) * ratio
     total = float(np.sum(product * GRID.weights)) / (4 * math.pi)
     assert gain == pytest.approx(math.log(total), abs=0.1)
@@ -91,11 +96,10 @@ def test_a_look_is_weighed_by_bayes_rule(aside):
 def test_what_is_foretold_for_each_scale_of_the_spread_is_the_mean_of_its_ratio():
     before = followed(6, 0.1).after(1.0, 0.05, 0.0)
     seen = look([rotation((0, 1, 0), angle) @ circling(6) for angle in (0.1, 2.0)])
-    seen = seen.sight.read(seen.rates, Spread.unsure())
-    assert seen.world is not None
-    ratios = seen.world.ratios_by(seen.spread.scales, GRID.directions, seen.rates, 1.0)
+    seen = seen.sight.read(seen.alarms, Spread.unsure())
+    ratios = seen.at(GRID.directions, 0.0, seen.spread.scales).gains(PD)
     expected = np.tensordot(ratios, before.density(GRID.directions) * GRID.weights, axes=2) / (4 * math.pi)
-    assert np.allclose(before.updated(seen)[2], expected, rtol=0.06)
+    assert np.allclose(before.updated(seen.sightings(PD))[2], expected, rtol=0.06)
 
 
 def test_turning_the_world_turns_the_belief():
@@ -105,7 +109,7 @@ def test_turning_the_world_turns_the_belief():
     for step in range(8):
         place = unit(circling(step) + 0.1 * rng.normal(size=3))
         ours, theirs = (t.after(1.0, 0.0, 0.0) if step else t for t in (ours, theirs))
-        (ours, _, _), (theirs, _, _) = ours.updated(look(place)), theirs.updated(look(turn @ place))
+        (ours, _, _), (theirs, _, _) = ours.updated(sightings(place)), theirs.updated(sightings(turn @ place))
     where = unit(rng.normal(size=(50, 3)))
     assert np.allclose(theirs.density(where @ turn.T), ours.density(where), rtol=1e-6)
 

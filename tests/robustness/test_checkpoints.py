@@ -80,6 +80,8 @@ def test_a_tracker_goes_on_after_a_checkpoint_as_if_nothing_had_been(name, way, 
     np.testing.assert_allclose(told(found, 4.2), told(tracker, 4.2), rtol=1e-9, atol=1e-12)
     for each in (found, tracker):
         go_on(each, 14, 20)
+    np.testing.assert_allclose(told(found, 6.4), told(tracker, 6.4), rtol=1e-9, atol=1e-12)
+    for each in (found, tracker):
         each.observe(looks(2, 3.05))  # late
     np.testing.assert_allclose(told(found, 6.5), told(tracker, 6.5), rtol=1e-9, atol=1e-12)
 

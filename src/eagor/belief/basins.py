@@ -13,7 +13,7 @@ def basins(field: np.ndarray, prominence: float) -> np.ndarray:
     Each cell climbs to its peak; basins whose peak stands less than `prominence` above the saddle to a higher one join
     that one.
     """
-    return _merge(field, _climb(field), prominence)
+    return _merge(field, climbed(field), prominence)
 
 
 def _neighbours(values: np.ndarray) -> list[np.ndarray]:
@@ -35,7 +35,7 @@ def _indices(shape: tuple[int, int]) -> tuple[np.ndarray, tuple[np.ndarray, ...]
     return index, tuple(_neighbours(index))
 
 
-def _climb(field: np.ndarray) -> np.ndarray:
+def climbed(field: np.ndarray) -> np.ndarray:
     """For each cell, the index of the peak that steepest ascent leads to ``(H, W)``."""
     index, around = _indices(field.shape)  # type: ignore[arg-type]
     best, target = field.copy(), index.copy()

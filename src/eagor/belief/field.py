@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Self
@@ -13,6 +14,7 @@ from eagor._lazy import lazy
 from eagor.grids import ErpGrid, ErpWindow
 
 MARGIN = 4  # cells of padding that interpolation needs
+LARGEST = 700.0  # nats: the exponential still fits a float64
 EVEN = 1e-3  # a smaller bend counts as 0
 
 
@@ -184,6 +186,15 @@ class SphereField:
         padded = self.values.reshape(-1)[_padded(self.grid)]
         return map_coordinates(padded, places, order=order, mode="mirror")
 
+    def plus(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
+        """With `values` ``(H, W)`` added, and to the patches what `patches` ``(n, n)`` hold."""
+        added = zip(self.patches, patches, strict=True)
+        return SphereField(self.grid, self.values + values, tuple(patch.like(patch.values + x) for patch, x in added))
+
+    def like(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
+        """The same grid and patches with other values ``(H, W)`` and ``(n, n)``."""
+        return SphereField(self.grid, values, tuple(p.like(x) for p, x in zip(self.patches, patches, strict=True)))
+
     @lazy
     def outside(self) -> np.ndarray:
         """Mask ``(H, W)`` of the cells outside of all patches."""
@@ -232,6 +243,24 @@ class SphereField:
         directions = [self.grid.directions.reshape(-1, 3).take(self._free, axis=0)]
         directions += [patch.directions.reshape(-1, 3) for patch in self.patches]
         return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
+
+    def averaged(self, level: float) -> np.ndarray:
+        """exp(field - level), averaged over each cell of the grid ``(H, W)``.
+
+        Patches are integrated over the cells, which are too wide to sample a sharp peak.
+        """
+        found = np.exp(np.minimum(self.values - level, LARGEST)).reshape(-1)
+        weights = self.grid.weights.reshape(-1)
+        for patch, shares in zip(self.patches, self.shares, strict=True):
+            inside = patch.cells(self.grid)
+            mass = float(np.sum(np.exp(np.minimum(patch.values - level, LARGEST)) * shares))
+            cells = float(found[inside] @ weights[inside])
+            if cells > 0:
+                found[inside] *= mass / cells
+            elif not len(inside):  # the patch contains no cell centre
+                nearest = int((self.grid.directions @ patch.frame[0]).argmax())
+                found[nearest] += mass / weights.min()
+        return found.reshape(self.grid.shape)
 
     @lazy
     def log_mean(self) -> float:

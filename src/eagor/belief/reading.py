@@ -22,9 +22,13 @@ DEEP = 12.0  # nats below the highest peak: deeper values are clipped
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Reads a field: log of (density / uniform density), up to a constant. Directions are in the field's axes."""
+    """Reads a field: log of (density / uniform density), up to a constant. Directions are in the field's axes.
+
+    Below `least` it has no peaks.
+    """
 
     field: SphereField
+    least: float = -math.inf
 
     @lazy
     def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,7 +158,7 @@ class Reading:
             np.maximum.at(tops, home, values)
             lost = ~np.isfinite(tops)  # cells without own nodes
             tops[lost] = self.field(grid.directions.reshape(-1, 3)[lost])
-        tops = np.maximum(tops, tops.max() - DEEP)
+        tops = np.maximum(tops, max(tops.max() - DEEP, min(self.least, tops.max() - 1)))
         label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
         there = np.zeros(len(label), dtype=bool)
         there[label] = True

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor.belief.bank import Bank
 from eagor.belief.field import EVEN, Nodes, Patch, bent
 from eagor.belief.splines import interpolated
 from eagor.evidence.detections import resolved, tangent_frame
@@ -32,6 +33,7 @@ _BENDS = np.linspace(EVEN, 5.0, 500)  # with a larger bend, sums over the nodes 
 _RATIOS = np.sinh(_BENDS) / _BENDS  # how much denser the nodes in the middle are than even ones
 DEEP = 4.5  # nats below the peak: the connected nodes above this are the peak
 FAINT = 10.0  # nats below the likeliest range: lower ranges are left out
+OVER = 0.5  # nats: what a spline may exceed the nodes by, where detections add up without bound
 SLACK = 1.25  # a window too large by this factor is redrawn
 
 
@@ -43,6 +45,8 @@ class Window(Nodes):
     values for each scale of the detector's spread (`eagor.evidence.Spread`), which includes the logarithm of its
     weight: a joint belief over place and spread.
 
+    `bank`: the habits at the nodes ``(C, n, n)``, the same for all ranges and scales; None before any detection.
+
     `frame`, `half`, `bend`: as for `field.Nodes`. `logs` ``(K,)``: logarithms of the ranges, evenly spaced; None
     without ranges (K = 1). `limits`: least and greatest logarithm of a range. `border`: least half width, in units of
     the plane.
@@ -51,6 +55,13 @@ class Window(Nodes):
     logs: np.ndarray | None = None
     limits: tuple[float, float] = (0.0, 1.0)
     border: float = 0.0
+    bank: Bank | None = None
+
+    @property
+    def habits(self) -> Bank:
+        """The `bank` of a window that is part of a belief."""
+        assert self.bank is not None
+        return self.bank
 
     @classmethod
     def about(cls, centre: np.ndarray, width: float, degree: int) -> Window:
@@ -195,11 +206,15 @@ class Window(Nodes):
             first, spacing = self.logs[0], self.logs[1] - self.logs[0]  # type: ignore[index]
             depth = np.clip((np.log(np.maximum(distances, 1e-9)) - first) / spacing, 0, RANGES - 1)
         places, beyond = self._places(points)
+        over = None if self.bank is None else OVER
         if logs is None:
-            values, beyond = interpolated(self.values, places), beyond[None]
+            values, beyond, across = interpolated(self.values, places, over), beyond[None], places
         else:
-            values = interpolated(self.values, np.concatenate([depth[None], places]))
-        return new.like(values), beyond if beyond.any() else None
+            values = interpolated(self.values, np.concatenate([depth[None], places]), over)
+            likely = 0 if self.bank is None else int(np.exp(values - values.max()).sum(axis=(0, 2, 3)).argmax())
+            across = places[:, likely]  # habits are carried along at the likeliest range
+        bank = None if self.bank is None else self.bank.at_nodes(across)
+        return replace(new.like(values), bank=bank), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, clipped at the borders, and which lie beyond them."""

@@ -47,7 +47,7 @@ Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some c
 `eagor --version` prints the version, `eagor --tyro-print-completion bash` (zsh, fish) a completion script."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
-_LISTS = ("--set", "--methods", "--categories")  # options that take several values
+_LISTS = ("--set", "--methods", "--categories", "--queries")  # options that take several values
 
 
 def main(argv: Sequence[str] | None = None) -> int:

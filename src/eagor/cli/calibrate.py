@@ -1,39 +1,62 @@
-"""``eagor calibrate``: fit a calibration on episodes, or a detector's model on labelled looks; find a model's heads."""
+"""``eagor calibrate``: fit a calibration on episodes, or a detector's model on looks with or without labels.
+
+Or find a model's heads.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import terminal
-from eagor.cli.looking import check_looks, check_not_read, checked_out, checked_rows
-from eagor.cli.options import Calibrate
+from eagor.cli.looking import (
+    check_looks,
+    check_not_read,
+    checked_out,
+    checked_query,
+    checked_rows,
+    closing,
+    make_perception,
+    perception_for,
+)
+from eagor.cli.options import Calibrate, Track
 from eagor.cli.shared_options import given
-from eagor.errors import EagorError
+from eagor.errors import EagorError, PoseError
 
 if TYPE_CHECKING:
     from eagor.evaluation.detector_fit import DetectorFit
+    from eagor.evaluation.detector_unlabelled import UnlabelledFit
+    from eagor.evaluation.labelled_looks import LabelledLook
+    from eagor.evaluation.replayed import Pose
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.vlm.labelled import Labelled
 
 RESPONSES_ONLY = ("trials", "workers")
 HEADS_ONLY = ("labels", "take")
-NOT_OF_REPLAYS = ("perception", "labels", "take", "episodes", "seed", "trials", "workers", "rows")
+FOOTAGE_ONLY = ("queries", "rate", "mask", "force")
+NOT_OF_LOOKS = ("labels", "take", "episodes", "seed", "trials", "workers", "rows")
 DEGREES = math.degrees(1)
 
 
 def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
-    other, others = ("responses", RESPONSES_ONLY) if options.what == "heads" else ("heads", HEADS_ONLY)
+    what = options.words[0] if options.words in (("responses",), ("heads",)) else "footage"
+    replayed = options.replay is not None or options.truth is not None
+    if what == "footage":
+        return footage(options)
+    other, others = ("responses", RESPONSES_ONLY) if what == "heads" else ("heads", HEADS_ONLY)
     if wrong := given(options, others):
         raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} is for eagor calibrate {other}")
-    if options.replay is not None or options.truth is not None:
-        return replay(options)
+    if wrong := given(options, FOOTAGE_ONLY if replayed else (*FOOTAGE_ONLY, "poses")):
+        raise terminal.UsageError(f"--{wrong[0]} is for footage: eagor calibrate FRAMES --queries QUERY ...")
+    if replayed:
+        return replay(options, what)
     checked_rows(options.rows)
-    return heads(options) if options.what == "heads" else responses(options)
+    return heads(options) if what == "heads" else responses(options)
 
 
 def responses(options: Calibrate) -> int:
@@ -46,21 +69,22 @@ def responses(options: Calibrate) -> int:
         raise terminal.UsageError(
             f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
         )
-    check_looks(options.perception)
+    perception = options.perception or "scout"
+    check_looks(perception)
     if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
         raise terminal.UsageError(
             f"--episodes {options.episodes} are all in one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
             "half of the apartments fits, the other half judges"
         )
-    out = checked_out(options.out or Path(f"calibration-{short_name(options.perception)}.json"))
+    out = checked_out(options.out or Path(f"calibration-{short_name(perception)}.json"))
     with terminal.progress("looking", options.episodes) as advance:
         recordings = record_episodes(
-            options.perception, options.episodes, options.seed, options.rows, advance, terminal.warning
+            perception, options.episodes, options.seed, options.rows, advance, terminal.warning
         )
     terminal.log(f"{len(recordings)} episodes; trying {options.trials} settings, {DRAWS} at a time")
     with terminal.progress("fitting", options.trials) as advance:
         # Each round writes its best result, so that a fit that is stopped early is not lost.
-        best = fit(options.perception, recordings, options.trials, options.workers, advance, lambda at: at.write(out))
+        best = fit(perception, recordings, options.trials, options.workers, advance, lambda at: at.write(out))
     best.write(out)
     if options.json:
         terminal.emit(best.as_json() | {"out": str(out)})
@@ -69,22 +93,21 @@ def responses(options: Calibrate) -> int:
     return terminal.OK
 
 
-def replay(options: Calibrate) -> int:
+def replay(options: Calibrate, what: str) -> int:
     """``eagor calibrate --replay FILE --truth FILE``."""
-    from eagor._version import __version__
     from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
     from eagor.evaluation.replayed import read_truth, replayed_looks
-    from eagor.perception.calibrated import Calibrated
     from eagor.perception.replay import ReplayPerception
 
-    if wrong := given(options, NOT_OF_REPLAYS):
+    if wrong := given(options, ("perception", *NOT_OF_LOOKS)):
         raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} has no meaning with --replay and --truth")
-    if options.what == "heads" or options.replay is None or options.truth is None:
+    if what == "heads" or options.replay is None or options.truth is None:
         raise terminal.UsageError("--replay FILE and --truth FILE belong together, and not to eagor calibrate heads")
     out = checked_out(options.out or Path("calibration-replay.json"))
-    check_not_read(out, "--out", [options.replay, options.truth])
+    check_not_read(out, "--out", [options.replay, options.truth, Path(options.poses)])
     truths = read_truth(options.truth)
-    looks, left_out = replayed_looks(ReplayPerception(options.replay), truths)
+    pose = None if options.poses == "auto" else _poses(options.poses)
+    looks, left_out = replayed_looks(ReplayPerception(options.replay), truths, pose)
     if not looks:
         raise terminal.UsageError(
             f"{options.replay} has no line at any of the {len(truths)} stamps of {options.truth}; wanted one clock"
@@ -93,37 +116,173 @@ def replay(options: Calibrate) -> int:
         terminal.warning(f"{len(left_out)} of {len(truths)} lines of {options.truth} have no look of their own")
     with terminal.progress("fitting", RESAMPLES) as advance:
         found = fit_detector(looks, on_step=advance)
-    told = found.as_json()
-    found_by = {key: told[key] for key in ("counts", "intervals", "held_out")} | {"version": __version__}
-    fitted = Calibrated("replay", None, found_by=found_by, detector=found.model)
-    fitted.write(out)
-    if options.json:
-        terminal.emit(fitted.as_json() | {"left_out": len(left_out), "out": str(out)})
-    else:
+    _keep(options, "replay", found, out, {"left_out": len(left_out)})
+    if not options.json:
         print_fit(found)
         print(f"Written to {out}; locate and track take it as --calibration {out}")
     return terminal.OK
 
 
+def _poses(path: str) -> Callable[[float], Pose]:
+    """The camera's pose at any stamp, from a file of poses."""
+    from eagor.cli.poses import read_poses
+    from eagor.cli.steps import BEYOND
+    from eagor.tracking.poses import PoseHistory
+
+    if path == "level":
+        raise terminal.UsageError("--poses level needs pictures; wanted a CSV file of poses with --replay, or none")
+    poses, history = read_poses(path), PoseHistory(math.inf)
+    for pose in poses:
+        history.add(pose.stamp, pose.world_R_body, pose.position)
+
+    def at(stamp: float) -> Pose:
+        if not poses[0].stamp - BEYOND <= stamp <= poses[-1].stamp + BEYOND:
+            raise PoseError(
+                f"the look at {stamp:.10g} s has no pose: {path} tells those from {poses[0].stamp:.10g} to "
+                f"{poses[-1].stamp:.10g} s. Both files must use one clock"
+            )
+        return history.at(min(max(stamp, poses[0].stamp), poses[-1].stamp))
+
+    return at
+
+
+def footage(options: Calibrate) -> int:
+    """``eagor calibrate FRAMES --queries QUERY ...``."""
+    from eagor.evaluation.detector_unlabelled import RESAMPLES, fit_unlabelled
+    from eagor.perception import short_name
+
+    told = " ".join(options.words)
+    if not options.queries:
+        what = "a video, or panoramas, with --queries QUERY ..."
+        if os.path.exists(options.words[0]):
+            raise terminal.UsageError(f"{told}: wanted --queries QUERY ... as well, to say what to look for")
+        raise terminal.UsageError(f"WHAT {told!r}: wanted responses or heads; or {what}")
+    if wrong := given(options, ("replay", "truth", *NOT_OF_LOOKS)):
+        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} has no meaning with footage")
+    queries = tuple(dict.fromkeys(map(checked_query, options.queries)))
+    specs = {perception_for(query, options.perception) for query in queries}
+    if len(specs) > 1:
+        raise terminal.UsageError(f"--queries want {' and '.join(sorted(specs))}; wanted one --perception for all")
+    spec = specs.pop()
+    out = checked_out(options.out or Path(f"calibration-{short_name(spec)}.json"))
+    check_not_read(out, "--out", [*map(Path, options.words), Path(options.poses)])
+    looks = _looks(options, queries, spec)
+    base = looks[0].detections.model
+    with terminal.progress("fitting", RESAMPLES) as advance:
+        found = fit_unlabelled(looks, base, on_step=advance)
+    _keep(options, spec, found, out, {})
+    if not options.json:
+        print_unlabelled(found, queries)
+        print(f"Written to {out}; locate and track take it as --calibration {out}")
+    return terminal.OK
+
+
+def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[LabelledLook]:
+    """The looks at footage, for each query; a group for each query, and a new one where the poses are lost."""
+    import numpy as np
+
+    from eagor.cli.following import look_at
+    from eagor.cli.track import journey_of
+    from eagor.evaluation.labelled_looks import LabelledLook
+    from eagor.evaluation.replayed import joined
+
+    perception, found, lost, bad = make_perception(spec), [], 0, 0
+    track = Track(
+        words=(*options.words, queries[0]), poses=options.poses, rate=options.rate, mask=options.mask,
+        force=options.force,
+    )  # fmt: skip
+    journey = journey_of(track, [Path(word) for word in options.words], perception)
+    with terminal.progress("looking", journey.count, shown=not options.json) as advance:
+        for step, looks, problem in look_at(journey.steps, perception, queries, options.mask):
+            lost += step.lost
+            if problem is not None:
+                terminal.warning(f"{step.frame} is left out: {problem}")
+                bad += 1
+            for query, evidence in zip(queries, looks, strict=True):
+                if evidence:
+                    pose, name = step.pose, f"{query}, {lost}"
+                    found.append(
+                        LabelledLook(
+                            joined(evidence), np.zeros((0, 3)), pose.stamp, name, pose.world_R_body, pose.position
+                        )
+                    )
+            advance()
+    for query in queries:
+        if (said := closing(perception, query, sum(look.group.startswith(f"{query}, ") for look in found))) is not None:
+            terminal.log(said)
+    if not found:
+        raise terminal.RunError(f"none of the frames could be used{'; the reasons are above' if bad else ''}")
+    return found
+
+
+def _keep(options: Calibrate, spec: str, found: DetectorFit | UnlabelledFit, out: Path, more: dict[str, Any]) -> None:
+    """Write a fitted detector's model; with ``--json`` print it."""
+    from eagor._version import __version__
+    from eagor.perception.calibrated import Calibrated
+
+    told = found.as_json()
+    found_by = {key: value for key, value in told.items() if key != "detector"} | {"version": __version__}
+    fitted = Calibrated(spec, None, found_by=found_by, detector=found.model)
+    fitted.write(out)
+    if options.json:
+        terminal.emit(fitted.as_json() | more | {"out": str(out)})
+
+
+def print_unlabelled(found: UnlabelledFit, queries: tuple[str, ...]) -> None:
+    """A detector's model that was fitted without labels: each number, the prior, and what carries it."""
+    from eagor.evaluation.detector_unlabelled import ENOUGH
+
+    print(
+        f"{found.looks} looks, queries: {', '.join(queries)}. {found.detections} detections, on average "
+        f"{found.things:.2g} things of a query in view"
+    )
+    print(f"  {'':24s}{'value':>14s}{'before':>14s}")
+    for name, (least, what) in ENOUGH.items():
+        values = [_shown(name, getattr(model, name)) for model in (found.model, found.base)]
+        carried = f"{'from' if found.tells(name) else 'kept:'} {found.carried[name]:.3g} {what}"
+        carried += "" if found.tells(name) else f", wanted {least}"
+        print(
+            f"  {name.replace('_', ' '):24s}{values[0]:>14s}{values[1]:>14s}  {carried}{_ends(name, found.intervals)}"
+        )
+    print("Offset, kept for and kept within are as before: looks without labels cannot tell them")
+
+
+def _ends(name: str, intervals: dict[str, tuple[float, float]]) -> str:
+    """The interval of a number, in its unit; of a habit, that of its mean."""
+    if (ends := intervals.get("detection_share" if name == "habit" else name)) is None:
+        return ""
+    scale = DEGREES if name in ("spread", "offset") else 1
+    return f"  {'mean ' if name == 'habit' else ''}[{scale * ends[0]:.3g} {scale * ends[1]:.3g}]"
+
+
+def _shown(name: str, value: Any) -> str:
+    """A number of a detector's model."""
+    if value is None:
+        return "not known"
+    if name == "score_ratios":
+        return f"{value[0][1]:.2g} to {value[-1][1]:.2g}"
+    if isinstance(value, tuple):
+        return " ".join(f"{each:.3g}" for each in value)
+    return f"{DEGREES * value:.3g} deg" if name in ("spread", "offset") else f"{value:.3g}"
+
+
 def print_fit(found: DetectorFit) -> None:
     """A fitted detector model, with its intervals and its worth."""
-    model, wide = found.model, 24
+    model = found.model
     print(
         f"{found.looks} looks in {found.groups} group{'' if found.groups == 1 else 's'}: {found.targets} targets in "
         f"view, {found.detections} detections ({found.matched:.0f} right, {found.false_alarms:.0f} false alarms)"
     )
-    for name, scale in (
-        ("detection_probability", 1),
-        ("false_alarms_per_look", 1),
-        ("spread", DEGREES),
-        ("repeats", 1),
-    ):
-        value, ends = getattr(model, name), found.intervals.get(name)
-        number = "not known" if value is None else f"{scale * value:.3g}{' deg' if scale == DEGREES else ''}"
-        interval = "" if ends is None else f"  [{scale * ends[0]:.3g} {scale * ends[1]:.3g}]"
-        print(f"  {name.replace('_', ' '):{wide}}{number}{interval}")
+    for name in ("habit", "false_alarms_per_look", "look_alikes", "look_alike_habit", "spread", "offset"):
+        told = _shown(name, getattr(model, name))
+        ends = _ends(name, found.intervals)
+        if name == "habit":
+            ends = f"  mean {model.habits.mean:.2g}{ends.replace(' mean', '')}"
+        print(f"  {name.replace('_', ' '):24s}{told}{ends}")
+    if "look_alikes" not in found.intervals:
+        print("Without poses (--poses) nothing is known of look-alikes and of the offset: they are as they were")
     for score, ratio in model.score_ratios or ():
-        print(f"  {f'score {score:.2f}':{wide}}{ratio:.3g} times likelier of the thing than of a false alarm")
+        print(f"  {f'score {score:.2f}':24s}{ratio:.3g} times likelier of the thing than of a false alarm")
     if found.groups == 1:
         print("All looks are of one group: the intervals say nothing of other recordings. Give more, with a group each")
     if (judged := found.held_out) is None:
@@ -146,15 +305,16 @@ def heads(options: Calibrate) -> int:
     from eagor.perception.vlm.labelled import labelled_lines, read_labelled
     from eagor.worlds.panorama import read_panorama
 
+    name = options.perception or "scout"
     if min(options.episodes, options.take) < 1:
         raise terminal.UsageError(f"--episodes {options.episodes} --take {options.take}; wanted 1 or more")
-    if not is_model(options.perception) or options.perception.startswith("endpoint"):
+    if not is_model(name) or name.startswith("endpoint"):
         raise terminal.UsageError(
-            f"--perception {options.perception} has no attention heads; wanted a model on this machine: a folder, "
+            f"--perception {name} has no attention heads; wanted a model on this machine: a folder, "
             "or a hub name such as Qwen/Qwen2.5-VL-7B-Instruct"
         )
     count = options.episodes if options.labels is None else len(labelled_lines(options.labels))
-    perception: Any = load(options.perception)
+    perception: Any = load(name)
     if "attention" not in perception.family.extractors:
         raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
     if options.labels is None:
@@ -164,7 +324,7 @@ def heads(options: Calibrate) -> int:
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))
     else:
         examples = read_labelled(options.labels, read_panorama)
-    out = checked_out(options.out or Path(f"heads-{short_name(options.perception)}.json"))
+    out = checked_out(options.out or Path(f"heads-{short_name(name)}.json"))
     with terminal.progress("looking", count) as advance:
         try:
             found = perception.find_heads(_counted(examples, advance), options.take)
@@ -182,7 +342,7 @@ def heads(options: Calibrate) -> int:
         print(f"  layer {layer:3d}, head {head:3d}: {entry['gain']:.1f} times an even spread on the target")
     if held_out := found.found_by.get("held_out"):
         print(f"On {held_out['panoramas']} others they are off by {held_out['median_error_deg']:.1f} degrees (median)")
-    model, _, written = options.perception.partition("?")
+    model, _, written = name.partition("?")
     rest = "&".join(part for part in written.split("&") if part and not part.startswith("heads="))
     print(f'Written to {out}; use them as --perception "{model}?heads={out}{"&" if rest else ""}{rest}"')
     return terminal.OK

@@ -105,7 +105,7 @@ def follow(
     tracker, others, unseen = DirectionTracker(config), rivals(), Unseen(mask)
     before = first = fed = -math.inf
     for (poses, step), after in _with_next(_by_frame(steps)):
-        stamp, read = step.pose.stamp, step.read
+        stamp = step.pose.stamp
         if step.lost:
             tracker, others, first, poses = DirectionTracker(config), rivals(), -math.inf, [step.pose]
         # One pose ahead, so that a replay record from shortly after this frame gets the pose of its own time.
@@ -114,19 +114,9 @@ def follow(
             if pose.stamp > fed:
                 tracker.add_pose(pose.stamp, pose.world_R_body, pose.position)
                 fed, first = pose.stamp, pose.stamp if first == -math.inf else first
-        panorama, problem, now = None, None, stamp
-        looks: tuple[Evidence, ...] = ()
-        try:
-            frame = None if read is None else read()
-            panorama = None if frame is None else frame.panorama
-            if step.looked and frame is not None:
-                looks = look_if_recorded(perception, frame.panorama, query, stamp, step.pose.world_R_body)
-                looks = _own(looks, before, stamp, math.inf if after is None else after[1].pose.stamp)
-                looks = unseen.covered(looks, frame)
-        except EagorError as error:
-            if is_input_fault(error) or (isinstance(error, ShapeError | NoEvidenceError) and before == -math.inf):
-                raise
-            problem = str(error)
+        upcoming = math.inf if after is None else after[1].pose.stamp
+        panorama, (looks,), problem = _seen(step, perception, (query,), before, upcoming, unseen)
+        now = stamp
         for evidence in looks:
             placed = _within(evidence, first, fed)
             tracker.observe(placed)
@@ -148,6 +138,41 @@ def follow(
             others={name: method.direction() for name, method in others.items()},
         )
         before = stamp
+
+
+def look_at(
+    steps: Iterable[Step], perception: Perception, queries: Sequence[str], mask: Path | None = None
+) -> Iterator[tuple[Step, tuple[tuple[Evidence, ...], ...], str | None]]:
+    """Each frame, the evidence for each of `queries` there, and why it could not be used, if so; raises as `follow`."""
+    unseen, before = Unseen(mask), -math.inf
+    for (_, step), after in _with_next(_by_frame(steps)):
+        upcoming = math.inf if after is None else after[1].pose.stamp
+        _, looks, problem = _seen(step, perception, queries, before, upcoming, unseen)
+        yield step, looks, problem
+        before = step.pose.stamp
+
+
+def _seen(
+    step: Step, perception: Perception, queries: Sequence[str], before: float, after: float, unseen: Unseen
+) -> tuple[np.ndarray | None, tuple[tuple[Evidence, ...], ...], str | None]:
+    """The panorama of a frame, the evidence for each query, and what is wrong with it.
+
+    `before`, `after`: the stamps of its neighbours; infinite where there is none.
+    """
+    panorama, stamp = None, step.pose.stamp
+    looks: tuple[tuple[Evidence, ...], ...] = ((),) * len(queries)
+    try:
+        frame = None if step.read is None else step.read()
+        panorama = None if frame is None else frame.panorama
+        if step.looked and frame is not None:
+            turn = step.pose.world_R_body
+            found = (look_if_recorded(perception, frame.panorama, query, stamp, turn) for query in queries)
+            looks = tuple(unseen.covered(_own(each, before, stamp, after), frame) for each in found)
+    except EagorError as error:
+        if is_input_fault(error) or (isinstance(error, ShapeError | NoEvidenceError) and before == -math.inf):
+            raise
+        return panorama, looks, str(error)
+    return panorama, looks, None
 
 
 def _by_frame(steps: Iterable[Step]) -> Iterator[tuple[list[Pose], Step]]:

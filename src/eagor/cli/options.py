@@ -373,14 +373,28 @@ class Bench:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Common):
-    """Calibrate a perception by log score, fit a detector on labelled looks, or find a model's localisation heads."""
+    """Calibrate a perception by log score, fit a detector on footage or labels, or find a model's heads."""
 
     runs: ClassVar[str] = "eagor.cli.calibrate:calibrate"
 
-    what: Annotated[Literal["responses", "heads"], Positional] = "responses"
-    """responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...)."""
-    perception: Name = "scout"
-    """The perception; for heads a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."""
+    words: Annotated[tuple[str, ...], Positional, arg(metavar="WHAT|FRAMES")] = ("responses",)
+    (
+        "responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...). Or "
+        "footage without labels, as for track: fit the error model of a detector on it; needs --queries."
+    )
+    perception: Annotated[str | None, bare("NAME")] = None
+    (
+        "The perception (default: scout; for footage, what suits the queries). For heads a model (FOLDER, "
+        "Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."
+    )
+    queries: Annotated[tuple[str, ...], arg(metavar="QUERY ...", help_behavior_hint="")] = ()
+    """footage: what to look for; the more, the better. Some of it may be absent."""
+    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
+    """footage: how the camera turned and moved, as for track. With --replay: a CSV, which tells what comes again."""
+    rate: Annotated[float | None, bare("HZ")] = None
+    """footage: looks per second, as for track."""
+    mask: Mask = None
+    force: Force = False
     replay: Annotated[Path | None, bare("FILE.jsonl")] = None
     """Fit the error model of the detector that wrote this replay file (docs/replay-format.md); needs --truth."""
     truth: Annotated[Path | None, bare("FILE.jsonl")] = None

@@ -37,10 +37,12 @@ Labels = Annotated[
 Detector = Annotated[
     str | None,
     bare(
-        "pd=P,clutter=N,spread=DEG",
-        "Error model of the detector: detection probability, false alarms per look, spread in degrees. Also "
-        "repeats=SHARE of mistakes that the next look repeats, and repeats_for=SECONDS and repeats_within=METRES in "
-        "which the share fades (default: it does not). pd and clutter are learnt if omitted or ?.",
+        "habit=A+B,spread=DEG,...",
+        "Error model of the detector. habit=A+B: beta distribution of the share of looks in which a thing is found; "
+        "detection_probability=P instead: the same share for all. false_alarms_per_look=N: those that do not come "
+        "again (learnt if omitted or ?). look_alikes=N: places all around that are taken for the thing again and "
+        "again, look_alike_habit=A+B as above. kept_for=SECONDS, kept_within=METRES: after which places lose their "
+        "habits. spread=DEG: error that differs in each look, offset=DEG: error that stays at a place.",
     ),
 ]
 Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]

@@ -68,7 +68,7 @@ def track(options: Track) -> int:
     if options.modes < 1:
         raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
     perception = make_perception(spec)
-    journey = _journey(options, places, perception)
+    journey = journey_of(options, places, perception)
     floor, drift = _checked_floor(options.floor, journey), _checked_drift(options.drift)
     config = replace(config, floor_height=floor, drift=drift)
     run = _Run(options, query, spec, perception, journey.begins)
@@ -86,7 +86,7 @@ def track(options: Track) -> int:
 
 
 @dataclass(frozen=True)
-class _Journey:
+class Journey:
     """Where the frames and the poses come from: `told` says it in words; `poses` are those of a file, if any."""
 
     steps: Iterator[Step]
@@ -99,7 +99,7 @@ class _Journey:
     placed: bool = False  # whether positions come, though not as `poses`
 
 
-def _journey(options: Track, places: Sequence[Path], perception: Perception) -> _Journey:
+def journey_of(options: Track, places: Sequence[Path], perception: Perception) -> Journey:
     """The stream that the options name; what a video tells of itself is said on stderr."""
     by_file = options.poses not in ("auto", "level")
     poses: tuple[Pose, ...] = read_poses(options.poses) if by_file else ()
@@ -143,7 +143,7 @@ def _journey(options: Track, places: Sequence[Path], perception: Perception) -> 
     elif not by_file:
         many = "1 image" if source.count == 1 else f"{source.count} images"
         terminal.log(f"{many}, taken at {options.rate or 1.0:g} per second (--rate), {told}")
-    return _Journey(thinned(steps, looks), source.count, told, poses, shown, span)
+    return Journey(thinned(steps, looks), source.count, told, poses, shown, span)
 
 
 def _video(options: Track, places: Sequence[Path], rate: float, rows: int) -> Any:
@@ -155,7 +155,7 @@ def _video(options: Track, places: Sequence[Path], rate: float, rows: int) -> An
     return Video(places[0], rate=rate, start=options.start, end=options.end, rows=rows)
 
 
-def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Perception) -> _Journey:
+def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Perception) -> Journey:
     """The stream of a ROS 2 bag."""
     from eagor.cli.bag_steps import BagFilm, odometry_of, with_odometry
     from eagor.robots.ros.bags import Bag
@@ -186,7 +186,7 @@ def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Pe
         steps, told = with_sight(source, options.poses == "level"), SEEN[options.poses]
     terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
     terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
-    return _Journey(
+    return Journey(
         thinned(steps, looks, camera.begins),
         None,
         told,
@@ -238,7 +238,7 @@ class _Run:
         else:
             print(line(replace(result, stamp=result.stamp - self.begins)), flush=True)
 
-    def close(self, journey: _Journey) -> int:
+    def close(self, journey: Journey) -> int:
         """Print the rest; returns the exit code."""
         if self.options.json:
             summary = {"query": self.query, "perception": self.spec, "poses": journey.told, "frames": self.entries}
@@ -265,7 +265,7 @@ class _Run:
 Sink = Callable[[Result], None]
 
 
-def _sinks(options: Track, query: str, spec: str, journey: _Journey) -> Iterator[AbstractContextManager[Sink]]:
+def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
     """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
     if options.out:
         yield _listed(options.out, RIVALS if options.compare else (), options.modes)
@@ -288,7 +288,7 @@ def _listed(path: Path, rivals: Sequence[str], modes: int) -> Iterator[Sink]:
 
 
 @contextmanager
-def _filmed(path: Path, query: str, journey: _Journey) -> Iterator[Sink]:
+def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
     from eagor.drawing.video import BeliefVideo
 
     with BeliefVideo(checked_out(path, "--video"), rate=journey.shown, span=journey.span) as video:
@@ -323,7 +323,7 @@ def _logged(path: Path, query: str) -> Iterator[Sink]:
 
 
 @contextmanager
-def _paged(path: Path, query: str, used: dict[str, str], journey: _Journey) -> Iterator[Sink]:
+def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> Iterator[Sink]:
     from eagor.drawing.page import BeliefPage
 
     with BeliefPage(checked_out(path, "--page"), query=query, used=used, span=journey.span) as page:
@@ -346,7 +346,7 @@ def _checked_drift(drift: float) -> float:
     return math.radians(drift)
 
 
-def _checked_floor(floor: float | None, journey: _Journey) -> float | None:
+def _checked_floor(floor: float | None, journey: Journey) -> float | None:
     """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
     heights = [float(pose.position[2]) for pose in journey.poses if pose.position is not None]
     if floor is not None and not heights and not journey.placed:

@@ -20,7 +20,7 @@ from eagor.sphere import azimuth_elevation, unit
 from eagor.thumbnail import undrawn
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["Heat", "arrow", "backdrop", "heat_of", "places"]
+__all__ = ["Heat", "arrow", "backdrop", "heat_of", "places", "worth_an_arrow"]
 
 ROWS = (360, 540)  # of the heat map: more for a small region
 CELLS = 40  # least number of cells in a region, so that its border is not just a few straight lines
@@ -65,6 +65,11 @@ def heat_of(belief: Estimate | Readable) -> Heat | None:
     if why := undrawn(log_density, grid.weights, level, area):
         return Heat(rgba, missing=f"{100 * MASS:.0f} % region not drawn: {why}")
     return Heat(rgba, _border(log_density, grid, level))
+
+
+def worth_an_arrow(estimate: Estimate) -> bool:
+    """Whether an answer is worth an arrow: half of the sphere or less holds 90 % of the belief about it."""
+    return estimate.direction is not None and estimate.credible_angle <= math.pi / 2
 
 
 def arrow(where: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.readable import Readable
-from eagor.drawing.geometry import MASS, Heat, arrow, backdrop, heat_of, places
+from eagor.drawing.geometry import MASS, Heat, arrow, backdrop, heat_of, places, worth_an_arrow
 from eagor.drawing.sheet import INK, figure, image, plain
 from eagor.tracking.estimate import Estimate
 
@@ -43,8 +43,8 @@ def draw_belief(
 
     Args:
         panorama: the image, uint8, in the body frame of the belief.
-        belief: an `Estimate`, drawn with its answer, an arrow from forward to it, and its candidates; or a single
-            belief, which has no answer.
+        belief: an `Estimate`, drawn with its answer, an arrow from forward to it (unless 90 % of the belief need a cone
+            of more than 90 degrees about it), and its candidates; or a single belief, which has no answer.
         truth: the true direction ``(3,)``, if known.
         others: other methods' directions by name; None for a method without one.
         modes: directions of candidates; default: those of the estimate.
@@ -122,7 +122,7 @@ def paint_marks(
         _note(axes, "direction not known")
     if heat is not None:
         _border(axes, heat)
-    if answer is not None:
+    if answer is not None and isinstance(belief, Estimate) and worth_an_arrow(belief):
         _arrow(axes, answer)
     if modes is None:
         modes = [mode.direction for mode in belief.modes] if isinstance(belief, Estimate) else []

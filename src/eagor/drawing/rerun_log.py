@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from eagor._extras import need
-from eagor.drawing.geometry import Heat, arrow, backdrop, heat_of, places
+from eagor.drawing.geometry import Heat, arrow, backdrop, heat_of, places, worth_an_arrow
 from eagor.drawing.words import answer_in_words
 from eagor.errors import EagorError, StorageError
 from eagor.grids import ErpGrid
@@ -161,7 +161,7 @@ class RerunLog:
         import rerun
 
         lines = [] if heat is None else [_pixels(line) for line in heat.border]
-        if estimate.direction is not None and len(way := arrow(estimate.direction)):
+        if estimate.direction is not None and worth_an_arrow(estimate) and len(way := arrow(estimate.direction)):
             jumps = np.flatnonzero(np.abs(np.diff(way[:, 0])) > 180) + 1
             lines += [_pixels(part) for part in np.split(way, jumps)]
         self._log.log(f"panorama/{name}/lines", rerun.LineStrips2D(lines, colors=OURS, draw_order=20))
@@ -192,7 +192,7 @@ class RerunLog:
         pointed = [(where, OTHER, 0.005) for where in others.values() if where is not None]
         if truth is not None:
             pointed.append((truth, TRUTH, 0.01))
-        if estimate.direction is not None:
+        if estimate.direction is not None and worth_an_arrow(estimate):
             pointed.append((estimate.direction, OURS, 0.02))
         self._log.log(
             f"world/body/{name}",

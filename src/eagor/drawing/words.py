@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 STATUS = {
     "searching": "it may not be here, or lie anywhere",
-    "tracking": "more likely than not it is here, within 15 degrees of the answer",
+    "tracking": "more likely than not it is here, within 15 degrees of the answer or half its own size",
     "ambiguous": "it is likely here, and several directions fit",
     "stale": "there was an answer, and nothing has been looked at for a while",
 }

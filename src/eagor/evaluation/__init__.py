@@ -7,9 +7,9 @@
   `comparison` those of two; `predictions`: what others answered;
 - `report`: the page (`page`, `charts`, `figures`, `scenes`, `searched`), Markdown, LaTeX and CSV (`export`) of a run,
   and its tables (`sheets`, `benchmark_sheets`), beside what was `published`;
-- `calibration`, `fitting`, `lasting`: how a perception's responses are read; `labelled`: panoramas with labels;
-- `labelled_looks`, `detector_fit` (`detector_em`, `score_curve`): a detector's model from looks with known truth;
-  `replayed`: such looks from files.
+- `calibration`, `fitting`: how a perception's responses are read; `labelled`: panoramas with labels;
+- `labelled_looks`, `detector_fit` (`detector_em`, `detector_places`, `score_curve`): a detector's model from looks with
+  known truth; `replayed`: such looks from files; `detector_unlabelled`: from looks without it.
 
 Nothing heavy is imported here.
 """

@@ -12,20 +12,22 @@ from __future__ import annotations
 import math
 import pickle
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from eagor._files import written
 from eagor.errors import EagorError, QueryError, WorldError
-from eagor.evaluation.lasting import lasting
+from eagor.evaluation.detector_em import expected_look_alikes, short
+from eagor.evaluation.detector_fit import fitted_model
+from eagor.evaluation.labelled_looks import LabelledLook
 from eagor.evidence import Evidence
-from eagor.evidence.detections import Detections, tangent_frame
 from eagor.evidence.detector import DetectorModel
 from eagor.metrics import angular_error_deg
 from eagor.perception import load, rows_of
-from eagor.sphere import FORWARD, angular_distance
+from eagor.sphere import FORWARD
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
 from eagor.tasks.eyes import is_privileged
@@ -42,8 +44,6 @@ TASKS = ("waypoint", "tracking")
 PER_PLACE = 2  # episodes of each task in an apartment: many apartments tell more than many episodes in one
 EVERY = 3  # steps between the readings that are scored: neighbours say nearly the same
 SMALLEST = 1e-9  # a probability of presence below it counts as this
-HIT = math.radians(20)  # a detection farther from the target is a false alarm
-CASES, SCORE_BINS = 20, 4  # right and false detections that a curve over scores asks for, and its places
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,14 @@ READING = (  # of `Calibration`
     Parameter("persistence", 0.05, 1.0, flipped=True),
     Parameter("spread", math.radians(2), math.radians(12), or_none=True),
 )
-DETECTING = (  # of `DetectorModel`
-    Parameter("stated", 0.1, 10.0),  # above 1: both rates as they were counted; below: learnt with the belief
+STRONGEST = 100.0
+DETECTING = (  # of `DetectorModel`; `share` and `strength` are mean and sum of the two numbers of its habit
+    Parameter("stated", 0.1, 10.0),  # above 1: false alarms as they were counted; below: learnt with the belief
     Parameter("spread", math.radians(0.5), math.radians(20)),
-    Parameter("repeats", 0.05, 1.0, flipped=True),
+    Parameter("offset", math.radians(0.5), math.radians(12), or_none=True),
+    Parameter("look_alikes", 0.01, 5.0),
+    Parameter("share", 0.02, 0.98, flipped=True),
+    Parameter("strength", 0.3, STRONGEST),
 )
 MOVING = (  # of `MotionModel`; its `wander` is the slow and the fast kind
     Parameter("slow", math.radians(0.5), math.radians(6)),
@@ -100,100 +104,37 @@ def motion_values(motion: MotionModel) -> dict[str, float]:
     return {"slow": min(wander), "fast": max(wander), **rates}
 
 
+def habit_values(model: DetectorModel) -> dict[str, float]:
+    """`share` and `strength` of its habit, and the number of `look_alikes`, also where it is not stated."""
+    found = {"look_alikes": expected_look_alikes(model)}
+    if model.detection_probability is not None:
+        return found | {"share": model.detection_probability, "strength": STRONGEST}
+    return found | {"share": model.habit[0] / sum(model.habit), "strength": sum(model.habit)}
+
+
+def with_habit(share: float, strength: float) -> dict[str, Any]:
+    """The fields of a model whose habit has these."""
+    return {"detection_probability": None, "habit": (short(share * strength), short((1 - share) * strength))}
+
+
 def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
-    """The detector's model with what can be counted on the recordings; None where they hold no detections.
-
-    A detection within `HIT` of the target is right, every other one false. How often right ones have a score, over how
-    often false ones have it, is the ratio by which that score counts; what repeats is `lasting`.
-    """
-    timely = [_timely(recording) for recording in recordings]
-    looks = [look for one in timely for look in one]
-    if not looks:
-        return None
-    right, false, offsets, found, visible = [], [], [], 0, 0
-    for detections, at, seen in ((look.detections, look.direction, look.seen) for look in looks):
-        apart = np.asarray(angular_distance(detections.directions, at)).reshape(-1)
-        near = (apart < HIT) & seen
-        right.extend(detections.scores[near])
-        false.extend(detections.scores[~near])
-        offsets.extend(apart[near])
-        found, visible = found + int(near.any()), visible + int(seen)
-    model, recall = looks[0].detections.model, (found + 0.5) / (visible + 1)
-    spread = math.sqrt(float(np.mean(np.square(offsets))) / 2) if offsets else model.spread  # two axes
-    series = [[look for look in one if look.seen] for one in timely]
-    share, seconds = lasting(
-        [np.array([look.stamp for look in one]) for one in series],
-        [np.array([_mistakes(look, recall) for look in one]).reshape(-1, 3) for one in series],
-    )
-    return replace(
-        model,
-        detection_probability=short(recall),
-        false_alarms_per_look=short((len(false) + 0.5) / (len(looks) + 1)),
-        spread=short(min(max(spread, DETECTING[1].low), DETECTING[1].high)),
-        score_ratios=score_ratios(np.array(right), np.array(false)),
-        repeats=short(share),
-        repeats_for=None if seconds is None else short(seconds),
-    )
+    """The detector's model as `fit_detector` finds it on the recordings; None where they hold no detections."""
+    looks = [look for number, recording in enumerate(recordings) for look in _labelled(recording, str(number))]
+    return fitted_model(looks, looks[0].detections.model) if looks else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """Detections with what was true at their capture: the target's direction (body frame), and whether in sight."""
-
-    stamp: float
-    detections: Detections
-    direction: np.ndarray
-    seen: bool
-    world_R_body: np.ndarray
-
-
-def _timely(recording: Recording) -> list[_Look]:
-    """The looks of a recording that gave detections."""
+def _labelled(recording: Recording, group: str) -> list[LabelledLook]:
+    """The looks of a recording that gave detections; the target counts where it is in sight."""
     place: dict[float | None, int] = {moment.stamp: index for index, moment in enumerate(recording.moments)}
     found = []
     for moment in recording.moments:
-        if moment.evidence is None or (detections := moment.evidence.detections) is None:
+        if moment.evidence is None or moment.evidence.detections is None:
             continue
         index = place.get(moment.evidence.stamp, place[moment.stamp])
-        then, seen = recording.moments[index], bool(recording.truth["visible"][index])
-        found.append(_Look(then.stamp, detections, recording.directions[index], seen, then.world_R_body))
+        then, target = recording.moments[index], recording.directions[index][None]
+        at = target[: int(recording.truth["visible"][index])]
+        found.append(LabelledLook(moment.evidence, at, then.stamp, group, then.world_R_body, then.position))
     return found
-
-
-def _mistakes(look: _Look, recall: float) -> np.ndarray:
-    """What one look with the target in sight mistook ``(3,)``: missed, less the mean; and how far off, left and up.
-
-    Of the right detection with the best score, in axes of the world; NaN where the target was missed.
-    """
-    near = np.flatnonzero(np.asarray(angular_distance(look.detections.directions, look.direction)) < HIT)
-    if not len(near):
-        return np.array([recall, np.nan, np.nan])
-    best = near[look.detections.scores[near].argmax()]
-    true, said = look.world_R_body @ look.direction, look.world_R_body @ look.detections.directions[best]
-    return np.array([recall - 1, *(tangent_frame(true) @ said)])
-
-
-def score_ratios(right: np.ndarray, false: np.ndarray) -> tuple[tuple[float, float], ...] | None:
-    """How much likelier each score is for right detections than for false ones, from bins with as many scores each.
-
-    None where there are fewer than `CASES` of either, or all scores are alike.
-    """
-    if min(len(right), len(false)) < CASES:
-        return None
-    both = np.concatenate([right, false])
-    edges = np.unique(np.quantile(both, np.linspace(0, 1, SCORE_BINS + 1)))
-    if len(edges) < 3:
-        return None
-    bins = [np.clip(np.searchsorted(edges, scores, side="right") - 1, 0, len(edges) - 2) for scores in (right, false)]
-    shares = [(np.bincount(at, minlength=len(edges) - 1) + 0.5) / (len(at) + 0.5 * (len(edges) - 1)) for at in bins]
-    of_both = np.concatenate(bins)
-    middles = [float(both[of_both == index].mean()) for index in range(len(edges) - 1)]
-    return tuple((short(at), short(float(ratio))) for at, ratio in zip(middles, shares[0] / shares[1], strict=True))
-
-
-def short(value: float) -> float:
-    """`value` with the three digits that mean something."""
-    return float(f"{value:.3g}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,79 +1,127 @@
 """The likeliest numbers of a `DetectorModel` for labelled looks, by expectation-maximisation.
 
-The assignments of detections to targets (`labelled_looks`), then each number from them. Weak priors hold where the
-looks say little: a Beta for the detection probability, a Gamma for the false alarms, a log-normal about the stated
-spread, a normal for the rises of the score curve.
+The assignments of detections to targets (`labelled_looks`), then each number from them: how often each place of a
+target was detected, how far off, with which scores; and what false detections are (`detector_places`). Weak priors hold
+where the looks say little: some places whose habits are known, a Gamma for the false alarms, a log-normal about the
+stated spread, a normal for the rises of the score curve.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eagor._lazy import lazy
+from eagor.evaluation.detector_places import (
+    ALARMS_PRIOR,
+    Candidates,
+    Errors,
+    Split,
+    fitted_habit,
+    once,
+    scatter,
+    split,
+)
 from eagor.evaluation.labelled_looks import Assigned, Rows, sums
 from eagor.evaluation.score_curve import ScoreCurve, fitted_curve, knots_of
-from eagor.evidence.detector import RECALL_WEIGHTS, RECALLS, DetectorModel
+from eagor.evidence.detector import DetectorModel
+from eagor.evidence.habits import LOOK_ALIKES
 
-__all__ = ["Estimate", "Fitting"]
+__all__ = ["Estimate", "Fitting", "doubt", "expected_look_alikes", "likeliest_errors", "short"]
 
-RECALL_PRIOR = 2.0  # targets that the prior of the detection probability counts for
-ALARMS_PRIOR = (0.5, 1.0)  # false alarms, and looks, that the prior of the false alarms counts for
 SPREAD_PRIOR = 2.0  # detections that the prior of the spread counts for
-REPEATS_PRIOR = 4.0  # pairs of looks that the prior of `repeats` counts for
+OFFSET_PRIOR = 2.0  # places, with one detection each, that the prior of the offset counts for
 NARROWEST, WIDEST = math.radians(0.2), math.radians(40)  # spreads that are tried
 STARTS = (0.4, 1.0, 2.5)  # times the stated spread: where the search begins
 STEPS, SETTLED = 60, 1e-3  # most steps, and the relative change of every number at which they end
-MOST_RECALL, MOST_REPEATS = 0.99, 0.95
+LEAST_RECALL, MOST_RECALL = 0.001, 0.99
+BESIDE = 2.5  # widths about a target in which a second detection is no look-alike
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Numbers of the model, and what they were counted on: sums over looks and their weights.
 
-    `targets` in view; `detections`, of which `matched` are of a target; `log`: the log posterior density.
+    `habit` ``(2,)``; `recalls` ``(C,)``: how often each place of a target is detected. `alarms`: all false detections
+    of a look, which `split` tells apart. `targets` in view, at `places`; `detections`, of which `matched` are of a
+    target; `log`: the log posterior density.
     """
 
-    recall: float
+    habit: np.ndarray
+    recalls: np.ndarray
     alarms: float
     spread: float
+    offset: float
     curve: ScoreCurve
-    repeats: float = 0.0
     looks: float = 0.0
     targets: float = 0.0
+    places: float = 0.0
     detections: float = 0.0
     matched: float = 0.0
     log: float = -math.inf
+    split: Split | None = field(default=None, repr=False)
+
+    @property
+    def share(self) -> float:
+        """The mean share of looks in which a target is detected."""
+        return float(self.habit[0] / self.habit.sum())
+
+    @property
+    def transient(self) -> float:
+        """The false detections of a look that do not come again; all of them, where poses are not known."""
+        return self.alarms if self.split is None else self.split.alarms
+
+    @property
+    def width(self) -> float:
+        """The error of a detection, radians (standard deviation per axis)."""
+        return math.hypot(self.spread, self.offset)
 
     def of(self, rows: Rows) -> Assigned:
         """The assignments of looks under these numbers."""
-        return rows.assigned(self.recall, self.alarms, self.spread, self.curve.at(rows.scores))
+        return rows.assigned(self.recalls[rows.place], self.alarms, self.width, self.curve.at(rows.scores))
 
     def log_likelihoods(self, rows: Rows) -> np.ndarray:
         """Log likelihood of each look ``(L,)``, up to what none of these numbers changes."""
-        return self.of(rows).log_likelihoods(self.recall, self.alarms)
+        return self.of(rows).log_likelihoods(self.recalls[rows.place], self.alarms)
+
+    def false(self, rows: Rows) -> np.ndarray:
+        """How probably each detection ``(D,)`` is false, and not beside a target."""
+        lengths = (rows.own + self.width**2) ** -0.5
+        beside = ((rows.offsets * lengths[rows.detection]) ** 2).sum(axis=1) < BESIDE**2
+        return (1 - self.of(rows).right) * (sums(rows.detection[beside], np.ones(beside.sum()), len(rows.scores)) == 0)
 
     def model(self, base: DetectorModel) -> DetectorModel:
         """The detector's model; what could not be counted is as in `base`."""
-        ratios = tuple((short(at), short(ratio)) for at, ratio in self.curve.pairs)
-        return replace(
-            base,
-            detection_probability=short(self.recall) if self.targets else base.detection_probability,
-            false_alarms_per_look=short(self.alarms),
-            spread=short(self.spread),
-            repeats=short(self.repeats),
-            score_ratios=ratios if self.detections else base.score_ratios,
-        )
+        found: dict[str, object] = {"false_alarms_per_look": short(self.transient), "spread": short(self.spread)}
+        found["offset"] = short(self.offset)
+        if self.targets:
+            found |= {"detection_probability": None, "habit": tuple(map(short, self.habit))}
+        if self.split is not None:
+            found |= {"look_alikes": short(self.split.numbers[0])}
+            found |= {"look_alike_habit": tuple(map(short, self.split.habits[0]))}
+        if self.detections:
+            found["score_ratios"] = tuple((short(at), short(ratio)) for at, ratio in self.curve.pairs)
+        return replace(base, **found)
 
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """Labelled looks as `rows`, with the `pairs` ``(N, 2)`` of consecutive ones, and the prior `base`."""
+    """Labelled looks as `rows`, and the prior `base`.
+
+    `found`: candidates for look-alikes, and `false` ``(D,)``: how probably each detection is of none of the targets.
+    """
 
     rows: Rows
-    pairs: np.ndarray
     base: DetectorModel
+    found: Candidates | None = None
+    false: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @lazy
+    def once(self) -> np.ndarray:
+        """How often the score of each detection ``(D,)`` counts: once for each place."""
+        return once(self.rows, self.base.spread)
 
     @property
     def knots(self) -> np.ndarray:
@@ -81,9 +129,10 @@ class Fitting:
         return knots_of(self.rows.scores)
 
     @property
-    def prior_recall(self) -> float:
-        """The prior mean of the detection probability."""
-        return self.base.detection_probability or float(np.dot(RECALLS, RECALL_WEIGHTS))
+    def prior_habit(self) -> np.ndarray:
+        """The prior of the habit ``(2,)``; with a stated detection probability, its mean is that."""
+        known, habit = self.base.detection_probability, np.array(self.base.habit)
+        return habit if known is None else habit.sum() * np.array([known, 1 - known])
 
     def estimate(self, weights: np.ndarray, deviation: float, start: Estimate | None = None) -> Estimate:
         """The likeliest numbers for looks that count `weights` ``(L,)``; from several starts, or from `start` on.
@@ -92,82 +141,125 @@ class Fitting:
         """
         starts = [start] if start else [self._start(weights, factor * self.base.spread) for factor in STARTS]
         best = max((self._climbed(weights, deviation, each) for each in starts), key=lambda each: each.log)
-        return replace(best, repeats=self._repeats(weights, best))
+        if self.found is None:
+            return best
+        numbers, habits = np.array([expected_look_alikes(self.base)]), np.array([self.base.look_alike_habit])
+        before = start.split if start else None
+        told = split(self.rows, self.found, self.false, weights, best.spread, numbers, habits, start=before)
+        return replace(best, split=told)
 
     def _start(self, weights: np.ndarray, spread: float) -> Estimate:
         detections = float(weights[self.rows.look_of_detection].sum())
-        return Estimate(self.prior_recall, max(detections / weights.sum(), 0.1), spread, ScoreCurve.flat())
+        habit, places = self.prior_habit, int(self.rows.place.max(initial=-1)) + 1
+        alarms, spread = max(detections / weights.sum(), 0.1), min(max(spread, NARROWEST), WIDEST)
+        return Estimate(
+            habit, np.full(places, habit[0] / habit.sum()), alarms, spread, self.base.offset, ScoreCurve.flat()
+        )
 
     def _climbed(self, weights: np.ndarray, deviation: float, now: Estimate) -> Estimate:
         """The estimate to which the steps from `now` on lead."""
-        rows, mean, knots = self.rows, self.prior_recall, self.knots
+        rows, knots, base = self.rows, self.knots, self.prior_habit
         of_target, of_detection = weights[rows.look_of_target], weights[rows.look_of_detection]
         targets, detections, looks = (float(part.sum()) for part in (of_target, of_detection, weights))
+        seen = np.bincount(rows.place, minlength=len(now.recalls)).astype(float)
+        times = sums(rows.place, of_target, len(seen)) / np.maximum(seen, 1)
+        errors, home, spans = self._homes(of_detection)
         for _ in range(STEPS):
             joint = now.of(rows)
             matched = float(of_detection @ joint.right)
-            recall = (float(of_target @ joint.found) + RECALL_PRIOR * mean) / (targets + RECALL_PRIOR)
+            hits = sums(rows.place, of_target * joint.found, len(seen)) / np.maximum(times, 1e-300)
+            hits = np.minimum(hits, seen) * (times > 0)
+            habit = fitted_habit(hits, seen, times, base, now.habit)
+            recalls = (habit[0] + hits) / (habit.sum() + seen * (times > 0))
             alarms = (max(detections - matched, 0.0) + ALARMS_PRIOR[0]) / (looks + ALARMS_PRIOR[1])
-            spread = self._spread(of_detection[rows.detection] * joint.shares)
-            curve = fitted_curve(rows.scores, joint.right, of_detection, knots, deviation)
-            before = np.array([now.recall, now.alarms, now.spread])
+            inner = of_detection[rows.detection] * joint.shares / np.maximum(spans[home], 1e-300)
+            spread, offset = likeliest_errors(
+                errors, home, inner, spans, self.base, (now.spread, now.offset), self._told_apart
+            )
+            curve = fitted_curve(rows.scores, joint.right, of_detection * self.once, knots, deviation)
+            before = np.array([now.share, now.alarms, now.width])
             now = Estimate(
-                min(recall, MOST_RECALL), alarms, spread, curve, 0.0, looks, targets, detections, matched
+                habit, np.clip(recalls, LEAST_RECALL, MOST_RECALL), alarms, spread, offset, curve,
+                looks, targets, float(times.sum()), detections, matched,
             )  # fmt: skip
-            if np.abs(np.array([now.recall, now.alarms, now.spread]) / before - 1).max() < SETTLED:
+            if np.abs(np.array([now.share, now.alarms, now.width]) / before - 1).max() < SETTLED:
                 break
         log = float(weights @ now.log_likelihoods(rows))
-        log += RECALL_PRIOR * (mean * math.log(now.recall) + (1 - mean) * math.log(1 - now.recall))
         log += ALARMS_PRIOR[0] * math.log(now.alarms) - ALARMS_PRIOR[1] * now.alarms
-        return replace(now, log=log - self._doubt(math.log(now.spread)))
+        return replace(now, log=log - doubt(now.spread, self.base))
 
-    def _doubt(self, log: float) -> float:
-        """Minus the log prior of a spread: normal in its logarithm, about the stated one.
+    @property
+    def _told_apart(self) -> bool:
+        """Whether the looks can tell the offset: a place was seen twice, with poses."""
+        placed = self.rows.place[self.rows.placed[self.rows.look_of_target]]
+        return len(placed) > len(np.unique(placed))
 
-        Each of two axes of a detection brings a Fisher information of 2 about that logarithm.
+    def _homes(self, of_detection: np.ndarray) -> tuple[Errors, np.ndarray, np.ndarray]:
+        """For `scatter`: of each pair, its errors and its place; how often each place counts.
+
+        Without poses each detection has a place of its own.
         """
-        return 2 * SPREAD_PRIOR * (log - math.log(self.base.spread)) ** 2
+        rows = self.rows
+        known = rows.placed[rows.look_of_target[rows.target]]
+        names = np.where(known, rows.place[rows.target], -1 - np.arange(len(known)))
+        home = np.unique(names, return_inverse=True)[1].reshape(-1)
+        count = int(home.max(initial=-1)) + 1
+        spans = sums(home, of_detection[rows.detection], count) / np.maximum(np.bincount(home, minlength=count), 1)
+        return (rows.own[rows.detection], rows.offsets, rows.turns), home, spans
 
-    def _spread(self, shares: np.ndarray) -> float:
-        """The likeliest spread (radians) of pairs that count `shares` ``(P,)``."""
-        from scipy.optimize import minimize_scalar
 
-        kept = shares > 1e-6
-        own, squares, counts = self.rows.own[self.rows.detection[kept]], self.rows.squares[kept], shares[kept]
+def likeliest_errors(
+    errors: Errors,
+    place: np.ndarray,
+    counts: np.ndarray,
+    times: np.ndarray,
+    base: DetectorModel,
+    start: tuple[float, float],
+    told_apart: bool,
+    flat: float | None = None,
+) -> tuple[float, float]:
+    """The likeliest spread and offset (radians) of detections, which `scatter` describes, with their priors in `base`.
 
-        def loss(log: float) -> float:
-            variances = own + math.exp(2 * log)
-            terms = (np.log(variances) + squares / variances).sum(axis=1)
-            return float(0.5 * counts @ terms) + self._doubt(log)
+    The offset is that of `base` unless it can be `told_apart`. `flat`: an offset so wide that places have no centre.
+    """
+    from scipy.optimize import minimize, minimize_scalar
 
-        found = minimize_scalar(loss, bounds=(math.log(NARROWEST), math.log(WIDEST)), method="bounded")
-        return math.exp(found.x)
+    kept = counts > 1e-6
+    own, offsets, turns = errors
+    rest = (own[kept], offsets[kept], turns[kept]), place[kept], counts[kept], times
+    low, high = math.log(NARROWEST), math.log(WIDEST)
+    if flat is not None or not told_apart:
+        fixed = base.offset if flat is None else flat
 
-    def _repeats(self, weights: np.ndarray, found: Estimate) -> float:
-        """The share of mistakes that the next look repeats: their correlation from one look to the next.
+        def alone(log: float) -> float:
+            return doubt(math.exp(log), base) - scatter(*rest, math.exp(log), fixed)
 
-        The mistakes of a look are targets missed, false alarms, and the offsets of right detections, each less its
-        mean.
-        """
-        rows, joint = self.rows, found.of(self.rows)
-        first, second = self.pairs.T
-        counts = np.minimum(weights[first], weights[second])
-        targets = np.bincount(rows.look_of_target, minlength=rows.count)
-        seen = sums(rows.look_of_target, joint.found, rows.count)
-        false = sums(rows.look_of_detection, 1 - joint.right, rows.count)
-        mistakes = [(seen - found.recall * targets, targets > 0), (false - found.alarms, targets >= 0)]
-        one = (targets == 1) & (seen > 0.5)  # of several targets it is not known which is which in the next look
-        for offsets in rows.offsets.T:
-            total = sums(rows.look_of_target[rows.target], joint.shares * offsets, rows.count)
-            mistakes.append((total / np.maximum(seen, 0.5), one))
-        products, pairs = REPEATS_PRIOR * self.base.repeats, REPEATS_PRIOR
-        for values, known in mistakes:
-            square = float((weights * known) @ values**2)
-            both = counts * known[first] * known[second]
-            if square > 1e-12:
-                products += float(both @ (values[first] * values[second])) * float(weights @ known) / square
-                pairs += float(both.sum())
-        return min(max(products / pairs, 0.0), MOST_REPEATS)
+        return math.exp(minimize_scalar(alone, bounds=(low, high), method="bounded").x), base.offset
+    one = base.spread**2
+
+    def both(values: np.ndarray) -> float:
+        spread, offset = math.exp(values[0]), values[1] * base.spread
+        wide = offset**2 + one
+        prior = OFFSET_PRIOR * (math.log(wide) + (base.offset**2 + one) / wide)
+        return doubt(spread, base) + prior - scatter(*rest, spread, offset)
+
+    bounds = [(low, high), (0.0, WIDEST / base.spread)]
+    first = np.array([math.log(start[0]), max(start[1], 0.3 * start[0]) / base.spread])
+    found = minimize(both, first, bounds=bounds, method="L-BFGS-B").x
+    return math.exp(found[0]), float(found[1]) * base.spread
+
+
+def expected_look_alikes(base: DetectorModel) -> float:
+    """Their prior number; habits are fitted, so a stated detection probability does not say that there are none."""
+    return LOOK_ALIKES if base.look_alikes is None else base.look_alikes
+
+
+def doubt(spread: float, base: DetectorModel) -> float:
+    """Minus the log prior of a spread: normal in its logarithm, about the stated one.
+
+    Each of two axes of a detection brings a Fisher information of 2 about that logarithm.
+    """
+    return 2 * SPREAD_PRIOR * math.log(spread / base.spread) ** 2
 
 
 def short(value: float) -> float:

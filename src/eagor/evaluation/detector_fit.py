@@ -7,23 +7,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from eagor.evaluation.detector_em import ALARMS_PRIOR, RECALL_PRIOR, Estimate, Fitting
-from eagor.evaluation.labelled_looks import LabelledLook, rows_of
-from eagor.evidence.detector import DetectorModel, Rates, model_as_json
+from eagor.evaluation.detector_em import Estimate, Fitting
+from eagor.evaluation.detector_places import ALARMS_PRIOR, HABIT_PRIOR, NUMBER_PRIOR, candidates, rate_interval
+from eagor.evaluation.labelled_looks import LabelledLook, in_time, rows_of
+from eagor.evidence.detector import Alarms, DetectorModel, model_as_json
 from eagor.statistics import bootstrap_interval
 
-__all__ = ["DetectorFit", "HeldOut", "fit_detector"]
+__all__ = ["DetectorFit", "HeldOut", "fit_detector", "fitted_model"]
 
 DEVIATIONS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the score curve's prior, tried on what is left out
 FOLDS, BLOCKS = 5, 10  # parts that are left out in turn; stretches of consecutive looks, where there is one group
 RESAMPLES, LEVEL = 200, 0.95
 PRIOR = 0.5  # probability of presence before a look
+# Numbers that have an interval, and when they have none.
+NUMBERS: dict[str, Callable[[Estimate], float]] = {
+    "detection_share": lambda found: found.share,
+    "false_alarms_per_look": lambda found: found.transient,
+    "look_alikes": lambda found: math.nan if found.split is None else found.split.numbers[0],
+    "spread": lambda found: found.spread,
+    "offset": lambda found: found.offset,
+}
+UNKNOWN_WITHOUT: dict[str, Callable[[Estimate], object]] = {
+    "detection_share": lambda found: found.targets,
+    "look_alikes": lambda found: found.split is not None,
+}
 
 
 @dataclass(frozen=True)
@@ -91,16 +103,14 @@ def fit_detector(
     """The model of the detector that gave `looks`, fitted by penalised maximum likelihood.
 
     `base` (default: `DetectorModel()`): the prior of each number. What the looks cannot tell is taken from it: the
-    detection probability without a target in view, `repeats_for` and `repeats_within` always. `resamples`: draws of
-    whole groups, for the intervals; `on_step` is called after each. `rng` draws them.
+    habit without a target in view, the offset and the look-alikes without orientations, `kept_for` and `kept_within`
+    always. `resamples`: draws of whole groups, for the intervals; `on_step` is called after each. `rng` draws them.
 
     Raises `EagorError` without looks.
     """
     base, looks = base or DetectorModel(), list(looks)
-    rows, parts = rows_of(looks, base), _parts(looks)
-    fitting, folds = Fitting(rows, _consecutive(looks), base), _folds(parts)
-    deviation = _deviation(fitting, folds)
-    found = fitting.estimate(np.ones(rows.count), deviation)
+    fitting, deviation, found = _fitted(looks, base)
+    rows, parts = fitting.rows, _parts(looks)
     drawn, names = [], np.unique(parts)
     rng = rng or np.random.default_rng(0)
     for _ in range(resamples if len(names) > 1 else 0):
@@ -114,23 +124,27 @@ def fit_detector(
         len(rows.look_of_target),
         len(rows.scores),
         found.matched,
-        _intervals(found, drawn, fitting.prior_recall, len(names)),
-        _held_out(looks, fitting, folds, deviation, parts) if folds else None,
+        _intervals(found, drawn, fitting, len(names)),
+        _held_out(looks, fitting, deviation, found, parts) if len(names) > 1 else None,
     )
 
 
-def _consecutive(looks: Sequence[LabelledLook]) -> np.ndarray:
-    """Indices ``(N, 2)`` of consecutive looks of one group, by stamp."""
-    groups: dict[str, list[int]] = {}
-    for index in _in_time(looks):
-        groups.setdefault(looks[index].group, []).append(index)
-    pairs = [pair for members in groups.values() for pair in pairwise(members)]
-    return np.array(pairs, dtype=int).reshape(-1, 2)
+def fitted_model(looks: Sequence[LabelledLook], base: DetectorModel) -> DetectorModel:
+    """The model alone, as `fit_detector` finds it."""
+    return _fitted(looks, base)[2].model(base)
 
 
-def _in_time(looks: Sequence[LabelledLook]) -> list[int]:
-    """Indices of the looks by stamp; without stamps, as they came."""
-    return sorted(range(len(looks)), key=lambda index: looks[index].stamp or 0.0)
+def _fitted(looks: Sequence[LabelledLook], base: DetectorModel) -> tuple[Fitting, float, Estimate]:
+    """The looks, how far their scores are believed, and the likeliest numbers."""
+    rows = rows_of(looks, base)
+    fitting, every = Fitting(rows, base), np.ones(rows.count)
+    deviation = _deviation(fitting, _folds(_parts(looks)))
+    found = fitting.estimate(every, deviation)
+    if rows.placed.any():
+        false = found.false(rows)
+        fitting = replace(fitting, found=candidates(rows, false, found.spread), false=1 - found.of(rows).right)
+        found = fitting.estimate(every, deviation, found)
+    return fitting, deviation, found
 
 
 def _parts(looks: Sequence[LabelledLook]) -> np.ndarray:
@@ -139,7 +153,7 @@ def _parts(looks: Sequence[LabelledLook]) -> np.ndarray:
     if len(names) > 1:
         return np.array([names.index(look.group) for look in looks])
     parts = np.empty(len(looks), dtype=int)
-    parts[_in_time(looks)] = np.arange(len(looks)) * min(BLOCKS, len(looks)) // len(looks)
+    parts[in_time(looks)] = np.arange(len(looks)) * min(BLOCKS, len(looks)) // len(looks)
     return parts
 
 
@@ -169,46 +183,49 @@ def _deviation(fitting: Fitting, folds: Sequence[np.ndarray]) -> float:
     return DEVIATIONS[int(np.flatnonzero(behind.mean(axis=0) <= doubt)[0])]
 
 
-def _intervals(found: Estimate, drawn: Sequence[Estimate], prior: float, parts: int) -> dict[str, tuple[float, float]]:
-    """The bootstrap's intervals; those of rates at least as wide as their posteriors for independent looks.
+def _intervals(
+    found: Estimate, drawn: Sequence[Estimate], fitting: Fitting, parts: int
+) -> dict[str, tuple[float, float]]:
+    """The bootstrap's intervals; those of rates at least as wide as their posteriors for independent places.
 
     Wider for few `parts`: expanded percentiles (Hesterberg, The American Statistician 69(4), 2015).
     """
-    from scipy.special import betaincinv, gammaincinv, ndtr, stdtrit
+    from scipy.special import betaincinv, ndtr, stdtrit
 
     ends = np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     drawn_ends = ndtr(math.sqrt(parts / (parts - 1)) * stdtrit(parts - 1, ends)) if parts > 1 else ends
-    hits = min(found.recall * (found.targets + RECALL_PRIOR), found.targets + RECALL_PRIOR * prior)
-    rest = found.targets + RECALL_PRIOR - hits
-    false = max(found.detections - found.matched, 0.0) + ALARMS_PRIOR[0]
-    wide = {
-        "detection_probability": betaincinv(hits, rest, ends),
-        "false_alarms_per_look": gammaincinv(false, ends) / (found.looks + ALARMS_PRIOR[1]),
-    }
+    values = {name: [of(each) for each in drawn] for name, of in NUMBERS.items()}
+    looks = found.looks + ALARMS_PRIOR[1]
+    wide = {"false_alarms_per_look": rate_interval(found.transient * looks - ALARMS_PRIOR[0], looks, LEVEL)}
+    if found.targets:
+        # Looks at one place count for less than looks at as many places: that is what its habit means.
+        seen = np.bincount(fitting.rows.place)
+        strength = float(found.habit.sum())
+        worth = float((seen * (strength + 1) / (strength + seen)).sum()) + HABIT_PRIOR
+        low, high = betaincinv(worth * found.share, worth * (1 - found.share), ends).tolist()
+        wide["detection_share"] = low, high
+    if found.split is not None:
+        views = len(np.unique(fitting.rows.stretch[fitting.rows.placed])) + NUMBER_PRIOR
+        wide["look_alikes"] = rate_interval(found.split.numbers[0] * views, views, LEVEL)
     intervals = {}
-    of = {"detection_probability": "recall", "false_alarms_per_look": "alarms", "spread": "spread"}
-    for name, key in (of | {"repeats": "repeats"}).items():
-        values = (
-            np.quantile([getattr(each, key) for each in drawn], drawn_ends) if drawn else np.array([np.inf, -np.inf])
-        )
-        least, most = wide.get(name, values)
-        low, high = float(min(values[0], least)), float(max(values[1], most))
-        if low <= high and (found.targets or name != "detection_probability"):
+    for name, of_drawn in values.items():
+        if name in UNKNOWN_WITHOUT and not UNKNOWN_WITHOUT[name](found):
+            continue
+        least, most = wide.get(name, (math.inf, -math.inf))
+        low, high = np.quantile(of_drawn, drawn_ends) if drawn else (least, most)
+        low, high = float(min(low, least)), float(max(high, most))
+        if low <= high:
             intervals[name] = (low, high)
     return intervals
 
 
 def _held_out(
-    looks: Sequence[LabelledLook],
-    fitting: Fitting,
-    folds: Sequence[np.ndarray],
-    deviation: float,
-    parts: np.ndarray,
+    looks: Sequence[LabelledLook], fitting: Fitting, deviation: float, found: Estimate, parts: np.ndarray
 ) -> HeldOut:
     """Each look read by `base`, and by the model that was fitted without it."""
     told = np.empty((len(looks), 2, 2))  # before and after; density and presence
-    for left_out in folds:
-        model = fitting.estimate((~left_out).astype(float), deviation).model(fitting.base)
+    for left_out in _folds(parts):
+        model = fitting.estimate((~left_out).astype(float), deviation, found).model(fitting.base)
         for index in np.flatnonzero(left_out).tolist():
             told[index] = [_told(looks[index], each) for each in (fitting.base, model)]
     density, presence = told[..., 0], told[..., 1]
@@ -223,15 +240,21 @@ def _held_out(
 def _told(look: LabelledLook, model: DetectorModel) -> tuple[float, float]:
     """Log density at the truth (its mean over targets; NaN without), and log probability of the truth about presence.
 
-    Both after this look alone, from a uniform direction and `PRIOR`.
+    Both after this look alone, from a uniform direction and `PRIOR`. One look cannot tell a look-alike from a false
+    alarm, nor an offset from a spread.
     """
-    found, targets = look.detections.read(model), look.in_view
-    rates = Rates.prior(model).given(len(found))
-    covered = found.area / (4 * math.pi)
-    mean = 1 - rates.recall * covered + rates.gain * covered * float((found.ratios / found.clutter).sum())
+    found = look.detections.read(replace(model, spread=min(math.hypot(model.spread, model.offset), math.radians(60))))
+    targets, habits = look.in_view, model.habits
+    lasting = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
+    alarms = Alarms.prior(model).after(np.full(len(found), lasting))
+    inverse, covered = float(alarms.weights @ (1 / (alarms.numbers + lasting))), found.area / (4 * math.pi)
+    mean = 1 + habits.mean * covered * (inverse * float((found.ratios / found.clutter).sum()) - 1)
     if not len(targets):
         return math.nan, -math.log1p(PRIOR / (1 - PRIOR) * mean) if not len(look.targets) else 0.0
-    at = np.log(found.ratio(targets, rates)) - math.log(4 * math.pi * mean)
+    speaks = (
+        inverse * found.area * found.densities(targets, np.ones(1), found.ratios[None])[0, 0] if len(found) else 0.0
+    )
+    at = np.log1p(habits.mean * (speaks - np.ones(len(targets)))) - math.log(4 * math.pi * mean)
     return float(at.mean()), -math.log1p((1 - PRIOR) / PRIOR / mean)
 
 

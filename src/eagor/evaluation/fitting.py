@@ -29,10 +29,12 @@ from eagor.evaluation.calibration import (
     Parameter,
     Score,
     counted,
+    habit_values,
     motion_values,
     score,
-    short,
+    with_habit,
 )
+from eagor.evaluation.detector_em import short
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.perception.calibrated import Calibrated
@@ -45,7 +47,7 @@ DRAWS = 16  # settings in a round,
 ELITE = 4  # of which so many are kept
 SPREAD = 0.25  # standard deviation of the first round, of the range of each parameter,
 LEAST = 0.03  # ... and the smallest of any round
-LEARNT = 0.4  # of `stated`: the search begins with rates that are learnt
+LEARNT = 0.4  # of `stated`: the search begins with false alarms that are learnt
 
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Any]
 
@@ -108,19 +110,22 @@ class _Space:
 
     def start(self) -> np.ndarray:
         """Where the search begins ``(parameters,)``: how looks are read, as above, and how targets move now."""
-        values = {"stated": LEARNT, **vars(self.read), **motion_values(BASE.target_motion)}
+        habit = habit_values(self.read) if isinstance(self.read, DetectorModel) else {}
+        values = {"stated": LEARNT, **vars(self.read), **habit, **motion_values(BASE.target_motion)}
         return np.array([parameter.place(values[parameter.name]) for parameter in self.parameters])
 
     def at(self, places: np.ndarray, found_by: dict[str, Any] | None = None) -> Calibrated:
         """The settings at `places` ``(parameters,)``."""
-        values = {p.name: short(p.value(float(place))) for p, place in zip(self.parameters, places, strict=True)}
+        pairs = zip(self.parameters, places.tolist(), strict=True)
+        values: dict[str, Any] = {parameter.name: short(parameter.value(place)) for parameter, place in pairs}
         moving = {parameter.name: values.pop(parameter.name) for parameter in MOVING}
         forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
         if isinstance(self.read, Calibration):
             return Calibrated(self.perception, replace(self.read, **values), forgetting, found_by or {})
         model = self.read
+        values |= with_habit(values.pop("share"), values.pop("strength"))
         if values.pop("stated") < 1:
-            model = replace(model, detection_probability=None, false_alarms_per_look=None)
+            model = replace(model, false_alarms_per_look=None)
         return Calibrated(self.perception, None, forgetting, found_by or {}, replace(model, **values))
 
 

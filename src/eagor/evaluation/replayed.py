@@ -9,7 +9,7 @@ A line of true directions lists ALL instances in the body frame at that time; an
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,9 @@ from eagor.perception.record_fields import json_lines, misplaced, need, number, 
 from eagor.perception.replay import ReplayPerception
 from eagor.sphere import direction
 
-__all__ = ["Truth", "read_truth", "replayed_looks"]
+__all__ = ["Truth", "joined", "read_truth", "replayed_looks"]
+
+Pose = tuple[np.ndarray, np.ndarray | None]  # world_R_body ``(3, 3)``, and the position ``(3,)`` if it is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +75,13 @@ def _parsed(line: bytes) -> Truth:
     return Truth(stamp, entry["query"], direction(azimuths, elevations).reshape(-1, 3), name)
 
 
-def replayed_looks(replay: ReplayPerception, truths: Sequence[Truth]) -> tuple[list[LabelledLook], list[Truth]]:
+def replayed_looks(
+    replay: ReplayPerception, truths: Sequence[Truth], pose: Callable[[float], Pose] | None = None
+) -> tuple[list[LabelledLook], list[Truth]]:
     """The looks of `replay` at the stamps of `truths`, and the truths without one.
 
-    A look is used once for each query, with the truth that is nearest in time. Raises `QueryError` where no label fits
+    `pose` tells how the camera stood at a stamp. A look is used once for each query, with the truth that is nearest in
+    time. Raises `QueryError` where no label fits
     a query that has targets, `ResponseError` for response maps.
     """
     present = {truth.query for truth in truths if len(truth.targets)}
@@ -88,7 +93,9 @@ def replayed_looks(replay: ReplayPerception, truths: Sequence[Truth]) -> tuple[l
         if not looks:
             left_out.append(truth)
             continue
-        look = LabelledLook(_joined(looks), truth.targets, None, truth.group)
+        evidence = joined(looks)
+        at = (None, None) if pose is None else pose(truth.stamp if evidence.stamp is None else float(evidence.stamp))
+        look = LabelledLook(evidence, truth.targets, None, truth.group, *at)
         key, apart = (truth.group, float(look.stamp or 0.0)), abs(float(look.stamp or 0.0) - truth.stamp)
         before = found.get(key)
         if before is not None:
@@ -98,7 +105,7 @@ def replayed_looks(replay: ReplayPerception, truths: Sequence[Truth]) -> tuple[l
     return [look for _, _, look in found.values()], left_out
 
 
-def _joined(looks: Sequence[Evidence]) -> Evidence:
+def joined(looks: Sequence[Evidence]) -> Evidence:
     """The views of one moment as one look."""
     first, *others = looks
     if not others or any(look.detections is None for look in looks):

@@ -1,4 +1,4 @@
-"""From a response to a log-likelihood ratio, and how long mistakes last.
+"""From a response to a log-likelihood ratio, and how far looks repeat each other.
 
     r = temperature * log((l + floor) / (neutral + floor))
 
@@ -16,7 +16,7 @@ from eagor._arrays import Array, namespace
 from eagor._checks import above, require, within
 from eagor._reprs import changed
 from eagor.errors import ResponseError
-from eagor.evidence.repeating import METRES, SECONDS
+from eagor.evidence.habits import RESPONSES, Habits
 
 __all__ = ["Calibration"]
 
@@ -30,12 +30,9 @@ class Calibration:
     - `floor` (epsilon): the probability of missing a visible target; it bounds what one empty look can take away.
     - `neutral` (l0): the response that says nothing.
     - `temperature` (beta): a factor on the logarithm; a smaller one tempers overconfident evidence.
-    - `persistence`: how much of one look the next one repeats, in [0, 1): a detector that mistakes a thing once
-      mistakes it again. The share 1 - persistence of each look adds up; the rest counts only while the look is the
-      newest. (The errors of looks follow an autoregression of first order.)
-    - `persists_for`: seconds in which mistakes fade: a look repeats the share persistence exp(-elapsed / persists_for)
-      of the look `elapsed` seconds before it. None: they do not fade with time.
-    - `persists_within`: the same in metres of the camera's way. None: they do not fade with distance.
+    - `persistence`: how much of one look the next one repeats, in [0, 1): what a response mistakes once it mistakes
+      again. The share 1 - persistence of each look adds up; the rest counts only while the look is the newest. (The
+      errors of looks follow an autoregression of first order.)
     - `spread`: angular error of responses, radians (standard deviation per axis): the evidence about a direction is the
       mean likelihood ratio around it. 0: no error.
     - `scale_to_max`: divide each response by its own maximum first. Only the published settings do so: it turns
@@ -48,8 +45,6 @@ class Calibration:
     persistence: float = 0.0
     spread: float = 0.0
     scale_to_max: bool = False
-    persists_for: float | None = None
-    persists_within: float | None = None
 
     def __post_init__(self) -> None:
         least, most = SPREADS
@@ -58,8 +53,6 @@ class Calibration:
             "neutral": (within(self.neutral, 0, 1), "a number from 0 to 1"),
             "temperature": (above(self.temperature, 0), "a number above 0"),
             "persistence": (within(self.persistence, 0, 1) and self.persistence < 1, "a number from 0, below 1"),
-            "persists_for": (self.persists_for is None or above(self.persists_for, 0), SECONDS),
-            "persists_within": (self.persists_within is None or above(self.persists_within, 0), METRES),
             "spread": (
                 self.spread == 0 or within(self.spread, least, most),
                 f"0, or radians from {least:.4f} to {most:.4f} (1 to 30 degrees)",
@@ -74,6 +67,16 @@ class Calibration:
     def paper(cls) -> Calibration:
         """The published form, log(l + 1e-3), with each frame's response scaled to a maximum of 1."""
         return cls(floor=1e-3, neutral=1 - 1e-3, temperature=1.0, scale_to_max=True)
+
+    @property
+    def offset(self) -> float:
+        """The part of the angular error (radians) that the next look repeats: `persistence` of its variance."""
+        return self.spread * math.sqrt(self.persistence)
+
+    @property
+    def habits(self) -> Habits:
+        """A response says of each place what it says: it has no look-alikes and no habits of its own."""
+        return RESPONSES
 
     def log_ratio(self, response: Array) -> Array:
         """r of a response, elementwise; for checking and plotting (`Evidence.from_response` checks its input too)."""

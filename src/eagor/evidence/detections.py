@@ -9,11 +9,12 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.evidence.coverage import Region, confine, region, taper
-from eagor.evidence.detector import STATED, DetectorModel, Rates, Spread
+from eagor.evidence.detector import Alarms, DetectorModel
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
 
+LEAST_RATIO = 1e-3  # of a score: no single one is a proof of absence
 RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood that the degree represents without loss
 
 
@@ -47,7 +48,8 @@ class Detections:
 
     `directions` ``(n, 3)``, with `scores` ``(n,)``. `axes` ``(n, 2, 3)``: its principal axes, each divided by the
     standard deviation along it (radians). `ratios` ``(n,)``: s. `clutter` ``(n,)``: relative density of
-    false alarms there. `views`: empty where the whole sphere was looked at.
+    false alarms there. `sizes` ``(n,)``: half the angular size of each, radians; 0 for points. `views`: empty where the
+    whole sphere was looked at.
     """
 
     model: DetectorModel
@@ -56,16 +58,24 @@ class Detections:
     ratios: np.ndarray
     clutter: np.ndarray
     scores: np.ndarray
+    sizes: np.ndarray
     views: tuple[View, ...] = ()
 
     @classmethod
     def around(
-        cls, model: DetectorModel, directions: np.ndarray, axes: np.ndarray, scores: np.ndarray | None, view: View
+        cls,
+        model: DetectorModel,
+        directions: np.ndarray,
+        axes: np.ndarray,
+        scores: np.ndarray | None,
+        view: View,
+        sizes: np.ndarray | None = None,
     ) -> Detections:
         """The set of one picture."""
-        ratios, clutter = model.ratios(scores, len(directions)), model.clutter_at(directions)
-        scores = np.ones(len(directions)) if scores is None else scores
-        return cls(model, directions, axes, ratios, clutter, scores, () if view.is_whole else (view,))
+        count = len(directions)
+        ratios, clutter = model.ratios(scores, count), model.clutter_at(directions)
+        scores, sizes = np.ones(count) if scores is None else scores, np.zeros(count) if sizes is None else sizes
+        return cls(model, directions, axes, ratios, clutter, scores, sizes, () if view.is_whole else (view,))
 
     def __len__(self) -> int:
         return len(self.directions)
@@ -73,17 +83,12 @@ class Detections:
     def __repr__(self) -> str:
         return f"Detections({len(self)} in {'a whole look' if not self.views else f'{len(self.views)} views'})"
 
-    @property
-    def rates(self) -> Rates:
-        """The prior of the rates."""
-        return Rates.prior(self.model)
-
     def joined(self, other: Detections) -> Detections:
         """The joint set of two pictures of the same moment."""
         views = () if not self.views or not other.views else (*self.views, *other.views)
         pairs = {
             key: np.concatenate([getattr(self, key), getattr(other, key)])
-            for key in ("directions", "axes", "ratios", "clutter", "scores")
+            for key in ("directions", "axes", "ratios", "clutter", "scores", "sizes")
         }
         return replace(self, views=views, **pairs)
 
@@ -100,14 +105,14 @@ class Detections:
             missed *= 1 - view.share(directions)
         return 1 - missed
 
-    def coefficients(self, degree: int, rates: Rates | None = None, spread: Spread = STATED) -> np.ndarray:
+    def coefficients(self, degree: int) -> np.ndarray:
         """log L in harmonics ``(size,)``, body frame; detections are widened to what the degree can hold.
 
         v fades to 0 inside the border of the covered region (`eagor.evidence.coverage`).
         """
         grid, basis = decoding_grid(degree), RealHarmonics(degree)
         share, where = self.grid_share(degree)
-        found = basis.analyse(np.log(self.ratio(grid.directions, rates, share, resolved(degree), spread)), grid)
+        found = basis.analyse(np.log(self.ratio(grid.directions, share, resolved(degree))), grid)
         return found if where is None else confine(degree, found, where)
 
     def grid_share(self, degree: int) -> tuple[np.ndarray | float, Region | None]:
@@ -118,6 +123,11 @@ class Detections:
         share = np.asarray(self.share(grid.directions))
         where = region(grid, share >= 0.5)
         return (share, None) if where is None else (share * taper(degree, where, share), where)
+
+    @property
+    def log_ratios(self) -> np.ndarray:
+        """The logarithms of `ratios` ``(n,)``."""
+        return np.log(np.maximum(self.ratios, LEAST_RATIO))
 
     @lazy
     def area(self) -> float:
@@ -143,22 +153,24 @@ class Detections:
         seen = np.asarray(self.share(directions)) > 0
         return (drawn.max(axis=0).reshape(directions.shape[:-1]) * seen).astype(np.float32)
 
-    def densities(self, directions: np.ndarray, scales: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
-        """The sum of s_i g(z_i | w) over the relative clutter ``(S, ...)`` at directions w ``(..., 3)``, per steradian.
+    def densities(
+        self, directions: np.ndarray, scales: np.ndarray, rows: np.ndarray, least: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """Sums of g(z_i | w) over the relative clutter at directions w ``(..., 3)``, per steradian ``(S, k, ...)``.
 
-        Detections are widened by each of `scales` ``(S,)``, and to at least `least` radians (or ``(n,)``); their mass
-        is kept.
+        `rows` ``(k, n)``: the weights of the detections in each sum. Detections are widened by each of `scales`
+        ``(S,)``, and to at least `least` radians (or ``(n,)``); their mass is kept.
         """
         lengths = np.sqrt(np.einsum("nij,nij->ni", self.axes, self.axes))
         exponents = self._exponents(directions)
-        found = np.empty((len(scales), exponents.shape[-1]))
+        found = np.empty((len(scales), len(rows), exponents.shape[-1]))
         least = np.reshape(least, (-1, 1))
-        for row, scale in zip(found, scales.tolist(), strict=True):
+        for sums, scale in zip(found, scales.tolist(), strict=True):
             factors = 1 / np.maximum(scale, least * lengths)
             norms = bump_norms(lengths * factors)
             falls = np.exp(-np.einsum("nix,ni->nx", exponents, factors**2))
-            np.matmul(self.ratios / self.clutter * norms, falls, out=row)
-        return found.reshape(len(scales), *directions.shape[:-1])
+            np.matmul(rows / self.clutter * norms, falls, out=sums)
+        return found.reshape(len(scales), len(rows), *directions.shape[:-1])
 
     def _exponents(self, directions: np.ndarray) -> np.ndarray:
         """-log of g over its maximum, along each axis of each detection ``(n, 2, N)`` at N directions ``(..., 3)``.
@@ -170,35 +182,44 @@ class Detections:
         return along * along / np.maximum(1 + self.directions @ flat, 1e-9)[:, None]
 
     def ratio(
-        self,
-        directions: np.ndarray,
-        rates: Rates | None = None,
-        share: np.ndarray | float | None = None,
-        least: np.ndarray | float = 0.0,
-        spread: Spread = STATED,
+        self, directions: np.ndarray, share: np.ndarray | float | None = None, least: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """L ``(...)`` at directions ``(..., 3)``, both in the axes of the detections, with `rates` after `Rates.given`.
+        """L ``(...)`` of this look alone at directions ``(..., 3)``, in the axes of the detections.
 
         `share`: v there (default: `self.share`, which takes body axes). `least`: radians, the narrowest width of a
         detection.
         """
-        return np.tensordot(spread.weights, self.ratios_by(spread.scales, directions, rates, share, least), axes=1)
-
-    def ratios_by(
-        self,
-        scales: np.ndarray,
-        directions: np.ndarray,
-        rates: Rates | None = None,
-        share: np.ndarray | float | None = None,
-        least: np.ndarray | float = 0.0,
-    ) -> np.ndarray:
-        """`ratio` ``(S, ...)`` for detections `scales` ``(S,)`` times as wide."""
-        rates = self.rates.given(len(self)) if rates is None else rates
         share = self.share(directions) if share is None else share
-        missed = np.ones(directions.shape[:-1]) - share * rates.recall
+        speaks = 0.0
+        if len(self):
+            alarms = Alarms.prior(self.model).after(np.zeros(len(self)))
+            speaks = alarms.inverse * self.area * self.densities(directions, np.ones(1), self.ratios[None], least)[0, 0]
+        recall = self.model.habits.mean
+        return np.ones(directions.shape[:-1]) + share * recall * (speaks - 1)
+
+    def speaks(
+        self,
+        directions: np.ndarray,
+        scales: np.ndarray,
+        alarms: Alarms,
+        least: np.ndarray | float = 0.0,
+        told: np.ndarray | float = 1.0,
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """S ``(S, ...)``: the sum of g(z_i | w) / lambda(z_i) at directions ``(..., 3)``, at each of `scales` ``(S,)``.
+
+        Also, of the detections that speak for each direction, the mean log score ratio ``(...)``, None without scores,
+        and the mean of `sizes` ``(...)``, None for points. `told` ``(n,)``: factors on the terms of the sum.
+        """
         if not len(self):
-            return np.broadcast_to(missed, (len(scales), *missed.shape))
-        return missed + share * (rates.gain * self.area) * self.densities(directions, scales, least)
+            return np.zeros((len(scales), *directions.shape[:-1])), None, None
+        scored, sized = bool((self.ratios != 1).any()), bool(self.sizes.any())
+        rows = [np.ones(len(self))]
+        rows += [self.log_ratios] if scored else []
+        rows += [self.sizes] if sized else []
+        found = self.densities(directions, scales, np.array(rows) * told, least)
+        means = list(found[:, 1:].sum(axis=0) / np.maximum(found[:, 0].sum(axis=0), 1e-300))
+        scores = means.pop(0) if scored else None
+        return (alarms.inverse * self.area) * found[:, 0], scores, means.pop(0) if sized else None
 
 
 def bump_norms(lengths: np.ndarray) -> np.ndarray:

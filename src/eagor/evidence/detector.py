@@ -7,8 +7,9 @@ at a place with density g(z | w), among false alarms that are Poisson with inten
 
     L(w) = 1 - v(w) P_D + v(w) P_D sum_i s_i g(z_i | w) / lambda(z_i),    s_i = p(score_i | thing) / p(score_i | false).
 
-Its logarithm is the evidence. P_D and lambda are unknown in a new scene; by default both are learnt with the belief
-(`Rates`).
+Looks at the same place are not independent: P_D, the score and what is mistaken for the thing are habits of the place
+(`eagor.evidence.habits`). `eagor.belief.bank` keeps them over many looks. The number of false alarms that do not last
+is learnt with the belief (`Alarms`).
 """
 
 from __future__ import annotations
@@ -16,41 +17,44 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from eagor._checks import above, require, within
 from eagor.errors import ResponseError
-from eagor.evidence.repeating import METRES, SECONDS
+from eagor.evidence.habits import HABIT, KEPT_FOR, KEPT_WITHIN, LOOK_ALIKE_HABIT, Habits, checks, habits
 from eagor.grids import ErpGrid
 
-__all__ = ["DetectorModel", "Rates", "Spread", "model_as_json", "parse_model"]
+__all__ = ["Alarms", "DetectorModel", "Spread", "model_as_json", "parse_model"]
 
 CLUTTER_FLOOR = 1e-3  # least relative density of false alarms: no single detection is a proof
-# The prior of the rates: probabilities of detection and mean numbers of false alarms, with weights.
-RECALLS, RECALL_WEIGHTS = (0.1, 0.3, 0.5, 0.7, 0.9), (0.1, 0.2, 0.2, 0.25, 0.25)
-ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)
+ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)  # mean numbers of false alarms, alike likely before any look
 # Factors by which the true spread may differ from the stated one, and their prior weights.
-SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.04, 0.88, 0.08)
+SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.02, 0.94, 0.04)
 UNLIKELY = 1e-3  # scales with less weight are dropped
 
 
 @dataclass(frozen=True)
 class DetectorModel:
-    """How a detector errs. Each number can be counted on a few labelled frames.
+    """How a detector errs. Each number can be counted on a few labelled frames, or learnt from footage.
 
-    - `detection_probability` (P_D): the probability that a target in view is detected. None: learnt with the belief.
-    - `false_alarms_per_look`: mean number of false alarms in what one look covers. None: learnt.
+    - `detection_probability` (P_D): the probability that a target in view is detected, if it is the same at every
+      place. None: it differs from place to place, as `habit` says.
+    - `false_alarms_per_look`: mean number of false alarms in what one look covers, of those that do not come again.
+      None: learnt with the belief.
     - `spread`: radians (standard deviation per axis) of a detection about the direction of the thing.
-    - `repeats`: share of the mistakes of a look that the next one repeats, in [0, 1); 0: looks are independent. A
-      poster is taken for the target again, and a target overlooked once is overlooked again. Only the share 1 - repeats
-      of a repeated look adds up.
-    - `repeats_for`: seconds in which mistakes fade: a look repeats the share repeats exp(-elapsed / repeats_for) of the
-      look `elapsed` seconds before it. None: they do not fade with time.
-    - `repeats_within`: the same in metres of the camera's way. None: they do not fade with distance.
     - `score_ratios`: pairs (score, ratio) by rising score: how many times likelier the target gives this score than a
-      false alarm does; the logarithm is interpolated between them. None: the ratio is the score itself.
+      false alarm does; the logarithm is interpolated between them. None: the ratio is the score itself. A score is a
+      habit: it counts once for each place.
+    - `look_alikes`: how many places on the whole sphere are taken for the thing again and again, on average. None: 0
+      where `detection_probability` is stated, since looks are independent then, otherwise 0.7.
+    - `habit`, `look_alike_habit`: two numbers of a beta distribution: the share of looks in which a place is detected
+      where the thing is, and where a look-alike is.
+    - `kept_for`, `kept_within`: seconds, and metres of the camera's way, in which places lose their habits
+      (`eagor.evidence.habits`). None: they last.
+    - `offset`: radians (standard deviation per axis), an error on top of `spread` that a place keeps: a box that sits
+      beside the thing does so in the next look. No number of looks averages it out.
     - `clutter`: relative density of false alarms ``(H, W)`` over a panorama in the body frame; its scale does not
       matter. None: uniform.
     """
@@ -58,28 +62,30 @@ class DetectorModel:
     detection_probability: float | None = None
     false_alarms_per_look: float | None = None
     spread: float = math.radians(5)
-    repeats: float = 0.0
     score_ratios: tuple[tuple[float, float], ...] | None = None
+    look_alikes: float | None = None
+    habit: tuple[float, float] = HABIT
+    look_alike_habit: tuple[float, float] = LOOK_ALIKE_HABIT
+    kept_for: float | None = KEPT_FOR
+    kept_within: float | None = KEPT_WITHIN
+    offset: float = 0.0
     clutter: np.ndarray | None = field(default=None, compare=False, repr=False)
-    repeats_for: float | None = None
-    repeats_within: float | None = None
 
     def __post_init__(self) -> None:
         known, alarms = self.detection_probability, self.false_alarms_per_look
         wanted = {
             "detection_probability": (
                 known is None or (above(known, 0, 1) and known < 1),
-                "a probability above 0 and below 1 (0.99 for a very good detector), or None to learn it",
+                "a probability above 0 and below 1 (0.99 for a very good detector), or None for `habit`",
             ),
             "false_alarms_per_look": (alarms is None or above(alarms, 0), "a mean number above 0, or None to learn it"),
             "spread": (
                 within(self.spread, math.radians(0.01), math.radians(60)),
                 "radians, from 0.01 to 60 degrees (given in degrees? use math.radians)",
             ),
-            "repeats": (within(self.repeats, 0, 1) and self.repeats < 1, "a share from 0, below 1"),
-            "repeats_for": (self.repeats_for is None or above(self.repeats_for, 0), SECONDS),
-            "repeats_within": (self.repeats_within is None or above(self.repeats_within, 0), METRES),
             "score_ratios": (_is_curve(self.score_ratios), "pairs (score, ratio), scores rising, ratios above 0"),
+            "offset": (within(self.offset, 0, math.radians(60)), "radians, from 0 to 60 degrees"),
+            **checks(self),
         }
         require(self, wanted, ResponseError)
         if self.clutter is not None:
@@ -90,6 +96,18 @@ class DetectorModel:
             density = density / (np.sum(density * grid.weights) / (4 * math.pi))
             density.setflags(write=False)
             object.__setattr__(self, "clutter", density)
+
+    @property
+    def habits(self) -> Habits:
+        """How often places are detected, and for how long."""
+        return habits(
+            self.detection_probability,
+            self.habit,
+            self.look_alikes,
+            self.look_alike_habit,
+            self.kept_for,
+            self.kept_within,
+        )
 
     def ratios(self, scores: np.ndarray | None, count: int) -> np.ndarray:
         """s ``(n,)``: how much likelier each score is for the target than for a false alarm; 1 without scores."""
@@ -123,58 +141,42 @@ def _is_curve(curve: Sequence[Sequence[float]] | None) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Rates:
-    """The posterior of a detector's rates: joint weights ``(R, A)`` of `recalls` ``(R,)`` and `alarms` ``(A,)``.
+class Alarms:
+    """The posterior of the mean number of false alarms in a look: weights ``(A,)`` of `numbers` ``(A,)``.
 
-    A rate that the model states has a single value, and nothing is learnt.
+    A number that the model states has weight 1, and nothing is learnt.
     """
 
-    recalls: np.ndarray
-    alarms: np.ndarray
+    numbers: np.ndarray
     weights: np.ndarray
 
     @classmethod
-    def prior(cls, model: DetectorModel) -> Rates:
+    def prior(cls, model: DetectorModel) -> Alarms:
         """Before any look."""
-        known, number = model.detection_probability, model.false_alarms_per_look
-        recalls = np.array(RECALLS if known is None else (known,))
-        share = np.array(RECALL_WEIGHTS if known is None else (1.0,))
-        alarms = np.array(ALARMS if number is None else (number,))
-        weights = share[:, None] * np.full(len(alarms), 1 / len(alarms))
-        return cls(recalls, alarms, weights)
+        stated = model.false_alarms_per_look
+        numbers = np.array(ALARMS if stated is None else (stated,))
+        return cls(numbers, np.full(len(numbers), 1 / len(numbers)))
 
-    def given(self, count: int) -> Rates:
-        """Updated by a look of `count` detections, all of them false alarms."""
-        log = count * np.log(self.alarms) - self.alarms
+    def after(self, explained: np.ndarray) -> Alarms:
+        """After a look with n detections.
+
+        `explained` ``(n,)``: the density of detections at each of them that has other causes, relative to that of one
+        false alarm per look.
+        """
+        if len(self.numbers) == 1:
+            return self
+        log = np.log(self.numbers[:, None] + explained).sum(axis=1) - self.numbers
         weights = self.weights * np.exp(log - log.max())
         return replace(self, weights=weights / weights.sum())
 
     @property
-    def recall(self) -> float:
-        """The mean of P_D."""
-        return float(self.weights.sum(axis=1) @ self.recalls)
+    def inverse(self) -> float:
+        """The mean of 1 / number, the weight of one detection."""
+        return float(self.weights @ (1 / self.numbers))
 
-    @property
-    def false_alarms(self) -> float:
-        """The mean number of false alarms in a look."""
-        return float(self.weights.sum(axis=0) @ self.alarms)
-
-    @property
-    def gain(self) -> float:
-        """The mean of P_D / (number of false alarms), the weight of one detection."""
-        return float(self.recalls @ self.weights @ (1 / self.alarms))
-
-    def learnt(self, presence: float, covered: float, expected: float) -> Rates:
-        """After a look whose number of detections `given` has taken in.
-
-        `presence`: probability of the target before the look; `covered`: share of its density that was looked at;
-        `expected`: the sum over the detections of s_i g(z_i) / lambda(z_i) at one false alarm per look, with g under
-        that density.
-        """
-        recalls = self.recalls[:, None]
-        seen = 1 - recalls * covered + (recalls / self.alarms) * expected
-        weights = self.weights * (1 - presence + presence * seen)
-        return replace(self, weights=weights / weights.sum())
+    def share(self, explained: np.ndarray) -> np.ndarray:
+        """The weights ``(n,)`` of detections with such other causes (as for `after`), relative to `inverse`."""
+        return self.weights @ (1 / (self.numbers[:, None] + explained)) / self.inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,33 +214,40 @@ class Spread:
 STATED = Spread(np.ones(1), np.ones(1), np.ones(1))
 
 
-@lru_cache(maxsize=1)
-def _names() -> dict[str, str]:
-    same = {name: name for name in ("spread", "repeats", "repeats_for", "repeats_within")}
-    return {"pd": "detection_probability", "clutter": "false_alarms_per_look", **same}
+_WORDS = tuple(f.name for f in fields(DetectorModel) if f.name not in ("clutter", "score_ratios"))
+_UNKNOWN = ("detection_probability", "false_alarms_per_look", "look_alikes", "kept_for", "kept_within")  # may be None
+_DEGREES = ("spread", "offset")
 
 
 def parse_model(text: str, base: DetectorModel | None = None) -> DetectorModel:
-    """The model in a line of text: ``pd=0.7,clutter=0.2,spread=5,repeats=0.3,repeats_for=2,repeats_within=1``.
+    """The model in a line of text: ``detection_probability=0.7,false_alarms_per_look=0.2,spread=5,look_alikes=0``.
 
-    The spread is in degrees, `repeats_for` in seconds, `repeats_within` in metres. What the text leaves out is taken
-    from `base` (default: `DetectorModel()`); ``pd=?`` and ``clutter=?`` say "not known". Raises `ResponseError`.
+    The words are the fields of `DetectorModel`; angles in degrees, a beta distribution as ``habit=0.8+0.8``. What the
+    text leaves out is taken from `base` (default: `DetectorModel()`); ``false_alarms_per_look=?`` says "not known".
+    Raises `ResponseError`.
     """
-    found: dict[str, float | None] = {}
+    found: dict[str, Any] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         key, _, value = (piece.strip() for piece in part.partition("="))
-        if key not in _names() or not value or _names()[key] in found:
-            known = ", ".join(_names())
-            raise ResponseError(f"{part!r} in {text!r}; wanted pd=0.7,clutter=0.2,spread=5 with some of {known}, once")
-        if value == "?" and key in ("pd", "clutter"):
-            found[_names()[key]] = None
-            continue
-        try:
-            number = float(value)
-        except ValueError:
-            raise ResponseError(f"{part!r} in {text!r}: {value!r} is not a number") from None
-        found[_names()[key]] = math.radians(number) if key == "spread" else number
-    return replace(base or DetectorModel(), **found)  # type: ignore[arg-type]
+        if key not in _WORDS or not value or key in found:
+            raise ResponseError(f"{part!r} in {text!r}; wanted spread=5,look_alikes=0 with some of {', '.join(_WORDS)}")
+        found[key] = parsed_field(key, value, part, text)
+    return replace(base or DetectorModel(), **found)
+
+
+def parsed_field(key: str, value: str, part: str, text: str) -> Any:
+    """The value of one field of `DetectorModel` from text. Raises `ResponseError` that names the `part` of `text`."""
+    if value == "?" and key in _UNKNOWN:
+        return None
+    try:
+        numbers = [float(each) for each in value.split("+")]
+    except ValueError:
+        raise ResponseError(f"{part!r} in {text!r}: {value!r} is not a number") from None
+    if key.endswith("habit"):
+        return tuple(numbers)
+    if len(numbers) > 1:
+        raise ResponseError(f"{part!r} in {text!r}: wanted one number")
+    return math.radians(numbers[0]) if key in _DEGREES else numbers[0]
 
 
 def model_as_json(model: DetectorModel) -> dict[str, object]:

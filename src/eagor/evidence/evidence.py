@@ -11,7 +11,6 @@ otherwise a small thing would nearly vanish.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -26,8 +25,8 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.coverage import Region, confine, region, taper
 from eagor.evidence.detections import Detections, View, anisotropic, isotropic
 from eagor.evidence.detector import DetectorModel
+from eagor.evidence.habits import Habits
 from eagor.evidence.masking import BodyMask
-from eagor.evidence.repeating import Repeating
 from eagor.evidence.response import SILENT, checked_coverage, checked_response, log_ratios, peak_of, where_covered
 from eagor.evidence.shapes import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
@@ -65,8 +64,7 @@ class Evidence:
         elif len(self.log_ratio.shape) > 2:
             what = f"batch {tuple(self.log_ratio.shape[:-2])} of {what}"
         stamp = "no stamp" if self.stamp is None else f"t={self.stamp:g} s"
-        read = self.calibration if self.detections is None else self.detections.model
-        return f"Evidence({stamp}, {what} on {type(self.grid).__name__}, read by {changed(read)})"
+        return f"Evidence({stamp}, {what} on {type(self.grid).__name__}, read by {changed(self.read_with)})"
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""
@@ -99,8 +97,11 @@ class Evidence:
         """
         model = detector or DetectorModel()
         points = np.array([centre for centre, _ in found]).reshape(-1, 3)
-        covariances = np.array([spread for _, spread in found]).reshape(-1, 2, 2) + model.spread**2 * np.eye(2)
-        detections = Detections.around(model, points, anisotropic(points, covariances), scores, view)
+        own = np.array([spread for _, spread in found]).reshape(-1, 2, 2)
+        # A box whose solid angle has the standard deviation s along an axis goes sqrt(3) s to each side.
+        sizes = np.minimum(np.sqrt(3 * np.linalg.eigvalsh(own).max(axis=-1, initial=0.0)), np.pi)
+        axes = anisotropic(points, own + model.spread**2 * np.eye(2))
+        detections = Detections.around(model, points, axes, scores, view, sizes)
         return cls.from_detections(detections, canvas_of(view.grid), stamp)
 
     @property
@@ -329,27 +330,14 @@ class Evidence:
         return replace(self, drawn=ratio, coverage=kept, seen=region(self.grid, coverage > 0))
 
     @property
-    def repeats(self) -> float:
-        """The share of this look that an immediate next look repeats."""
-        return self.calibration.persistence if self.detections is None else self.detections.model.repeats
+    def read_with(self) -> Calibration | DetectorModel:
+        """What turns it into likelihood ratios."""
+        return self.calibration if self.detections is None else self.detections.model
 
     @property
-    def repeating(self) -> Repeating:
-        """That share, and how it fades."""
-        if self.detections is None:
-            read = self.calibration
-            return Repeating(read.persistence, read.persists_for, read.persists_within)
-        model = self.detections.model
-        return Repeating(model.repeats, model.repeats_for, model.repeats_within)
-
-    @property
-    def bias(self) -> float:
-        """The part of this look's angular error (radians) that the next look repeats.
-
-        Of the variance of the spread, the share `repeats` is common to all looks until it fades (`repeating`).
-        """
-        spread = self.calibration.spread if self.detections is None else self.detections.model.spread
-        return spread * math.sqrt(self.repeats)
+    def habits(self) -> Habits:
+        """How often places are detected, and for how long they keep that."""
+        return self.read_with.habits
 
 
 _DEFAULT = Calibration()

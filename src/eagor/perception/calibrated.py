@@ -18,7 +18,8 @@ from eagor.perception import short_name
 from eagor.tracking.motion import MotionModel
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
-LASTING = ("persists_for", "persists_within")  # fields that a file may omit
+# What older versions wrote of response maps, and of detectors, whose places have habits now.
+GONE = ("persists_for", "persists_within", "repeats", "repeats_for", "repeats_within")
 FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: radians, rates per second
 
 
@@ -52,8 +53,7 @@ class Calibrated:
         parts: dict[str, Any] = {"perception": self.perception}
         if self.calibration is not None:
             told = asdict(self.calibration)
-            kept = (*READING, *(name for name in LASTING if told[name] is not None))
-            parts["calibration"] = {key: told[key] for key in kept}
+            parts["calibration"] = {key: told[key] for key in READING}
         if self.detector is not None:
             parts["detector"] = model_as_json(self.detector)
         return parts | {"forgetting": self.forgetting, "found_by": self.found_by}
@@ -63,24 +63,28 @@ class Calibrated:
         written(file, json.dumps(self.as_json(), indent=1) + "\n")
 
 
-def calibration_of(values: Mapping[str, float]) -> Calibration:
+def calibration_of(values: Mapping[str, Any]) -> Calibration:
     """The calibration with these values. Raises `KeyError` if one of `READING` is missing."""
-    floor, neutral, temperature, persistence, spread = (values[name] for name in READING)
-    seconds, metres = (values.get(name) for name in LASTING)
-    return Calibration(floor, neutral, temperature, persistence, spread, persists_for=seconds, persists_within=metres)
+    _only(values, READING)
+    floor, neutral, temperature, persistence, spread = (number(values[name]) for name in READING)
+    return Calibration(floor, neutral, temperature, persistence, spread)
 
 
 def detector_of(values: Mapping[str, Any]) -> DetectorModel:
     """The detector model from the output of `model_as_json`. Raises `EagorError` for anything else."""
-    known = model_as_json(DetectorModel())
-    _only(values, known)
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        if key == "score_ratios":
-            found[key] = value and tuple((number(score), number(ratio)) for score, ratio in value)
-        else:
-            found[key] = None if value is None else number(value)
-    return DetectorModel(**found)
+    _only(values, model_as_json(DetectorModel()))
+    return DetectorModel(**{key: _field(key, value) for key, value in values.items()})
+
+
+def _field(key: str, value: Any) -> Any:
+    """A field of a detector's model from JSON."""
+    if value is None:
+        return None
+    if key == "score_ratios":
+        return tuple((number(score), number(ratio)) for score, ratio in value)
+    if key in ("habit", "look_alike_habit"):
+        return tuple(number(each) for each in value)
+    return number(value)
 
 
 def from_json(stored: Any, source: str) -> Calibrated:
@@ -95,8 +99,7 @@ def from_json(stored: Any, source: str) -> Calibrated:
             raise EagorError("has neither a calibration nor a detector")
         calibration = None
         if reading is not None:
-            _only(reading, (*READING, *LASTING))
-            calibration = calibration_of({key: number(value) for key, value in reading.items() if value is not None})
+            calibration = calibration_of(reading)
         detector = None if model is None else detector_of(model)
         found = Calibrated(str(stored["perception"]), calibration, forgetting, {**stored.get("found_by", {})}, detector)
         MotionModel(**forgetting)  # raises for rates out of range
@@ -117,6 +120,11 @@ def _rates(value: Any) -> tuple[float, ...]:
 
 def _only(values: Mapping[str, Any], known: Any) -> None:
     """Raise `EagorError` for a name that is not in `known`."""
+    if old := [key for key in GONE if key in values and key not in known]:
+        raise EagorError(
+            f"sets {', '.join(old)}, as older versions did (detectors have habit and look_alikes now): run "
+            "`eagor calibrate` again, or leave these words out"
+        )
     if unknown := sorted(values.keys() - {*known}):
         raise EagorError(f"sets {shown(', '.join(unknown))}; known are {', '.join(known)}")
 

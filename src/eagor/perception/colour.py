@@ -103,7 +103,7 @@ class ColourPerception:
 
     calibration: Calibration | None = None
     rows: int = 256
-    detector: DetectorModel = field(default_factory=lambda: DetectorModel(repeats=0.5))
+    detector: DetectorModel = field(default_factory=DetectorModel)
 
     def __post_init__(self) -> None:
         require(self, {"rows": (whole(self.rows, 1), "a whole number, 1 or more")})

@@ -7,14 +7,13 @@ what it costs (`eagor.tasks.searcher`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.evidence.detector import Rates
-from eagor.evidence.repeating import Repeating
+from eagor.evidence.habits import Habits
 from eagor.sphere import wrap
 
 LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says
@@ -24,12 +23,14 @@ LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibrat
 class Chance:
     """What chance a look has to find what is in sight.
 
-    `recall`: the probability that it reports it. `repeating`: how far it repeats the mistakes of the look before, which
-    was taken `elapsed` seconds earlier: what was overlooked there is overlooked again.
+    `recall`: the probability that it reports it. `repeats`: the share of the mistakes of the look before that it
+    repeats, which was taken `elapsed` seconds earlier: what was overlooked there is overlooked again. `habits`: of the
+    detector, which fade with time and distance; None: nothing fades.
     """
 
     recall: float = 0.5
-    repeating: Repeating = field(default_factory=Repeating)
+    repeats: float = 0.0
+    habits: Habits | None = None
     elapsed: float = 0.0
 
     @classmethod
@@ -40,12 +41,16 @@ class Chance:
         it reports nothing, which is most of what it covers. If that is 1 or more, silence says nothing.
         """
         if evidence.detections is not None:
-            recall = Rates.prior(evidence.detections.model).recall
-        else:
-            logs = np.asarray(evidence.log_ratio, dtype=np.float64)
-            logs = logs if evidence.coverage is None else logs[evidence.coverage > 0.5]
-            recall = -float(np.expm1(np.median(logs))) if logs.size else 0.0
-        return cls(max(recall, LEAST), evidence.repeating, elapsed)
+            habits = evidence.detections.model.habits
+            return cls(max(habits.mean, LEAST), habits.correlation, habits, elapsed)
+        logs = np.asarray(evidence.log_ratio, dtype=np.float64)
+        logs = logs if evidence.coverage is None else logs[evidence.coverage > 0.5]
+        recall = -float(np.expm1(np.median(logs))) if logs.size else 0.0
+        return cls(max(recall, LEAST), evidence.calibration.persistence, None, elapsed)
+
+    def left(self, moved: float) -> float:
+        """The share of the habits of places that is still the same `moved` metres after the look before."""
+        return 1.0 if self.habits is None else 1 - self.habits.anew(self.elapsed, moved)
 
 
 class Space(Protocol):

@@ -326,25 +326,30 @@ def _rate(key: str, text: str) -> float | None:
     return None if text == "?" else _number(key, text)
 
 
+def _beta(key: str, text: str) -> tuple[float, ...]:
+    return tuple(_number(key, each) for each in text.split("+"))
+
+
 def _kinds(key: str, text: str) -> tuple[float, ...]:
     found = tuple(_number(key, each) for each in text.split("+"))
     return () if found == (0.0,) else found
 
 
 _READING = ("floor", "neutral", "temperature")
-_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "drift")  # in degrees
+# In degrees.
+_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "offset", "drift")
 # The settings of our tracker: the part of its configuration that each belongs to, its field, and its parser.
 _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
     "degree": ("", "degree", _whole),
     "decode": ("answers", "decode", _decode),
+    **{key: ("calibration", key, _number) for key in (*_READING, "persistence", "spread")},
     **{
-        key: ("calibration", key, _number)
-        for key in (*_READING, "persistence", "persists_for", "persists_within", "spread")
+        key: ("detector", key, _rate)
+        for key in ("detection_probability", "false_alarms_per_look", "kept_for", "kept_within")
     },
-    "pd": ("detector", "detection_probability", _rate),
-    "clutter": ("detector", "false_alarms_per_look", _rate),
+    **{key: ("detector", key, _beta) for key in ("habit", "look_alike_habit")},
+    **{key: ("detector", key, _number) for key in ("look_alikes", "offset")},
     "dspread": ("detector", "spread", _number),
-    **{key: ("detector", key, _number) for key in ("repeats", "repeats_for", "repeats_within")},
     "shells": ("", "ranges", _shells),
     "heights": ("", "floor_height", _heights),
     **{key: ("target_motion", key, _kinds) for key in ("wander", "turn")},
@@ -377,10 +382,11 @@ def tracker_config(
     - degree, decode; shells (0: directions only), heights (0: unknown floor height);
     - target motion: wander (degrees per root second) and turn (degrees per second; several kinds are joined by +,
       0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second);
-    - response maps: floor, neutral, temperature, persistence, persists_for (seconds), persists_within (metres), spread
-      (degrees). They change `calibration` if the config has none of its own;
-    - detections: pd, clutter (?: estimated online), dspread (degrees), repeats, repeats_for (seconds), repeats_within
-      (metres). They change `detector` if the config has none of its own.
+    - response maps: floor, neutral, temperature, persistence, spread (degrees). They change `calibration` if the config
+      has none of its own;
+    - detections: detection_probability (?: differs from place to place), false_alarms_per_look (?: learnt online),
+      dspread and offset (degrees), look_alikes, habit and look_alike_habit (two numbers joined by +), kept_for
+      (seconds), kept_within (metres). They change `detector` if the config has none of its own.
     """
     found: dict[str, dict[str, Any]] = {
         part: {} for part in ("", "calibration", "detector", "target_motion", "answers")

@@ -61,7 +61,7 @@ class SearchedGround:
             return
         moved = 0.0 if self._from is None else float(np.hypot(*(here - self._from)))
         self._chance, self._from = now.chance, here
-        self.known.looked *= now.chance.repeating.left(now.chance.elapsed, moved)
+        self.known.looked *= now.chance.left(moved)
         self.looked_from(here, now.yaw)
 
     def looked_from(self, place: np.ndarray, yaw: float) -> None:
@@ -118,7 +118,7 @@ class SearchedGround:
 
         Of what repeats the mistakes of earlier looks only the share 1 - repeats tells something, as in a belief.
         """
-        return 1 - (1 - self._chance.recall) ** (1 - self._chance.repeating.share * self.known.looked)
+        return 1 - (1 - self._chance.recall) ** (1 - self._chance.repeats * self.known.looked)
 
     def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Along `count` rays from cells ``(n, 2)``: padded cells (flat), and how likely one sees them.

@@ -13,44 +13,49 @@ stand (`standing`). Such a sum cannot absorb a target that stops only now, so th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.belief.field import Patch, SphereField, bent, blurred
+from eagor.belief.bank import Bank, log_detected
+from eagor.belief.field import LARGEST, Patch, SphereField, bent, blurred
+from eagor.belief.ranged import RangedBelief
 from eagor.belief.reading import Reading
 from eagor.belief.windows import REACH
-from eagor.evidence.detector import Rates
-from eagor.evidence.repeating import NONE_YET, CommonError
+from eagor.evidence.detections import Detections, resolved
+from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid
-from eagor.harmonics import RealHarmonics
-from eagor.tracking.look import Look, Sight
+from eagor.tracking.look import Look, Shares, Sight
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.standing import Standing
 from eagor.tracking.turning import Turning
 from eagor.tracking.wandering import Wandering
 
+_RISE = 0.35  # nats over the typical place: less is no peak, where most of the sphere was never detected
+_FAR = 4.0  # standard deviations from a detection: cells beyond do not count when movers are judged
 _UNHEARD = 1e-5  # of the belief: cells with less do not count when the detector is learnt
 _LEAST_NEW = 1e-6  # of a mean density: the lowest density of a target that comes to stand
 _UNLIKELY = 0.05  # if turning is less likely than this, it counts as standing
-_LARGEST = 700.0  # nats: the exponential still fits a float64
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
     """The cases and their probabilities: absent, standing, wandering in one of several ways, turning. World axes.
 
-    `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `bias`:
-    radians by which all looks together may be off: the part of their error that all of them share (`common`).
+    `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `moves`:
+    the habits of a moving target, and of a look-alike that moves as it does, which explains as well what the target
+    would; `alike`: log(1 + Q) of that. `offset`: radians by which all looks together may be off.
     """
 
     weights: np.ndarray
     standing: Standing
     wandering: Wandering
     turning: Turning | None = None
-    bias: float = 0.0
-    common: CommonError = NONE_YET
+    moves: Bank | None = None
+    alike: float = 0.0
+    offset: float = 0.0
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
@@ -81,8 +86,8 @@ class Cases:
         """log of (density / uniform density), given that the target is present; answers are read from it."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
-        if self.bias > 0:
-            stands = _with_bias(stands, self.bias)
+        if self.offset > 0:
+            stands = _with_offset(stands, self.offset)
         turns = float(shares[-1]) if self.turning is not None else 0.0
         stays = float(shares[0])
         if turns < _UNLIKELY:
@@ -113,39 +118,50 @@ class Cases:
             patches.append(patch.like(np.logaddexp(patch.values, np.log(moving))))
         moving = moves(wandering, self.grid.directions)
         # Like `logaddexp`, ten times as fast; values are too large for it only where patches lie.
-        values = np.log(np.exp(np.minimum(stands.values, _LARGEST)) + np.maximum(moving, 1e-300))
+        values = np.log(np.exp(np.minimum(stands.values, LARGEST)) + np.maximum(moving, 1e-300))
         return SphereField(self.grid, values, tuple(patches))
 
     @lazy
     def reading(self) -> Reading:
         """The `Reading` of `field`."""
-        return Reading(self.field)
+        if self.standing.bank is None:
+            return Reading(self.field)
+        return Reading(self.field, float(np.median(self.field.values)) + _RISE)
 
     def after(
         self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
     ) -> Cases:
         """After `elapsed` seconds, in which the body has moved by `step` ``(3,)`` metres; `drift`: of the odometry."""
-        standing, common = self.standing, self.common
+        standing, moves = self.standing, self.moves
         if step is not None and step.any():
             standing = standing.moved(step, height)
+        if standing.bank is not None:
+            own = standing.bank.habits
+            moved = 0.0 if step is None else float(np.linalg.norm(step))
+            anew = own.anew(elapsed, moved)
+            standing = standing.renewed(anew)
+            moves = None if moves is None else moves.renewed(anew)
+        kept = self
+        if standing is not self.standing or moves is not self.moves:
+            kept = replace(self, standing=standing, moves=moves)
         if elapsed <= 0:
-            return self if standing is self.standing else replace(self, standing=standing)
+            return kept
         flows = self.weights[:, None] * motion.transitions(elapsed)
         stands = self._standing_density() if len(self.wandering) and flows[1, 2:].any() else 0.0
         wandering = self.wandering.after(elapsed, motion, drift, flows, stands)
         turning = self._turned(flows, elapsed, motion, drift)
         if drift > 0:
             standing = _drifted(standing, drift, elapsed)
-        kept, newly = flows[1, 1], np.delete(flows[:, 1], 1)
+        stays, newly = flows[1, 1], np.delete(flows[:, 1], 1)
         spread, others = standing.spread, np.delete(flows, 1, axis=1)
         left = float(others[1].sum() / max(others.sum(), 1e-300))  # the share that stood before
         if left > 0:
             standing = standing.spreading(replace(spread, otherwise=spread.mixed(left).weights))
-        if newly.sum() > kept:  # it has stopped just now
-            standing, common = self._restarted(standing, newly), NONE_YET
+        if newly.sum() > stays:  # it has stopped just now
+            standing = self._restarted(standing, newly)
         weights = flows.sum(axis=0)
         weights = weights / weights.sum()
-        return replace(self, weights=weights, standing=standing, wandering=wandering, turning=turning, common=common)
+        return replace(kept, weights=weights, standing=standing, wandering=wandering, turning=turning)
 
     def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> Turning | None:
         """The turning target after `elapsed` seconds, with the inflow from the other cases."""
@@ -166,23 +182,8 @@ class Cases:
         return turned.mixed(float(inflow.sum()) / total, tops.reshape(-1, 3), begun * masses, covariances)
 
     def _standing_density(self) -> np.ndarray:
-        """The standing target's density over a uniform one, on the grid ``(H, W)``.
-
-        Patches are integrated over the cells, which are too wide to sample a sharp peak.
-        """
-        field, level = self.standing.field, self.standing.log_mean
-        found = np.exp(np.minimum(field.values - level, _LARGEST)).reshape(-1)
-        weights = field.grid.weights.reshape(-1)
-        for patch, shares in zip(field.patches, field.shares, strict=True):
-            inside = patch.cells(field.grid)
-            mass = float(np.sum(np.exp(np.minimum(patch.values - level, _LARGEST)) * shares))
-            cells = float(found[inside] @ weights[inside])
-            if cells > 0:
-                found[inside] *= mass / cells
-            elif not len(inside):  # the patch contains no cell centre
-                nearest = int((field.grid.directions @ patch.frame[0]).argmax())
-                found[nearest] += mass / weights.min()
-        return found.reshape(field.grid.shape)
+        """The standing target's density over a uniform one, on the grid ``(H, W)``."""
+        return self.standing.field.averaged(self.standing.log_mean)
 
     def _restarted(self, standing: Standing, newly: np.ndarray) -> Standing:
         """A target that has just come to stand, where it was wandering, or anywhere.
@@ -193,86 +194,164 @@ class Cases:
         if self.turning is not None and newly[-1] > 0:
             density = density + newly[-1] * self.turning.density(self.grid.directions)
         density = np.broadcast_to(density, self.grid.shape)
-        field = np.log(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
-        blank = standing.blank()
-        blank = blank.spreading(replace(blank.spread, weights=blank.spread.otherwise))
-        return replace(blank, coarse=blank.coarse.plus(RealHarmonics(standing.degree).analyse(field, self.grid)))
+        return standing.restarted(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
 
     def updated(
-        self, sight: Sight, rates: Rates | None, passing: Look | None, since: np.ndarray | None
-    ) -> tuple[Cases, Look, Rates | None]:
-        """After one more look; also returns the look as log ratios, and the detector's rates after it.
+        self, sight: Sight, alarms: Alarms | None, passing: Look | None, since: np.ndarray | None
+    ) -> tuple[Cases, Look, Alarms | None]:
+        """After one more look; also returns the look, and the number of false alarms after it.
 
-        `passing`: the look before it, of which this one repeats a share; the body has moved by `since` from there.
+        `passing`: the look before it, of whose response maps this one repeats a share; the body has moved by `since`
+        from there.
         """
-        standing, before = self.standing, self.standing.log_mean
+        standing, before, habits = self.standing, self.standing.log_mean, sight.habits
+        repeated = 0.0 if passing is None else passing.sight.repeats
+        if passing is not None and repeated > 0:
+            standing = standing.mapped(passing, -repeated, since)
+        look, alarms = self._read(sight, alarms)
         if sight.detections is not None:
             standing = standing.detecting()
-        elapsed = 0.0 if passing is None else sight.stamp - passing.sight.stamp
-        moved = 0.0 if since is None else float(np.linalg.norm(since))
-        repeated = 0.0 if passing is None else passing.sight.repeating.after(elapsed, moved)
-        if passing is not None and repeated > 0:
-            standing = standing.plus(passing, -repeated, since)
-        look = sight.read(rates, standing.spread)
-        learnt = rates
-        if sight.detections is not None:
-            learnt = self._learnt(sight, look)
-        # If the body has moved, the windows were already redrawn for this place.
-        fresh = since is not None and bool(since.any())
+        # If the body has moved, windows with ranges were already redrawn for this place.
+        fresh = since is not None and bool(since.any()) and isinstance(standing.coarse, RangedBelief)
         standing = standing.opened(look).plus(look).focused(fresh)
         gains = np.zeros(len(self.weights))
         gains[1] = standing.log_mean - before
-        wandering, gains[2 : 2 + len(self.wandering)] = self.wandering.updated(look, passing, repeated)
+        moves, recall = self.moves, 1.0
+        if habits is not None:
+            moves = Bank.blank(habits, ()) if moves is None else moves.read_with(habits)
+            recall = float(moves.recall)
+        log = look.moving(recall)
+        ratio = np.exp(log)
+        new = ratio if repeated == 0 or passing is None else ratio * np.exp(-repeated * passing.values)
+        wandering, gains[2 : 2 + len(self.wandering)] = self.wandering.updated(ratio, new)
         turning, foretold = self.turning, np.zeros(1)
         if turning is not None:
-            turning, gains[-1], foretold = turning.updated(look, passing, repeated)
-        spread = self._otherwise(look, foretold)
-        log = np.log(np.maximum(self.weights, 1e-300)) + gains
-        weights = np.exp(log - log.max())
-        weights /= weights.sum()
-        taken = repeated if passing is not None and passing.sight.tells else 0.0
-        common = self.common.with_look(sight.repeating.left(elapsed, moved), taken, sight.tells)
-        bias = sight.bias * math.sqrt(common.correlation) if sight.repeating.fades else sight.bias
+            last = None if passing is None else SphereField(self.grid, passing.values)
+            turning, gains[-1], foretold = turning.updated(look.sightings(recall), last, repeated)
+        spread = self._otherwise(look, foretold, recall)
+        weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
-        return Cases(weights, standing, wandering, turning, bias, common), look, learnt
+        return Cases(weights, standing, wandering, turning, moves, alike, sight.offset), look, alarms
 
-    def _otherwise(self, look: Look, turns: np.ndarray) -> np.ndarray:
+    def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None]:
+        """A look as likelihood ratios, and the number of false alarms after it."""
+        if sight.detections is None or sight.habits is None:
+            return sight.read(None, self.standing.spread), alarms
+        before = Alarms.prior(sight.detections.model) if alarms is None else alarms
+        alike, target = self._explained(sight)
+        given = before.after(alike)
+        shares = None
+        if sight.habits.look_alikes:
+            passing = self._passing(sight)
+            their = 0.0 if self.moves is None else -math.expm1(-self.alike) * float(self.moves.alike_recall)
+            shares = Shares(given.share(their * passing), given.share(alike), passing)
+        return sight.read(given, self.standing.detecting().spread, shares), before.after(alike + target)
+
+    def _weighed(self, gains: np.ndarray, look: Look, moves: Bank | None) -> tuple[np.ndarray, Bank | None, float]:
+        """The weights of the cases after these `gains` in log likelihood; habits and `alike` of what moves."""
+        log = np.log(np.maximum(self.weights, 1e-300)) + gains
+        alike = 0.0
+        moving = self.weights[2:]
+        if moves is not None and look.world is not None and moving.sum() > 0:
+            before = 0.0 if self.moves is None else float(self.moves.log_score)
+            told = float(moving @ np.exp(gains[2:])) / float(moving.sum())
+            moves = moves.after(look.heard(told, float(moves.recall)), np.ones(1))
+            log[2:] += self.alike + float(moves.log_score) - before
+            if len(moves.alike):  # it explains as well what a moving target would
+                many = math.log(moves.habits.look_alikes) + float(moves.lead + log_detected(moves))
+                alike = float(np.logaddexp(0.0, np.logaddexp.reduce(log[2:]) - log[0] + many))
+                log[2:] -= alike
+        weights = np.exp(log - log.max())
+        return weights / weights.sum(), moves, alike
+
+    def _passing(self, sight: Sight) -> np.ndarray:
+        """The density of detections at each of those of a look ``(n,)`` that one moving thing causes if detected.
+
+        Relative to that of one false alarm a look.
+        """
+        found, moving = sight.detections, self.weights[2:]
+        assert found is not None
+        if not len(found) or not moving.sum():
+            return np.zeros(len(found))
+        shares, spread, least = moving / moving.sum(), self.standing.spread, resolved(sight.degree)
+        world = found.turned(sight.world_R_body)
+        near = _near(self.grid, world, float(spread.scales.max()), least)
+        directions = self.grid.directions.reshape(-1, 3)[near]
+        density = np.zeros(len(near))
+        if len(self.wandering):
+            density += self.wandering.mixed(shares[: len(self.wandering)]).reshape(-1)[near]
+        if self.turning is not None and shares[-1] > _UNLIKELY:
+            density += shares[-1] * self.turning.density(directions)
+        amounts = density * self.grid.weights[:, 0][near // self.grid.width] / (4 * math.pi)
+        drawn = world.densities(directions, spread.scales, np.eye(len(found)), least)
+        return found.area * (spread.otherwise @ (drawn @ amounts))
+
+    def _otherwise(self, look: Look, turns: np.ndarray, recall: float) -> np.ndarray:
         """The weights of the scales ``(S,)`` if the target does not stand, after a look.
 
         `turns` ``(S,)``: how likely it was for each of them if the target turns.
         """
         otherwise = look.spread.otherwise
-        if look.by_scale is None or len(otherwise) == 1:
+        if look.world is None or len(otherwise) == 1:
             return otherwise
         foretold = np.full(len(otherwise), self.weights[0])
         if len(self.wandering):
             roams = self.wandering.mixed(self.weights[2 : 2 + len(self.wandering)])
-            foretold += look.by_scale.reshape(len(foretold), -1) @ (roams * self.grid.weights / (4 * math.pi)).ravel()
+            told = look.fresh.gains(recall)
+            foretold += told.reshape(len(foretold), -1) @ (roams * self.grid.weights / (4 * math.pi)).ravel()
         if self.turning is not None:
             foretold += self.weights[-1] * turns
         return otherwise * foretold / (otherwise @ foretold)
 
-    def _learnt(self, sight: Sight, look: Look) -> Rates:
-        """The detector's rates, learnt from the look."""
-        assert look.rates is not None
-        assert look.world is not None
-        if look.rates.weights.size == 1:
-            return look.rates
-        values, weights, directions = self.field.nodes
-        mass = np.exp(np.minimum(values - self.field.log_mean, _LARGEST)) * weights / (4 * math.pi)
-        counts = np.flatnonzero(mass > _UNHEARD)
-        mass, directions = mass[counts], directions.take(counts, axis=0)
-        mass = mass / mass.sum()
-        share: np.ndarray | float = 1.0
-        if look.world.views:
-            share = look.world.share(directions @ sight.world_R_body)
-        covered = float(np.sum(mass * share))
-        expected = 0.0
-        if len(look.world):
-            found = look.world.densities(directions, look.spread.scales) @ (mass * share)
-            stands = float(self.weights[1]) / max(self.presence, 1e-300)
-            expected = float(look.spread.mixed(stands).weights @ found) * look.world.area
-        return look.rates.learnt(self.presence, covered, expected)
+    def _explained(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
+        """The density of detections at each of those of a look ``(n,)``, relative to that of one false alarm a look.
+
+        Of what known look-alikes cause, and of what the target causes.
+        """
+        found, bank, habits = sight.detections, self.standing.bank, sight.habits
+        assert found is not None
+        assert habits is not None
+        none = np.zeros(len(found))
+        known = found.model.false_alarms_per_look is not None
+        if not len(found) or (known and not habits.look_alikes):
+            return none, none
+        world = found.turned(sight.world_R_body)
+        if bank is None or not habits.same(bank.habits):  # nothing is known: alike likely everywhere
+            alike = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
+            return none + alike, none + self.presence * habits.mean
+        standing, spread = self.standing, self.standing.spread
+        field, support, explained = standing.field, standing.support, standing.explained
+        banks = [window.habits for window in standing.windows]
+        values, _, directions = field.nodes
+
+        def nodes(grid: np.ndarray, patches: Sequence[np.ndarray]) -> np.ndarray:
+            return np.concatenate([grid[field.outside], *(patch.reshape(-1) for patch in patches)])
+
+        def caused(amounts: np.ndarray) -> np.ndarray:
+            counts = np.flatnonzero(amounts > _UNHEARD)
+            density = world.densities(directions[counts], spread.scales, np.eye(len(found))) @ amounts[counts]
+            return spread.weights @ density * found.area
+
+        owned = nodes(np.broadcast_to(self.grid.weights, self.grid.shape), field.shares) / (4 * math.pi)
+        mass = np.exp(np.minimum(values - field.log_mean, LARGEST)) * owned
+        recall = nodes(bank.recall, [each.recall for each in banks])
+        target = caused(self.presence * mass * recall / max(float(mass.sum()), 1e-300))
+        if explained is None:
+            return none, target
+        parts = zip(support.patches, banks, standing.places.patches, strict=True)
+        there = nodes(
+            support.values + bank.lead - explained[standing.places.cells],
+            [patch.values + each.lead - explained[home] for patch, each, home in parts],
+        )
+        recall = nodes(bank.alike_recall, [each.alike_recall for each in banks])
+        return caused(habits.look_alikes * np.exp(np.minimum(there, LARGEST)) * owned * recall), target
+
+
+def _near(grid: ErpGrid, found: Detections, scale: float, least: float) -> np.ndarray:
+    """The flat indices ``(m,)`` of the cells that any detection speaks for, widened by `scale`, or to `least`."""
+    widths = np.maximum(scale / np.linalg.norm(found.axes, axis=-1).min(axis=-1), least)
+    reach = np.cos(np.minimum(_FAR * widths, math.pi))
+    return np.flatnonzero((grid.directions.reshape(-1, 3) @ found.directions.T > reach).any(axis=1))
 
 
 def _is_covered(patch: Patch, field: SphereField) -> bool:
@@ -285,11 +364,11 @@ def _mean(density: np.ndarray, grid: ErpGrid) -> float:
     return float(np.sum(density * grid.weights)) / (4 * math.pi)
 
 
-def _with_bias(field: SphereField, bias: float) -> SphereField:
+def _with_offset(field: SphereField, offset: float) -> SphereField:
     """A field with blurred patches; where they grow over the grid, the grid's values are kept."""
     patches = []
     for patch in field.patches:
-        wide = blurred(patch, bias, REACH)
+        wide = blurred(patch, offset, REACH)
         directions = wide.directions
         outside = ~patch.places(directions)[1]
         around = np.full(wide.values.shape, -np.inf)

@@ -12,7 +12,7 @@ from eagor._arrays import to_numpy
 from eagor._lazy import lazy
 from eagor._reprs import where
 from eagor.belief.reading import NEAR, Reading
-from eagor.evidence.detector import Rates
+from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
 from eagor.sphere import azimuth_elevation, check_directions
@@ -50,8 +50,8 @@ class Estimate:
     """The answer at one time, in the body frame of that time. All of it is read from one posterior.
 
     `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any); `cases`:
-    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `rates`: of the detector, where they are
-    learnt.
+    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `alarms`: the number of false alarms in a look,
+    where it is learnt.
     """
 
     stamp: float
@@ -59,7 +59,7 @@ class Estimate:
     cases: Cases
     world_R_body: np.ndarray
     config: TrackerConfig
-    rates: Rates | None = None
+    alarms: Alarms | None = None
     of: Estimate | None = field(default=None, repr=False)  # what this is `turned` from
 
     def __repr__(self) -> str:
@@ -124,6 +124,16 @@ class Estimate:
     def within(self, angle: float) -> float:
         """Probability that the target is present and within `angle` radians of the answer."""
         return self.presence * self.posterior.within(angle, self._about)
+
+    @lazy
+    def size(self) -> float:
+        """The angular size (radians) of what was detected in the direction of the answer; 0 where that is not known.
+
+        It is the mean over the looks, along the longer axis. Points and response maps have none.
+        """
+        if self.of is not None:
+            return self.of.size
+        return 0.0 if self._answer is None else 2 * self.cases.standing.size(self._answer)
 
     @property
     def progress(self) -> float:
@@ -202,8 +212,8 @@ class Estimate:
         """How good the answer is.
 
         - "searching": the target is probably absent, or its direction is too uncertain;
-        - "tracking": with a probability of at least 0.5 it is present and within 15 degrees of the answer, and no other
-          mode holds a fifth of the belief;
+        - "tracking": with a probability of at least 0.5 it is present and within 15 degrees of the answer (half its
+          angular size, where that is more), and no other mode holds a fifth of the belief;
         - "ambiguous": it is probably present, and several modes hold a fifth or more each, or half of the belief
           together;
         - "stale": there was an answer, but no evidence for longer than `AnswerSettings.stale_after`.
@@ -222,7 +232,7 @@ class Estimate:
         rivals = sum(mode.weight >= RIVAL for mode in self.modes)
         if rivals > 1:
             return "ambiguous"
-        if self.within(SURE) >= 0.5:
+        if self.within(max(SURE, 0.5 * self.size)) >= 0.5:
             return "tracking"
         told = sum(mode.weight for mode in self.modes)
         return "ambiguous" if len(self.modes) > 1 and told >= 0.5 else "searching"

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
+from eagor.belief.bank import Bank, Shown, linear
 from eagor.belief.field import SphereField
 from eagor.evidence import Evidence
+from eagor.evidence.coverage import confine
 from eagor.evidence.detections import Detections, resolved
-from eagor.evidence.detector import STATED, Rates, Spread
-from eagor.evidence.repeating import Repeating
+from eagor.evidence.detector import STATED, Alarms, Spread
+from eagor.evidence.habits import Habits
+from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid, neighbours, refine
 
@@ -22,9 +25,11 @@ SIGHTINGS = 4  # of a response map
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """All evidence of one moment, in world axes, before the detector's rates are applied.
+    """All evidence of one moment, in world axes, before the number of false alarms is applied.
 
-    Views of one moment are one look, in any order: response maps add, detections form one set.
+    Views of one moment are one look, in any order: response maps add, detections form one set. `habits`: of the
+    detections; None without any. `repeats`: the share of the response maps that an immediate next look repeats.
+    `offset`: radians, the part of its angular error that a place keeps.
     """
 
     stamp: float
@@ -33,8 +38,9 @@ class Sight:
     degree: int
     detections: Detections | None
     mapped: np.ndarray | None  # coefficients of the response maps
-    repeating: Repeating
-    bias: float  # radians: the part of its angular error that an immediate next look repeats
+    habits: Habits | None
+    repeats: float
+    offset: float
 
     @classmethod
     def of(
@@ -51,39 +57,31 @@ class Sight:
                 mapped = found if mapped is None else mapped + found
         if mapped is not None:
             mapped = RealHarmonics(degree).rotate(mapped, world_R_body)
-        most = max((look.repeating for look in looks), key=lambda found: (found.share, found.left(1.0, 1.0)))
-        bias = max(look.bias for look in looks)
-        return cls(stamp, position, world_R_body, degree, joint, mapped, most, bias)
+        habits = next((look.detections.model.habits for look in looks if look.detections is not None), None)
+        repeats = max((look.calibration.persistence for look in looks if look.detections is None), default=0.0)
+        offset = max(look.read_with.offset for look in looks)
+        return cls(stamp, position, world_R_body, degree, joint, mapped, habits, repeats, offset)
 
-    @property
-    def tells(self) -> bool:
-        """Whether it speaks for any direction: an empty set of detections does not."""
-        return self.mapped is not None or (self.detections is not None and len(self.detections) > 0)
+    def read(self, alarms: Alarms | None, spread: Spread = STATED, shares: Shares | None = None) -> Look:
+        """The look as likelihood ratios; `alarms` and `spread` are the detector's, with this look counted.
 
-    def read(self, rates: Rates | None, spread: Spread = STATED) -> Look:
-        """The look as log ratios, for a standing target; `rates` and `spread` are the detector's before this look."""
-        grid, basis = decoding_grid(self.degree), RealHarmonics(self.degree)
-        values = np.zeros(grid.shape) if self.mapped is None else basis.synthesise(self.mapped, grid)
-        given, world, by_scale = None, None, None
-        coefficients = self.mapped
-        if self.detections is not None:
-            before = Rates.prior(self.detections.model) if rates is None else rates
-            given = before.given(len(self.detections))
-            world = self.detections.turned(self.world_R_body)
-            share: np.ndarray | float = 1.0
-            if self.detections.views:
-                share = world.share(grid.directions @ self.world_R_body)
-            if not self.detections.views or len(spread.scales) > 1:
-                by_scale = world.ratios_by(spread.scales, grid.directions, given, share, resolved(self.degree))
-            if self.detections.views:
-                found = basis.rotate(self.detections.coefficients(self.degree, given, spread), self.world_R_body)
-                values = values + basis.synthesise(found, grid)
-            else:
-                drawn = np.log(np.tensordot(spread.weights, by_scale, axes=1))  # type: ignore[arg-type]
-                values, found = values + drawn, basis.analyse(drawn, grid)
-            coefficients = found if coefficients is None else coefficients + found
-        assert coefficients is not None
-        return Look(self, values, coefficients, world, given, spread, by_scale)
+        `shares`: None where nothing is known that may have caused its detections.
+        """
+        world = None if self.detections is None else self.detections.turned(self.world_R_body)
+        return Look(self, world, alarms, spread, shares)
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """How much each detection ``(n,)`` says, where other causes of it are known: from 0 to 1.
+
+    Of what stands (moving look-alikes may have caused it), and of what moves (standing ones may). `passing`: how likely
+    what moves is to cause each detection, up to a factor.
+    """
+
+    standing: np.ndarray
+    moving: np.ndarray
+    passing: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,27 +110,107 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Log ratios of a `Sight`: `values` ``(H, W)`` on the decoding grid and `coefficients` ``(size,)``, world axes.
-
-    `by_scale` ``(S, H, W)``: ratios of the detections for each scale of their `spread`.
-    """
+    """What a `Sight` says; `world`: its detections in world axes; `shares` as for `Sight.read`."""
 
     sight: Sight
-    values: np.ndarray
-    coefficients: np.ndarray
     world: Detections | None
-    rates: Rates | None
+    alarms: Alarms | None
     spread: Spread
-    by_scale: np.ndarray | None
+    shares: Shares | None = None
+
+    @property
+    def grid(self) -> ErpGrid:
+        """The grid of the whole sphere, world axes."""
+        return decoding_grid(self.sight.degree)
 
     @lazy
-    def moving(self) -> np.ndarray:
-        """`values` for a moving target."""
-        if self.by_scale is None or len(self.by_scale) == 1:
+    def values(self) -> np.ndarray:
+        """The log ratios of the response maps on the grid ``(H, W)``; 0 without any."""
+        if self.sight.mapped is None:
+            return np.zeros(self.grid.shape)
+        return RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, self.grid)
+
+    def mapped(self, directions: np.ndarray) -> np.ndarray:
+        """The log ratios of the response maps at directions ``(..., 3)``."""
+        assert self.sight.mapped is not None
+        return RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, directions)
+
+    def at(self, directions: np.ndarray, least: np.ndarray | float, scales: np.ndarray) -> Shown:
+        """What the detections say of directions ``(..., 3)``, widened to `least` ``(n,)`` radians.
+
+        For each of `scales` ``(S,)`` of their spread.
+        """
+        assert self.world is not None
+        assert self.alarms is not None
+        share: np.ndarray | float = 1.0
+        if self.world.views:
+            share = self.world.share(directions @ self.sight.world_R_body)
+        return Shown(share, *self.world.speaks(directions, scales, self.alarms, least, self._told))
+
+    @property
+    def _told(self) -> np.ndarray | float:
+        """The shares of what stands; 1 if nothing else is known."""
+        return 1.0 if self.shares is None else self.shares.standing
+
+    @lazy
+    def shown(self) -> Shown:
+        """What the detections say of the cells of the grid ``(H, W)``, at the width that the degree can hold."""
+        return self.at(self.grid.directions, resolved(self.sight.degree), self.spread.scales)
+
+    @lazy
+    def fresh(self) -> Shown:
+        """The same of a moving target."""
+        assert self.world is not None
+        assert self.alarms is not None
+        if self.shares is None or not len(self.world):
+            return self.shown
+        least = resolved(self.sight.degree)
+        found = self.world.densities(self.grid.directions, self.spread.scales, self.shares.moving[None], least)[:, 0]
+        return replace(self.shown, ratio=self.alarms.inverse * self.world.area * found)
+
+    def added(self, bank: Bank) -> tuple[np.ndarray, np.ndarray]:
+        """The detections' log ratio for a standing target with these habits ``(C, H, W)``: coefficients, and values."""
+        assert self.sight.detections is not None
+        assert self.alarms is not None
+        recall, basis, degree = bank.recall, RealHarmonics(self.sight.degree), self.sight.degree
+        if not self.sight.detections.views:
+            drawn = np.log(np.tensordot(self.spread.weights, self.shown.gains(recall), axes=1))
+            return basis.analyse(drawn, self.grid), drawn
+        # What a view shows fades to 0 inside its border, in the axes of the camera.
+        turn = self.sight.world_R_body
+        share, where = self.sight.detections.grid_share(degree)
+        there = linear(self.grid, recall[None], self.grid.directions @ turn.T)[0]
+        ratio = self.sight.detections.speaks(
+            self.grid.directions, self.spread.scales, self.alarms, resolved(degree), self._told
+        )[0]
+        drawn = np.log(np.tensordot(self.spread.weights, Shown(share, ratio).gains(there), axes=1))
+        found = basis.analyse(drawn, self.grid)
+        found = basis.rotate(found if where is None else confine(degree, found, where), turn)
+        return found, basis.synthesise(found, self.grid)
+
+    def moving(self, recall: float) -> np.ndarray:
+        """The log ratio on the grid ``(H, W)`` for a moving target that looks detect with probability `recall`."""
+        if self.world is None:
             return self.values
-        weights = np.stack([self.spread.otherwise, self.spread.weights])
-        logs = np.log(np.tensordot(weights, self.by_scale, axes=1))
-        return self.values + logs[0] - logs[1]
+        said = self.fresh.share * (self._fresh_ratio - 1)
+        return self.values + np.log1p(recall * said)
+
+    @property
+    def _fresh_ratio(self) -> np.ndarray:
+        """S of a moving target ``(H, W)``."""
+        ratio = self.fresh.ratio
+        return ratio[0] if len(ratio) == 1 else np.tensordot(self.spread.otherwise, ratio, axes=1)
+
+    def heard(self, told: float, recall: float) -> Shown:
+        """What the detections say of a moving target, wherever it is.
+
+        `told`: their mean ratio for it, if looks detect it with probability `recall`.
+        """
+        ratio = np.full(1, max(1 + (told - 1) / recall, 0.0))
+        if self.world is None or not len(self.world) or (self.world.ratios == 1).all():
+            return Shown(1.0, ratio)
+        heard = np.ones(len(self.world)) if self.shares is None else self.shares.passing * self.shares.moving
+        return Shown(1.0, ratio, heard @ self.world.log_ratios / max(float(heard.sum()), 1e-300))
 
     @lazy
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
@@ -143,27 +221,31 @@ class Look:
         widths = 1 / np.linalg.norm(self.world.axes[order], axis=-1).min(axis=-1)
         return self.world.directions[order], widths
 
-    @lazy
-    def sightings(self) -> Sightings:
-        """The look as a sum of Gaussians: its detections, or the peaks of its response map."""
-        grid = decoding_grid(self.sight.degree)
-        if self.world is None or self.rates is None:
+    def sightings(self, recall: float) -> Sightings:
+        """The look as a sum of Gaussians: its detections, or the peaks of its response map.
+
+        For a moving target that looks detect with probability `recall`.
+        """
+        if self.world is None or self.alarms is None:
             return self._peaks()
-        share = self.world.share(grid.directions @ self.sight.world_R_body) if self.world.views else 1.0
-        beside = np.broadcast_to(1 - np.asarray(share) * self.rates.recall, grid.shape)
-        amplitudes = self.rates.gain * self.world.area * self.world.ratios / self.world.clutter
+        shown = self.shown
+        beside = np.broadcast_to(1 - np.asarray(shown.share) * recall, self.grid.shape)
+        amplitudes = recall * self.alarms.inverse * self.world.area / self.world.clutter
+        if self.shares is not None:
+            amplitudes = amplitudes * self.shares.moving
         scales = self.spread.scales if len(self.spread.scales) > 1 else self.spread.scales[:0]
         scales = np.array([self.spread.precision**-0.5, *scales])[:, None, None]
         lengths = np.linalg.norm(self.world.axes, axis=-1)
         widths = scales / lengths
         deviations = self.world.axes * (widths / lengths)[..., None]
         covariances = np.einsum("snai,snaj->snij", deviations, deviations)
-        return Sightings(self.world.directions, amplitudes, covariances[0], SphereField(grid, beside), covariances[1:])
+        beside_field = SphereField(self.grid, beside)
+        return Sightings(self.world.directions, amplitudes, covariances[0], beside_field, covariances[1:])
 
     def _peaks(self) -> Sightings:
         """The peaks of the response map with positive log ratio."""
-        grid = decoding_grid(self.sight.degree)
-        left, flat = self.values.reshape(-1).copy(), self.values.reshape(-1)
+        grid, values = self.grid, self.values
+        left, flat = values.reshape(-1).copy(), values.reshape(-1)
         found: list[tuple[np.ndarray, float, float]] = []
         while len(found) < SIGHTINGS and left[best := int(left.argmax())] > 0:
             centre, width = refine(grid, flat, best)
@@ -178,21 +260,6 @@ class Look:
         widths = np.array([width for _, width, _ in found])
         heights = np.array([height for _, _, height in found])
         across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-        beside = SphereField(grid, np.exp(np.minimum(self.values, 0.0)))
+        beside = SphereField(grid, np.exp(np.minimum(values, 0.0)))
         covariances = across * (widths**2)[:, None, None]
         return Sightings(directions, heights * 2 * np.pi * widths**2, covariances, beside, covariances[None][:0])
-
-    def at(self, directions: np.ndarray, least: np.ndarray, scales: np.ndarray) -> np.ndarray:
-        """Log ratios ``(S, ...)`` at directions ``(..., 3)``; detections are widened to `least` ``(n,)`` radians.
-
-        `scales` ``(S,)``: factors on the detections' stated spread.
-        """
-        found = np.zeros((len(scales), *directions.shape[:-1]))
-        if self.sight.mapped is not None:
-            found += RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, directions)
-        if self.world is not None:
-            share: np.ndarray | float = 1.0
-            if self.world.views:
-                share = self.world.share(directions @ self.sight.world_R_body)
-            found += np.log(self.world.ratios_by(scales, directions, self.rates, share, least))
-        return found

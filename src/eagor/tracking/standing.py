@@ -1,47 +1,62 @@
-"""The belief about a standing target: the sum of all looks.
+"""The belief about a standing target: what all looks say together.
 
 In world axes such a target has one place, so looks add. A coarse field over the whole sphere (with shells of range, if
-positions are known) is searched for peaks, and a `Window` about each peak holds the finer detail.
+positions are known) is searched for peaks, and a `Window` about each peak holds the finer detail. These hold log T, the
+support of the looks for each place, and beside it the habits of places (`eagor.belief.bank`).
+
+A place is a basin of the likelihood ratio T' of look-alikes. Where anything was detected at all, they have there
+
+    Q = D / (4 pi) * integral of T' over the basin,
+
+and `Bank.judged` gives the likelihood ratio of a target. Within a basin its shape is that of T: look-alikes limit how
+much a place tells about who is there, not where.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from eagor._lazy import given, lazy
+from eagor.belief.bank import Bank, log_detected
 from eagor.belief.direction import Belief
-from eagor.belief.field import SphereField
+from eagor.belief.field import Patch, SphereField
 from eagor.belief.heights import log_heights, with_heights
+from eagor.belief.places import Places, labelled, log_sums
 from eagor.belief.ranged import NEAR, RangedBelief, mean_range, range_spread
 from eagor.belief.windows import RANGES, REACH, Window, skirts, with_own_peaks
 from eagor.evidence.detector import STATED, UNLIKELY, Spread
+from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid, neighbours, refine
 from eagor.tracking.look import Look
 
 MOST = 4  # windows
 WORTH = 0.02  # of the belief: peaks that hold less get no window,
-LEAST = 0.002  # ... and windows that hold less are closed
+LEAST = 0.002  # ... and windows that hold less are closed;
+LEAST_OF_MANY = 0.01  # with look-alikes, where what was detected once goes on to hold some
 SPILL = 0.02  # of a window's mass: skirts around it that hold less are left out
 NOTHING = 12.0  # nats below a peak: if a window's border is lower, there is nothing beyond it
+HIGHEST = 12.0  # nats over a target that was never detected: as high as coarse shells get, if there are look-alikes
 WIDE = math.radians(14)  # the coarse field represents wider peaks well
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Log ratios against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
+    """log T, against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
 
-    `height`: of the camera above the floor, metres, if known. `spread`: of the detector; windows have values for each
-    of its scales, `coarse` the sum over them.
+    `bank`: the habits of the cells of the decoding grid; None before any look. `height`: of the camera above the floor,
+    metres, if known. `spread`: of the detector; windows have values for each of its scales, `coarse` the sum over them.
     """
 
     coarse: Belief | RangedBelief
     windows: tuple[Window, ...] = ()
     height: float | None = None
     spread: Spread = STATED
+    bank: Bank | None = None
 
     @classmethod
     def uniform(cls, degree: int, ranges: np.ndarray | None, height: float | None = None) -> Standing:
@@ -50,25 +65,83 @@ class Standing:
             return cls(Belief.uniform(degree))
         return cls(with_heights(RangedBelief.uniform(degree, ranges), height), (), height)
 
-    def blank(self) -> Standing:
-        """A uniform belief with the same settings."""
+    def restarted(self, density: np.ndarray) -> Standing:
+        """A target that has just come to stand, with this density over a uniform one ``(H, W)``.
+
+        What is known of look-alikes stays, and what they explained until now says nothing of the target.
+        """
         ranges = self.coarse.ranges if isinstance(self.coarse, RangedBelief) else None
-        return replace(Standing.uniform(self.degree, ranges, self.height), spread=self.spread)
+        blank, values, bank = Standing.uniform(self.degree, ranges, self.height), np.log(density), self.bank
+        if bank is not None:
+            alike = self.support.plus(bank.lead, [window.habits.lead for window in self.windows])
+            level = alike.log_mean
+            lead = np.log(np.maximum(alike.averaged(level), 1e-300)) + level - values
+            explained = self.explained
+            excused = np.zeros(values.shape) if explained is None else explained[self.places.cells]
+            bank = bank.restarted(lead, excused)
+        coarse = blank.coarse.plus(RealHarmonics(self.degree).analyse(values, self.grid))
+        spread = replace(self.spread, weights=self.spread.otherwise)
+        return replace(blank, coarse=coarse, spread=spread, bank=bank)
 
     @property
     def degree(self) -> int:
         """The degree of `coarse`."""
         return self.coarse.degree
 
+    @property
+    def grid(self) -> ErpGrid:
+        """The decoding grid."""
+        return decoding_grid(self.degree)
+
     @given
-    def field(self) -> SphereField:
-        """The field over directions: log of the mean likelihood over the ranges."""
-        grid = decoding_grid(self.degree)
+    def support(self) -> SphereField:
+        """log T over directions: log of the mean likelihood over the ranges."""
+        grid = self.grid
         if isinstance(self.coarse, RangedBelief):
             values = self.coarse.posterior.coarse
         else:
             values = RealHarmonics(self.degree).synthesise(self.coarse.coefficients, grid)
         return SphereField(grid, values, tuple(window.patch(self._prior(window)) for window in self.windows))
+
+    @lazy
+    def places(self) -> Places:
+        """The basins of the log likelihood ratio of look-alikes."""
+        return Places.of(self.support, self.labels)
+
+    @lazy
+    def labels(self) -> tuple[int, np.ndarray]:
+        """The number of places, and that of each cell ``(H, W)``."""
+        values = self.support.values
+        return labelled(values if self.bank is None else values + self.bank.lead)
+
+    @lazy
+    def field(self) -> SphereField:
+        """log LR over directions."""
+        bank = self.bank
+        if bank is None:
+            return self.support
+        support, explained = self.support, self.explained
+        if explained is None:
+            patches = [w.habits.judged(p.values, None) for w, p in zip(self.windows, support.patches, strict=True)]
+            return support.like(bank.judged(support.values, None), patches)
+        cells = explained[self.places.cells]
+        if isinstance(self.coarse, RangedBelief):
+            # Near shells turn fast: what was detected at one place has left traces in the directions of others.
+            cells = np.full(cells.shape, explained.max())
+        parts = zip(self.windows, support.patches, self.places.patches, strict=True)
+        patches = [window.habits.judged(patch.values, explained[home]) for window, patch, home in parts]
+        return support.like(bank.judged(support.values, cells), patches)
+
+    @lazy
+    def explained(self) -> np.ndarray | None:
+        """log(1 + Q) ``(m,)`` of each of the `places`; None without look-alikes."""
+        bank = self.bank
+        if bank is None or not len(bank.alike):
+            return None
+        banks = [window.habits for window in self.windows]
+        alike = self.support.plus(bank.lead + log_detected(bank), [each.lead + log_detected(each) for each in banks])
+        many = math.log(bank.habits.look_alikes / (4 * math.pi))
+        return np.logaddexp(0.0, log_sums(alike, self.places) + many)
 
     @lazy
     def log_mean(self) -> float:
@@ -80,7 +153,7 @@ class Standing:
         if not isinstance(self.coarse, RangedBelief):
             return self
         coarse = with_heights(self.coarse.predict(np.eye(3), step), height)
-        found = Standing(coarse, (), height, self.spread)
+        found = replace(self, coarse=coarse, windows=(), height=height)
         pairs = zip(self.windows, self._borders(), strict=True)
         return replace(
             found, windows=tuple(found._filled(*w.moved(step, self._prior(w), border)) for w, border in pairs)
@@ -95,34 +168,99 @@ class Standing:
             replace(w, values=np.repeat(w.values, RANGES, axis=1), logs=np.linspace(*limits, RANGES), limits=limits)
             for w in self.windows
         )
-        return Standing(with_heights(found, height), windows, height, self.spread)
+        return replace(self, coarse=with_heights(found, height), windows=windows, height=height)
 
-    def plus(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> Standing:
-        """With `share` of a look added; the body has moved by `since` ``(3,)`` from where it was taken."""
+    def plus(self, look: Look) -> Standing:
+        """With one more look."""
+        found = self if look.sight.mapped is None else self.mapped(look)
+        return found if look.world is None else found._detected(look)
+
+    def mapped(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> Standing:
+        """With `share` of a look's response maps; the body has moved by `since` ``(3,)`` from where it was taken."""
+        coefficients = look.sight.mapped
+        assert coefficients is not None
         if since is None or not since.any() or not isinstance(self.coarse, RangedBelief):
             windows, patches = [], []
-            for window, patch in zip(self.windows, self.field.patches, strict=True):
-                found = share * look.at(window.directions, _least(look, window), self.spread.scales)
-                windows.append(window.plus(found[:, None]))
-                if len(found) == 1:  # what is said of all ranges alike
-                    patches.append(patch.like(patch.values + found[0]))
-                else:
-                    patches.append(windows[-1].patch(self._prior(window)))
-            found = replace(self, coarse=self.coarse.plus(share * look.coefficients), windows=tuple(windows))
+            for window, patch in zip(self.windows, self.support.patches, strict=True):
+                found = share * look.mapped(window.directions)
+                windows.append(window.plus(found[None, None]))
+                patches.append(patch.like(patch.values + found) if len(window.values) == 1 else None)
+            found = replace(self, coarse=self.coarse.plus(share * coefficients), windows=tuple(windows))
             # What is said of all ranges alike adds as much to the field over directions.
-            field = SphereField(self.field.grid, self.field.values + share * look.values, tuple(patches))
-            found.__dict__["field"] = field
+            drawn = tuple(w.patch(self._prior(w)) if p is None else p for w, p in zip(windows, patches, strict=True))
+            support = SphereField(self.grid, self.support.values + share * look.values, drawn)
+            found.__dict__["support"] = support
             return found
         ranges = self.coarse.ranges
-        alike = np.broadcast_to(share * look.coefficients, (len(ranges), len(look.coefficients)))
+        alike = np.broadcast_to(share * coefficients, (len(ranges), len(coefficients)))
         carried = RangedBelief(alike, ranges).predict(np.eye(3), since).shells
         windows = []
         for window in self.windows:
             points = window.points() + since
             points /= np.sqrt(np.einsum("...i,...i->...", points, points))[..., None]
-            found = look.at(points, _least(look, window), self.spread.scales)
-            windows.append(window.plus(share * found))
+            windows.append(window.plus(share * look.mapped(points)[None]))
         return replace(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
+
+    def _detected(self, look: Look) -> Standing:
+        """With the detections of a look."""
+        habits = look.sight.habits
+        assert habits is not None
+        bank = self._ready(look)
+        added, values = look.added(bank)
+        taken: np.ndarray | float = 1.0
+        if isinstance(self.coarse, RangedBelief) and len(bank.alike):
+            # Truncated, a peak of hundreds of nats would ring everywhere; more than this tells nothing of who is there.
+            most = np.maximum(HIGHEST + bank.missed - self.support.values, 0.0)
+            taken = np.where(values > most, most / np.maximum(values, 1e-300), 1.0)
+            values = np.minimum(values, most)
+            added = RealHarmonics(self.degree).analyse(values, self.grid)
+        bank = bank.after(look.shown, self.spread.weights, taken)
+        windows, patches = [], []
+        for window, patch in zip(self.windows, self.support.patches, strict=True):
+            own = Bank.blank(habits, patch.values.shape) if window.bank is None else window.bank.read_with(habits)
+            shown = look.at(window.directions, window.finest(look.world.directions), self.spread.scales)  # type: ignore[union-attr]
+            total = np.log(shown.gains(own.recall))
+            windows.append(replace(window.plus(total[:, None]), bank=own.after(shown, self.spread.weights)))
+            if len(total) == 1:  # what is said of all ranges alike
+                patches.append(patch.like(patch.values + total[0]))
+            else:
+                patches.append(windows[-1].patch(self._prior(window)))
+        found = replace(self, coarse=self.coarse.plus(added), windows=tuple(windows), bank=bank)
+        support = SphereField(self.grid, self.support.values + values, tuple(patches))
+        found.__dict__["support"] = support
+        return found
+
+    def _ready(self, look: Look) -> Bank:
+        """The habits of the cells, for the detector of this look."""
+        habits = look.sight.habits
+        assert habits is not None
+        return Bank.blank(habits, self.grid.shape) if self.bank is None else self.bank.read_with(habits)
+
+    def renewed(self, share: float) -> Standing:
+        """After a `share` of the places has drawn its habit anew."""
+        if self.bank is None or share <= 0:
+            return self
+        windows = tuple(replace(window, bank=window.habits.renewed(share)) for window in self.windows)
+        return self._alike(bank=self.bank.renewed(share), windows=windows)
+
+    def _alike(self, **changes: Any) -> Standing:
+        """With other parts, but the same `field`."""
+        found = replace(self, **changes)
+        for name in ("support", "labels", "places", "explained", "field", "log_mean"):
+            if name in self.__dict__:
+                found.__dict__[name] = self.__dict__[name]
+        return found
+
+    def _with(self, patches: tuple[Patch, ...] | None = None, **changes: Any) -> Standing:
+        """With other parts, but the same `coarse`; `patches` of the `support`, if they differ."""
+        found = replace(self, **changes)
+        if "labels" in self.__dict__:
+            found.__dict__["labels"] = self.labels
+        if patches is not None:
+            found.__dict__["support"] = replace(self.support, patches=patches)
+        elif "support" in self.__dict__:
+            found.__dict__["support"] = self.support
+        return found
 
     def scaled(self, factor: float) -> Standing:
         """With all log ratios scaled by `factor` in [0, 1]: the covariance of each peak grows by 1 / factor."""
@@ -140,12 +278,7 @@ class Standing:
 
     def spreading(self, spread: Spread) -> Standing:
         """With other weights of the scales."""
-        if not self.spread.doubted:
-            return self
-        found = replace(self, spread=spread)
-        if "field" in self.__dict__:
-            found.__dict__["field"] = self.field
-        return found
+        return self._alike(spread=spread) if self.spread.doubted else self
 
     def judged(self, stands: float, otherwise: np.ndarray) -> Standing:
         """With the spread as learnt from the windows.
@@ -155,8 +288,10 @@ class Standing:
         if len(self.spread.scales) == 1:
             return self
         held = np.zeros(len(self.spread.scales))
-        for window, share in zip(self.windows, self.field.shares, strict=True):
-            held += np.exp(window.by_scale(self._prior(window)) - self.log_mean).reshape(len(held), -1) @ share.ravel()
+        patches = zip(self.windows, self.field.patches, self.support.patches, self.field.shares, strict=True)
+        for window, judged, patch, share in patches:
+            values = window.by_scale(self._prior(window)) + (judged.values - patch.values) - self.log_mean
+            held += np.exp(values).reshape(len(held), -1) @ share.ravel()
         held /= 4 * math.pi
         held += max(1 - held.sum(), 0.0) * self.spread.weights
         likely = stands * held / held.sum() + (1 - stands) * otherwise > UNLIKELY
@@ -175,13 +310,18 @@ class Standing:
         if not len(centres):
             return self
         widest = WIDE / self.spread.scales.min()
-        reached = self.field.smooth(centres, 1) + look.at(centres, np.zeros(1), np.ones(1))[0] - self.log_mean
+        reached = self.field.smooth(centres, 1) - self.log_mean
+        habits = look.sight.habits
+        assert habits is not None
+        reached = reached + np.log(look.at(centres, 0.0, np.ones(1)).gains(habits.mean)[0])
+        if look.sight.mapped is not None:
+            reached = reached + look.mapped(centres)
         for centre, width, rise in zip(centres, widths, reached, strict=True):
             if width > widest or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
                 continue
             if any(window.holds(centre, width) for window in found.windows):
                 continue
-            found = found._with_window(centre, width)
+            found = found._with_window(centre, width, look)
         return found
 
     def focused(self, fresh: bool = False) -> Standing:
@@ -195,16 +335,15 @@ class Standing:
                 for window, patch, border in zip(self.windows, self.field.patches, self._borders(), strict=True)
             )
         if any(a is not b for a, b in zip(windows, self.windows, strict=True)):
-            found = replace(self, windows=windows)
             patches = tuple(
                 patch if a is b else a.patch(self._prior(a))
-                for a, b, patch in zip(windows, self.windows, self.field.patches, strict=True)
+                for a, b, patch in zip(windows, self.windows, self.support.patches, strict=True)
             )
-            found.__dict__["field"] = replace(self.field, patches=patches)
+            found = self._with(patches, windows=windows)
         found = found._searched()
-        masses = found.masses()
+        masses, least = found.masses(), LEAST if found.explained is None else LEAST_OF_MANY
         alone = with_own_peaks(found.windows, found.field.patches)
-        keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > LEAST and i in alone][:MOST]
+        keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > least and i in alone][:MOST]
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
 
     def _borders(self) -> list[float]:
@@ -230,9 +369,8 @@ class Standing:
         return np.array(found) / (4 * math.pi)
 
     def _kept(self, places: list[int]) -> Standing:
-        found = replace(self, windows=tuple(self.windows[i] for i in places))
-        found.__dict__["field"] = replace(self.field, patches=tuple(self.field.patches[i] for i in places))
-        return found
+        patches = tuple(self.support.patches[i] for i in places)
+        return self._with(patches, windows=tuple(self.windows[i] for i in places))
 
     def _searched(self) -> Standing:
         """With a window about the highest peak without one, if it holds enough of the belief."""
@@ -249,11 +387,12 @@ class Standing:
             return self
         return self._with_window(peak, sigma)
 
-    def _with_window(self, centre: np.ndarray, width: float) -> Standing:
-        """With a window about `centre` ``(3,)`` for a peak of this `width` (radians).
+    def _with_window(self, centre: np.ndarray, width: float, look: Look | None = None) -> Standing:
+        """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), before a `look`.
 
         Its values come from an existing window there, or from the coarse field.
         """
+        bank = self.bank if look is None else self._ready(look)
         window = Window.about(centre, width, self.degree)
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
@@ -264,31 +403,46 @@ class Standing:
             window = self._filled(*finest.drawn(window))
         else:
             window = window.like(self._coarse_at(window.directions, window.logs))
-        found = replace(self, windows=(*self.windows, window))
-        patch = window.patch(self._prior(window))
-        found.__dict__["field"] = replace(self.field, patches=(*self.field.patches, patch))
-        return found
+            if bank is not None:
+                window = replace(window, bank=bank.at_cells(self.grid, window.directions))
+        patches = (*self.support.patches, window.patch(self._prior(window)))
+        return self._with(patches, windows=(*self.windows, window), bank=bank)
 
     def _coarse_at(self, directions: np.ndarray, logs: np.ndarray | None) -> np.ndarray:
         """The coarse field ``(S, K, ...)`` at directions ``(..., 3)`` and these logarithms of ranges."""
         if isinstance(self.coarse, RangedBelief):
             assert logs is not None
-            coefficients = self.coarse.between(logs)
+            found = RealHarmonics(self.degree).synthesise(self.coarse.between(logs), directions)
+        elif self.bank is not None:  # not truncated: a peak of hundreds of nats rings everywhere
+            found = self.support.smooth(directions, 1)[None]
         else:
-            coefficients = self.coarse.coefficients[None]
-        found = RealHarmonics(self.degree).synthesise(coefficients, directions)
+            found = RealHarmonics(self.degree).synthesise(self.coarse.coefficients[None], directions)
         return np.add.outer(np.log(self.spread.weights), found)
 
     def _filled(self, window: Window, beyond: np.ndarray | None) -> Window:
         """A window whose nodes `beyond` its former ones are filled from the coarse field."""
         if beyond is None:
             return window
-        nodes, values = beyond.any(axis=0), window.values.copy()
+        nodes, values = np.asarray(beyond.any(axis=0)), window.values.copy()
         if values[..., nodes].max() < values.max() - NOTHING:
             return window
         found = self._coarse_at(window.directions[nodes], window.logs)
         values[..., nodes] = np.where(beyond[:, nodes], found, values[..., nodes])
-        return window.like(values)
+        if self.bank is None or window.bank is None:
+            return window.like(values)
+        around = self.bank.at_cells(self.grid, window.directions[nodes])
+        return replace(window.like(values), bank=window.bank.with_nodes(nodes, around))
+
+    def size(self, about: np.ndarray) -> float:
+        """Half the angular size (radians) of what was detected in a direction ``(3,)``; 0 if that is not known."""
+        if self.bank is None:
+            return 0.0
+        for window in self.windows:
+            places, inside = window.places(about)
+            if inside:
+                at = (places + 1) * ((window.values.shape[-1] - 1) / 2)
+                return float(window.habits.at_nodes(at[:, None]).size[0])
+        return float(self.bank.at_cells(self.grid, about[None]).size[0])
 
     def distance(self, about: np.ndarray) -> tuple[float, float] | None:
         """Mean distance (metres) and standard deviation of its logarithm near a direction; None without ranges."""
@@ -313,8 +467,3 @@ class Standing:
             return None
         rise = np.exp(window.logs)[:, None, None] * window.directions[..., 2]
         return log_heights(self.coarse, self.height, rise)
-
-
-def _least(look: Look, window: Window) -> np.ndarray:
-    """The least width (radians, ``(n,)``) at which a window can hold each detection of a look."""
-    return np.zeros(1) if look.world is None else window.finest(look.world.directions)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor.belief.ranged import RangedBelief
-from eagor.evidence.detector import Rates
+from eagor.evidence.detector import Alarms
 from eagor.tracking.cases import Cases
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.look import Look, Sight
@@ -18,14 +18,15 @@ from eagor.tracking.standing import Standing
 class State:
     """What is believed of a target right after the look at `stamp`, seen from `position` ``(3,)``; world axes.
 
-    `look`: that look, of which the next one may repeat a part; `rates`: of the detector, where they are learnt.
+    `look`: that look, of which the next one may repeat a part; `alarms`: the number of false alarms, where it is
+    learnt.
     """
 
     stamp: float
     position: np.ndarray | None
     cases: Cases
     look: Look | None = None
-    rates: Rates | None = None
+    alarms: Alarms | None = None
 
     @classmethod
     def blank(cls, config: TrackerConfig, stamp: float, position: np.ndarray | None) -> State:
@@ -42,16 +43,15 @@ class State:
         cases, since = self._carried(sight.stamp, sight.position, config), None
         if self.look is not None and sight.position is not None and self.position is not None:
             since = sight.position - self.position
-        cases, look, rates = cases.updated(sight, self.rates, self.look, since)
+        cases, look, alarms = cases.updated(sight, self.alarms, self.look, since)
         position = self.position if sight.position is None else sight.position
-        return State(sight.stamp, position, cases, look, rates)
+        return State(sight.stamp, position, cases, look, alarms)
 
     def _carried(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> Cases:
         """The cases at a later time, seen from another place."""
-        cases, height, step = self.cases, config.above_floor(position), None
-        if (ranges := config.shells(position)) is not None:
-            if not isinstance(cases.standing.coarse, RangedBelief):  # positions are known from here on
-                cases = replace(cases, standing=cases.standing.ranged(ranges, height))
-            if position is not None and self.position is not None:
-                step = position - self.position
+        cases, height = self.cases, config.above_floor(position)
+        ranges = config.shells(position)
+        if ranges is not None and not isinstance(cases.standing.coarse, RangedBelief):  # positions known from here on
+            cases = replace(cases, standing=cases.standing.ranged(ranges, height))
+        step = None if position is None or self.position is None else position - self.position
         return cases.after(now - self.stamp, config.target_motion, config.drift, step, height)

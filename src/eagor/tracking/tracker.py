@@ -172,7 +172,7 @@ class DirectionTracker:
             state = track.state(self.config)
             assert state is not None
             state = state.at(now, position, self.config)
-            return Estimate(now, now - state.stamp, state.cases, pose, self.config, state.rates)
+            return Estimate(now, now - state.stamp, state.cases, pose, self.config, state.alarms)
 
     def save(self, path: str | Path) -> Path:
         """Write the whole state to a file, atomically, and return its path; `load` continues from it.

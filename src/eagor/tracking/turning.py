@@ -19,8 +19,7 @@ import numpy as np
 from eagor._lazy import lazy
 from eagor.belief.field import Patch, SphereField
 from eagor.evidence.detections import bump_norms, scaled_frames, tangent_frames
-from eagor.harmonics.peaks import decoding_grid
-from eagor.tracking.look import Look, Sightings
+from eagor.tracking.look import Sightings
 
 MOST = 24  # components
 FAINT = 1e-4  # of the heaviest: lighter components are dropped
@@ -88,14 +87,13 @@ class Turning:
         return _joined(old, born, unseen=unseen)
 
     def updated(
-        self, look: Look, passing: Look | None = None, repeated: float = 0.0
+        self, sightings: Sightings, before: SphereField | None = None, repeated: float = 0.0
     ) -> tuple[Turning, float, np.ndarray]:
         """After one more look, and the look's log likelihood ratio.
 
-        Also its likelihood for each scale of the spread ``(S,)``, if there are several. `repeated`: share of `passing`,
-        the look before it, that it repeats.
+        Also its likelihood for each scale of the spread ``(S,)``, if there are several. `repeated`: share of the log
+        ratios `before`, of the look before it, that it repeats.
         """
-        sightings = look.sightings
         missed = sightings.missed(self.directions)
         peaks, amplitudes, spreads = sightings.directions, sightings.amplitudes, sightings.covariances
         found = replace(self, weights=self.weights * missed)
@@ -110,8 +108,7 @@ class Turning:
         total = unseen + sum(float(part.weights.sum()) for part in parts)
         joined = _joined(*parts, unseen=unseen)
         gain = math.log(total)
-        if passing is not None and repeated > 0 and len(joined.weights):
-            before = SphereField(decoding_grid(look.sight.degree), passing.moving)
+        if before is not None and repeated > 0 and len(joined.weights):
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
         return joined, gain, foretold
 

@@ -14,7 +14,6 @@ import numpy as np
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
-from eagor.tracking.look import Look
 from eagor.tracking.motion import MotionModel
 
 _FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series
@@ -62,15 +61,13 @@ class Wandering:
         means = np.einsum("mij,ij->m", mixed, grid.weights) / (4 * math.pi)
         return replace(self, densities=mixed / means[:, None, None])
 
-    def updated(self, look: Look, passing: Look | None, repeated: float) -> tuple[Wandering, np.ndarray]:
-        """After one more look, and the look's log likelihood ratio for each pace ``(M,)``.
+    def updated(self, ratio: np.ndarray, new: np.ndarray) -> tuple[Wandering, np.ndarray]:
+        """After one more look of this likelihood `ratio` ``(H, W)``, and its logarithm for each pace ``(M,)``.
 
-        `repeated`: share of `passing`, the look before it, that it repeats.
+        `new` ``(H, W)``: the part of the ratio that does not repeat the look before.
         """
         if not len(self):
             return self, np.zeros(0)
-        ratio = np.exp(look.moving)
-        new = ratio if repeated == 0 or passing is None else ratio * np.exp(-repeated * passing.moving)
         shares = self.grid.weights / (4 * math.pi)
         gains = np.log(np.einsum("mij,ij->m", self.densities, new * shares))
         densities = self.densities * ratio

@@ -10,6 +10,7 @@ export interface Marks {
   view_R_belief: Matrix;
   view_R_body: Matrix;
   answer: Vector | null; // body frame, and so the others
+  pointed: boolean; // whether the answer is sure enough for an arrow
   modes: { direction: Vector; weight: number }[];
   truth: Vector | null;
   rivals: { direction: Vector; index: number }[];
@@ -40,7 +41,7 @@ export function drawMarks(context: CanvasRenderingContext2D, to: Projection, mar
       ring(context, x, y, 19 * u, TRUTH, 2.4 * u);
       for (const turn of [0.25, 0.75, 1.25, 1.75]) tick(context, x, y, 19 * u, 25 * u, turn * Math.PI, TRUTH, 2.4 * u);
     }
-  if (marks.answer) pointer(context, to, apply(marks.view_R_body, marks.answer), u);
+  if (marks.answer && marks.pointed) pointer(context, to, apply(marks.view_R_body, marks.answer), u);
   if (marks.answer)
     for (const [x, y] of place(marks.answer)) {
       spot(context, x, y, 6.5 * u, ANSWER, u);

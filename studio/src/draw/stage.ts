@@ -212,6 +212,7 @@ export class Stage {
       view_R_belief: times(view_R_world, this.world_R_belief),
       view_R_body,
       answer: store.layers.has("estimate") ? store.direction : null,
+      pointed: (store.answer?.credible_angle ?? 0) <= Math.PI / 2,
       modes: store.layers.has("modes") ? store.modes : [],
       truth: store.layers.has("truth") ? store.truth : null,
       rivals: store.others,
