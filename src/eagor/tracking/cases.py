@@ -150,8 +150,11 @@ class Cases:
         stands = self._standing_density() if len(self.wandering) and flows[1, 2:].any() else 0.0
         wandering = self.wandering.after(elapsed, motion, drift, flows, stands)
         turning = self._turned(flows, elapsed, motion, drift)
+        lost = 0.0
         if drift > 0:
-            standing = _drifted(standing, drift, elapsed)
+            sharp, standing = standing, _drifted(standing, drift, elapsed)
+            if sharp.explained is not None:  # else looks at a look-alike would regain it again and again
+                lost = standing.log_mean - sharp.log_mean
         stays, newly = flows[1, 1], np.delete(flows[:, 1], 1)
         spread, others = standing.spread, np.delete(flows, 1, axis=1)
         left = float(others[1].sum() / max(others.sum(), 1e-300))  # the share that stood before
@@ -160,6 +163,7 @@ class Cases:
         if newly.sum() > stays:  # it has stopped just now
             standing = self._restarted(standing, newly)
         weights = flows.sum(axis=0)
+        weights[1] *= math.exp(lost)
         weights = weights / weights.sum()
         return replace(kept, weights=weights, standing=standing, wandering=wandering, turning=turning)
 
