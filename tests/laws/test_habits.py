@@ -337,3 +337,14 @@ def test_time_lets_habits_go_as_distance_does():
         stamps = [0.1 * t + pause * (t // 5) for t in range(10)]
         found[pause] = odds(after([look([HERE], stamp, replace(MANY, kept_for=60.0)) for stamp in stamps]))
     assert found[0.0] < found[10.0] < found[1e4]
+
+
+# --- drift ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_drift_that_is_told_does_not_make_a_look_alike_sure():
+    """What the drift blurs is learnt anew from each look; that is no new evidence of who is there."""
+    looks = [look([HERE], stamp, MANY) for stamp in range(30)]
+    exact = odds(after(looks))
+    drifting = odds(after(looks, replace(FLAT, drift=math.radians(1))))
+    assert drifting == pytest.approx(exact, abs=0.5)

@@ -128,6 +128,14 @@ def test_nothing_known_is_no_arrow_and_no_heat(looks):
     assert draw_belief(PANORAMA, estimate, title="nothing").size == (1200, 714)
 
 
+def test_no_arrow_where_the_cone_is_wider_than_half_of_the_sphere():
+    sharp, wide = followed(*[AHEAD] * 4), followed(AHEAD, model=eagor.DetectorModel(0.3, 5.0))
+    assert sharp.credible_angle < math.pi / 2 < wide.credible_angle
+    arrows = [sum(not text.get_text() for text in painted(one).texts) for one in (sharp, wide)]
+    assert (arrows[0] > 0, arrows[1]) == (True, 0)
+    assert "estimate" in labels(painted(wide)), "the answer itself is marked"
+
+
 def test_others_truth_and_beliefs_are_drawn_too():
     estimate, belief = followed(AHEAD, AHEAD), eagor.Belief.uniform(15)
     ahead = np.array([1.0, 0.0, 0.0])

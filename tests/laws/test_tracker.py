@@ -554,7 +554,7 @@ def by_definition(estimate):
         return "searching"
     if sum(mode.weight >= RIVAL for mode in estimate.modes) > 1:
         return "ambiguous"
-    if estimate.within(SURE) >= 0.5:
+    if estimate.within(max(SURE, estimate.size / 2)) >= 0.5:
         return "tracking"
     told = sum(mode.weight for mode in estimate.modes)
     return "ambiguous" if len(estimate.modes) > 1 and told >= 0.5 else "searching"
@@ -564,6 +564,29 @@ def by_definition(estimate):
 def test_the_status_is_what_its_words_say(seed):
     estimate = seeded(seed)
     assert estimate.status == by_definition(estimate)
+
+
+@pytest.mark.parametrize("across", [10, 100])
+def test_a_thing_that_fills_the_view_is_found_though_its_middle_is_not_known(across):
+    """`size` is what the boxes have, the mean over the looks; the status counts half of it."""
+    grid, half = ErpGrid(180, 360), across / 2
+    tracker = DirectionTracker(TrackerConfig(ranges=None))
+    for stamp in range(3):
+        box = [180 - half, 90 - half, 180 + half, 90 + half]  # a pixel is a degree
+        tracker.observe(Evidence.from_boxes([box], grid, stamp=float(stamp)))
+    estimate = tracker.estimate(2.0)
+    assert np.degrees(estimate.size) == pytest.approx(across, rel=0.1)
+    assert estimate.turned(3.0, np.eye(3)).size == estimate.size
+    assert estimate.status == "tracking"
+    assert (estimate.within(SURE) < 0.5) == (across > 50)
+
+
+def test_points_and_nothing_have_no_size():
+    tracker = DirectionTracker(TrackerConfig(ranges=None))
+    tracker.observe(nothing(0.0))
+    assert tracker.estimate(0.0).size == 0
+    tracker.observe(look(FORWARD, 1.0))
+    assert tracker.estimate(1.0).size == 0
 
 
 def test_the_status_says_what_is_known():
