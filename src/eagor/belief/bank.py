@@ -233,6 +233,11 @@ def log_detected(bank: Bank) -> np.ndarray:
     return np.log(-np.expm1(np.minimum(bank.silent, -1e-300)))
 
 
+def log_over(support: np.ndarray, missed: np.ndarray) -> np.ndarray:
+    """log of the share ``(...)`` of T that is not that of a target that was never detected: log(1 - M / T)."""
+    return np.log(-np.expm1(np.minimum(missed - support, -1e-300)))
+
+
 def _mixed(ratio: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The mean ``(...)`` of ratios ``(S, ...)``."""
     return ratio[0] if len(weights) == 1 else np.tensordot(weights, ratio, axes=1)

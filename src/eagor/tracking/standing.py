@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from eagor._lazy import given, lazy
-from eagor.belief.bank import Bank, log_detected
+from eagor.belief.bank import Bank, log_detected, log_over
 from eagor.belief.direction import Belief
 from eagor.belief.field import Patch, SphereField
 from eagor.belief.heights import log_heights, with_heights
@@ -38,6 +38,7 @@ MOST = 4  # windows
 WORTH = 0.02  # of the belief: peaks that hold less get no window,
 LEAST = 0.002  # ... and windows that hold less are closed;
 LEAST_OF_MANY = 0.01  # with look-alikes, where what was detected once goes on to hold some
+MOST_OF_IT = 0.5  # of the belief: with capped shells, a window that holds more is kept, wherever its peak lies
 SPILL = 0.02  # of a window's mass: skirts around it that hold less are left out
 NOTHING = 12.0  # nats below a peak: if a window's border is lower, there is nothing beyond it
 HIGHEST = 12.0  # nats over a target that was never detected: as high as coarse shells get, if there are look-alikes
@@ -138,8 +139,15 @@ class Standing:
         bank = self.bank
         if bank is None or not len(bank.alike):
             return None
-        banks = [window.habits for window in self.windows]
-        alike = self.support.plus(bank.lead + log_detected(bank), [each.lead + log_detected(each) for each in banks])
+        support = self.support
+        held = [(bank, support.values)]
+        held += [(w.habits, patch.values) for w, patch in zip(self.windows, support.patches, strict=True)]
+        # Shells carry along what was detected from elsewhere; the bank of the cells does not know of it.
+        ranged = isinstance(self.coarse, RangedBelief)
+        cells, *patches = (
+            each.lead + (log_over(values, each.missed) if ranged else log_detected(each)) for each, values in held
+        )
+        alike = support.plus(cells, patches)
         many = math.log(bank.habits.look_alikes / (4 * math.pi))
         return np.logaddexp(0.0, log_sums(alike, self.places) + many)
 
@@ -343,6 +351,8 @@ class Standing:
         found = found._searched()
         masses, least = found.masses(), LEAST if found.explained is None else LEAST_OF_MANY
         alone = with_own_peaks(found.windows, found.field.patches)
+        if found.explained is not None and isinstance(found.coarse, RangedBelief):
+            alone |= {int(i) for i in np.flatnonzero(masses > MOST_OF_IT)}  # capped shells could not stand in for it
         keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > least and i in alone][:MOST]
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
 
