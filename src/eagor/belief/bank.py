@@ -103,7 +103,7 @@ class Bank:
         if explained is None:
             return found
         left = np.minimum(self.excused - explained, 0.0)
-        return np.logaddexp(found + left, self.missed + np.log(-np.expm1(np.minimum(left, -1e-300))))
+        return np.logaddexp(found + left, self.missed + _log_rest(left))
 
     @property
     def silent(self) -> np.ndarray:
@@ -230,12 +230,17 @@ class Bank:
 
 def log_detected(bank: Bank) -> np.ndarray:
     """log of the probability ``(...)`` that anything was detected there."""
-    return np.log(-np.expm1(np.minimum(bank.silent, -1e-300)))
+    return _log_rest(bank.silent)
 
 
 def log_over(support: np.ndarray, missed: np.ndarray) -> np.ndarray:
     """log of the share ``(...)`` of T that is not that of a target that was never detected: log(1 - M / T)."""
-    return np.log(-np.expm1(np.minimum(missed - support, -1e-300)))
+    return _log_rest(missed - support)
+
+
+def _log_rest(log: np.ndarray) -> np.ndarray:
+    """log(1 - exp(log)) ``(...)``, for a `log` up to 0."""
+    return np.log(-np.expm1(np.minimum(log, -1e-300)))
 
 
 def _mixed(ratio: np.ndarray, weights: np.ndarray) -> np.ndarray:

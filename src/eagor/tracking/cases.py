@@ -326,7 +326,8 @@ class Cases:
         standing, spread = self.standing, self.standing.spread
         field, support, explained = standing.field, standing.support, standing.explained
         banks = [window.habits for window in standing.windows]
-        values, _, directions = field.nodes
+        values, weights, directions = field.nodes
+        owned = weights / (4 * math.pi)
 
         def nodes(grid: np.ndarray, patches: Sequence[np.ndarray]) -> np.ndarray:
             return np.concatenate([grid[field.outside], *(patch.reshape(-1) for patch in patches)])
@@ -336,7 +337,6 @@ class Cases:
             density = world.densities(directions[counts], spread.scales, np.eye(len(found))) @ amounts[counts]
             return spread.weights @ density * found.area
 
-        owned = nodes(np.broadcast_to(self.grid.weights, self.grid.shape), field.shares) / (4 * math.pi)
         mass = np.exp(np.minimum(values - field.log_mean, LARGEST)) * owned
         recall = nodes(bank.recall, [each.recall for each in banks])
         target = caused(self.presence * mass * recall / max(float(mass.sum()), 1e-300))
