@@ -844,12 +844,12 @@ def box_around(points, grid):
 
 @pytest.mark.skipif(not LYTHWOOD.exists(), reason="the shared panoramas are not here")
 def test_red_in_the_bedroom_is_ambiguous():
-    found = answer("locate", LYTHWOOD, "red", "--modes", "8")
+    found = answer("locate", LYTHWOOD, "red")
     middle = footstool_box()[1]
     assert found["status"] == "ambiguous"
     assert len(found["modes"]) >= 3
-    # Another, smaller red thing lies 18 degrees beside the footstool: the two are one candidate, whose top is there.
-    assert min(error_deg(mode, middle) for mode in found["modes"]) < 20
+    # A smaller red thing lies 18 degrees beside the footstool. The picture shows both, and each is a candidate.
+    assert min(error_deg(mode, middle) for mode in found["modes"]) < 5
 
 
 @pytest.mark.skipif(not LYTHWOOD.exists(), reason="the shared panoramas are not here")

@@ -11,7 +11,8 @@ import numpy as np
 from eagor._arrays import Array, to_numpy
 from eagor._lazy import lazy
 from eagor._reprs import where
-from eagor.belief.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, PROMINENCE, CredibleRegion, Field, Posterior
+from eagor.belief.basins import PROMINENCE
+from eagor.belief.posterior import CELLS_FOR_REGIONS, MIN_WEIGHT, CredibleRegion, Field, Posterior
 from eagor.errors import EagorError
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import FLAT, decoding_grid

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.belief.basins import basins
+from eagor.belief.basins import PROMINENCE, basins
 from eagor.belief.field import Patch, SphereField, bent, plane_directions, plane_weights
 from eagor.harmonics.peaks import refine
 from eagor.sphere import unit
 
-PROMINENCE = 0.7  # nats: a peak counts as a mode if it stands out by a factor of two from the saddle around it
 FINER = 4  # refinement (per side) of patches and heavy cells where masses are summed
 HEAVY = 0.002  # of the belief: cells that hold more are refined
 NEAR = math.radians(20)  # of a peak: within this angle it is the same thing, which parallax may move

@@ -57,7 +57,7 @@ class Live(Common):
     """DDS domain of ros: and go2 (default: ROS_DOMAIN_ID, else 0)."""
     interface: Annotated[str | None, bare("NAME")] = None
     """Network interface of ros: and go2, such as eth0."""
-    modes: Modes = 3
+    modes: Modes = 10
     floor: Floor = None
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63."""

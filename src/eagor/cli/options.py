@@ -74,7 +74,7 @@ class Locate(Common):
         "(FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed "
         "one; `eagor doctor` lists them."
     )
-    modes: Modes = 3
+    modes: Modes = 10
     floor: Floor = None
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63; the resolution is about 180 / N degrees."""
@@ -137,7 +137,7 @@ class Track(Common):
     """Run the baselines on the same evidence as well."""
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63."""
-    modes: Modes = 3
+    modes: Modes = 10
     picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
     """Draw each frame with the belief into this folder."""
     rerun: Rerun = None

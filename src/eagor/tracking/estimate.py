@@ -25,7 +25,7 @@ Status = Literal["searching", "tracking", "ambiguous", "stale"]
 SURE = math.radians(15)  # of the answer: a target within this angle counts as found
 RIVAL = 0.2  # of the belief: a second mode that holds this share makes the answer ambiguous
 LEAST_MODE = 0.02  # of the belief: modes that hold less are not listed
-MOST_MODES = 5
+MOST_MODES = 10
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ class Answer:
         """The status, and after a semicolon each fault: "tracking; no picture for 2.1 s"."""
         return "; ".join([self.estimate.status, *(fault.text for fault in self.faults)])
 
-    def as_json(self, modes: int = 3, exact: bool = False) -> dict[str, Any]:
+    def as_json(self, modes: int = 10, exact: bool = False) -> dict[str, Any]:
         """This answer for a line of JSON, with at most so many candidates; what is not known is None.
 
         `exact`: numbers are not rounded, so that answers can be compared bit for bit.
