@@ -25,6 +25,7 @@ from eagor.worlds.ground import Ground
 from eagor.worlds.habitat import probe, sessions, world
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.options import parse
+from eagor.worlds.habitat.storeys import main_storey
 from eagor.worlds.habitat.view import euclidean
 from eagor.worlds.render import Renderer
 
@@ -170,6 +171,34 @@ def test_options_are_read_from_the_name():
 def test_a_storey_that_is_not_there_is_named(flat):
     with pytest.raises(WorldError, match=r"no storey at the height 9 m; it has some at 0\.\d m"):
         worlds.load(f"habitat:{flat}?storey=9")(0)
+
+
+class Levels:
+    """A mesh with a square island for each (side, height), metres."""
+
+    def __init__(self, *levels):
+        self.levels, self.num_islands = levels, len(levels)
+
+    def island_area(self, island):
+        return self.levels[island][0] ** 2
+
+    def build_navmesh_vertices(self, island):
+        side, height = self.levels[island]
+        return [(x, height, z) for x, z in ((0, 0), (side, 0), (side, side), (0, side))]
+
+    def build_navmesh_vertex_indices(self, island):
+        return [0, 1, 2, 0, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("height", "island"),
+    [(3.0, 1), (2.8, 0), (2.95, 1), (0.1, 2), (0.3, 2)],
+    ids=["the floor, not the larger roof", "the roof", "the floor's main part", "downstairs", "not the table"],
+)
+def test_the_storey_is_the_nearest_one(height, island):
+    roof, floor, ground, closet, table = (12.0, 2.8), (9.0, 3.05), (10.0, 0.05), (1.5, 3.0), (0.8, 0.3)
+    found = main_storey(Levels(roof, floor, ground, closet, table), lambda feet: 1.0, height)
+    assert found.island == island
 
 
 def test_other_worlds_take_no_argument():

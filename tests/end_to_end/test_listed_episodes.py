@@ -233,7 +233,8 @@ def test_in_habitat_each_scene_is_a_world_with_its_dataset_and_storeys(file):
     worlds = [each.world for each in listed_slots("navigation", file, 2, "habitat", None)]
     dataset = home / "eagor/eagor.scene_dataset_config.json"
     assert worlds == [
-        f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}" for place in ("00001-other/other", "00000-room/room")
+        f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&storey=0.00"
+        for place in ("00001-other/other", "00000-room/room")
     ]
 
 
@@ -248,6 +249,38 @@ def test_starts_on_two_storeys_are_played_on_their_own(tmp_path):
     slots = listed_slots("navigation", file, None, "habitat", None)
     assert [each.world.partition("&")[2] for each in slots] == ["storey=0.00"] * 2 + ["storey=2.90"] * 2
     assert [each.episode for each in slots] == [1, 3, 0, 2]
+
+
+def test_all_starts_upstairs_are_played_upstairs(tmp_path):
+    file = exported(tmp_path)
+
+    def upstairs(found):
+        for episode in found["episodes"]:
+            episode["start_position"][1] += 2.9
+
+    rewrite(file, upstairs)
+    slots = listed_slots("navigation", file, None, "habitat", None)
+    assert [each.world.partition("&")[2] for each in slots] == ["storey=2.90"] * 4
+
+
+def test_starts_on_stairs_do_not_join_the_storeys(tmp_path):
+    file = exported(tmp_path)
+
+    def on_stairs(found):
+        for episode, height in zip(found["episodes"], (0.0, 1.1, 2.2, 2.9), strict=True):
+            episode["start_position"][1] += height
+
+    rewrite(file, on_stairs)
+    slots = listed_slots("navigation", file, None, "habitat", None)
+    assert [each.world.partition("&")[2] for each in slots] == ["storey=0.55"] * 2 + ["storey=2.55"] * 2
+
+
+def test_a_start_on_another_storey_is_refused(tmp_path):
+    def upstairs(found):
+        found["episodes"][0]["start_position"][1] += 2.9
+
+    with pytest.raises(WorldError, match=r"starts at the height 2.90 m, but the ground there is at 0.00 m in .*storey"):
+        planned(exported(tmp_path), upstairs)
 
 
 def test_one_file_may_hold_several_scenes_and_goals_in_each_episode(tmp_path):

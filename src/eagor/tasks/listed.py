@@ -127,16 +127,16 @@ def _in_habitat(scene: str, episodes: SceneEpisodes, file: Path, scenes: Path | 
 
 
 def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
-    """The world of each episode: a storey is chosen by the height of the starts, if these differ by a storey."""
-    heights = np.array([episode.position[2] for episode in episodes.episodes])
-    order = np.argsort(heights, kind="stable")
-    storey = np.zeros(len(heights), dtype=int)
-    storey[order] = np.concatenate([[0], np.cumsum(np.diff(heights[order]) > STOREY)])
-    if storey.max() == 0:
-        return [world] * len(heights)
-    levels = [float(np.median(heights[storey == each])) for each in range(storey.max() + 1)]
+    """The world of each episode, on the storey of its start: opening one takes seconds, so near heights share one."""
+    heights = [float(episode.position[2]) for episode in episodes.episodes]
+    lowest: list[float] = []
+    for height in sorted(heights):
+        if not lowest or height - lowest[-1] > STOREY:  # starts on stairs must not join the storeys that these join
+            lowest.append(height)
+    group = np.searchsorted(lowest, heights, side="right") - 1
+    levels = [float(np.median(np.array(heights)[group == each])) for each in range(len(lowest))]
     mark = "&" if "?" in world else "?"
-    return [f"{world}{mark}storey={levels[each]:.2f}" for each in storey]
+    return [f"{world}{mark}storey={levels[each]:.2f}" for each in group]
 
 
 def _below(scene: str, file: Path, scenes: Path | None) -> Path:

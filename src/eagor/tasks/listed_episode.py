@@ -22,6 +22,8 @@ from eagor.worlds.walkable import Way
 
 __all__ = ["ListedEpisode", "plan", "way_to_goal"]
 
+OFF = 0.5  # metres that a start may lie above or below the ground: meshes float by the height of a voxel, or two
+
 
 @dataclass(frozen=True, eq=False)
 class ListedEpisode(Episode):
@@ -52,9 +54,9 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
     place = load_place(slot.world, slot.seed, camera.radius)
     if isinstance(place.scene, Scene):
         check_scene([episode], place.scene, place.ground)
-    start = _start(place, episode, name)
-    things, views = _on_this_storey(found.goals[episode.category], float(episode.position[2]))
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
+    start = _start(place, episode, name, zero)
+    things, views = _on_this_storey(found.goals[episode.category], float(episode.position[2]))
     targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
     if rules.goal == "view_points" and len(views) == 0:
         raise WorldError(
@@ -99,8 +101,11 @@ def way_to_goal(place: Place, episode: ListedEpisode) -> Way:
     return place.way_to_points(episode.view_points[:, :2])
 
 
-def _start(place: Place, episode: FileEpisode, name: str) -> np.ndarray:
-    """The start ``(2,)`` on free ground, which may be a cell away: files of others hold rounded numbers."""
+def _start(place: Place, episode: FileEpisode, name: str, zero: float) -> np.ndarray:
+    """The start ``(2,)`` on free ground, which may be a cell away: files of others hold rounded numbers.
+
+    `zero`: the height of our z = 0 in the file.
+    """
     xy = episode.position[:2]
     found = place.ground.snap(xy, within=place.ground.cell)
     if found is None:
@@ -111,6 +116,13 @@ def _start(place: Place, episode: FileEpisode, name: str) -> np.ndarray:
         raise WorldError(
             f"{name} starts at ({xy[0]:.2f}, {xy[1]:.2f}), which is not on free ground for a body of radius "
             f"{place.ground.radius:g} m in {place.scene.source}: {away}. Use the scene and the radius it was made for"
+        )
+    ground = zero + place.ground.height(found)
+    if abs(ground - episode.position[2]) > OFF:
+        raise WorldError(
+            f"{name} starts at the height {episode.position[2]:.2f} m, but the ground there is at {ground:.2f} m in "
+            f"{place.scene.source}: it is on another storey. Choose the world that holds its storey: --world habitat "
+            "does so by itself, habitat:SCENE?storey=HEIGHT by hand"
         )
     return found
 

@@ -59,7 +59,10 @@ def main_storey(
         if not near:
             known = ", ".join(sorted({f"{level:.1f}" for area, _, level in levels if area >= SMALLEST}))
             raise WorldError(f"{source} has no storey at the height {height:g} m; it has some at {known} m")
-        _, island, level = max(near, key=lambda each: (each[0] >= SMALLEST, -round(abs(each[2] - height)), each[0]))
+        large = [each for each in near if each[0] >= SMALLEST] or near
+        nearest = min(abs(level - height) for _, _, level in large)
+        # Islands of one floor differ by what the mesh is rounded to: among these the largest counts.
+        _, island, level = max(each for each in large if abs(each[2] - height) <= nearest + BIN)
         return Storey(island, level)
     ranked = sorted(levels, reverse=True)
     for _, island, level in ranked:
