@@ -36,9 +36,9 @@ def run(network: Any, feed: Mapping[str, Any], seconds: float | None = None) -> 
 
     Raises `TimeoutError` after `seconds` (default: `SECONDS`), else what onnxruntime raises.
     """
-    from onnxruntime import RunOptions
+    import onnxruntime
 
-    options, most = RunOptions(), SECONDS if seconds is None else seconds
+    options, most = onnxruntime.RunOptions(), SECONDS if seconds is None else seconds
     options.log_severity_level = 4
 
     def end() -> None:
