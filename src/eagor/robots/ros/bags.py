@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 import warnings
 from collections.abc import Collection, Iterator, Sequence
+from errno import EINVAL
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,8 @@ def _files(path: Path) -> Sequence[Path]:
     try:
         if path.is_dir():
             return _in_folder(path)
+        if path.exists() and not path.is_file():
+            raise OSError(EINVAL, "it is a pipe or a device")
         with path.open("rb") as file:
             head = file.read(16)
     except OSError as error:
