@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import itertools
 import math
@@ -14,7 +15,7 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 from processes import limited
-from rosmaking import random_message
+from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
 from eagor.robots.ros import messages as m
@@ -249,3 +250,46 @@ def test_bags_that_ask_for_much_room(tmp_path):
     ]
     for line, want in itertools.zip_longest(said, wanted, fillvalue=""):
         assert want in line
+
+
+class Filling:
+    """A file on a disk that is full after so many writes, in the middle of one, and has room again later."""
+
+    def __init__(self, file, left):
+        self._file, self._left = file, left
+
+    def write(self, data):
+        self._left -= 1
+        if self._left == 0:
+            self._file.write(bytes(data)[: len(data) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return self._file.write(data)
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+@pytest.mark.parametrize("left", range(1, 40, 2))
+def test_a_disk_that_is_full_for_a_moment_ends_the_recording_where_it_was(tmp_path, left):
+    """Chunks that are written after half a one would be read as part of it."""
+    rng = np.random.default_rng(0)
+    sent = [random_message(m.ODOMETRY, rng, 100.0 + number) for number in range(30)]
+    bag = BagWriter(tmp_path / "bag", at_risk=0)
+    bag._writer.storage.bio = Filling(bag._writer.storage.bio, left)
+    with suppress(StorageError):
+        for number, each in enumerate(sent):
+            bag.write("/odom", m.ODOMETRY, each, 100.0 + number)
+        bag.close()
+    with pytest.raises(StorageError, match="is closed"):
+        bag.write("/odom", m.ODOMETRY, sent[0], 200.0)
+    bag.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found = list(read_bag(tmp_path / "bag"))
+        except FormatError:  # not one message is whole
+            found = []
+    assert [stamp for stamp, *_ in found] == [100.0 + number for number in range(len(found))]
+    assert len(found) >= (left - 12) // 8
+    for (*_, one), other in zip(found, sent, strict=False):
+        assert cdr(m.ODOMETRY, one) == cdr(m.ODOMETRY, other)

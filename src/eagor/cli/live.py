@@ -296,7 +296,7 @@ def _replay(options: Live) -> int:
     if options.perception is not None:
         terminal.log(f"{found.answers} answers with the looks of {options.perception}")
         return terminal.OK
-    terminal.log(f"{found.answers} answers, {found.equal} of them equal to the recorded ones bit for bit")
+    terminal.log(found.as_text())
     if found.first is not None:
         played, recorded = found.first
         raise terminal.RunError(
