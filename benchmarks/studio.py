@@ -2,6 +2,7 @@
 
     python benchmarks/studio.py                            one page, and the bytes of the page
     python benchmarks/studio.py --pages 20 --seconds 300   twenty pages, one of which reads one message in two seconds
+    python benchmarks/studio.py --apartments 12 --seconds 10   one page, and the memory after each apartment in a row
 
 Each page walks in the built-in apartment, steered by the policy or turned by the person. Ages are from the moment at
 which the server makes a step to the moment at which this program has it, on one clock. CPU times are of the processes
@@ -90,6 +91,19 @@ async def page(address: str, opening: dict[str, Any], until: float, seen: Seen, 
                 await asyncio.sleep(rest)
 
 
+async def in_row(address: str, apartments: int, seconds: float, drive: str, server: int) -> list[dict[str, float]]:
+    """One page after the other, each so long in an apartment of its own: megabytes of each process after each."""
+    found = []
+    for seed in range(1, apartments + 1):
+        seen = Seen()
+        opening = {"type": "open", "view": "walk", "drive": drive, "seed": seed}
+        while not seen.pictures:  # building takes some seconds
+            await page(address.replace("http:", "ws:") + "ws", opening, time.monotonic() + seconds, seen)
+        await asyncio.sleep(1.0)  # the page is closed
+        found.append({"apartment": seed, **{name: round(mb) for name, (_, mb) in named(cost(server)).items()}})
+    return found
+
+
 async def probe(address: str, until: float, found: list[float]) -> None:
     """How long the server's loop takes to answer, again and again."""
     while time.monotonic() < until:
@@ -172,6 +186,11 @@ def cost(process: int) -> dict[int, tuple[float, float]]:
     return found
 
 
+def named(costs: dict[int, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """The processes by their names: they are started in this order."""
+    return dict(zip(("server", "engine", "eye", "runs"), (costs[each] for each in sorted(costs)), strict=False))
+
+
 def page_bytes(address: str) -> dict[str, int]:
     """The bytes of the page and of what it loads, uncompressed."""
     try:
@@ -187,6 +206,7 @@ def page_bytes(address: str) -> dict[str, int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pages", type=int, default=1)
+    parser.add_argument("--apartments", type=int, default=0, help="in a row, on one page, for --seconds each")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--drive", choices=("policy", "person"), default="person", help="person: it turns all the time")
     options = parser.parse_args()
@@ -199,11 +219,15 @@ def main() -> None:
         while not json.load(urlopen(f"{address}api/state"))["ready"]:
             time.sleep(0.1)
         warm, before, load = time.monotonic() - begun, cost(server.pid), os.getloadavg()[0]
+        if options.apartments:
+            told = in_row(address, options.apartments, options.seconds, options.drive, server.pid)
+            print(json.dumps({"memory_mb": asyncio.run(told)}, indent=1))
+            return
         found = {"warm_s": round(warm, 1), "load_before": round(load, 1), "page_bytes": page_bytes(address)}
         found |= asyncio.run(measure(address, options.pages, options.seconds, options.drive))
         after = cost(server.pid)
-        names = dict(zip(("server", "engine", "eye", "runs"), sorted(after), strict=False))
-        spent = {name: after[each][0] - before.get(each, (0.0, 0.0))[0] for name, each in names.items()}
+        begun_with = named(before)
+        spent = {name: each[0] - begun_with.get(name, (0.0, 0.0))[0] for name, each in named(after).items()}
         steps, looks = found.pop("steps"), found.pop("looks")
         found["cpu_share"] = {name: round(seconds / options.seconds, 3) for name, seconds in spent.items()}
         found["cpu_ms"] = {
@@ -211,7 +235,7 @@ def main() -> None:
             "engine, per update": round(1e3 * spent["engine"] / max(steps, 1), 2),
             "eye, per look": round(1e3 * spent["eye"] / max(looks, 1), 1),
         }
-        found["memory_mb"] = {name: round(after[each][1]) for name, each in names.items()}
+        found["memory_mb"] = {name: round(each[1]) for name, each in named(after).items()}
         print(json.dumps(found, indent=1))
     finally:
         server.send_signal(signal.SIGINT)

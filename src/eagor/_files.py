@@ -115,6 +115,14 @@ def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
     return file
 
 
+def read_file(path: str | os.PathLike[str]) -> bytes:
+    """All of a regular file, through links too. Raises `OSError` for anything else: a pipe may never end, or begin."""
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0))) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, f"{os.fspath(path)} is a pipe or a device; wanted a file on a disk")
+        return file.read()
+
+
 class Lines:
     """A text file that grows by whole lines. The first line creates the file."""
 

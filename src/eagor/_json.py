@@ -12,11 +12,11 @@ _DEEPEST = 200  # nesting of lists that repr, copy and json can still recurse ov
 def parsed(text: str | bytes, strict: bool = False) -> Any:
     """The value that `text` holds; `strict`: NaN and Infinity are errors, as in the JSON standard.
 
-    Raises `ValueError` for invalid JSON, undecodable bytes, numbers of thousands of digits, and lists or objects
-    nested too deep to recurse over.
+    Raises `ValueError` for invalid JSON, undecodable bytes, numbers of thousands of digits, an object that has a key
+    twice, and lists or objects nested too deep to recurse over.
     """
     try:
-        found = json.loads(text, parse_constant=_refused if strict else None)
+        found = json.loads(text, parse_constant=_refused if strict else None, object_pairs_hook=_once)
     except RecursionError:
         raise ValueError("the lists are nested too deep to be read") from None
     opened = text.count(b"[") + text.count(b"{") if isinstance(text, bytes) else text.count("[") + text.count("{")
@@ -49,6 +49,16 @@ def shown(value: Any, most: int = 60) -> str:
     """`value` for an error text, cut at `most` characters."""
     text = repr(value)
     return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object whose keys differ: which of two values is meant cannot be known."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"an object has the key {shown(twice)} twice")
+    return found
 
 
 def _is_deep(value: Any) -> bool:

@@ -3,9 +3,11 @@
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
+from eagor.robots.live.replay import Replay
 from eagor.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -92,6 +95,30 @@ def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
     assert f"{len(first)} answers, {len(first)} of them equal to the recorded ones bit for bit" in captured.err
     assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]) == 0
     assert len(lines(capsys)) == len(first)
+
+
+def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path, capsys):
+    """What is not recorded any more is not compared: it differs from nothing."""
+    pytest.importorskip("rosbags")
+    assert main(["live", str(film), "red chair", "blue ball", "--record", str(tmp_path / "run"), "--json"]) == 0
+    capsys.readouterr()
+    (whole,) = (tmp_path / "run").glob("*.mcap")
+    content, lost = whole.read_bytes(), set()
+    shutil.rmtree(tmp_path / "run")
+    (tmp_path / "run").mkdir()
+    for size in range(len(content) // 2, len(content), max(1, len(content) // 60)):
+        whole.write_bytes(content[:size])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            replay = Replay(tmp_path / "run")
+            answers = len(list(replay))
+        found = replay.compared
+        assert (found.answers, found.equal, found.first) == (answers, found.recorded, None)
+        lost.add(answers - found.recorded)
+        said = found.as_text()
+        assert said.startswith(f"{answers} answers, {found.equal} of them equal to the recorded ones bit for bit")
+        assert ("cannot be compared" in said) is (answers > found.recorded)
+    assert max(lost) > 0  # at least one cut is between an event and its answers
 
 
 def test_a_recording_is_a_run_of_the_studio(film, tmp_path, capsys):

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import itertools
 import math
+import sqlite3
+import struct
+import sys
 import warnings
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
-from rosmaking import random_message
+from processes import limited
+from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
 from eagor.robots.ros import messages as m
 from eagor.robots.ros.bags import Bag, BagWriter, is_bag, read_bag
+from eagor.robots.ros.mcap import MAGIC, MOST
 
 
 def small(path, count=20):
@@ -121,3 +129,167 @@ def test_an_exception_in_the_block_keeps_the_recording(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         record()
     assert [each[3].data for each in read_bag(tmp_path / "bag")] == ["x"]
+
+
+def record(operation, body):
+    return struct.pack("<BQ", operation, len(body)) + body
+
+
+def text(said):
+    return struct.pack("<I", len(said)) + said.encode()
+
+
+def channel(number=1):
+    schema = struct.pack("<H", 1) + text(m.TEXT) + text("ros2msg") + text("string data\n")
+    return record(3, schema) + record(4, struct.pack("<HH", number, 1) + text("/a") + text("cdr") + text(""))
+
+
+def message(time, size):
+    """A string of zeros, `size` bytes with its head."""
+    cdr = b"\0\1\0\0" + struct.pack("<I", size - 8) + bytes(size - 8)
+    return record(5, struct.pack("<HIQQ", 1, 0, time, time) + cdr)
+
+
+def packed(content, compression, times=1):
+    """`content`, so often, compressed in steps."""
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameCompressor
+
+        packer = LZ4FrameCompressor(block_size=7, block_linked=False)
+        return packer.begin() + b"".join(packer.compress(content) for _ in range(times)) + packer.flush()
+    from backports.zstd import ZstdCompressor
+
+    packer = ZstdCompressor()
+    return b"".join([*(packer.compress(content) for _ in range(times)), packer.flush()])
+
+
+def chunk(size, content, compression, time=1):
+    return record(
+        6, struct.pack("<QQQI", time, time, size, 0) + text(compression) + struct.pack("<Q", len(content)) + content
+    )
+
+
+def finished(*chunks):
+    """The bytes of an MCAP file with an index."""
+    file = io.BytesIO(MAGIC + record(1, text("ros2") + text("")) + channel())
+    file.seek(0, io.SEEK_END)
+    places = []
+    for each in chunks:
+        places.append((file.tell(), len(each)))
+        file.write(each)
+    start = file.tell()
+    statistics = struct.pack("<QHIIIIQQ", len(chunks), 1, 1, 0, 0, len(chunks), 1, 1)
+    file.write(channel() + record(11, statistics + struct.pack("<IHQ", 10, 1, len(chunks))))
+    for place, length in places:
+        file.write(record(8, struct.pack("<QQQQ", 1, 1, place, length) + bytes(4 + 8 + 4 + 16)))
+    file.write(record(2, struct.pack("<QQI", start, 0, 0)) + MAGIC)
+    return file.getvalue()
+
+
+def test_the_files_that_these_tests_make_are_bags(tmp_path):
+    """A chunk of several frames among them, which few recorders write."""
+    parts = [channel() + message(1, 100), message(2, 50)]
+    for compression in ("zstd", "lz4"):
+        frames = b"".join(packed(part, compression) for part in parts)
+        (tmp_path / "a.mcap").write_bytes(finished(chunk(sum(map(len, parts)), frames, compression)))
+        assert [(stamp, len(each.data)) for stamp, _, _, each in read_bag(tmp_path / "a.mcap")] == [
+            (1e-9, 92 - 1), (2e-9, 42 - 1)
+        ]  # fmt: skip
+
+
+ASK = """
+for file in sorted(folder.iterdir()):
+    try:
+        for _ in read_bag(file):
+            pass
+        print(file.name, "is read")
+    except EagorError as error:
+        print(error)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits memory as Linux does")
+def test_bags_that_ask_for_much_room(tmp_path):
+    zeros, head = bytes(1 << 26), MAGIC + record(1, text("ros2") + text(""))
+    for name, times in (("lz4", 4), ("zstd", 16)):  # it declares 1,000 bytes
+        much = packed(zeros, name, times)
+        (tmp_path / f"a-{name}.mcap").write_bytes(finished(chunk(1000, much, name)))
+        (tmp_path / f"b-{name}.mcap").write_bytes(head + channel() + chunk(1000, much, name))
+        (tmp_path / f"c-{name}.mcap").write_bytes(head + channel() + chunk(times << 26, much, name))
+    long = chunk(100 << 20, packed(message(1, 100 << 10) + message(9, (100 << 20) - (100 << 10) - 62), "zstd"), "zstd")
+    (tmp_path / "d.mcap").write_bytes(finished(*[long] * 4))
+    (tmp_path / "e.mcap").write_bytes(head + channel() + record(9, bytes(1000)) + chunk(1 << 60, b"", ""))
+    kinds = [
+        record(3, struct.pack("<H", n) + text("a/msg/B") + text("ros2msg") + text(" " * (4 << 20))) for n in range(9)
+    ]
+    (tmp_path / "f.mcap").write_bytes(head + b"".join(chunk(len(k), packed(k, "zstd"), "zstd") for k in kinds))
+    with closing(sqlite3.connect(tmp_path / "g.db3")) as database:
+        database.executescript(
+            "CREATE TABLE topics(id INTEGER, name TEXT, type TEXT);"
+            f"INSERT INTO topics VALUES (1, '/a', '{m.TEXT}');"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);"
+            f"INSERT INTO messages VALUES (1, 1, 1, zeroblob({MOST + 1}));"
+        )
+    large = message(1, MOST - 200)
+    (tmp_path / "h.mcap").write_bytes(finished(chunk(len(large), packed(large, "zstd"), "zstd")))
+    assert (tmp_path / "b-zstd.mcap").stat().st_size < 200_000
+    said = limited(
+        "from eagor.errors import EagorError\nfrom eagor.robots.ros.bags import read_bag\n", ASK, tmp_path, 600
+    )
+    wanted = [
+        *["is damaged (a chunk cannot be unpacked (it holds more than the 1000 bytes that it declares)); copy or"] * 2,
+        *["holds no message (a chunk cannot be unpacked (it holds more than the 1000 bytes that it declares)); rec"]
+        * 2,
+        "holds no message (a chunk of 268435456 bytes; at most 134217728 are read); record it again",
+        "holds no message (a chunk of 1073741824 bytes; at most 134217728 are read); record it again",
+        "is damaged (more than 268435456 bytes wait to be put in order of time); copy or record it again",
+        f"holds no message (a chunk of {1 << 60} bytes; at most 134217728 are read); record it again",
+        "holds no message (definitions of more than 16777216 bytes); record it again",
+        "is damaged (a message of more than 134217728 bytes: string or blob too big); copy or record it again",
+        "h.mcap is read",
+    ]
+    for line, want in itertools.zip_longest(said, wanted, fillvalue=""):
+        assert want in line
+
+
+class Filling:
+    """A file on a disk that is full after so many writes, in the middle of one, and has room again later."""
+
+    def __init__(self, file, left):
+        self._file, self._left = file, left
+
+    def write(self, data):
+        self._left -= 1
+        if self._left == 0:
+            self._file.write(bytes(data)[: len(data) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return self._file.write(data)
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+@pytest.mark.parametrize("left", range(1, 40, 2))
+def test_a_disk_that_is_full_for_a_moment_ends_the_recording_where_it_was(tmp_path, left):
+    """Chunks that are written after half a one would be read as part of it."""
+    rng = np.random.default_rng(0)
+    sent = [random_message(m.ODOMETRY, rng, 100.0 + number) for number in range(30)]
+    bag = BagWriter(tmp_path / "bag", at_risk=0)
+    bag._writer.storage.bio = Filling(bag._writer.storage.bio, left)
+    with suppress(StorageError):
+        for number, each in enumerate(sent):
+            bag.write("/odom", m.ODOMETRY, each, 100.0 + number)
+        bag.close()
+    with pytest.raises(StorageError, match="is closed"):
+        bag.write("/odom", m.ODOMETRY, sent[0], 200.0)
+    bag.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found = list(read_bag(tmp_path / "bag"))
+        except FormatError:  # not one message is whole
+            found = []
+    assert [stamp for stamp, *_ in found] == [100.0 + number for number in range(len(found))]
+    assert len(found) >= (left - 12) // 8
+    for (*_, one), other in zip(found, sent, strict=False):
+        assert cdr(m.ODOMETRY, one) == cdr(m.ODOMETRY, other)

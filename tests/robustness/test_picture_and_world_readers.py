@@ -269,3 +269,38 @@ def test_episodes(folder, draw):
         for episode in found.episodes:
             assert np.isfinite(episode.position).all()
             assert episode.category in found.goals
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "tiff"])
+@pytest.mark.parametrize("tag", range(1, 9))
+def test_a_picture_is_turned_and_mirrored_as_its_tag_says(tmp_path, kind, tag):
+    """Stored as a camera with this tag stores it, a panorama comes back as it was seen."""
+    seen = np.zeros((64, 128, 3), np.uint8)
+    seen[8:24, 16:40, 0] = 250
+    stored = {
+        1: seen, 2: seen[:, ::-1], 3: seen[::-1, ::-1], 4: seen[::-1], 5: seen.swapaxes(0, 1),
+        6: np.rot90(seen), 7: seen[::-1, ::-1].swapaxes(0, 1), 8: np.rot90(seen, -1),
+    }[tag]  # fmt: skip
+    exif = Image.Exif()
+    exif[0x0112] = tag
+    Image.fromarray(np.ascontiguousarray(stored)).save(tmp_path / f"p.{kind}", exif=exif, quality=95)
+    found = read_panorama(tmp_path / f"p.{kind}")
+    assert found.shape == seen.shape
+    assert np.abs(found.astype(int) - seen).mean() < 3
+
+
+def test_a_panorama_is_not_stood_on_its_side_by_a_tag(tmp_path):
+    lying = np.zeros((64, 128, 3), np.uint8)
+    lying[8:24, 16:40] = 250
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(lying).save(tmp_path / "p.png", exif=exif)
+    assert np.array_equal(read_panorama(tmp_path / "p.png"), lying)
+
+
+@pytest.mark.filterwarnings("ignore:Corrupt EXIF data")  # Pillow says so wherever it opens one
+def test_a_damaged_tag_changes_nothing(tmp_path):
+    lying = np.zeros((64, 128, 3), np.uint8)
+    for exif in (b"Exif\0\0II*\0\xff\xff\xff\xff", b"Exif\0\0nothing", b"Exif\0\0"):
+        Image.fromarray(lying).save(tmp_path / "p.jpg", exif=exif)
+        assert np.array_equal(read_panorama(tmp_path / "p.jpg"), lying)

@@ -23,8 +23,9 @@ import numpy as np
 import pytest
 from contract_server import ContractServer, reddish
 from hostile_server import OK, HostileServer, completion, whole
+from PIL import Image
 
-from eagor.cli import main
+from eagor.cli import main, terminal
 from eagor.errors import AnswerError, EagorError, ServerError
 from eagor.evaluation import ledger
 from eagor.perception import load, short_name
@@ -214,6 +215,40 @@ def test_a_key_that_is_sent_back_is_not_shown(status, monkeypatch):
             error = error.__cause__ or error.__context__
         assert "***" in str(caught.value)
         assert SECRET not in chain
+
+
+EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\rall is well\u202e"
+
+
+def test_what_a_server_says_does_not_steer_the_terminal(tmp_path, capsys):
+    """Neither in the error's line nor in the traceback, nor as a step of JSON."""
+    Image.fromarray(GREY).save(tmp_path / "p.png")
+
+    def answer(connection, *_):
+        head = b"HTTP/1.1 400 No\r\ncontent-type: application/json\r\n"
+        connection.sendall(whole(json.dumps({"error": {"message": f"no such {EVIL} model"}}).encode(), head))
+
+    with HostileServer(answer) as server:
+        address = f"endpoint:m@{server.url}?retries=0"
+        assert main(["locate", str(tmp_path / "p.png"), "red chair", "--perception", address, "--debug"]) > 0
+    out, err = capsys.readouterr()
+    assert "no such" in err
+    assert "owned" in err
+    assert [each for each in out + err if not each.isprintable() and each not in "\n\t"] == []
+
+
+def test_results_do_not_steer_the_terminal_either(capsys):
+    terminal.emit({"words": EVIL, "further": {EVIL: [EVIL]}})
+    said = capsys.readouterr().out
+    assert said.rstrip("\n").isprintable()
+    assert json.loads(said) == {"words": EVIL, "further": {EVIL: [EVIL]}}
+    terminal.facts({"name": EVIL, EVIL: {"inner": [EVIL, "b"]}})
+    terminal.columns({EVIL: EVIL})
+    terminal.say(EVIL, "two\tcolumns")
+    terminal.warning(EVIL)
+    out, err = capsys.readouterr()
+    assert "two\tcolumns" in out
+    assert [each for each in out + err if not each.isprintable() and each not in "\n\t"] == []
 
 
 def test_an_answer_holds_no_key_either(monkeypatch):

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -10,13 +11,17 @@ from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 
 from eagor.cli.poses import read_poses
+from eagor.conventions import wxyz_from_rotation
+from eagor.errors import EagorError
 from eagor.evaluation import ledger, predictions
 from eagor.evaluation.replayed import read_truth
 from eagor.evidence import Evidence
 from eagor.perception.calibrated import Calibrated, read_calibrated
+from eagor.perception.onnx.names import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
 from eagor.perception.transformers.heads import read_heads
 from eagor.perception.vlm.labelled import labelled_lines, read_labelled
+from eagor.sphere import world_R_body
 
 POSES = [
     b"stamp,qw,qx,qy,qz,x,y,z,frame\n0,1,0,0,0,0,0,1,a.png\n0.5,0.99,0.1,0.1,0,0.1,0,1,\n1,0,0,0,1,0,0,1,b.png\n",
@@ -201,3 +206,80 @@ def test_predictions(folder, blob):
     path.write_bytes(blob)
     found = reads(lambda: predictions._lines(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot"))
     assert found is None or set(found) <= {"a/0/0", "b/0/0"}
+
+
+QUATERNIONS = "stamp,qw,qx,qy,qz\n"
+
+
+@pytest.mark.parametrize("head", ["stamp,qw,qx,qy,qz,x,y,z,frame", "frame,roll_deg,stamp,pitch_deg,yaw_deg"])
+def test_poses_that_are_read_at_once_are_those_of_each_line(tmp_path, monkeypatch, head):
+    rng, file = np.random.default_rng(0), tmp_path / "poses.csv"
+    lines = [head]
+    for number in range(50):
+        turn = rng.normal(size=4)
+        turn /= np.linalg.norm(turn)
+        cells = dict(zip(("qw", "qx", "qy", "qz"), turn, strict=True))
+        cells |= {name: rng.uniform(-80, 80) for name in ("x", "y", "z", "yaw_deg", "pitch_deg", "roll_deg")}
+        cells |= {"stamp": number / 3, "frame": f"a_{number}.png" if number % 3 else ""}
+        lines.append(", ".join(str(cells[name]) for name in head.split(",")))
+    file.write_text("\n".join(lines))
+    found = read_poses(file)
+    monkeypatch.setattr("eagor.cli.poses._at_once", lambda *_: None)
+    for one, other in zip(found, read_poses(file), strict=True):
+        assert (one.stamp, one.frame) == (other.stamp, other.frame)
+        np.testing.assert_allclose(one.world_R_body, other.world_R_body, atol=1e-15)
+        assert np.array_equal(one.position, other.position) if "x" in head.split(",") else one.position is None
+
+
+@pytest.mark.parametrize(("told", "meant", "asked"), [
+    ("qw,qx,qy,qz", "xyzw", True), ("qx,qy,qz,qw", "wxyz", True), ("qw,qx,qy,qz", "wxyz", False),
+    ("qx,qy,qz,qw", "xyzw", False),
+])  # fmt: skip
+def test_quaternions_in_another_order_are_asked_about(tmp_path, recwarn, told, meant, asked):
+    """The log of a robot that turns around, and leans a little."""
+    file, rng = tmp_path / "poses.csv", np.random.default_rng(0)
+    lines = []
+    for number, yaw in enumerate(np.linspace(-3, 3, 60)):
+        turned = wxyz_from_rotation(world_R_body(yaw, *rng.normal(0, 0.05, 2)))
+        lines.append([number, *(turned["wxyz".index(name)] for name in meant)])
+    file.write_text(f"stamp,{told}\n" + "".join(",".join(map(str, line)) + "\n" for line in lines))
+    assert len(read_poses(file)) == 60
+    assert [str(each.message) for each in recwarn if "xyzw?" in str(each.message)] == [
+        f"{file}: the camera is upside down, or leans as no robot does. xyzw? The scalar part is qw, which messages of "
+        "ROS have last; nothing is wrong if the camera hangs upside down, or tumbles"
+    ] * asked
+
+
+def test_a_camera_that_is_carried_or_hangs(tmp_path, recwarn):
+    """One that leans by up to 80 degrees is not asked about, one that is upside down all the time is."""
+    file, rng = tmp_path / "poses.csv", np.random.default_rng(1)
+    for least, asked in ((0.0, 0), (math.pi, 1)):
+        turns = [world_R_body(rng.uniform(-3, 3), 0.0, least + rng.uniform(-1.4, 1.4)) for _ in range(100)]
+        lines = [",".join(map(str, [number, *wxyz_from_rotation(turn)])) for number, turn in enumerate(turns)]
+        file.write_text("\n".join([QUATERNIONS.strip(), *lines]))
+        read_poses(file)
+        assert len(recwarn) == asked
+
+
+@pytest.mark.parametrize("read", [read_poses, read_calibrated, read_heads, labelled_lines, read_labels, read_truth])
+def test_a_pipe_that_nobody_writes_to_is_refused(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(EagorError, match=r"pipe"):
+        read(tmp_path / "pipe")
+
+
+def test_a_link_to_a_file_is_read(tmp_path):
+    (tmp_path / "real.csv").write_text(QUATERNIONS + "0,1,0,0,0\n")
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    assert len(read_poses(tmp_path / "link.csv")) == 1
+
+
+def test_an_object_has_each_key_once(tmp_path):
+    file = tmp_path / "calibration.json"
+    text = json.dumps(CALIBRATION)
+    file.write_text(text[:-1] + ', "perception": "colour"}')
+    with pytest.raises(EagorError, match="an object has the key 'perception' twice"):
+        read_calibrated(file)
+    file.write_text(text.replace('"floor": 0.3', '"floor": 0.3, "floor": 0.3'))
+    with pytest.raises(EagorError, match="an object has the key 'floor' twice"):
+        read_calibrated(file)

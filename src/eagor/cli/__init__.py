@@ -30,7 +30,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if not sys.stderr.isatty():  # read by transformers: no progress bars without a terminal
     os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
 
-from eagor._secrets import redacted
 from eagor._version import __version__
 from eagor.cli import terminal
 from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
@@ -73,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             import traceback
 
-            print(redacted(traceback.format_exc()), file=sys.stderr)
+            print(terminal.plain(traceback.format_exc()), file=sys.stderr)
         known = isinstance(error, EagorError | OSError)
         terminal.error(str(error) if known else f"{type(error).__name__}: {error} (a bug; --debug shows where)")
         return 2 if isinstance(error, EagorError) and not isinstance(error, _NO_FAULT_OF_THE_INPUT) else 1

@@ -244,7 +244,7 @@ def _said(study: Study, summary: dict[str, Any], out: Path | None, as_json: bool
     if as_json:
         terminal.emit(study.as_json(summary) | ({"out": str(out)} if out else {}))
     else:
-        print("\n".join(study.as_text(summary)))
+        terminal.say(*study.as_text(summary))
         if out:
             print(f"\nFor pictures and intervals: eagor bench report {out}")
     if not summary["episodes"]:

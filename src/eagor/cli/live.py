@@ -6,7 +6,6 @@ and when it works again, is said on stderr.
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 import sys
@@ -239,7 +238,7 @@ class _Told:
         if answer.query == self._queries[0]:
             self._say(answer)
         if self._json:
-            print(json.dumps(answer.as_json(self._modes), allow_nan=False, ensure_ascii=False), flush=True)
+            terminal.emit(answer.as_json(self._modes))
         elif self._line and answer.query == self._queries[-1] and time.monotonic() - self._shown >= SHOWN:
             self._shown = time.monotonic()
             self._show(" | ".join(map(_in_line, self._newest.values())))
@@ -257,7 +256,7 @@ class _Told:
 
     def _show(self, text: str) -> None:
         wide = shutil.get_terminal_size().columns
-        print(f"\r\x1b[K{text[: wide - 1]}", end="", flush=True)
+        print(f"\r\x1b[K{terminal.plain(text)[: wide - 1]}", end="", flush=True)
 
     def close(self) -> None:
         """End the status line."""
@@ -297,7 +296,7 @@ def _replay(options: Live) -> int:
     if options.perception is not None:
         terminal.log(f"{found.answers} answers with the looks of {options.perception}")
         return terminal.OK
-    terminal.log(f"{found.answers} answers, {found.equal} of them equal to the recorded ones bit for bit")
+    terminal.log(found.as_text())
     if found.first is not None:
         played, recorded = found.first
         raise terminal.RunError(

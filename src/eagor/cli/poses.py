@@ -15,15 +15,19 @@ Blank lines, and lines that begin with ``#``, are skipped.
 from __future__ import annotations
 
 import csv
+import gc
 import io
 import math
+import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
 from pathlib import Path, PurePath
+from typing import NamedTuple
 
 import numpy as np
 
-from eagor.conventions import rotation_from_wxyz
+from eagor._files import read_file
+from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
 from eagor.sphere import world_R_body
 
@@ -34,8 +38,7 @@ HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg
 _NORM_TOLERANCE = 0.01  # a quaternion printed with three digits is still one
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(NamedTuple):
     """One line: stamp in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, frame's name."""
 
     stamp: float
@@ -51,7 +54,7 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
     `TimeError` if the stamps do not increase; each error names the file and the line.
     """
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
+        text = read_file(path).decode("utf-8-sig")
     except (OSError, ValueError) as error:  # UnicodeDecodeError, and null characters in the path
         raise FormatError(f"{path} cannot be read as text ({error}); give a CSV file of poses: {HEADERS}") from error
     lines = _lines(path, text)
@@ -64,8 +67,83 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
         _check_header(names)
     except FormatError as error:
         raise FormatError(f"{path}, line {number}: {error}") from error
+    with _collecting_nothing():
+        rows = list(lines)
+        poses = _at_once(names, [fields for _, fields in rows])
+    poses = poses or _one_by_one(path, names, rows)
+    if not poses:
+        raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
+    if "qw" in names and _is_another_order(poses):
+        warnings.warn(
+            f"{path}: the camera is upside down, or leans as no robot does. xyzw? The scalar part is qw, which "
+            "messages of ROS have last; nothing is wrong if the camera hangs upside down, or tumbles",
+            UserWarning,
+            stacklevel=2,
+        )
+    return poses
+
+
+def _is_another_order(poses: Sequence[Pose]) -> bool:
+    """Whether quaternions seem to be in another order than their columns say; some of the lines tell.
+
+    Either the camera is upside down in every line, or it leans by more than 60 degrees in some, and would in none if
+    the scalar part were in the last column of the four, or if the columns qx, qy, qz, qw held w, x, y, z.
+    """
+    some = poses[:: 1 + len(poses) // 1000]
+    w, x, y, z = wxyz_from_rotation(np.array([pose.world_R_body for pose in some])).T ** 2
+    up, last, first = 1 - 2 * (x + y), 1 - 2 * (w + x), 1 - 2 * (y + z)
+    return bool((up < 0).all() or ((up < 0.5).any() and ((last > 0.5).all() or (first > 0.5).all())))
+
+
+@contextmanager
+def _collecting_nothing() -> Iterator[None]:
+    """Millions of lists that are made at once are no garbage, and going through them takes half of the time."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
+def _at_once(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[Pose, ...] | None:
+    """All poses, computed together; None where a line is wrong, which `_one_by_one` finds and says."""
+    from scipy.spatial.transform import Rotation
+
+    if not rows or any(len(row) != len(names) for row in rows):
+        return None
+
+    def table(columns: Sequence[str]) -> np.ndarray:
+        places = [names.index(name) for name in columns]
+        cells = [[row[place] for row in rows] for place in places]
+        if any("_" in ",".join(column) for column in cells):
+            raise ValueError  # Python would take 1_0 for 10
+        return np.array([list(map(float, column)) for column in cells]).T
+
+    try:
+        stamps, turns = table(("stamp",))[:, 0], table(QUATERNION if "qw" in names else ANGLES)
+        places = table(POSITION) if "x" in names else None
+    except ValueError:
+        return None
+    lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
+    if not (np.isfinite(turns).all() and np.isfinite(stamps).all() and (places is None or np.isfinite(places).all())):
+        return None
+    if (np.abs(lengths - 1) > _NORM_TOLERANCE).any() or (np.diff(stamps) <= 0).any():
+        return None
+    if "qw" in names:
+        matrices = rotation_from_wxyz(turns / lengths[:, None])
+    else:
+        matrices = Rotation.from_euler("ZYX", turns, degrees=True).as_matrix()
+    at = names.index("frame") if "frame" in names else None
+    frames = [None] * len(rows) if at is None else [row[at].strip() or None for row in rows]
+    return tuple(map(Pose, stamps.tolist(), matrices, [None] * len(rows) if places is None else places, frames))
+
+
+def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[Pose, ...]:
+    """The same, line by line. Raises the error of the first line that has one."""
     poses: list[Pose] = []
-    for number, fields in lines:
+    for number, fields in rows:
         try:
             pose = _pose(names, [field.strip() for field in fields])
             if poses and pose.stamp <= poses[-1].stamp:
@@ -76,8 +154,6 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
         except EagorError as error:
             raise type(error)(f"{path}, line {number}: {error}") from error
         poses.append(pose)
-    if not poses:
-        raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
     return tuple(poses)
 
 
@@ -119,7 +195,7 @@ def _lines(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         for fields in reader:
-            if any(field.strip() for field in fields) and not fields[0].lstrip().startswith("#"):
+            if fields and (fields[0].strip() or any(map(str.strip, fields))) and not fields[0].lstrip().startswith("#"):
                 yield reader.line_num, fields
     except csv.Error as error:
         raise FormatError(f"{path}, line {reader.line_num}: is not CSV ({error}); wanted {HEADERS}") from error

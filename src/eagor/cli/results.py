@@ -65,7 +65,7 @@ def compare(options: BenchCompare) -> int:
     if options.json:
         terminal.emit(found)
     else:
-        print("\n".join(comparison.as_text(found, a)))
+        terminal.say(*comparison.as_text(found, a))
     return terminal.OK
 
 
@@ -90,15 +90,15 @@ def failures(options: BenchFailures) -> int:
         terminal.emit(worst.said | {"cases": worst.cases[: options.limit]})
         return terminal.OK
     for sheet in worst.sheets:
-        print(sheet.title, *lines_of(sheet), "", sep="\n")
+        terminal.say(sheet.title, *lines_of(sheet), "")
     if not worst.lines:
         print("No case failed." if run.summary["episodes"] else f"No {run.study.case} has a result.")
     for line in worst.lines[: options.limit]:
-        print(line)
+        terminal.say(line)
     if len(worst.lines) > options.limit:
         print(f"... and {len(worst.lines) - options.limit} more (--limit)")
     for failure in run.summary["failures"]:
-        print(f"could not be run: {failure['key']} (attempt {failure['attempt']}): {failure['error']}")
+        terminal.say(f"could not be run: {failure['key']} (attempt {failure['attempt']}): {failure['error']}")
     return terminal.OK
 
 

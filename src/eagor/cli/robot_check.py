@@ -24,7 +24,7 @@ def check(options: RobotCheck) -> int:
     else:
         terminal.facts(_words(report))
         for problem in report.problems:
-            print(f"problem: {problem}")
+            terminal.say(f"problem: {problem}")
         print("it cannot be used like this" if report.problems else "a Go2 that can be used")
     return terminal.FAILED if report.problems else terminal.OK
 

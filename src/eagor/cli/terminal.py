@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import sys
 import warnings
@@ -16,6 +17,10 @@ from eagor.errors import EagorError
 OK, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
 
 
+# What steers a terminal, or writes from right to left: of words from elsewhere, none of it may reach one.
+_STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
 class UsageError(EagorError):
     """Wrong usage (exit code 2, as for every `EagorError` about input)."""
 
@@ -24,9 +29,19 @@ class RunError(EagorError):
     """The input was valid, but the run failed (exit code 1)."""
 
 
+def plain(text: str) -> str:
+    """`text` without secrets, and with a mark in place of each control character but tabs and ends of lines."""
+    return _STEERING.sub("\N{REPLACEMENT CHARACTER}", redacted(text))
+
+
+def say(*lines: str) -> None:
+    """Print lines on stdout, with words that others have written in them."""
+    print(*map(plain, lines), sep="\n", flush=True)
+
+
 def log(text: str) -> None:
     """Print one line on stderr."""
-    print(redacted(f"eagor: {text}"), file=sys.stderr, flush=True)
+    print(plain(f"eagor: {text}"), file=sys.stderr, flush=True)
 
 
 def warning(text: str) -> None:
@@ -41,25 +56,26 @@ def error(text: str) -> None:
 
 def emit(result: dict[str, Any]) -> None:
     """Print the one JSON object on stdout."""
-    print(redacted(json.dumps(result, allow_nan=False, ensure_ascii=False)), flush=True)
+    text = redacted(json.dumps(result, allow_nan=False, ensure_ascii=False))
+    print(_STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text), flush=True)
 
 
 def columns(pairs: Mapping[str, Any], indent: int = 4) -> None:
     """Print names and what they mean."""
     wide = max((len(name) for name in pairs), default=0)
     for name, what in pairs.items():
-        print(f"{' ' * indent}{name.ljust(wide)}  {what}")
+        say(f"{' ' * indent}{name.ljust(wide)}  {what}")
 
 
 def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:
     """Print names and what was found, and what consists of parts below its name, indented."""
-    plain = {name: _words(value) for name, value in pairs.items() if not (isinstance(value, Mapping) and value)}
-    wide = max((len(name) for name in plain), default=0)
+    flat = {name: _words(value) for name, value in pairs.items() if not (isinstance(value, Mapping) and value)}
+    wide = max((len(name) for name in flat), default=0)
     for name, value in pairs.items():
-        if name in plain:
-            print(f"{' ' * indent}{name.ljust(wide)}  {plain[name]}")
+        if name in flat:
+            say(f"{' ' * indent}{name.ljust(wide)}  {flat[name]}")
         else:
-            print(f"{' ' * indent}{name}")
+            say(f"{' ' * indent}{name}")
             facts(value, indent + 2)
 
 

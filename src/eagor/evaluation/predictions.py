@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eagor._files import read_file
 from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
@@ -99,7 +100,7 @@ def _of_record(record: Record) -> dict[str, Any]:
 
 def _lines(source: Path, ids: Sequence[str]) -> dict[str, dict[str, Any]]:
     try:
-        text = source.read_bytes().decode("utf-8-sig")
+        text = read_file(source).decode("utf-8-sig")
     except FileNotFoundError:
         raise FormatError(f"there is no {source}; wanted a JSON lines file, or the folder of a run") from None
     except (OSError, ValueError) as error:

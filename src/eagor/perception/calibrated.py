@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from eagor._files import written
+from eagor._files import read_file, written
 from eagor._json import number, parsed, shown
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
@@ -132,7 +132,7 @@ def _only(values: Mapping[str, Any], known: Any) -> None:
 def read_calibrated(file: Path) -> Calibrated:
     """The calibration in a file. Raises `EagorError` if it cannot be read or holds something else."""
     try:
-        stored = parsed(Path(file).read_bytes())
+        stored = parsed(read_file(file))
     except OSError as error:
         raise EagorError(f"the calibration {file} cannot be read ({error}); `eagor calibrate` makes one") from error
     except ValueError as error:

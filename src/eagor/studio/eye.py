@@ -1,7 +1,8 @@
 """The process that sees for all sessions: it builds apartments, renders and decodes pictures, runs perceptions.
 
 It is told tuples and says tuples, each with the number of the session. Building takes seconds and has a thread of its
-own, so that other sessions go on seeing meanwhile. A panorama is said before the look at it is taken.
+own, so that other sessions go on seeing meanwhile. A panorama is said before the look at it is taken. Apartments and
+photographs are kept up to `HOMES` and `PHOTOS` bytes, and those that no session uses up to `SPARE`.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -25,12 +27,13 @@ from eagor.perception import load, rows_of
 from eagor.perception.looks import look_if_recorded
 from eagor.robots.pictures import read_photograph
 from eagor.studio.houses import House, house_of, place_of
+from eagor.studio.kept import Kept, given_back
 from eagor.studio.orders import Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned
 from eagor.studio.pictures import jpeg
 from eagor.studio.reels import Reel
 from eagor.studio.steps import calibration_of
 from eagor.tasks.eyes import is_privileged
-from eagor.tasks.places import LOOK_ROWS
+from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking.config import TrackerConfig
 from eagor.worlds.photograph import Photograph
 
@@ -40,6 +43,17 @@ FIRST_ROWS = 256  # of the first panorama of an apartment
 PHOTO_ROWS = 768  # of a photograph that is sent, at most
 LOOKED_ROWS = 512  # of a photograph that is looked at, at most
 STILL = (0.0, 0.0, 0.0)
+HOMES = 1 << 30  # bytes of apartments: some 20, of which each takes seconds to build
+PHOTOS = 1 << 29  # bytes of photographs: two of the largest that may be dropped
+SPARE = 1 << 27  # bytes of apartments, and of photographs, that wait to be used again
+
+
+@dataclass(frozen=True, eq=False)
+class _Home:
+    """An apartment that has been rendered once, so that its light and its triangles are there."""
+
+    place: Place
+    house: House
 
 
 def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
@@ -54,14 +68,20 @@ def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> N
 
     looks: queue.SimpleQueue[See | Turn | Close] = queue.SimpleQueue()
     reels: dict[int, Reel] = {}
+    used: dict[int, int | Path] = {}  # the apartment or the photograph of each session
     builds: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    threading.Thread(target=_forever, args=(looks, lambda job: _serve(job, reels, say)), daemon=True).start()
+    threading.Thread(target=_forever, args=(looks, lambda job: _serve(job, reels, used, say)), daemon=True).start()
     threading.Thread(target=_forever, args=(builds, lambda job: _build(job, say)), daemon=True).start()
     if seed is not None:
         builds.put(("warm", seed, perceptions[0]))
     with suppress(EOFError, OSError):
         while (job := line.recv()) is not None:
-            (looks if isinstance(job, See | Turn | Close) else builds).put(job)
+            if isinstance(job, See | Turn | Close):
+                looks.put(job)
+                continue
+            if job[0] in ("house", "picture"):
+                used[job[1]] = job[2]
+            builds.put(job)
 
 
 def _forever(jobs: queue.SimpleQueue[Any], work: Callable[[Any], None]) -> None:
@@ -75,13 +95,12 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
     try:
         if what == "warm":
             seed, perception = rest
-            house = _furnished(seed)
-            _looked(See(0, 0.0, np.eye(3), _eye(house), perception, house.query, 0, seed))
+            home = _homes(seed)
+            _looked(See(0, 0.0, np.eye(3), _eye(home), perception, home.house.query, 0, seed))
             say(("warm",))
         elif what == "house":
             session, seed, perception = rest
-            house = _furnished(seed)
-            say(Built(session, house, calibration_of(_loaded(perception), TrackerConfig())))
+            say(Built(session, _homes(seed).house, calibration_of(_loaded(perception), TrackerConfig())))
         elif what == "video":
             session, perception = rest
             say(Opened(session, b"", (), calibration_of(_loaded(perception), TrackerConfig())))
@@ -99,25 +118,41 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
             say(Refused(rest[0], what, _said(error)))
 
 
-@lru_cache(maxsize=64)
-def _furnished(seed: int) -> House:
+def _furnished(seed: int) -> _Home:
     """The apartment, after a first picture of it (its light takes seconds), which no other thread renders meanwhile."""
-    house = house_of(seed)
-    _rendered(See(0, 0.0, np.eye(3), _eye(house), "", None, FIRST_ROWS, seed))
-    return house
+    place = place_of(seed)
+    home = _Home(place, house_of(seed, place))
+    place.renderer.panorama(_eye(home), np.eye(3), FIRST_ROWS, range=False, ids=False)
+    return home
 
 
-def _eye(house: House) -> np.ndarray:
-    return place_of(house.seed).eye(house.start, 1.25)
+def _eye(home: _Home) -> np.ndarray:
+    return home.place.eye(home.house.start, 1.25)
 
 
-def _serve(job: See | Turn | Close, reels: dict[int, Reel], say: Callable[[Any], None]) -> None:
+_homes = Kept(_furnished, HOMES)
+_photograph = Kept(read_photograph, PHOTOS)
+
+
+def _serve(
+    job: See | Turn | Close, reels: dict[int, Reel], used: dict[int, int | Path], say: Callable[[Any], None]
+) -> None:
     if isinstance(job, Close):
         reels.pop(job.session, None)
+        used.pop(job.session, None)
+        _leave(list(used.values()))
     elif isinstance(job, Turn):
         _turn(job, reels, say)
     else:
         _see(job, say)
+
+
+def _leave(used: Collection[Any]) -> None:
+    """Forget what none of the sessions uses, but for `SPARE` bytes."""
+    _homes.release(used, SPARE)
+    _photograph.release(used, SPARE)
+    load_place.cache_clear()
+    given_back()
 
 
 def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None:
@@ -165,7 +200,9 @@ def _rendered(job: See, rows: int | None = None) -> np.ndarray:
     rows = rows or job.rows
     if job.seed is not None:
         assert job.position is not None
-        found = place_of(job.seed).renderer.panorama(job.position, job.world_R_body, rows, range=False, ids=False).rgb
+        found = (
+            _homes(job.seed).place.renderer.panorama(job.position, job.world_R_body, rows, range=False, ids=False).rgb
+        )
     else:
         assert job.picture is not None
         found = _small(job.picture, rows).panorama(STILL, job.world_R_body, rows).rgb
@@ -181,7 +218,7 @@ def _looked(job: See) -> tuple[Evidence, ...]:
         if job.seed is None:
             raise QueryError(f"{job.perception} knows only simulated apartments; choose another perception")
         assert job.position is not None
-        ids = place_of(job.seed).ids(job.position, job.world_R_body, LOOK_ROWS)
+        ids = _homes(job.seed).place.ids(job.position, job.world_R_body, LOOK_ROWS)
         return (_informed(job.perception, job.seed)(ids, job.query, stamp=job.stamp),)
     rows = rows_of(perception)
     if job.picture is not None:
@@ -197,12 +234,7 @@ def _loaded(perception: str) -> Any:
 @lru_cache(maxsize=64)
 def _informed(perception: str, seed: int) -> Any:
     """A perception that is told the truth, with mistakes of its own in this apartment."""
-    return _loaded(perception).episode(house_of(seed).things, seed)
-
-
-@lru_cache(maxsize=8)
-def _photograph(path: Path) -> Any:
-    return read_photograph(path)
+    return _loaded(perception).episode(_homes(seed).house.things, seed)
 
 
 @lru_cache(maxsize=16)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -49,16 +48,13 @@ class House:
         return matching(asked, self.things)
 
 
-@lru_cache(maxsize=64)  # more than `load_place` keeps: each is in use by somebody
 def place_of(seed: int) -> Place:
     """The apartment itself, with its renderer."""
     return load_place(APARTMENT, seed, Camera().radius)
 
 
-@lru_cache(maxsize=64)
-def house_of(seed: int) -> House:
-    """The apartment of this seed, for a session. Raises `WorldError` if nobody can walk to anything in it."""
-    place = place_of(seed)
+def house_of(seed: int, place: Place) -> House:
+    """The apartment `place`, of this seed, for a session. Raises `WorldError` if nobody can walk to anything in it."""
     number = EPISODE if seed == SEED else seed % PER_PLACE
     episode = navigation.plan(Slot("navigation", APARTMENT, seed, number, number), Camera(), NavigationRules())
     return House(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError
 from eagor.studio.backends import Backend
+from eagor.studio.kept import weighed
 from eagor.studio.messages import PageError
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ __all__ = ["Library", "serve"]
 
 PROCESS = "eagor.studio.library:serve"
 KEPT = 8  # episodes
+TOGETHER = 1 << 27  # bytes of all of them; the newest is kept anyway
 LASTING = 300.0  # seconds for which an episode is kept: a recording may grow
 CHANGE = "Choose another run or episode; eagor bench info and eagor bench failures say more."
 
@@ -61,6 +63,7 @@ class _Job:
     future: asyncio.Future[Any]
     step: int = 0
     begun: float = field(default_factory=time.monotonic)
+    bytes: int = 0  # of its result
 
 
 class Library:
@@ -101,6 +104,8 @@ class Library:
             while len(self._episodes) > KEPT:
                 self._episodes.popitem(last=False)
         self._episodes.move_to_end((name, key))
+        while len(self._episodes) > 1 and sum(each.bytes for each in self._episodes.values()) > TOGETHER:
+            self._episodes.popitem(last=False)
         with suppress(TimeoutError):  # most are drawn soon
             await asyncio.wait_for(asyncio.shield(job.future), 0.3)
         if not job.future.done():
@@ -121,10 +126,11 @@ class Library:
 
     def _heard(self, said: tuple[int, str, Any]) -> None:
         assert self._loop is not None
+        size = weighed(said[2]) if said[1] == "done" else 0  # here, where nobody waits
         with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._take, *said)
+            self._loop.call_soon_threadsafe(self._take, *said, size)
 
-    def _take(self, number: int, what: str, found: Any) -> None:
+    def _take(self, number: int, what: str, found: Any, size: int = 0) -> None:
         job = self._jobs.get(number)
         if job is None:
             return
@@ -133,6 +139,7 @@ class Library:
             return
         del self._jobs[number]
         if what == "done":
+            job.bytes = size
             job.future.set_result(found)
         else:
             words = " ".join(str(found).split())

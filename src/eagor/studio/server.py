@@ -18,7 +18,7 @@ from urllib.parse import quote, unquote
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -76,7 +76,10 @@ def create_app(studio: Studio) -> Starlette:
     async def pictures(request: Request) -> Response:
         declared = request.headers.get("content-length", "")
         name = unquote(request.headers.get("x-name", ""))
-        path = await studio.uploads.receive(int(declared) if declared.isdecimal() else None, request.stream())
+        try:
+            path = await studio.uploads.receive(int(declared) if declared.isdecimal() else None, request.stream())
+        except ClientDisconnect:
+            return Response(status_code=400)  # nobody reads it
         found = await asyncio.to_thread(studio.uploads.keep, path, name)
         return JSONResponse(found.as_json(), 201)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import shutil
 import tempfile
@@ -20,6 +21,8 @@ BYTES = 64 << 20  # of a file
 PIXELS = 64_000_000  # of a picture
 KEPT = 12  # files; the oldest goes when another one comes
 TOGETHER = 256 << 20  # bytes of all files
+PATIENCE = 15.0  # seconds of silence in which an upload is given up
+SLOWEST = 1 << 16  # bytes per second of an upload on the whole; less is given up after as many seconds more
 NAME = 80  # letters of a name that is shown
 _VIDEOS = {b"ftyp": 4, b"\x1a\x45\xdf\xa3": 0}  # how MP4 and Matroska begin, and where
 
@@ -57,7 +60,7 @@ class Uploads:
         return found
 
     async def receive(self, declared: int | None, chunks: AsyncIterator[bytes]) -> Path:
-        """Write what comes to a file, as far as it may be large; returns its path. Raises `PageError`."""
+        """Write what comes to a file, as far as it may be large and slow; returns its path. Raises `PageError`."""
         too_large = PageError(
             f"The file is larger than {BYTES >> 20} MB.", "Make it smaller: 4096 columns are plenty.", 413
         )
@@ -69,7 +72,7 @@ class Uploads:
         size = 0
         try:
             with path.open("xb") as file:
-                async for chunk in chunks:
+                async for chunk in _in_time(chunks):
                     size += len(chunk)
                     if size > BYTES:
                         raise too_large
@@ -104,6 +107,24 @@ class Uploads:
         self._kept.clear()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+
+async def _in_time(chunks: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """The same, as long as they come fast enough. Raises `PageError`."""
+    now = asyncio.get_running_loop().time
+    begun, size = now(), 0
+    while True:
+        try:
+            async with asyncio.timeout_at(min(now(), begun + size / SLOWEST) + PATIENCE):
+                chunk = await anext(chunks)
+        except StopAsyncIteration:
+            return
+        except TimeoutError as error:
+            raise PageError(
+                f"The file comes too slowly: {size} bytes in {now() - begun:.0f} seconds.", "Drop it again.", 408
+            ) from error
+        size += len(chunk)
+        yield chunk
 
 
 def shown(name: str) -> str:

@@ -18,8 +18,6 @@ from eagor.tasks.benchmark import Record
 from eagor.tasks.eyes import recalibration
 from eagor.tasks.places import Place
 
-ORIENTATION = 0x0112  # the tag in Exif
-
 
 def finished(records: Iterable[Record], wanted: str) -> list[Record]:
     """The records of finished cases. Raises `EagorError` with what is `wanted` if there are none."""
@@ -44,7 +42,7 @@ def picture_size(file: Path | IO[bytes], upright: bool = False) -> tuple[int, in
     """Width and height of a picture, None if it cannot be read; `upright`: after its orientation tag was followed."""
     from PIL import Image
 
-    from eagor.worlds.panorama import FORMATS
+    from eagor.worlds.panorama import FORMATS, ORIENTATION
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Callable
 from typing import IO
 
 import numpy as np
@@ -18,6 +19,7 @@ from eagor.grids import ErpGrid, Grid
 from eagor.sphere import check_rotation
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # Pillow starts no other program for any of these
+ORIENTATION = 0x0112  # the tag in Exif
 _SMALL = 1 << 26  # bytes: 4096 x 4096 in colour
 _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to a thousand
 
@@ -25,9 +27,10 @@ _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to
 def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     """The image file at `path` as ``(H, W, 3)`` uint8.
 
-    Grey, palette and transparent images become RGB (transparency is dropped). The orientation tag of the file is
-    ignored: a panorama's rows are elevations whatever the tag says. An image that is not 2:1 is accepted with a
-    `UserWarning`; its columns span 360 degrees and its rows 180. Raises `ImageError` if there is no readable image.
+    Grey, palette and transparent images become RGB (transparency is dropped). It is turned or mirrored as the
+    orientation tag of the file (Exif) says, unless that would stand a 2:1 panorama on its side. An image that is not
+    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Raises `ImageError` if there is
+    no readable image.
     """
     name = os.fspath(path)
     if not os.path.exists(name):
@@ -37,7 +40,7 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     if os.path.getsize(name) == 0:
         raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
     try:
-        image = read_image(name, os.path.getsize(name))
+        image = read_image(name, os.path.getsize(name), _lying)
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
@@ -56,10 +59,12 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     return image
 
 
-def read_image(file: str | IO[bytes], size: int, upright: bool = False) -> np.ndarray:
+def read_image(
+    file: str | IO[bytes], size: int, turned: Callable[[Image.Image], Image.Image] = lambda image: image
+) -> np.ndarray:
     """The picture ``(H, W, 3)`` uint8 in a file of `size` bytes. Raises `ImageError`, or what Pillow's decoders raise.
 
-    `upright`: turn it as its orientation tag (Exif) says; otherwise the tag is ignored.
+    `turned`: what turns it as its orientation tag (Exif) says; by default the tag is ignored.
 
     A picture that claims more pixels than a real one of this file size can have is rejected before memory is allocated.
     Small pictures may be blank.
@@ -69,7 +74,17 @@ def read_image(file: str | IO[bytes], size: int, upright: bool = False) -> np.nd
         if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
             raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
         image.load()
-        return as_rgb(ImageOps.exif_transpose(image) if upright else image)
+        return as_rgb(turned(image))
+
+
+def _lying(image: Image.Image) -> Image.Image:
+    """A panorama as its orientation tag says, but never a whole one on its side; with a damaged tag, as it is."""
+    try:
+        tag = image.getexif().get(ORIENTATION, 1)
+        quarter = isinstance(tag, int) and 5 <= tag <= 8
+        return image if quarter and image.width == 2 * image.height else ImageOps.exif_transpose(image)
+    except Exception:  # Pillow may raise anything for damaged metadata
+        return image
 
 
 def decoded_bytes(image: Image.Image) -> int:

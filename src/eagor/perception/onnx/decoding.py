@@ -15,6 +15,7 @@ import numpy as np
 from eagor.errors import ResponseError
 
 STRIDES = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32))  # of the grids that YOLO networks look at
+MOST = 30_000  # boxes of a picture that are read on: the best
 _SLACK = 1e-3  # by which a probability of 16 bits may leave [0, 1]
 
 
@@ -69,13 +70,23 @@ def corners(boxes: np.ndarray) -> np.ndarray:
 def of_table(boxes: np.ndarray, scores: np.ndarray, frame: Frame) -> Found:
     """Boxes ``(n, 4)`` with a score for each class ``(n, C)``."""
     row, column = np.nonzero(scores >= frame.threshold)
+    best = _best(scores[row, column])
+    row, column = row[best], column[best]
     return Found(boxes[row], scores[row, column], column)
+
+
+def _best(scores: np.ndarray) -> np.ndarray | slice:
+    """The places of the `MOST` best, in their order; of equal scores the earlier is the better."""
+    if len(scores) <= MOST:
+        return slice(None)
+    return np.sort(np.argsort(-scores, kind="stable")[:MOST])
 
 
 def of_list(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray, frame: Frame) -> Found:
     """Boxes ``(n, 4)`` with one score and one class each; classes may be written as floats."""
     scores = probabilities(scores, frame.sigmoid)
-    keep = scores >= frame.threshold
+    keep = np.flatnonzero(scores >= frame.threshold)
+    keep = keep[_best(scores[keep])]
     numbers = np.rint(np.asarray(classes, dtype=np.float64))[keep]
     if np.abs(numbers - np.asarray(classes, dtype=np.float64)[keep]).max(initial=0) > _SLACK or (numbers < 0).any():
         raise ResponseError(
@@ -208,6 +219,8 @@ def centernet(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
     near = [around[kind, row + down, column + across] for down in range(3) for across in range(3)]
     peaks = np.max(near, axis=0) <= scores[kind, row, column]
     kind, row, column = kind[peaks], row[peaks], column[peaks]
+    best = _best(scores[kind, row, column])
+    kind, row, column = kind[best], row[best], column[best]
     x, y = column * frame.size[1] / scores.shape[2], row * frame.size[0] / scores.shape[1]
     left, top, right, bottom = distances[:, row, column]
     return Found(np.stack([x - left, y - top, x + right, y + bottom], axis=1), scores[kind, row, column], kind)

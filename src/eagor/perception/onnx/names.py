@@ -6,9 +6,9 @@ import ast
 import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
+from eagor._files import read_file
 from eagor._json import parsed, shown
 from eagor.errors import FormatError
 
@@ -53,7 +53,7 @@ def read_labels(path: str | os.PathLike[str]) -> list[str] | dict[int, str]:
     which says what is wrong where.
     """
     try:
-        text = Path(path).read_bytes()[: _LONGEST + 1].decode("utf-8-sig")
+        text = read_file(path)[: _LONGEST + 1].decode("utf-8-sig")
     except (OSError, ValueError) as error:
         raise FormatError(f"{path} cannot be read ({error}); wanted a text file of labels, one per line") from error
     if text.lstrip()[:1] in ("[", "{"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,11 +14,13 @@ import numpy as np
 from eagor._extras import need
 from eagor.errors import EagorError
 from eagor.perception.onnx.layouts import Output
-from eagor.perception.sessions import session
+from eagor.perception.sessions import run, session
 
 Size = tuple[int, int]
 
 LARGEST = 8192  # rows or columns of an input
+AREA = 1 << 24  # pixels of an input: 200 MB as floats
+MOST = 1 << 25  # numbers in all outputs; a YOLO of 80 classes gives 29 million for 4096 x 4096
 _DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
            "tensor(uint8)": np.uint8}  # fmt: skip
 _WHOLE = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(bool)": np.bool_}
@@ -44,6 +47,9 @@ class Network:
                 "of ONNX that this onnxruntime knows"
             ) from error
         self.notes: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+        told = [each.shape for each in self._session.get_outputs() if all(isinstance(side, int) for side in each.shape)]
+        if (many := sum(math.prod(shape) for shape in told)) > MOST:
+            raise EagorError(_too_many(self.path, many))
         given = self._session.get_inputs()
         pictures = [each for each in given if _is_picture(each)]
         if len(pictures) != 1:
@@ -69,6 +75,11 @@ class Network:
         """
         found = _size(asked) if asked is not None else self._noted() or (otherwise, otherwise)
         size = tuple(fixed or each for fixed, each in zip(self.fixed, found, strict=True))
+        if min(size) < 1 or max(size) > LARGEST or size[0] * size[1] > AREA:
+            raise EagorError(
+                f"{self.path} takes pictures of {size[1]} x {size[0]}; wanted at most {LARGEST} columns and rows, and "
+                f"{AREA} pixels. Export it for a smaller input, or name a smaller size=... where any will do"
+            )
         if asked is not None and size != found:
             raise EagorError(
                 f"size = {asked!r}; {self.path} takes {size[1]} columns and {size[0]} rows only. Leave size out, or "
@@ -92,13 +103,21 @@ class Network:
         feed = {self._picture.name: tensor[None] if self.batched else tensor}
         feed |= {each.name: self._further(each, size) for each in self._others}
         try:
-            found = self._session.run(None, feed)
+            found = run(self._session, feed)
+        except TimeoutError as error:
+            raise EagorError(
+                f"{self.path} does not run on a picture of {size[1]} x {size[0]}: {error}; a smaller size=..., or more "
+                "threads=..., may help"
+            ) from error
         except Exception as error:
             raise EagorError(
                 f"{self.path} does not run on a picture of {size[1]} x {size[0]} ({_first_line(error)}); try another "
                 "size=..., a multiple of 32"
             ) from error
-        return [each if isinstance(each, np.ndarray) else np.zeros(()) for each in found]
+        found = [each if isinstance(each, np.ndarray) else np.zeros(()) for each in found]
+        if (many := sum(each.size for each in found)) > MOST:
+            raise EagorError(_too_many(self.path, many))
+        return found
 
     def outputs(self, found: list[np.ndarray]) -> tuple[Output, ...]:
         """What `run` found, described."""
@@ -121,6 +140,10 @@ class Network:
             f"{self.path} wants a further input {given.name} {given.shape}, which is not known here; export it "
             "without, or call it yourself and give eagor.perception.views.Views a function"
         )
+
+
+def _too_many(path: Path, many: int) -> str:
+    return f"{path} gives {many} numbers for a picture; wanted at most {MOST}. Export it for a smaller input"
 
 
 def _known(side: Any) -> int | None:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._files import written
+from eagor._files import read_file, written
 from eagor._json import number, parsed, whole
 from eagor._lazy import lazy
 from eagor.errors import EagorError
@@ -58,7 +58,7 @@ class Heads:
 def read_heads(file: str | Path) -> Heads:
     """The heads in a file. Raises `EagorError` if it cannot be read or holds something else."""
     try:
-        stored = parsed(Path(file).read_bytes())
+        stored = parsed(read_file(file))
         heads = tuple((whole(layer), whole(head)) for layer, head in stored["heads"])
         figures = {**stored.get("found_by", {})}
         found = Heads(str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]), figures)

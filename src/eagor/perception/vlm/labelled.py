@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from eagor._files import read_file
 from eagor._json import number, parsed, shown
 from eagor.errors import FormatError, ResponseError
 from eagor.evidence.shapes import moments
@@ -40,7 +41,7 @@ class Labelled:
 def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
     """The numbered lines of a file of labelled panoramas, checked except for the images. Raises `FormatError`."""
     try:
-        text = Path(file).read_bytes().decode("utf-8-sig")
+        text = read_file(file).decode("utf-8-sig")
     except (OSError, ValueError) as error:
         raise FormatError(f"{file} cannot be read ({error}); give the path of a JSONL file of labels") from error
     found = []

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor._extras import need
-from eagor._files import written
+from eagor._files import read_file, written
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError
 from eagor.robots.cameras.lenses import FisheyeLens, Lens, PinholeLens
@@ -67,7 +67,7 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
     try:
         if os.path.getsize(name) > LARGEST:
             raise FormatError(f"{name} is larger than {LARGEST} bytes; wanted the YAML file of a rig")
-        text = Path(name).read_bytes().decode("utf-8-sig")
+        text = read_file(name).decode("utf-8-sig")
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except (OSError, UnicodeDecodeError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error

@@ -13,7 +13,6 @@ import math
 import re
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Literal
@@ -99,8 +98,7 @@ class Recorder:
         except (EagorError, OSError) as error:
             self.problem = f"the recording has ended early: {error}"
             self._trouble(self.problem)
-            with suppress(EagorError):  # the same again
-                self._bag.close()
+            self._bag.close()
             while self._queue.get() is not None:
                 continue  # nobody writes them any more
 
@@ -140,10 +138,10 @@ class Recorder:
 
     def _answer(self, answer: Answer) -> None:
         text = json.dumps(answer.as_json(exact=True), allow_nan=False)
-        self._bag.write(ANSWERS, TEXT, text_message(text), answer.stamp)
+        self._bag.write(ANSWERS, TEXT, text_message(text), self._last)  # in the order of the events
         if answer.direction is not None:
             found = vector_message(answer.direction, answer.stamp, BODY)
-            self._bag.write(f"{DIRECTION}/{slug(answer.query)}", VECTOR, found, answer.stamp)
+            self._bag.write(f"{DIRECTION}/{slug(answer.query)}", VECTOR, found, self._last)
 
 
 def slug(query: str) -> str:

@@ -27,12 +27,21 @@ __all__ = ["Compared", "Replay"]
 
 @dataclass
 class Compared:
-    """Answers played again: how many, how many of them equal the recorded ones, and the first that does not."""
+    """Answers played again: how many, how many of them equal the recorded ones, and the first that does not.
+
+    A recording that was cut off may end between an event and the answers to it: these are not `recorded`.
+    """
 
     answers: int = 0
     equal: int = 0
     recorded: int = 0
     first: tuple[dict[str, Any], dict[str, Any]] | None = field(default=None, repr=False)
+
+    def as_text(self) -> str:
+        """How many are the same, and how many cannot be compared."""
+        found = f"{self.answers} answers, {self.equal} of them equal to the recorded ones bit for bit"
+        lost = self.answers - self.recorded
+        return found + (f"; {lost} cannot be compared, because the recording ends before them" if lost else "")
 
     def add(self, played: dict[str, Any], recorded: dict[str, Any] | None) -> None:
         """One answer, and the recorded one in its place, if there is one."""

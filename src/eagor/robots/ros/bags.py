@@ -1,14 +1,16 @@
 """ROS 2 bags: recordings of topics, in MCAP or SQLite, as a folder or as a single file.
 
 They are written as MCAP (`eagor.robots.ros.recording`). A file without an end, as a crash leaves it, is read up to
-where it breaks off (`eagor.robots.ros.mcap`).
+where it breaks off (`eagor.robots.ros.mcap`). Reading takes about half a GiB at most, whatever a file asks for; what
+would need more is refused.
 """
 
 from __future__ import annotations
 
+import struct
 import warnings
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from errno import EINVAL
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from eagor._extras import need
 from eagor.errors import EagorError, FormatError
 from eagor.robots.bag_files import SUFFIXES, is_bag
 from eagor.robots.dds.ros_types import store
-from eagor.robots.ros import mcap
+from eagor.robots.ros import db3, mcap
 from eagor.robots.ros.messages import NANO
 from eagor.robots.ros.recording import BagWriter
 from eagor.robots.ros.topics import listed
@@ -40,18 +42,6 @@ def bag_topics(path: str | Path) -> dict[str, str]:
     return Bag(path).topics
 
 
-@dataclass(frozen=True)
-class _Stream:
-    """One topic in one file of a bag."""
-
-    topic: str
-    kind: str
-    encoding: str  # of its definition: "ros2msg", "ros2idl"
-    definition: str
-    count: int
-    key: Any
-
-
 class Bag:
     """A ROS 2 bag: a folder, or one .mcap or .db3 file.
 
@@ -62,14 +52,14 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         need("reading bags", "robot", "rosbags")
         self.path = Path(path)
-        self._files = [_File(file) for file in _files(self.path)]
+        self._files = [_recorded(file) for file in _files(self.path)]
         self.topics: dict[str, str] = {}
         self.counts: dict[str, int] = {}
-        for stream in (stream for file in self._files for stream in file.streams):
-            known = self.topics.setdefault(stream.topic, stream.kind)
-            if known != stream.kind:
-                raise FormatError(f"{path}: the topic {stream.topic} has two types, {known} and {stream.kind}")
-            self.counts[stream.topic] = self.counts.get(stream.topic, 0) + stream.count
+        for channel, count in ((c, file.counts[number]) for file in self._files for number, c in file.channels.items()):
+            known = self.topics.setdefault(channel.topic, channel.kind)
+            if known != channel.kind:
+                raise FormatError(f"{path}: the topic {channel.topic} has two types, {known} and {channel.kind}")
+            self.counts[channel.topic] = self.counts.get(channel.topic, 0) + count
         self.topics = dict(sorted(self.topics.items()))
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
@@ -81,80 +71,44 @@ class Bag:
 
     def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[float, str, str, Any]]:
         for file in self._files:  # a bag of several files was split in time
-            decode: dict[str, Any] = {}
-            for stream, nanos, data in file.messages(topics):
-                if stream.topic not in decode:
-                    decode[stream.topic] = _decoder(self.path, stream)
+            decode: dict[int, Any] = {}
+            wanted = {key: each for key, each in file.channels.items() if topics is None or each.topic in topics}
+            for number, nanos, data in _told(file, wanted) if wanted else ():
+                channel, stamp = wanted[number], nanos / NANO
+                if number not in decode:
+                    decode[number] = _decoder(self.path, channel)
                 try:
-                    found = decode[stream.topic](data, stream.kind)
+                    found = decode[number](data, channel.kind)
                 except Exception as error:
                     raise FormatError(
-                        f"{self.path}: a message of {stream.topic} at {nanos / NANO:.3f} s is no {stream.kind} "
+                        f"{self.path}: a message of {channel.topic} at {stamp:.3f} s is no {channel.kind} "
                         f"({type(error).__name__}: {error})"
                     ) from error
-                yield nanos / NANO, stream.topic, stream.kind, found
+                yield stamp, channel.topic, channel.kind, found
 
 
-class _File:
-    """One file of a bag: read by `rosbags` if it is whole, else by our scan."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._scanned: mcap.Unfinished | None = None
-        self.streams = self._look()
-
-    def _look(self) -> list[_Stream]:
-        from rosbags.rosbag2 import Reader
-
-        try:
-            with Reader(self.path) as reader:
-                bare = self.path.suffix == ".mcap" and reader.message_count and not getattr(reader.storage, "chunks", 1)
-                if not bare:
-                    return [
-                        _Stream(c.topic, c.msgtype, _encoding(c), c.msgdef.data, c.msgcount, c.id)
-                        for c in reader.connections
-                    ]
-        except Exception as error:  # it may raise anything for damaged files
-            if self.path.suffix != ".mcap":
-                raise FormatError(f"{self.path} cannot be read as a bag ({error}); copy it again") from error
-        self._scanned = found = mcap.scan(self.path)
-        many = sum(found.counts.values())
-        if not many:
-            raise FormatError(f"{self.path} holds no message ({found.broken or 'it is empty'}); record it again")
-        if found.broken:
-            warnings.warn(
-                f"{self.path.name} was cut off ({found.broken}); its first {many} messages are read", stacklevel=5
-            )
-        return [
-            _Stream(c.topic, c.kind, c.encoding, c.definition, found.counts[number], number)
-            for number, c in found.channels.items()
-        ]
-
-    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[_Stream, int, bytes]]:
-        """Each message of these topics, with its time in nanoseconds."""
-        wanted = {stream.key: stream for stream in self.streams if topics is None or stream.topic in topics}
-        if not wanted:
-            return
-        if self._scanned is not None:
-            yield from ((wanted[key], nanos, data) for key, nanos, data in self._scanned.messages(wanted))
-            return
-        from rosbags.rosbag2 import Reader
-
-        with Reader(self.path) as reader:
-            chosen = [c for c in reader.connections if c.id in wanted]
-            found = iter(reader.messages(chosen))
-            while True:
-                try:
-                    connection, nanos, data = next(found)
-                except StopIteration:
-                    return
-                except Exception as error:  # as above
-                    raise FormatError(f"{self.path} is damaged ({error}); copy or record it again") from error
-                yield wanted[connection.id], nanos, data
+def _told(file: mcap.Recorded | db3.Recorded, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+    """The messages of a file. Raises `FormatError` where it is damaged."""
+    try:
+        yield from file.messages(wanted)
+    except (OSError, ValueError, EOFError, struct.error) as error:
+        raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
 
 
-def _encoding(connection: Any) -> str:
-    return {"MSG": "ros2msg", "IDL": "ros2idl"}.get(connection.msgdef.format.name, "")
+def _recorded(path: Path) -> mcap.Recorded | db3.Recorded:
+    """What one file of a bag holds. Raises `FormatError`."""
+    try:
+        found = (mcap if path.suffix == ".mcap" else db3).recorded(path)
+    except (OSError, ValueError) as error:
+        if isinstance(error, EagorError):
+            raise
+        raise FormatError(f"{path} cannot be read as a bag ({error}); copy it again") from error
+    many = sum(found.counts.values())
+    if not many and (found.broken or not found.channels):
+        raise FormatError(f"{path} holds no message ({found.broken or 'it is empty'}); record it again")
+    if found.broken:
+        warnings.warn(f"{path.name} was cut off ({found.broken}); its first {many} messages are read", stacklevel=5)
+    return found
 
 
 def _files(path: Path) -> Sequence[Path]:
@@ -162,6 +116,8 @@ def _files(path: Path) -> Sequence[Path]:
     try:
         if path.is_dir():
             return _in_folder(path)
+        if path.exists() and not path.is_file():
+            raise OSError(EINVAL, "it is a pipe or a device")
         with path.open("rb") as file:
             head = file.read(16)
     except OSError as error:
@@ -213,7 +169,7 @@ def _numbered(path: Path) -> tuple[int, str]:
     return (int(last) if last.isdigit() else 0, path.name)
 
 
-def _decoder(path: Path, stream: _Stream) -> Any:
+def _decoder(path: Path, stream: mcap.Channel) -> Any:
     """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 

@@ -25,8 +25,8 @@ AT_RISK = 1.0  # seconds of a recording that a crash may take
 class BagWriter:
     """Records messages into the new folder `path`, a ROS 2 bag in MCAP; a context manager, safe to use from threads.
 
-    After a crash, all can be read that was written `at_risk` seconds before the last message. Raises
-    `StorageError` where it cannot be written (or is there already), `FormatError` for an unknown type.
+    After a crash, all can be read that was written `at_risk` seconds before the last message. Raises `StorageError`
+    where it cannot be written any more (it is closed then), or is there already, `FormatError` for an unknown type.
     """
 
     def __init__(self, path: str | Path, *, at_risk: float = AT_RISK) -> None:
@@ -70,7 +70,7 @@ class BagWriter:
             known, connection = self._topics[topic]
             if known != kind:
                 raise FormatError(f"{topic} was recorded as {known}, and now as {kind}; use two topics")
-            with _told(self.path):
+            with self._told():
                 self._writer.write(connection, nanos, data)
                 self._fresh = True
                 if time.monotonic() - self._kept >= self._at_risk:
@@ -78,22 +78,16 @@ class BagWriter:
 
     def flush(self) -> None:
         """Hand all that was written over to the system: no crash of this process takes it then."""
-        with self._lock, _told(self.path):
+        with self._lock, self._told():
             self._flush()
 
     def close(self) -> None:
         """Write the index. May be called twice."""
         with self._lock:
-            writer, self._writer = self._writer, None
-            if writer is None:
-                return
-            try:
-                with _told(self.path):
-                    writer.close()
-            except StorageError:
-                with suppress(Exception):
-                    writer.abort()
-                raise
+            if self._writer is not None:
+                with self._told():
+                    self._writer.close()
+                self._writer = None
 
     def _flush(self) -> None:
         if self._writer is not None and self._fresh:
@@ -102,13 +96,15 @@ class BagWriter:
             self._fresh = False
         self._kept = time.monotonic()
 
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Turn the system's errors into ours."""
-    try:
-        yield
-    except OSError as error:
-        raise StorageError(
-            f"the recording {path} cannot be written ({error.strerror}); what was written before is intact"
-        ) from error
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Turn the system's errors into ours. They end the recording: nothing after half a chunk could be read."""
+        try:
+            yield
+        except OSError as error:
+            with suppress(Exception):
+                self._writer.abort()
+            self._writer = None
+            raise StorageError(
+                f"the recording {self.path} cannot be written ({error.strerror}); what was written before is intact"
+            ) from error

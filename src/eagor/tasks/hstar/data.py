@@ -219,11 +219,13 @@ def open_panorama(panorama: Stored) -> np.ndarray:
     It is turned by its orientation tag, as the published environment reads it. Read-only, as it is cached. Raises
     `ImageError` if it is missing or not a picture.
     """
+    from PIL import ImageOps
+
     from eagor.worlds.panorama import read_image
 
     try:
         data = panorama.read()
-        image = read_image(io.BytesIO(data), len(data), upright=True)
+        image = read_image(io.BytesIO(data), len(data), ImageOps.exif_transpose)
     except Exception as error:  # decoders may raise anything for damaged files
         raise ImageError(
             f"the panorama {panorama} cannot be read ({type(error).__name__}: {error}); fetch it again"
