@@ -20,7 +20,7 @@ from eagor.robots.frames import Pose
 from eagor.worlds.panorama import read_image
 
 __all__ = [
-    "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR", "compressed_message",
+    "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR", "compressed_message",
     "header", "image_message", "imu_message", "message", "odometry_message", "panorama_of", "pose_message", "pose_of",
     "quaternion", "seconds", "stamp_of", "text_message", "time_message", "transform_message", "transforms_message",
     "vector", "vector_message",
@@ -29,6 +29,7 @@ __all__ = [
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
+CLOCK = "rosgraph_msgs/msg/Clock"
 
 NANO = 10**9
 LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32

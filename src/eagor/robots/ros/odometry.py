@@ -10,7 +10,7 @@ import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.frames import Pose
 from eagor.robots.ros.messages import IMU, ODOMETRY, TRANSFORMS, pose_of
-from eagor.robots.ros.transforms import IDENTITY, Transform, TransformTree, composed, optical
+from eagor.robots.ros.transforms import BACK, IDENTITY, Transform, TransformTree, composed, optical
 
 __all__ = ["BODY", "WORLDS", "PoseReader"]
 
@@ -24,7 +24,8 @@ class PoseReader:
     `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message. None:
     the pose of the `body`. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
     taken for those of the message. `world`: the frame of the poses for transforms (default: odom, else map, else the
-    root of the tree). `problem`: what is missing, in words, or None.
+    root of the tree). `rewinds`: whether the stamps may go back by more than a second, as those of a clock that was
+    set; otherwise such poses are left out. `problem`: what is missing, in words, or None.
     """
 
     def __init__(
@@ -36,9 +37,11 @@ class PoseReader:
         body: str = BODY,
         world: str | None = None,
         strict: bool = False,
+        rewinds: bool = False,
     ) -> None:
         self.topic, self.kind = topic, kind
         self.camera, self.body, self.world, self.strict = camera, body, world, strict
+        self.rewinds = rewinds
         self.problem: str | None = None
         self.tree = TransformTree()
         self._frames: tuple[str, str] | None = None
@@ -131,7 +134,7 @@ class PoseReader:
         return self._in_order(Pose(stamp, rotation, place))
 
     def _in_order(self, pose: Pose) -> list[Pose]:
-        if pose.stamp <= self._last:
+        if pose.stamp <= self._last and not (self.rewinds and pose.stamp < self._last - BACK):
             return []
         self._last = pose.stamp
         return [pose]

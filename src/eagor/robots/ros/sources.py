@@ -7,7 +7,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from eagor.robots.ros.messages import TRANSFORMS, panorama_of, stamp_of
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.playing import apart
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, find_topic
+from eagor.robots.ros.transforms import BACK
 
 __all__ = ["RosCamera", "RosPoses", "address"]
 
@@ -28,6 +29,7 @@ FIRST = 10.0  # seconds in which the first message has to come
 SETTLING = 1.0  # seconds for transforms that were said before to come, once a topic is found
 WAITING = 0.2  # seconds after which a waiting iterator looks whether it was closed
 LATEST = 4000  # poses that wait to be taken: ten seconds at 400 per second
+BEFORE = 0.2  # seconds of poses from before anybody asks: pictures that wait are not older
 COUNTED = 1.0  # seconds between two looks at who writes the odometry
 
 
@@ -51,9 +53,9 @@ class RosCamera:
     kept, and decoded when it is asked for; `dropped` counts the others, and those that were damaged.
 
     `rows`: the most rows of a panorama; `rate`: the most pictures per second; `rig`: the lenses, if the topic has their
-    pictures. `domain`: None is that of the environment; `graph`: a graph to use instead of an own one. `frame`: the
-    frame that the pictures name. `problem`: what is wrong now, or None. Raises `DeviceError` if there is no such topic
-    or no picture comes, `ImageError` for pictures that are no panoramas.
+    pictures. `domain`: None is that of the environment; `graph`: a graph to use instead of an own one; `now`: a clock
+    to use instead of this machine's. `frame`: the frame that the pictures name. `problem`: what is wrong now, or None.
+    Raises `DeviceError` if there is no such topic or no picture comes, `ImageError` for pictures that are no panoramas.
     """
 
     live = True
@@ -71,11 +73,12 @@ class RosCamera:
         rate: float | None = None,
         graph: Graph | None = None,
         wait: float = FIRST,
+        now: Callable[[], float] | None = None,
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
         asked, settings = address(topic or "")
-        self.latency, self.problem = latency, None
+        self.latency, self.problem, self._now = latency, None, now
         self._apart = apart(rate)
         self._changed = threading.Condition()
         self._newest: tuple[Any, float] | None = None
@@ -119,10 +122,10 @@ class RosCamera:
                 self.problem = f"{self.topic}: a picture is left out: {error}"
                 self._warn(self.problem)
                 continue
-            if stamp <= self._last:  # sent twice, or out of order
+            if self._last - BACK <= stamp <= self._last:  # sent twice, or out of order
                 self._dropped += 1
                 continue
-            if stamp < self._last + self._apart:
+            if 0 < stamp - self._last < self._apart:
                 continue
             self._last, self.problem = stamp, None
             yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s")
@@ -139,7 +142,7 @@ class RosCamera:
     def _received(self, message: Any, when: float) -> None:
         with self._changed:
             self._dropped += self._newest is not None
-            self._newest = message, when
+            self._newest = message, when if self._now is None else self._now()
             self._changed.notify_all()
 
     def _first(self, wait: float) -> Any:
@@ -212,7 +215,9 @@ class RosPoses:
         try:
             self.topic, self.kind, writers = find_topic(self._graph, MOTION, asked, option="--odom-topic")
             self._check_alone(writers)
-            self.reader = PoseReader(self.topic, self.kind, camera=camera, body=body, world=world, strict=strict)
+            self.reader = PoseReader(
+                self.topic, self.kind, camera=camera, body=body, world=world, strict=strict, rewinds=True
+            )
             subscribe = self._graph.subscribe
             self._readers.append(
                 subscribe(TF_STATIC, TRANSFORMS, self._fixed, reliable=True, depth=100, transient=True)
@@ -238,6 +243,9 @@ class RosPoses:
             return self.reader.body_R_camera(stamp)
 
     def __iter__(self) -> Iterator[Pose]:
+        with self._changed:  # what has waited for long came late for its clock, it would seem
+            while self._poses and self._poses[0].stamp < self._poses[-1].stamp - BEFORE:
+                self._poses.popleft()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._poses or self._closed or self._error)
