@@ -34,9 +34,10 @@ class Robot:
     `pace`: seconds of the robot per second of ours; 0: its time stands.
     """
 
-    def __init__(self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4)):
+    def __init__(self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4), frame="base_link"):
         self.graph = FakeGraph({"/image": m.IMAGE, "/odom": m.ODOMETRY, "/clock": m.CLOCK})
         self.now, self.speed, self.pace, self.silent = begins, speed, pace, False
+        self.frame = frame
         self.show(ball)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -65,7 +66,7 @@ class Robot:
             ) != shown:  # the camera shows what it saw when it looked there
                 shown = number
                 seen = self._seen[number % len(YAWS)]
-                self.graph.feed("/image", m.image_message(seen, 15 * number / self.speed, "base_link"))
+                self.graph.feed("/image", m.image_message(seen, 15 * number / self.speed, self.frame))
 
     def __enter__(self):
         self._thread.start()
@@ -158,10 +159,32 @@ def test_a_robot_that_is_gone_does_not_fill_the_log():
         told = lambda: [text for text in texts() if "no picture for" in text]  # noqa: E731
         robot.graph.until(lambda: len(told()) >= 5, "it is said in the diagnostics, once a second")
         lines = said[begun:]
-        assert any("no picture for" in line for line in lines)
+        assert any("no picture for" in line for line in said)
         assert len(lines) <= 8, lines
         robot.silent = False
         robot.graph.until(lambda: "camera: all is well again" in said, "the end is told")
+
+
+@pytest.mark.parametrize(
+    ("frame", "poses", "said"),
+    [
+        (
+            "",
+            "odom",
+            "the pictures name no frame (frame_id is empty): the camera's axes are taken for those of base_link",
+        ),
+        (
+            "",
+            "still",
+            "the pictures name no frame (frame_id is empty): the camera's axes are taken for those of base_link",
+        ),
+        ("x3", "odom", "/tf_static and /tf do not tell where x3 is in base_link: its axes are taken for the same"),
+        ("x3", "still", "without odometry no transforms are read: the axes of x3 are taken for those of base_link"),
+    ],
+)
+def test_a_camera_whose_place_on_the_body_is_not_known_is_said(frame, poses, said):
+    with Robot(1000.0, frame=frame) as robot, running(robot.graph, poses=poses) as told:
+        robot.graph.until(lambda: any(line.startswith(said) for line in told), told)
 
 
 def test_without_a_clock_the_node_says_so():

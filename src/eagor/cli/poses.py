@@ -17,6 +17,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -26,6 +27,7 @@ import numpy as np
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
 from eagor.sphere import world_R_body
+from eagor.tracking.poses import FARTHEST
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
@@ -42,6 +44,11 @@ class Pose:
     world_R_body: np.ndarray
     position: np.ndarray | None
     frame: str | None
+
+    @property
+    def near(self) -> bool:
+        """Whether the position can be one: a lost estimate of a robot's place often ends in numbers without end."""
+        return self.position is None or bool((np.abs(self.position) <= FARTHEST).all())
 
 
 def read_poses(path: str | Path) -> tuple[Pose, ...]:
@@ -79,6 +86,22 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
     if not poses:
         raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
     return tuple(poses)
+
+
+def usable(poses: Sequence[Pose], name: str | Path) -> tuple[Pose, ...]:
+    """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
+    near = tuple(pose for pose in poses if pose.near)
+    if len(near) == len(poses):
+        return near
+    first = next(pose for pose in poses if not pose.near)
+    text = (
+        f"{name}: the position at {first.stamp:.10g} s is {first.position.tolist()}; wanted metres, each within "  # type: ignore[union-attr]
+        f"{FARTHEST:g} of the origin"
+    )
+    if not near:
+        raise PoseError(f"{text}. So are all others: are they metres?")
+    warnings.warn(f"{text}. Left out: {len(poses) - len(near)} of {len(poses)} poses", UserWarning, stacklevel=2)
+    return near
 
 
 def pair(

@@ -30,7 +30,7 @@ from eagor.robots.node.outbox import Outbox
 from eagor.robots.node.queries import after
 from eagor.robots.ros.graph import Graph, GraphReader
 from eagor.robots.ros.messages import TEXT
-from eagor.robots.ros.odometry import BODY
+from eagor.robots.ros.odometry import BODY, unnamed
 from eagor.robots.ros.sources import RosCamera, RosPoses
 from eagor.robots.safety.walking import WalkSettings
 from eagor.tracking import TrackerConfig
@@ -267,7 +267,7 @@ class Node:
 
     def _odometry(self) -> RosPoses:
         s = self.settings
-        self._poses = RosPoses(s.odom_topic, graph=self.graph, camera=self._frame or None, body=s.body, world=s.world)
+        self._poses = RosPoses(s.odom_topic, graph=self.graph, camera=self._frame, body=s.body, world=s.world)
         return self._poses
 
     def _first_poses(self) -> Any:
@@ -305,10 +305,19 @@ class Node:
     def _say_faults(self, answer: Answer) -> None:
         """Say what begins to be wrong, lasts, and ends."""
         now, faults = time.monotonic(), list(answer.faults)
-        if self._poses is not None and self._poses.problem:
-            faults.append(Fault("poses", self._poses.problem, answer.stamp))
+        if (problem := self._unplaced() if self._poses is None else self._poses.problem) is not None:
+            faults.append(Fault("poses", problem, answer.stamp))
         for text, _ in self._told.of(faults, now):
             self._said(text)
+
+    def _unplaced(self) -> str | None:
+        """What to say of the camera's place on the body, where no odometry is read, and so no transforms."""
+        body = self.settings.body
+        if not self._frame:
+            return unnamed(body)
+        if self._frame == body:
+            return None
+        return f"without odometry no transforms are read: the axes of {self._frame} are taken for those of {body}"
 
     def _tell(self, outbox: Outbox, part: Part, text: str) -> None:
         """Say what is wrong while no loop runs."""

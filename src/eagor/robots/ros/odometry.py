@@ -12,17 +12,26 @@ from eagor.robots.frames import Pose
 from eagor.robots.ros.messages import IMU, ODOMETRY, TRANSFORMS, pose_of
 from eagor.robots.ros.transforms import BACK, IDENTITY, Transform, TransformTree, composed, optical
 
-__all__ = ["BODY", "WORLDS", "PoseReader"]
+__all__ = ["BODY", "WORLDS", "PoseReader", "unnamed"]
 
 BODY = "base_link"
 WORLDS = ("odom", "map")  # REP-105; odom does not jump
 
 
+def unnamed(body: str) -> str:
+    """What to say of pictures whose headers name no frame."""
+    return (
+        f"the pictures name no frame (frame_id is empty): the camera's axes are taken for those of {body}; set it in "
+        "the camera's driver, or name the frame (eagor ros --camera)"
+    )
+
+
 class PoseReader:
     """Makes poses of the messages on one `topic` of type `kind`.
 
-    `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message. None:
-    the pose of the `body`. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
+    `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message. "": its
+    pictures name none, so that its axes are taken for those of the `body`, which is a problem. None: the pose of the
+    `body` is wanted. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
     taken for those of the message. `world`: the frame of the poses for transforms (default: odom, else map, else the
     root of the tree). `rewinds`: whether the stamps may go back by more than a second, as those of a clock that was
     set; otherwise such poses are left out. `problem`: what is missing, in words, or None.
@@ -42,7 +51,7 @@ class PoseReader:
         self.topic, self.kind = topic, kind
         self.camera, self.body, self.world, self.strict = camera, body, world, strict
         self.rewinds = rewinds
-        self.problem: str | None = None
+        self.problem = self._unnamed = unnamed(body) if camera == "" else None
         self.tree = TransformTree()
         self._frames: tuple[str, str] | None = None
         self._last = -math.inf
@@ -100,15 +109,15 @@ class PoseReader:
             found: Transform | None = IDENTITY
         else:
             found = self.tree.at(source, target, stamp)
-        self.problem = None
+        self.problem = self._unnamed
         if found is None:
             self.problem = f"/tf_static and /tf do not tell where {target} is in {source}"
             if self.strict:
                 return None
-            if self.camera is not None:
+            if self.camera:
                 self.problem += ": its axes are taken for the same"
             else:
-                self.problem = None  # the body is what the odometry tells of
+                self.problem = self._unnamed  # the body is what the odometry tells of
             found = IDENTITY
         return found[0] @ optical(target), found[1]
 
@@ -129,7 +138,7 @@ class PoseReader:
         found = self.tree.at(world, target, stamp)
         if found is None:
             return []
-        self.problem = None
+        self.problem = self._unnamed
         rotation, place = composed(found, (optical(target), np.zeros(3)))
         return self._in_order(Pose(stamp, rotation, place))
 

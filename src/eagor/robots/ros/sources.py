@@ -228,6 +228,8 @@ class RosPoses:
             self._main = subscribe(self.topic, self.kind, self._received, depth=100)
             self._readers.append(self._main)
             self._wait_for_first(wait)
+            if self._own is not None and self.problem is not None:  # otherwise the graph's owner tells it
+                warnings.warn(self.problem, UserWarning, stacklevel=2)
         except BaseException:
             self.close()
             raise
