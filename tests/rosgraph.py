@@ -37,6 +37,7 @@ class FakeGraph:
             self._readers[topic](message, time.time())
 
     def topics(self, wait=1.0):
+        time.sleep(min(wait, 0.02))
         return dict(self.found)
 
     def close(self):

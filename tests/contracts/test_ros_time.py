@@ -18,6 +18,8 @@ from eagor.robots.node import Node, NodeSettings
 from eagor.robots.node.clock import SimClock, Stamps
 from eagor.robots.ros import messages as m
 from eagor.robots.ros.odometry import PoseReader
+from eagor.robots.ros.sources import RosCamera, RosPoses
+from eagor.robots.ros.topics import find_topic
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Ball, Room, bearing, paint
 
@@ -96,6 +98,7 @@ def running(graph, **settings):
     finally:
         node.stop()
         thread.join(LONG)
+        assert not thread.is_alive()
     assert not errors
 
 
@@ -185,6 +188,22 @@ def test_a_robot_that_is_gone_does_not_fill_the_log():
 def test_a_camera_whose_place_on_the_body_is_not_known_is_said(frame, poses, said):
     with Robot(1000.0, frame=frame) as robot, running(robot.graph, poses=poses) as told:
         robot.graph.until(lambda: any(line.startswith(said) for line in told), told)
+
+
+@pytest.mark.parametrize("left", [{}, {"/image": m.IMAGE, "/odom": m.ODOMETRY}])
+def test_a_node_ends_at_once_though_the_robot_is_gone(monkeypatch, left):
+    """It looks for a topic, or for a first message, which takes for ever here; and nothing is waited out."""
+    monkeypatch.setattr("eagor.robots.live.loop.STALLED", 0.3)
+    monkeypatch.setattr("eagor.robots.live.loop.LEAVING", 1e6)
+    for waits in (find_topic, RosCamera.__init__, RosPoses.__init__):
+        monkeypatch.setitem(waits.__kwdefaults__, "wait", 1e6)
+    with Robot(1000.0) as robot:
+        with running(robot.graph) as said:
+            robot.graph.until(lambda: robot.graph.of("~/direction"), "the ball is found")
+            robot.graph.found, robot.silent = {topic: (kind, 1) for topic, kind in left.items()}, True
+            robot.graph.until(lambda: "the camera ended; opened again" in said, said)
+        running_still = [each.name for each in threading.enumerate() if each.name.startswith("eagor")]
+    assert not running_still
 
 
 def test_without_a_clock_the_node_says_so():

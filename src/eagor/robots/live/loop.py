@@ -189,6 +189,11 @@ class LiveLoop:
         """Why the recording has ended before the loop, in words; None if it has not."""
         return None if self._recorder is None else self._recorder.problem
 
+    @property
+    def stopped(self) -> bool:
+        """Whether it ends, or has ended."""
+        return self._stopped.is_set()
+
     def stop(self) -> None:
         """End the loop, from any thread or from `on_answer`."""
         self._stopped.set()

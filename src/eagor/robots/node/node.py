@@ -129,7 +129,7 @@ class Node:
         first, given = True, self.queries
         try:
             if self.settings.use_sim_time:
-                self._sim = SimClock(self.graph, self._went_back, lambda: self._stopped)
+                self._sim = SimClock(self.graph, self._went_back, self._ended)
             with Outbox(self.graph, self.settings, self._now) as outbox:
                 while self._wait_for_queries(outbox):
                     try:
@@ -152,6 +152,11 @@ class Node:
             reader.close()
             if self._sim is not None:
                 self._sim.close()
+
+    def _ended(self) -> bool:
+        """Whether nobody waits for a source any more."""
+        loop = self._loop
+        return self._stopped or (loop is not None and loop.stopped)
 
     def _now(self) -> float:
         """The time of the node, for what rests on no picture."""
@@ -254,7 +259,7 @@ class Node:
         s = self.settings
         return RosCamera(
             s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig,
-            now=None if self._sim is None else self._sim.now,
+            now=None if self._sim is None else self._sim.now, ended=self._ended,
         )  # fmt: skip
 
     def _record(self) -> Path | None:
@@ -267,7 +272,9 @@ class Node:
 
     def _odometry(self) -> RosPoses:
         s = self.settings
-        self._poses = RosPoses(s.odom_topic, graph=self.graph, camera=self._frame, body=s.body, world=s.world)
+        self._poses = RosPoses(
+            s.odom_topic, graph=self.graph, camera=self._frame, body=s.body, world=s.world, ended=self._ended
+        )
         return self._poses
 
     def _first_poses(self) -> Any:

@@ -84,7 +84,7 @@ class Outbox:
             self._news.notify()
 
     def close(self) -> None:
-        """Send what waits, take the markers away, and end."""
+        """Say the words that wait, take the markers away, and end; answers are of no use any more."""
         with self._news:
             self._closed = True
             self._news.notify()
@@ -100,6 +100,8 @@ class Outbox:
                 items, self._items = self._items, {}
                 words, self._words = self._words, []
                 closed = self._closed
+                if closed:
+                    items = {}
             for diagnostic in words:
                 self._send("/diagnostics", diagnostic)
             for item in items.values():
