@@ -6,14 +6,17 @@ import math
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rosgraph import FakeGraph, clock_message
 
+from eagor import Evidence
 from eagor.errors import DeviceError
 from eagor.robots.frames import Pose
-from eagor.robots.live.events import FrameCame, PoseCame
+from eagor.robots.live.core import LiveCore, Settings
+from eagor.robots.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.robots.node import Node, NodeSettings
 from eagor.robots.node.clock import SimClock, Stamps
 from eagor.robots.ros import messages as m
@@ -226,14 +229,26 @@ def test_every_step_back_is_told_and_none_forward():
     assert clock.now() == 0.0
 
 
-def test_without_poses_the_picture_is_what_an_answer_rests_on():
+def test_an_answer_is_told_as_of_the_newest_pose_or_else_of_the_newest_picture():
+    """The loop may have turned it further, by a turn that it expects: that is undone."""
+    core = LiveCore(Settings(("ball",)))
+    look = Evidence.from_points(np.array([[1.0, 0.0, 0.0]]), scores=np.array([0.9]), stamp=100.0)
+    core.take(PoseCame(100.0, Pose(100.0, np.eye(3))))
+    core.take(FrameCame(100.0, 100.0, ""))
+    core.take(PoseCame(100.1, Pose(100.1, np.eye(3))))
+    core.take(EvidenceCame(100.1, 100.0, 100.0, "ball", (look,)))
+    (answer,) = core.take(Asked(100.2))
+    ahead = replace(answer, estimate=answer.estimate.turned(100.2, world_R_body(0.5)))
     stamps = Stamps()
-    assert stamps.newest(7.0) == 7.0
+    assert stamps.of(ahead, 7.0).stamp == 7.0
     stamps.take(FrameCame(100.0, 3.5, ""), ())
-    assert stamps.newest(7.0) == 3.5
-    stamps.take(PoseCame(100.1, Pose(3.25, np.eye(3))), ())
+    assert stamps.of(ahead, 7.0).stamp == 3.5
+    np.testing.assert_allclose(stamps.of(ahead, 7.0).direction, ahead.direction)
+    stamps.take(PoseCame(100.1, Pose(3.25, world_R_body(0.2))), ())
     stamps.take(FrameCame(100.2, 3.75, ""), ())
-    assert stamps.newest(7.0) == 3.25
+    found = stamps.of(ahead, 7.0)
+    assert found.stamp == 3.25
+    np.testing.assert_allclose(found.direction, world_R_body(0.2).T @ answer.direction, atol=1e-9)
 
 
 def test_odometry_whose_clock_is_set_back_goes_on():

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from eagor.errors import DeviceError
+from eagor.robots.frames import Pose
 from eagor.robots.live.answers import Answer
 from eagor.robots.live.events import Event, FrameCame, PoseCame
 from eagor.robots.live.playing import LoopClock
@@ -69,27 +71,31 @@ class SimClock(LoopClock):
 
 
 class Stamps:
-    """A watcher of the loop: on which stamp of its inputs an answer rests.
+    """A watcher of the loop: an answer as of the inputs that it rests on.
 
-    That is the stamp of the newest pose, since a direction in the axes of the body is true for the pose that it was
-    turned with; without poses, the stamp of the newest picture. Whoever has the transforms of the inputs finds one for
-    it, whatever clock the robot uses.
+    That is the newest pose: the answer is told in the axes that the camera had there, with the stamp of that pose. So
+    whoever has the transforms of the inputs has the one for it, whatever clock the robot uses, and nothing is told of a
+    turn that nobody has measured yet. Without poses it is the newest picture.
     """
 
     def __init__(self) -> None:
-        self._pose = self._picture = -math.inf
+        self._pose: Pose | None = None
+        self._picture = 0.0
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
         if isinstance(event, PoseCame):
-            self._pose = event.pose.stamp
+            self._pose = event.pose
         elif isinstance(event, FrameCame):
             self._picture = event.stamp
 
     def close(self) -> None:
         """Nothing is held."""
 
-    def newest(self, otherwise: float) -> float:
-        """The stamp, seconds; `otherwise`, if nothing has come yet."""
-        found = self._pose if self._pose > 0 else self._picture
-        return found if found > 0 else otherwise
+    def of(self, answer: Answer, otherwise: float) -> Answer:
+        """The same answer there; at the stamp `otherwise`, if no input has told a time."""
+        pose = self._pose
+        if pose is None:
+            return replace(answer, stamp=self._picture if self._picture > 0 else otherwise)
+        estimate = answer.estimate.turned(answer.estimate.stamp, pose.world_R_body)
+        return replace(answer, stamp=pose.stamp if pose.stamp > 0 else otherwise, estimate=estimate)

@@ -293,8 +293,8 @@ class Node:
         self.answers += 1
         self._say_faults(answer)
         number = queries.index(answer.query) if answer.query in queries else 0
-        stamp = stamps.newest(self._now())
-        counts, mount = loop.counts, self._mount(stamp)
+        told_of = stamps.of(answer, self._now())
+        counts, mount = loop.counts, self._mount(told_of.stamp)
         told = {
             "pictures": str(counts.frames), "looks": str(counts.looks), "skipped": str(counts.skipped),
             "poses": str(counts.poses), "answers": str(counts.answers), "late": str(counts.late),
@@ -302,7 +302,7 @@ class Node:
         if drive is not None and number == 0:
             step = drive.answered(answer, mount)
             told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}
-        outbox.put(answer, stamp, number, len(queries), mount, self._frame or self.settings.body, told)
+        outbox.put(told_of, answer.stamp, number, len(queries), mount, self._frame or self.settings.body, told)
 
     def _mount(self, stamp: float) -> np.ndarray:
         """body_R_camera."""

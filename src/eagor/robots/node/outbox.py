@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -24,7 +24,7 @@ PARTS = ("camera", "poses", "perception", "clock", "recording")
 @dataclass(frozen=True, eq=False)
 class _Item:
     answer: Answer
-    stamp: float
+    given: float
     number: int
     count: int
     body_R_camera: np.ndarray
@@ -65,16 +65,16 @@ class Outbox:
     def put(
         self,
         answer: Answer,
-        stamp: float,
+        given: float,
         number: int,
         count: int,
         body_R_camera: np.ndarray,
         camera: str,
         told: Mapping[str, str],
     ) -> None:
-        """Send the `answer`, stamped `stamp`, to the query of this `number` of `count`; it replaces one that waits."""
+        """Send the `answer`, `given` then, to the query of this `number` of `count`; it replaces one that waits."""
         with self._news:
-            self._items[answer.query] = _Item(answer, stamp, number, count, body_R_camera, camera, told)
+            self._items[answer.query] = _Item(answer, given, number, count, body_R_camera, camera, told)
             self._news.notify()
 
     def say(self, diagnostic: Any) -> None:
@@ -115,8 +115,7 @@ class Outbox:
                 return
 
     def _publish(self, item: _Item) -> None:
-        answer = replace(item.answer, stamp=item.stamp)
-        turn, body = item.body_R_camera, self._settings.body
+        answer, turn, body = item.answer, item.body_R_camera, self._settings.body
         space = "~" if item.number == 0 else f"~/{made.topic_of(answer.query)}"
         if (direction := made.direction_message(answer, turn, body)) is not None:
             self._send(f"{space}/direction", direction)
@@ -124,9 +123,9 @@ class Outbox:
         self._send("~/markers", made.markers(answer, turn, body, item.number))
         self._shown.add(answer.query)
         rate = self._settings.belief_rate
-        due = rate > 0 and _over(item.answer.stamp - self._believed, 1 / rate)
+        due = rate > 0 and _over(item.given - self._believed, 1 / rate)
         if item.number == 0 and due and answer.direction is not None:
-            self._believed = item.answer.stamp
+            self._believed = item.given
             self._send(
                 "~/belief_image", made.belief_image(answer, item.camera, encoding=self._settings.belief_encoding)
             )
@@ -135,15 +134,15 @@ class Outbox:
     def _tidy(self, items: Mapping[str, _Item]) -> None:
         """Take away the markers of what is no longer followed."""
         self._newest |= items
-        newest = max(items.values(), key=lambda item: item.answer.stamp)
-        now = sorted(self._newest.values(), key=lambda item: -item.answer.stamp)[: newest.count]
+        newest = max(items.values(), key=lambda item: item.given)
+        now = sorted(self._newest.values(), key=lambda item: -item.given)[: newest.count]
         self._newest = {item.answer.query: item for item in now}
         for query in self._shown - self._newest.keys():
-            self._send("~/markers", made.gone(query, newest.stamp, self._settings.body))
+            self._send("~/markers", made.gone(query, newest.answer.stamp, self._settings.body))
             self._shown = self._shown - {query}
 
     def _diagnose(self, items: Mapping[str, _Item]) -> None:
-        now = max(item.answer.stamp for item in items.values())
+        now = max(item.given for item in items.values())
         if not _over(now - self._diagnosed, DIAGNOSED):
             return
         self._diagnosed = now
