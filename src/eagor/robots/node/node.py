@@ -6,6 +6,7 @@ DDS without ROS (`eagor.robots.ros.graph.DdsGraph`), or `rclpy` (the package ``e
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -299,6 +300,8 @@ class Node:
             "pictures": str(counts.frames), "looks": str(counts.looks), "skipped": str(counts.skipped),
             "poses": str(counts.poses), "answers": str(counts.answers), "late": str(counts.late),
         }  # fmt: skip
+        if self._poses is not None:
+            told["between_poses_deg"] = f"{math.degrees(self._poses.reader.turning.midway):.2f}"
         if drive is not None and number == 0:
             step = drive.answered(answer, mount)
             told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}

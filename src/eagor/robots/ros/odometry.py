@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from statistics import fmean, median
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from eagor.errors import DeviceError
 from eagor.robots.frames import Pose
 from eagor.robots.ros.messages import IMU, ODOMETRY, TRANSFORMS, pose_of
 from eagor.robots.ros.transforms import BACK, IDENTITY, Transform, TransformTree, composed, optical
 
-__all__ = ["BODY", "WORLDS", "PoseReader", "unnamed"]
+__all__ = ["BODY", "TOLERATED", "WORLDS", "PoseReader", "Turning", "unnamed"]
 
 BODY = "base_link"
+TOLERATED = math.radians(3.0)  # a detector is off by as much
+HOLE = 2.5  # times as long as most: an interval in which poses are missing
+RATES, FEWEST = 50, 10  # changes of the rate of turning that count, and that are enough
 WORLDS = ("odom", "map")  # REP-105; odom does not jump
 
 
@@ -26,6 +32,53 @@ def unnamed(body: str) -> str:
     )
 
 
+class Turning:
+    """How far poses between two of odometry may be off, since nobody knows how the body turned there.
+
+    The rate of turning is taken for a random walk. Its density `q` follows from how the measured rates change: over two
+    intervals of `a` and `b` seconds by ``q (a + b) / 3`` (variance). What is interpolated midway in an interval of `t`
+    seconds is off by ``q t^3 / 48``. What swings faster than poses come is not seen in them.
+    """
+
+    def __init__(self) -> None:
+        self._pose: Pose | None = None
+        self._rate: tuple[np.ndarray, float] | None = None  # radians per second in the body's axes, and their seconds
+        self._density: deque[float] = deque(maxlen=RATES)
+        self._gaps: deque[float] = deque(maxlen=RATES)
+
+    def add(self, pose: Pose) -> None:
+        """The next pose."""
+        before, self._pose = self._pose, pose
+        if before is None or (gap := pose.stamp - before.stamp) <= 0:
+            self._rate = None
+            return
+        known = bool(self._gaps)
+        self._gaps.append(gap)
+        if known and gap > HOLE * median(self._gaps):  # it may have turned about, and the shortest turn is none of it
+            self._rate = None
+            return
+        rate = Rotation.from_matrix(before.world_R_body.T @ pose.world_R_body).as_rotvec() / gap
+        if self._rate is not None:
+            change = rate - self._rate[0]
+            self._density.append(3 * float(change @ change) / (gap + self._rate[1]))
+        self._rate = rate, gap
+
+    @property
+    def midway(self) -> float:
+        """Standard deviation, radians, midway between two poses that are as far apart as most are."""
+        if len(self._density) < FEWEST:
+            return 0.0
+        return math.sqrt(fmean(self._density) * median(self._gaps) ** 3 / 48)
+
+    def said(self, topic: str) -> str:
+        """The same in words."""
+        return (
+            f"{topic} tells a pose every {median(self._gaps):.2f} s, too seldom for how the turning changes: between "
+            f"two of them, directions are off by {math.degrees(self.midway):.1f} degrees (standard deviation); wanted "
+            "odometry at a higher rate"
+        )
+
+
 class PoseReader:
     """Makes poses of the messages on one `topic` of type `kind`.
 
@@ -34,7 +87,8 @@ class PoseReader:
     `body` is wanted. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
     taken for those of the message. `world`: the frame of the poses for transforms (default: odom, else map, else the
     root of the tree). `rewinds`: whether the stamps may go back by more than a second, as those of a clock that was
-    set; otherwise such poses are left out. `problem`: what is missing, in words, or None.
+    set; otherwise such poses are left out. `turning`: how well the poses tell what lies between them. `problem`: what
+    is missing, in words, or None.
     """
 
     def __init__(
@@ -53,6 +107,7 @@ class PoseReader:
         self.rewinds = rewinds
         self.problem = self._unnamed = unnamed(body) if camera == "" else None
         self.tree = TransformTree()
+        self.turning = Turning()
         self._frames: tuple[str, str] | None = None
         self._last = -math.inf
 
@@ -146,6 +201,9 @@ class PoseReader:
         if pose.stamp <= self._last and not (self.rewinds and pose.stamp < self._last - BACK):
             return []
         self._last = pose.stamp
+        self.turning.add(pose)
+        if self.problem is None and self.turning.midway > TOLERATED:
+            self.problem = self.turning.said(self.topic)
         return [pose]
 
     @staticmethod
