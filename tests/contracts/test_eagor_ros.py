@@ -103,7 +103,7 @@ def test_the_parameters_are_those_of_the_node():
     from eagor_ros.node import DEFAULTS
 
     told = yaml.safe_load((PACKAGE / "config" / "params.yaml").read_text())
-    assert told == {"eagor": {"ros__parameters": DEFAULTS}}
+    assert told == {"/**": {"ros__parameters": DEFAULTS}}  # of a node with another name or namespace, too
 
 
 def test_rclpy_is_imported_late():
@@ -138,11 +138,11 @@ def test_the_launch_file_starts_the_node_with_its_parameters(monkeypatch):
     arguments = {each.given[0] for each in actions if type(each).__name__ == "DeclareLaunchArgument"}
     (node,) = [each.named for each in actions if type(each).__name__ == "Node"]
     assert (node["package"], node["executable"], node["name"]) == ("eagor_ros", "node", "eagor")
-    used = {"params_file", "query", "image_topic", "odom_topic", "perception", "namespace"}
+    used = {"params_file", "query", "image_topic", "odom_topic", "perception", "namespace", "use_sim_time"}
     assert arguments == used
-    from eagor_ros.node import DEFAULTS
+    from eagor_ros.node import DEFAULTS, SIM_TIME
 
-    assert {name for name in node["parameters"][1]} <= {*DEFAULTS}
+    assert {name for name in node["parameters"][1]} <= {*DEFAULTS, SIM_TIME}
 
 
 # --- the node, against a stub ---
@@ -188,7 +188,7 @@ class Ros:
     """A stub of rclpy: it records publishers and subscriptions with their quality, and hands messages over."""
 
     def __init__(self, topics, parameters):
-        self.kinds, self.topics, self.parameters = {}, topics, parameters
+        self.kinds, self.topics, self.parameters = {}, topics, {"use_sim_time": False} | parameters
         self.published, self.subscribed, self.gone = {}, {}, []
         self.sent, self.said = [], []
         self.news = threading.Condition()
@@ -249,6 +249,7 @@ class Ros:
                 return (topic in ros.topics) + (topic in {t.replace("~", "/eagor") for t in ros.published})
 
             def declare_parameter(self, name, default):
+                assert name != "use_sim_time"  # rclpy raises: it is declared already
                 ros.parameters.setdefault(name, default)
 
             def get_parameter(self, name):
@@ -370,6 +371,11 @@ def test_wrong_parameters_are_said(monkeypatch):
     ros.install(monkeypatch)
     assert main([]) == 2
     assert "NodeSettings: poses = 'walk'; wanted odom, auto, level or still" in ros.said[0]
+    ros = Ros({}, {"queries": ["red ball"], "use_sim_time": True})
+    ros.install(monkeypatch)
+    monkeypatch.setattr("eagor.robots.node.clock.FIRST", 0.1)
+    assert main([]) == 2
+    assert "nothing came on /clock within 0.1 s" in ros.said[0]
     ros = Ros({"/odom": m.ODOMETRY}, {"queries": ["red ball"]})
     ros.install(monkeypatch)
     assert main([]) == 2

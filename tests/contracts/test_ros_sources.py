@@ -366,12 +366,12 @@ def test_damaged_messages_are_left_out_and_counted(tmp_path):
             odometry = m.odometry_message(Pose(START + k, np.eye(3), np.zeros(3)))
             image = m.image_message(ROOM, START + k, "x3")
             if k in (3, 4):
-                odometry.pose.pose.orientation.w, image.encoding = 0.0, "yuv422"
+                odometry.pose.pose.orientation.w, image.encoding = 0.0, "bayer_rggb8"
             bag.write("/odom", m.ODOMETRY, odometry, START + k)
             bag.write("/image", m.IMAGE, image, START + k)
     poses, camera = BagPoses(tmp_path / "bag"), BagCamera(tmp_path / "bag")
     with pytest.warns(UserWarning, match="a pose of /odom is left out: a quaternion"):
         assert len(list(poses)) == 8
-    with pytest.warns(UserWarning, match="a picture of /image is left out: an Image has the encoding 'yuv422'"):
+    with pytest.warns(UserWarning, match="a picture of /image is left out: an Image has the encoding 'bayer_rggb8'"):
         assert len(list(camera)) == 8
     assert (poses.dropped, camera.dropped) == (2, 2)

@@ -33,8 +33,11 @@ def camera_at(t):
     return turn @ MOUNT[0], place + turn @ MOUNT[1]
 
 
-def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False):
-    """Pictures at 4 Hz and odometry at 20 Hz for three seconds; the pictures are recorded 0.2 s after their capture."""
+def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False, frame="x3", lost=()):
+    """Pictures at 4 Hz and odometry at 20 Hz for three seconds; the pictures are recorded 0.2 s after their capture.
+
+    Of the poses with the numbers `lost` the place is beyond all reason.
+    """
     messages = []
     for k in range(COUNT):
         t = 0.25 * k
@@ -47,11 +50,11 @@ def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_ze
         else:
             stamp = 0.0 if at_zero else START + t
             late = 0.0 if at_zero else 0.2
-            messages.append((t + late, "/x3/image", m.IMAGE, m.image_message(panorama, stamp, "x3")))
+            messages.append((t + late, "/x3/image", m.IMAGE, m.image_message(panorama, stamp, frame)))
     for k in range(-2, 62):
         t = 0.05 * k
         turn, place = body_at(t)
-        pose = Pose(START + t, turn, place)
+        pose = Pose(START + t, turn, place + 1e30 * (k in lost))
         if odometry == m.ODOMETRY:
             messages.append((t, "/odom", m.ODOMETRY, m.odometry_message(pose)))
         elif odometry == m.IMU:
@@ -139,6 +142,22 @@ def test_a_bag_without_odometry_turns_by_its_pictures(tmp_path, capsys):
     code, found, _ = track(capsys, bag, "red ball", "--rate", "4")
     assert code == 0
     assert found["poses"] == "orientations from the pictures themselves"
+
+
+def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
+    code, found, err = track(capsys, recorded(tmp_path / "bag", lost=(13, 20)), "red ball", "--rate", "4")
+    assert code == 0
+    assert len(found["frames"]) == COUNT
+    check_directions(found["frames"])
+    assert err.count("a pose of /odom is left out: a position is [1e+30, 1e+30, 1e+30]; wanted finite metres") == 1
+
+
+def test_pictures_that_name_no_frame_are_said(tmp_path, capsys):
+    code, found, err = track(capsys, recorded(tmp_path / "bag", frame=""), "red ball")
+    assert code == 0
+    assert len(found["frames"]) > 0
+    said = "the pictures name no frame (frame_id is empty): the camera's axes are taken for those of base_link"
+    assert err.count(said) == 1
 
 
 def test_pictures_without_times_take_those_of_the_recording(tmp_path, capsys):

@@ -647,6 +647,20 @@ def test_bad_poses_are_refused_with_file_and_line(three, text, says):
     assert path.name in line
 
 
+def test_poses_that_cannot_be_take_their_frames_with_them(three):
+    """A lost estimate of the robot's place, such as 1e30 m, is one frame less, not the end."""
+    images, write = three
+    lines = ["stamp,yaw_deg,pitch_deg,roll_deg,x,y,z", "0,0,0,0,0,0,0", "1,10,0,0,1e30,0,0", "2,20,0,0,0.1,0,0"]
+    done = eagor("track", images, "red ball", "--poses", write("\n".join(lines)), "--json")
+    assert done.returncode == 3, done.stderr
+    assert "the position at 1 s is [1e+30, 0.0, 0.0]; wanted metres, each within 1e+09" in done.stderr
+    assert "Left out: 1 of 3 poses" in done.stderr
+    frames = json.loads(done.stdout)["frames"]
+    assert [frame.get("problem", "")[:26] for frame in frames] == ["", "its pose has the position ", ""]
+    far = [lines[0], *(f"{k},0,0,0,1e30,0,0" for k in range(3))]
+    assert "So are all others: are they metres?" in refused("track", images, "red", "--poses", write("\n".join(far)))
+
+
 def test_track_refuses_what_it_cannot_use(three, tmp_path):
     images, write = three
     poses = write(GOOD)

@@ -313,3 +313,18 @@ def test_a_camera_that_moves_on_gets_its_belief_anew_without_a_look():
     assert angular_distance(moments[0.05].direction, before) == 0.0  # turned alone: it would be a degree at most
     moved = np.array([2.0 - 0.5, 0.5, 0.0]) / math.hypot(1.5, 0.5)
     assert angular_distance(moments[0.5].direction, moved) < 0.7 * angular_distance(before, moved)
+
+
+@pytest.mark.parametrize(("rate", "held"), [(10.0, 0.25), (20.0, 0.125), (100.0, 0.05)])
+def test_odometry_at_its_own_rate_is_no_fault_and_its_silence_is(rate, held):
+    """Answers at 50 per second for ten seconds, one pose lost on the way; then the odometry ends."""
+    poses = [
+        PoseCame(k / rate + 0.004 * (k % 3), Pose(k / rate, yawed(0.1 * k / rate)))  # the way takes 0, 4 or 8 ms
+        for k in range(int(10 * rate))
+        if k != int(6 * rate)
+    ]
+    answers = played([*poses, FrameCame(0.0, 0.0, "")], [0.51 + 0.02 * k for k in range(550)])
+    told = [answer.stamp for answer in answers if any("the last pose holds" in fault.text for fault in answer.faults)]
+    last = poses[-1].pose.stamp
+    assert told[0] == pytest.approx(last + held, abs=0.021 + 0.01)
+    assert told == [answer.stamp for answer in answers if answer.stamp >= told[0]]

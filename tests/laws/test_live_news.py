@@ -1,10 +1,10 @@
-"""Lines about faults: each is told once, however often it comes and goes."""
+"""Lines about faults: told when they begin and end, and now and then, however often they come and go."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.robots.live.answers import Fault
-from eagor.robots.live.news import CALM, News
+from eagor.robots.live.news import AGAIN, CALM, News
 
 
 def poses(age: float) -> Fault:
@@ -33,6 +33,31 @@ def test_other_words_and_other_parts_are_told_apart():
     ]
     assert news.of([poses(0.2)], 1.5 + CALM) == [("camera: all is well again", False)]
     assert news.of([gone, poses(0.2)], 2 + CALM) == [("no picture for 1.0 s", True)]
+
+
+def told(there, step):
+    """The lines about a fault that is there at the times ``step * k`` for which ``there(step * k)``."""
+    news = News()
+    return [
+        (round(step * k, 3), *line)
+        for k in range(round(3600 / step))
+        for line in news.of([poses(step * k)] if there(step * k) else [], step * k)
+    ]
+
+
+def test_a_fault_that_lasts_an_hour_is_told_twice_a_minute_not_twenty_times_a_second():
+    lines = told(lambda now: now < 3000, 0.05)
+    begun = [when for when, _, wrong in lines if wrong]
+    assert begun == [AGAIN * k for k in range(100)]
+    assert lines[-1] == (3000 - 0.05 + CALM, "poses: all is well again", False)
+    assert len(lines) == 101
+
+
+def test_a_part_that_comes_and_goes_for_an_hour_does_not_fill_the_log():
+    for period in (1.0, 5.0, 20.0, 45.0):
+        lines = told(lambda now, period=period: now % period < 0.2, 0.05)
+        assert len(lines) <= 2 + 2 * 3600 / AGAIN
+        assert lines[0] == (0.0, "the last pose holds for 0.00 s already", True)
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=100))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -82,6 +83,57 @@ def test_colours_are_those_that_the_encoding_names():
     np.testing.assert_array_equal(m.panorama_of(made)[0, :, 1], [1, 2, 3, 4])
 
 
+@pytest.mark.parametrize("order", ["<u2", ">u2"])
+def test_pictures_of_sixteen_bits(order):
+    """By hand: a value of 16 bits is the same share of white as one of 8."""
+    wide = (PICTURE.astype(np.uint16) * 257).astype(order)
+    rgb, alpha = range(3), np.full((6, 12, 1), 77, order)
+    for encoding, pixels in {
+        "rgb16": wide,
+        "bgr16": wide[..., ::-1],
+        "rgba16": np.concatenate([wide[..., rgb], alpha], axis=-1),
+        "bgra16": np.concatenate([wide[..., ::-1], alpha], axis=-1),
+    }.items():
+        np.testing.assert_array_equal(m.panorama_of(image_of(encoding, pixels, order)), PICTURE)
+    grey = m.panorama_of(image_of("mono16", wide[..., 0], order))
+    np.testing.assert_array_equal(grey, np.repeat(PICTURE[..., :1], 3, axis=-1))
+
+
+def image_of(encoding, pixels, order="<u2", padded=0):
+    """An Image whose rows ``(H, ...)`` are those of `pixels`, each with so many bytes more."""
+    rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
+    made = m.image_message(PICTURE, 5.0, "x3")
+    made.encoding, made.is_bigendian, made.step = encoding, int(order == ">u2"), rows.shape[1] + padded
+    made.data = np.pad(rows, ((0, 0), (0, padded)), constant_values=99).reshape(-1)
+    return made
+
+
+@pytest.mark.parametrize("padded", [0, 10])
+def test_pictures_of_yuv_are_as_opencv_reads_them(padded):
+    rng = np.random.default_rng(1)
+    y, u, v = (rng.integers(16, 256, (6, 12), dtype=np.uint8) for _ in range(3))  # Y has no values below black
+    packed = lambda *parts: np.stack(parts, axis=-1).reshape(6, 24)  # noqa: E731
+    two = lambda *parts: np.stack(parts, axis=-1).reshape(len(parts[0]), -1)  # noqa: E731
+    for names, pixels, code in (
+        (("uyvy", "yuv422"), packed(u[:, ::2], y[:, ::2], v[:, ::2], y[:, 1::2]), cv2.COLOR_YUV2RGB_UYVY),
+        (("yuyv", "yuv422_yuy2"), packed(y[:, ::2], u[:, ::2], y[:, 1::2], v[:, ::2]), cv2.COLOR_YUV2RGB_YUY2),
+        (("nv21",), np.vstack([y, two(v[:3, :6], u[:3, :6])]), cv2.COLOR_YUV2RGB_NV21),
+    ):
+        shape = (6, 12, 2) if pixels.shape == (6, 24) else pixels.shape
+        truth = cv2.cvtColor(np.ascontiguousarray(pixels).reshape(shape), code).astype(int)
+        for name in names:
+            found = m.panorama_of(image_of(name, pixels, padded=padded))
+            assert found.shape == PICTURE.shape
+            assert np.abs(found.astype(int) - truth).max() <= 2
+    # OpenCV has no NV24. Where four pixels share a colour it says the same as NV21, but for the order of U and V.
+    wide = lambda part: np.repeat(np.repeat(part[:3, :6], 2, axis=0), 2, axis=1)  # noqa: E731
+    both = two(wide(u), wide(v)).reshape(12, 12)
+    flat = image_of("nv24", np.vstack([y, both]))
+    np.testing.assert_array_equal(
+        m.panorama_of(flat), m.panorama_of(image_of("nv21", np.vstack([y, two(v[:3, :6], u[:3, :6])])))
+    )
+
+
 @given(st.integers(0, 40))
 def test_rows_may_be_padded(more):
     made = m.image_message(PICTURE, 5.0, "x3")
@@ -126,7 +178,10 @@ def test_maps_are_floats_or_octets():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"encoding": "mono16"}, "has the encoding 'mono16'; wanted one of rgb8, bgr8"),
+        ({"encoding": "32FC1"}, "has the encoding '32FC1'; wanted one of rgb8, bgr8.* mono16, uyvy.* nv21, nv24"),
+        ({"encoding": "mono16", "width": 19}, "of 19 x 6 pixels of 2 bytes has 36 bytes a row"),
+        ({"encoding": "uyvy", "width": 11}, "is 11 pixels wide; wanted an even number"),
+        ({"encoding": "nv21", "height": 6, "step": 36}, "as nv21 has 0 bytes of colour; wanted 108, and even sides"),
         ({"encoding": "bayer_rggb8"}, "bayer_rggb8"),
         ({"step": 35}, "has 35 bytes a row"),
         ({"height": 7}, "of 12 x 7 pixels"),
@@ -162,6 +217,9 @@ def test_poses_that_are_none():
         m.pose_of(made)
     made.pose.orientation.w, made.pose.position.y = 1.0, math.inf
     with pytest.raises(PoseError, match="wanted finite metres"):
+        m.pose_of(made)
+    made.pose.position.y = 1e30
+    with pytest.raises(PoseError, match=r"wanted finite metres, each within 1e\+09 of the origin"):
         m.pose_of(made)
     imu = m.imu_message(Pose(5.0, np.eye(3)))
     imu.orientation_covariance[0] = -1

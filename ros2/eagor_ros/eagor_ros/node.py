@@ -26,6 +26,7 @@ DEFAULTS: dict[str, Any] = {
     "speed": 0.3,
     "distance": 1.0,
 }
+SIM_TIME = "use_sim_time"  # rclpy declares it for every node
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -77,10 +78,10 @@ def made(ros_node: Any) -> Any:
 
     for name, default in DEFAULTS.items():
         ros_node.declare_parameter(name, default)
-    told = {name: ros_node.get_parameter(name).value for name in DEFAULTS}
+    told = {name: ros_node.get_parameter(name).value for name in (*DEFAULTS, SIM_TIME)}
     queries = tuple(query for query in told["queries"] if query.strip())
     perception = told["perception"] or None
-    names = ("poses", "body", "rate", "belief_rate", "belief_encoding", "latency", "patience")
+    names = ("poses", "body", "rate", "belief_rate", "belief_encoding", "latency", "patience", SIM_TIME)
     settings = NodeSettings(
         **{name: told[name] for name in names},
         **{name: told[name] or None for name in ("image_topic", "odom_topic", "camera", "world", "cmd_vel")},

@@ -13,6 +13,7 @@ ARGUMENTS = {
     "odom_topic": ("", "the odometry; empty: the only one"),
     "perception": ("", "the detector"),
     "namespace": ("", "namespace of the node"),
+    "use_sim_time": ("false", "take the time from /clock: in a simulation, or beside ros2 bag play --clock"),
 }
 
 
@@ -22,6 +23,7 @@ def generate_launch_description():
     defaults = PathJoinSubstitution([FindPackageShare("eagor_ros"), "config", "params.yaml"])
     params = LaunchConfiguration("params_file")
     text = {name: ParameterValue(told[name], value_type=str) for name in ("image_topic", "odom_topic", "perception")}
+    sim_time = ParameterValue(told["use_sim_time"], value_type=bool)
     return LaunchDescription(
         [
             *(
@@ -34,7 +36,7 @@ def generate_launch_description():
                 executable="node",
                 name="eagor",
                 namespace=told["namespace"],
-                parameters=[params, {"queries": [told["query"]], **text}],
+                parameters=[params, {"queries": [told["query"]], "use_sim_time": sim_time, **text}],
                 output="screen",
             ),
         ]

@@ -69,7 +69,7 @@ def odometry_of(bag: Bag, topic: str | None, camera: BagCamera) -> BagPoses | No
     """The odometry of a bag, as poses of its camera; None if no topic is named and it has none."""
     if topic is None and not any(kind in MOTION and name != TF_STATIC for name, kind in bag.topics.items()):
         return None
-    return BagPoses(bag, topic, camera=camera.frame or None)
+    return BagPoses(bag, topic, camera=camera.frame)
 
 
 def with_odometry(source: BagFilm, poses: BagPoses) -> Iterator[Step]:

@@ -125,13 +125,13 @@ def replay(options: Calibrate, what: str) -> int:
 
 def _poses(path: str) -> Callable[[float], Pose]:
     """The camera's pose at any stamp, from a file of poses."""
-    from eagor.cli.poses import read_poses
+    from eagor.cli.poses import read_poses, usable
     from eagor.cli.steps import BEYOND
     from eagor.tracking.poses import PoseHistory
 
     if path == "level":
         raise terminal.UsageError("--poses level needs pictures; wanted a CSV file of poses with --replay, or none")
-    poses, history = read_poses(path), PoseHistory(math.inf)
+    poses, history = usable(read_poses(path), path), PoseHistory(math.inf)
     for pose in poses:
         history.add(pose.stamp, pose.world_R_body, pose.position)
 

@@ -30,6 +30,7 @@ from eagor._files import read_file
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
 from eagor.sphere import world_R_body
+from eagor.tracking.poses import FARTHEST
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
@@ -45,6 +46,11 @@ class Pose(NamedTuple):
     world_R_body: np.ndarray
     position: np.ndarray | None
     frame: str | None
+
+    @property
+    def near(self) -> bool:
+        """Whether the position can be one: a lost estimate of a robot's place often ends in numbers without end."""
+        return self.position is None or bool((np.abs(self.position) <= FARTHEST).all())
 
 
 def read_poses(path: str | Path) -> tuple[Pose, ...]:
@@ -155,6 +161,22 @@ def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int
             raise type(error)(f"{path}, line {number}: {error}") from error
         poses.append(pose)
     return tuple(poses)
+
+
+def usable(poses: Sequence[Pose], name: str | Path) -> tuple[Pose, ...]:
+    """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
+    near = tuple(pose for pose in poses if pose.near)
+    if len(near) == len(poses):
+        return near
+    first = next(pose for pose in poses if not pose.near)
+    text = (
+        f"{name}: the position at {first.stamp:.10g} s is {first.position.tolist()}; wanted metres, each within "  # type: ignore[union-attr]
+        f"{FARTHEST:g} of the origin"
+    )
+    if not near:
+        raise PoseError(f"{text}. So are all others: are they metres?")
+    warnings.warn(f"{text}. Left out: {len(poses) - len(near)} of {len(poses)} poses", UserWarning, stacklevel=2)
+    return near
 
 
 def pair(

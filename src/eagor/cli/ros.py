@@ -69,6 +69,7 @@ def ros(options: Ros) -> int:
         cmd_vel=options.cmd_vel,
         walking=WalkSettings(speed=options.speed, distance=options.distance),
         config=replace(config, floor_height=options.floor),
+        use_sim_time=options.use_sim_time,
     )
     with DdsGraph(options.domain, options.interface, name) as graph:
         node = Node(

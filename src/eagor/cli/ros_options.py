@@ -52,6 +52,8 @@ class Ros(Common):
     """mono8: 255 is the peak; 32FC1: the density per steradian."""
     latency: Annotated[float, arg(metavar="SECONDS")] = 0.0
     """Time from capture to the stamp in the pictures' headers, for drivers that stamp late."""
+    use_sim_time: Flag = False
+    """Take the time from /clock, as nodes do in a simulation, or beside `ros2 bag play --clock`."""
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
     """The lenses, if the pictures are those of fisheye or ordinary lenses."""
     perception: Annotated[str | None, bare("NAME")] = None

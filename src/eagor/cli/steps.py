@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from eagor.cli.looking import checked_frame, find_frames, read_frame
-from eagor.cli.poses import Pose, pair
+from eagor.cli.poses import Pose, pair, usable
 from eagor.cli.stitched import LensPictures
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, PoseError
@@ -129,12 +129,31 @@ def images(places: Sequence[Path], rate: float, force: bool, rig: Path | None = 
 
 
 def with_file(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step]:
-    """Frames with the poses of a file: images by name or in order, frames of a video by time."""
+    """Frames with the poses of a file: images by name or in order, frames of a video by time.
+
+    Poses that cannot be are left out (`usable`), and with them the images that were taken there.
+    """
+    near = usable(poses, name)
     if isinstance(source, Images):
-        pairs = pair(poses, source.paths, name)
-        read = source.reader()
-        return (Step(pose) if image is None else Step(pose, image.name, partial(read, image)) for pose, image in pairs)
-    return _by_time(source, poses, name)
+        return _by_image(pair(poses, source.paths, name), near[0], source.reader())
+    return _by_time(source, near, name)
+
+
+def _by_image(
+    pairs: Sequence[tuple[Pose, Path | None]], pose: Pose, read: Callable[[Path], PanoramaFile]
+) -> Iterator[Step]:
+    """Each pose of a file, and the image that was taken there."""
+    for told, image in pairs:
+        if told.near:
+            pose = told
+            yield Step(pose) if image is None else Step(pose, image.name, partial(read, image))
+        elif image is not None:  # the frame is told of, at the pose before
+            yield Step(replace(pose, stamp=told.stamp, frame=told.frame), image.name, partial(_placeless, told))
+
+
+def _placeless(pose: Pose) -> PanoramaFile:
+    assert pose.position is not None
+    raise PoseError(f"its pose has the position {pose.position.tolist()}; wanted metres that can be")
 
 
 def _by_time(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step]:

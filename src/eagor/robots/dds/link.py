@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from eagor._extras import need
 from eagor.errors import DeviceError
-from eagor.robots.dds.ros_types import encoded_type, store, topic_name
+from eagor.robots.dds.ros_types import encoded_type, hash_of, store, topic_name
 from eagor.robots.dds.settings import checked_domain, settings
 
 __all__ = ["Link", "Reader", "Writer"]
@@ -26,18 +26,20 @@ class Link:
     """A participant of DDS domain `domain` on a network interface; a context manager.
 
     `interface`: such as "eth0"; "lo" stays on this machine; None lets the library choose. A process has one interface
-    per domain. Raises `MissingExtraError`, and `DeviceError` for a domain or interface that cannot be had.
+    per domain. `user_data`: what the participant says of itself. Raises `MissingExtraError`, and `DeviceError` for a
+    domain or interface that cannot be had.
     """
 
-    def __init__(self, domain: int = 0, interface: str | None = None) -> None:
+    def __init__(self, domain: int = 0, interface: str | None = None, user_data: bytes = b"") -> None:
         need("DDS (ROS 2, Unitree)", "robot", "cyclonedds", "rosbags")
         from cyclonedds.core import DDSException
         from cyclonedds.domain import DomainParticipant
+        from cyclonedds.qos import Policy, Qos
 
         self.domain, self.interface = checked_domain(domain), interface
         _settle(self.domain, interface)
         try:
-            self._participant = DomainParticipant(self.domain)
+            self._participant = DomainParticipant(self.domain, Qos(Policy.Userdata(user_data)))
         except DDSException as error:
             raise DeviceError(
                 f"DDS domain {domain} cannot be joined on {interface or 'this machine'} ({error.msg}): too many "
@@ -53,24 +55,35 @@ class Link:
 
     def close(self) -> None:
         """End all readers and writers. May be called twice."""
+        for part in self._parts:
+            part.leave()  # all at once: each waits for its thread
         while self._parts:
             self._parts.pop().close()
         participant, self._participant = self._participant, None
         del participant  # cyclonedds lets go of it when nothing refers to it
 
     def publish(
-        self, topic: str, kind: str | type, *, reliable: bool = True, depth: int = 10, transient: bool = False
+        self,
+        topic: str,
+        kind: str | type,
+        *,
+        reliable: bool = True,
+        depth: int = 10,
+        transient: bool = False,
+        user_data: bytes = b"",
     ) -> Writer:
         """A writer of `topic`.
 
         `kind`: a ROS type's name ("sensor_msgs/msg/Imu"; messages are `rosbags`' dataclasses, and the topic is named as
         ROS names it), or a class of cyclonedds' IDL. `depth`: how many messages are kept for a reader that is late.
-        `transient`: whether readers that come later get them, too. Defaults: those of ROS 2.
+        `transient`: whether readers that come later get them, too. `user_data`: what it says of itself; a ROS type says
+        its hash. Defaults: those of ROS 2.
         """
         from cyclonedds.pub import DataWriter
 
         made = self._topic(topic, kind)
-        writer = Writer(kind, DataWriter(self._joined(), made, _qos(reliable, depth, transient)))
+        qos = _qos(reliable, depth, transient, hash_of(kind) if isinstance(kind, str) else user_data)
+        writer = Writer(kind, DataWriter(self.participant, made, qos))
         self._parts.append(writer)
         return writer
 
@@ -92,7 +105,8 @@ class Link:
         from cyclonedds.sub import DataReader
 
         made = self._topic(topic, kind)
-        reader = Reader(topic, kind, DataReader(self._joined(), made, _qos(reliable, depth, transient)), received)
+        qos = _qos(reliable, depth, transient, hash_of(kind) if isinstance(kind, str) else b"")
+        reader = Reader(topic, kind, DataReader(self.participant, made, qos), received)
         self._parts.append(reader)
         return reader
 
@@ -107,20 +121,27 @@ class Link:
         """
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 
-        reader = BuiltinDataReader(self._joined(), BuiltinTopicDcpsPublication)
+        reader = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication)
         found: dict[Any, tuple[str, str]] = {}
         end = time.monotonic() + wait
         while True:
             for sample in reader.take(N=100):
                 if (name := getattr(sample, "topic_name", None)) is None:  # a writer that has gone
                     continue
-                if own or sample.participant_key != self._joined().guid:
+                if own or sample.participant_key != self.participant.guid:
                     found[sample.key] = name, sample.type_name
             if time.monotonic() >= end:
                 return list(found.values())
             time.sleep(0.02)
 
-    def _joined(self) -> Any:
+    @property
+    def parts(self) -> list[Reader | Writer]:
+        """Its readers and writers that are not closed."""
+        return [part for part in [*self._parts] if part.open]
+
+    @property
+    def participant(self) -> Any:
+        """cyclonedds' participant. Raises `DeviceError` once the link is closed."""
         if self._participant is None:
             raise DeviceError("this link is closed; make another one")
         return self._participant
@@ -129,15 +150,17 @@ class Link:
         from cyclonedds.topic import Topic
 
         if isinstance(kind, str):
-            return Topic(self._joined(), topic_name(topic), encoded_type(kind))  # type: ignore[type-var]
-        return Topic(self._joined(), topic, kind)
+            return Topic(self.participant, topic_name(topic), encoded_type(kind))  # type: ignore[type-var]
+        return Topic(self.participant, topic, kind)
 
 
 class Writer:
-    """Writes messages of one topic (`Link.publish`)."""
+    """Writes messages of one topic (`Link.publish`). `guid`: its id, 16 bytes."""
+
+    reads = False
 
     def __init__(self, kind: str | type, writer: Any) -> None:
-        self._kind = kind
+        self._kind, self.guid = kind, writer.guid.bytes
         self._writer: Any = writer
         self._encoded = encoded_type(kind) if isinstance(kind, str) else None
 
@@ -157,19 +180,32 @@ class Writer:
         except DDSException as error:
             raise DeviceError(f"a message of {self._writer.topic.name} could not be sent: {error.msg}") from error
 
+    @property
+    def open(self) -> bool:
+        """Whether it is not closed."""
+        return self._writer is not None
+
+    def leave(self) -> None:
+        """Nothing is to be waited for."""
+
     def close(self) -> None:
         """Stop writing."""
         self._writer = None
 
 
 class Reader:
-    """Reads one topic in a thread (`Link.subscribe`). `damaged`: messages that could not be used."""
+    """Reads one topic in a thread (`Link.subscribe`). `damaged`: messages that could not be used; `guid`: its id."""
+
+    reads = True
 
     def __init__(self, topic: str, kind: str | type, reader: Any, received: Callable[[Any, float], None]) -> None:
-        self.topic, self.damaged = topic, 0
+        from cyclonedds.core import GuardCondition
+
+        self.topic, self.damaged, self.guid = topic, 0, reader.guid.bytes
         self._kind, self._received = kind, received
         self._reader: Any = reader
         self._ended = threading.Event()
+        self._wake: Any = GuardCondition(reader.participant)
         self._thread = threading.Thread(target=self._read, name=f"DDS reader of {topic}", daemon=True)
         self._thread.start()
 
@@ -184,9 +220,20 @@ class Reader:
         reader = self._reader
         return frozenset() if reader is None else frozenset(reader.get_matched_publications())
 
+    @property
+    def open(self) -> bool:
+        """Whether it is not closed."""
+        return not self._ended.is_set()
+
+    def leave(self) -> None:
+        """Tell the thread to end."""
+        if self._wake is not None:
+            self._wake.set(True)
+        self._ended.set()
+
     def close(self) -> None:
         """Stop reading; waits for the thread unless it is the caller's."""
-        self._ended.set()
+        self.leave()
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
@@ -197,6 +244,7 @@ class Reader:
         condition = ReadCondition(self._reader, SampleState.Any | ViewState.Any | InstanceState.Any)
         waiting = WaitSet(self._reader.participant)
         waiting.attach(condition)
+        waiting.attach(self._wake)
         while not self._ended.is_set():
             with suppress(DDSException):
                 waiting.wait(duration(seconds=WAIT))
@@ -204,7 +252,7 @@ class Reader:
                 when = time.time()
                 for sample in samples:
                     self._give(sample, when)
-        self._reader = None
+        self._reader = self._wake = None
 
     def _taken(self) -> list[Any]:
         """The messages that have come; one by one, so that one that cannot be decoded takes no other with it."""
@@ -253,7 +301,7 @@ def _settle(domain: int, interface: str | None) -> None:
             ) from error
 
 
-def _qos(reliable: bool, depth: int, transient: bool) -> Any:
+def _qos(reliable: bool, depth: int, transient: bool, user_data: bytes) -> Any:
     from cyclonedds.core import Policy
     from cyclonedds.qos import Qos
     from cyclonedds.util import duration
@@ -263,4 +311,5 @@ def _qos(reliable: bool, depth: int, transient: bool) -> Any:
         Policy.Durability.TransientLocal if transient else Policy.Durability.Volatile,
         Policy.History.KeepLast(depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
+        Policy.Userdata(user_data),
     )

@@ -14,7 +14,7 @@ from typing import Any
 
 from eagor.errors import FormatError
 
-__all__ = ["Encoded", "encoded_type", "ros_names", "store", "topic_name"]
+__all__ = ["Encoded", "encoded_type", "hash_of", "ros_names", "store", "topic_name"]
 
 _BASES = {
     "bool": bool,
@@ -47,11 +47,16 @@ class Encoded:
 
 
 @cache
-def store() -> Any:
-    """`rosbags`' types of ROS 2 Humble, which later releases share."""
+def store(newer: bool = False) -> Any:
+    """`rosbags`' types of ROS 2 Humble, which later releases share; `newer`: of Jazzy, for the few that differ."""
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE)
+    return get_typestore(Stores.ROS2_JAZZY if newer else Stores.ROS2_HUMBLE)
+
+
+def hash_of(name: str) -> bytes:
+    """What an endpoint of this ROS type says in its user data, so that nodes since Iron know the type (REP-2016)."""
+    return f"typehash={store(newer=True).hash_rihs01(name)};".encode()
 
 
 def topic_name(ros_name: str) -> str:
@@ -67,44 +72,44 @@ def ros_names(topic: str, kind: str) -> tuple[str, str] | None:
     return topic[2:], f"{package}/msg/{rest[:-1]}"
 
 
-def encoded_type(name: str) -> type[Encoded]:
-    """The class to give to cyclonedds for the ROS type `name`, such as "sensor_msgs/msg/Imu".
+def encoded_type(name: str, newer: bool = False) -> type[Encoded]:
+    """The class to give to cyclonedds for the ROS type `name`, such as "sensor_msgs/msg/Imu" (`newer`: as `store`).
 
     Raises `FormatError` for a type that is not known.
     """
     with _TURN:
-        return _encoded_type(name)
+        return _encoded_type(name, newer)
 
 
 @cache
-def _encoded_type(name: str) -> type[Encoded]:
-    struct = _struct(name)
+def _encoded_type(name: str, newer: bool) -> type[Encoded]:
+    struct = _struct(name, newer)
     return type(struct.__name__, (Encoded,), {"__idl__": struct.__idl__, "__idl_typename__": struct.__idl_typename__})
 
 
 @cache
-def _struct(name: str) -> Any:
+def _struct(name: str, newer: bool = False) -> Any:
     """cyclonedds' class for a ROS type and all that it holds."""
     from cyclonedds.idl import make_idl_struct
     from cyclonedds.idl.annotations import final
     from cyclonedds.idl.types import byte
 
-    if name not in store().fielddefs:
+    if name not in store(newer).fielddefs:
         raise FormatError(f"{name!r} is no known ROS 2 type; wanted one such as sensor_msgs/msg/Imu")
-    _, members = store().fielddefs[name]
+    _, members = store(newer).fielddefs[name]
     package, kind = name.split("/")[0], name.split("/")[-1]
-    fields = {field: _field(about) for field, about in members} or {_NO_MEMBER: byte}
+    fields = {field: _field(about, newer) for field, about in members} or {_NO_MEMBER: byte}
     return final(make_idl_struct(f"{kind}_", f"{package}.msg.dds_.{kind}_", fields))
 
 
-def _field(about: tuple[Any, Any]) -> Any:
+def _field(about: tuple[Any, Any], newer: bool) -> Any:
     """cyclonedds' type of a member."""
     from cyclonedds.idl import types
     from rosbags.interfaces import Nodetype
 
     node, value = about
     if node == Nodetype.NAME:
-        return _struct(value)
+        return _struct(value, newer)
     if node == Nodetype.BASE:
         kind, limit = value
         if kind == "string" and limit:
@@ -116,5 +121,5 @@ def _field(about: tuple[Any, Any]) -> Any:
         return getattr(types, found) if isinstance(found, str) else found
     inner, size = value
     if node == Nodetype.ARRAY:
-        return types.array[_field(inner), size]
-    return types.sequence[_field(inner), size] if size else types.sequence[_field(inner)]
+        return types.array[_field(inner, newer), size]
+    return types.sequence[_field(inner, newer), size] if size else types.sequence[_field(inner, newer)]

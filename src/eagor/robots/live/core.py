@@ -9,6 +9,7 @@ import math
 import warnings
 from collections import deque
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 
@@ -26,7 +27,8 @@ __all__ = ["LiveCore", "Settings", "warm"]
 HELD = 0.05  # seconds for which the last pose may hold without a word
 STARTING = 1.0  # seconds that the first pose may take
 STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
-INTERVALS = 2.5  # between pictures, if that is longer: slow cameras are not stale
+INTERVALS = 2.5  # between pictures, or poses, if that is longer: slow ones are not stale
+BEATS = 9  # intervals between poses of which the middle one counts
 STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
 TOGETHER = 0.2  # seconds: looks that come faster are taken in together
 REFRESHED = 0.4  # seconds for which a belief may only be turned with the camera before it is computed anew,
@@ -68,6 +70,7 @@ class LiveCore:
         self._image = self._pose = -math.inf
         self._interval = 0.0
         self._first = math.inf  # stamp of the first pose
+        self._beats: deque[float] = deque(maxlen=BEATS)  # seconds between poses
         self._looks: dict[str, float] = {}
         self._early: list[tuple[str, Evidence]] = []  # of the next moments: stamps may be a little ahead of ours
         # What was computed last, with all of its belief, and where the camera was then.
@@ -157,6 +160,8 @@ class LiveCore:
             if look > self._pose:  # it has waited for this pose, and is placed anew
                 self._fresh.add(query)
                 self._taken.pop(query, None)
+        if math.isfinite(self._pose):
+            self._beats.append(stamp - self._pose)
         self._pose, self._first = stamp, min(self._first, stamp)
 
     def _evidence(self, event: EvidenceCame) -> None:
@@ -289,7 +294,8 @@ class LiveCore:
         stale = max(STALE_IMAGE, INTERVALS * self._interval)
         if now - self._image > stale and now - begun > stale:
             found.append(_overdue("camera", "picture", now, self._image, begun))
-        if self.has_poses and now - self._pose > HELD and (math.isfinite(self._pose) or now - begun > STARTING):
+        held = max(HELD, INTERVALS * median(self._beats)) if self._beats else HELD
+        if self.has_poses and now - self._pose > held and (math.isfinite(self._pose) or now - begun > STARTING):
             fault = _overdue("poses", "pose", now, self._pose, begun)
             if not math.isinf(self._pose):
                 fault = replace(

@@ -79,6 +79,7 @@ class LiveLoop:
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
     the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.robots.live.recorder`), with
     the `pictures` as "jpeg", "png" or "none". `mask`: what the camera never sees. `watchers` see all that happens, too.
+    `clock`: what tells the time; one that stands still, as a simulation's does, gives no answers meanwhile.
 
     Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
@@ -102,13 +103,14 @@ class LiveLoop:
         fast: bool = False,
         mask: BodyMask | None = None,
         watchers: Sequence[Watcher] = (),
+        clock: LoopClock | None = None,
     ) -> None:
         for name, value in (("rate", rate), ("patience", patience)):
             if not above(value, 0):
                 raise TimeError(f"{name} = {value!r}; wanted a number above 0")
         if not queries:
             raise QueryError("there is no query; say what to look for, such as 'red chair'")
-        self.clock = LoopClock()
+        self.clock = clock or LoopClock()
         self.rate, self.patience, self.fast, self.counts = rate, patience, fast, Counts()
         open_camera, self._camera = opener(camera)
         if self._camera is None:
@@ -186,6 +188,11 @@ class LiveLoop:
     def recording_problem(self) -> str | None:
         """Why the recording has ended before the loop, in words; None if it has not."""
         return None if self._recorder is None else self._recorder.problem
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it ends, or has ended."""
+        return self._stopped.is_set()
 
     def stop(self) -> None:
         """End the loop, from any thread or from `on_answer`."""
@@ -276,6 +283,8 @@ class LiveLoop:
             try:
                 event = self._events.get(timeout=left) if left > 0 else self._events.get_nowait()
             except Empty:
+                if left > 0:  # a clock may be slower than the time that was waited
+                    continue
                 return
             if event is not None:
                 self._taken(event)

@@ -6,6 +6,7 @@ DDS without ROS (`eagor.robots.ros.graph.DdsGraph`), or `rclpy` (the package ``e
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -20,15 +21,17 @@ from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
 from eagor.perception import Perception
 from eagor.robots.cameras.rig import Rig
-from eagor.robots.live.answers import Answer
+from eagor.robots.live.answers import Answer, Fault, Part
 from eagor.robots.live.loop import RATE, LiveLoop
+from eagor.robots.live.news import News
 from eagor.robots.node.answers import trouble
+from eagor.robots.node.clock import SimClock, Stamps
 from eagor.robots.node.driving import Drive
 from eagor.robots.node.outbox import Outbox
 from eagor.robots.node.queries import after
 from eagor.robots.ros.graph import Graph, GraphReader
 from eagor.robots.ros.messages import TEXT
-from eagor.robots.ros.odometry import BODY
+from eagor.robots.ros.odometry import BODY, unnamed
 from eagor.robots.ros.sources import RosCamera, RosPoses
 from eagor.robots.safety.walking import WalkSettings
 from eagor.tracking import TrackerConfig
@@ -49,7 +52,7 @@ class NodeSettings:
     the camera's (None: as the pictures name it); `world`: of the poses, for transforms. `rate`: answers per second;
     `belief_rate`: pictures of the belief per second, 0 for none. `cmd_vel`: a topic of velocities that walk the base to
     the first thing, as `walking` says, by odometry with places; None: the node drives nothing. Others as for `LiveLoop`
-    and `RosCamera`.
+    and `RosCamera`. `use_sim_time`: the time is what ``/clock`` says.
     """
 
     image_topic: str | None = None
@@ -69,6 +72,7 @@ class NodeSettings:
     cmd_vel: str | None = None
     walking: WalkSettings = field(default_factory=WalkSettings)
     config: TrackerConfig = field(default_factory=TrackerConfig)
+    use_sim_time: bool = False
 
     def __post_init__(self) -> None:
         encodings = ("mono8", "32FC1")
@@ -115,7 +119,9 @@ class Node:
         self._spec: str | Perception | None = None
         self._poses: RosPoses | None = None
         self._frame = ""
-        self._faults: set[str] = set()
+        self._sim: SimClock | None = None
+        self._rewound = ""  # what is to be said of a clock that went back
+        self._told = News()
         self.answers = 0
 
     def run(self) -> None:
@@ -123,7 +129,9 @@ class Node:
         reader: GraphReader = self.graph.subscribe(QUERY, TEXT, self._asked, reliable=True, depth=10, transient=True)
         first, given = True, self.queries
         try:
-            with Outbox(self.graph, self.settings) as outbox:
+            if self.settings.use_sim_time:
+                self._sim = SimClock(self.graph, self._went_back, self._ended)
+            with Outbox(self.graph, self.settings, self._now) as outbox:
                 while self._wait_for_queries(outbox):
                     try:
                         self._follow(outbox)
@@ -131,16 +139,36 @@ class Node:
                     except QueryError as error:
                         if first and self.queries == given:
                             raise
-                        self._tell(outbox, str(error))
+                        self._tell(outbox, "perception", str(error))
                         with self._news:
                             self.queries = ()
                     except (EagorError, OSError) as error:
+                        if self._rewound:  # an answer for a time that is gone
+                            continue
                         if first:
                             raise
-                        self._tell(outbox, f"{error}; tried again")
+                        self._tell(outbox, "camera", f"{error}; tried again")
                         self._pause(AGAIN)
         finally:
             reader.close()
+            if self._sim is not None:
+                self._sim.close()
+
+    def _ended(self) -> bool:
+        """Whether nobody waits for a source any more."""
+        loop = self._loop
+        return self._stopped or (loop is not None and loop.stopped)
+
+    def _now(self) -> float:
+        """The time of the node, for what rests on no picture."""
+        return time.time() if self._sim is None else self._sim.now()
+
+    def _went_back(self, by: float) -> None:
+        """The time of the graph went back: begin anew, as tf2 forgets its transforms then."""
+        with self._news:
+            self._rewound = f"the time went back by {by:.2f} s: all begins anew"
+            if self._loop is not None:
+                self._loop.stop()
 
     def stop(self) -> None:
         """End `run`, from any thread."""
@@ -179,7 +207,7 @@ class Node:
                     return False
                 if self.queries:
                     return True
-            outbox.say(trouble(time.time(), "waiting for a query on ~/query (std_msgs/String)", level=0))
+            outbox.say(trouble(self._now(), "waiting for a query on ~/query (std_msgs/String)", level=0))
             self._pause(IDLE)
 
     def _pause(self, seconds: float) -> None:
@@ -190,33 +218,37 @@ class Node:
     def _follow(self, outbox: Outbox) -> None:
         """Run a loop until it ends, is stopped, or fails."""
         s = self.settings
-        queries = self.queries
+        with self._news:
+            queries, rewound, self._rewound = self.queries, self._rewound, ""
+        if rewound:
+            self._tell(outbox, "clock", rewound)
         spec = self._choose(queries)
         camera = self._camera()
         self._frame = s.camera or camera.frame
         loop: LiveLoop
-        drive = None
+        drive, stamps = None, Stamps()
         try:
             poses = self._first_poses()
             if s.cmd_vel is not None:
                 drive = Drive.on(self.graph, s.cmd_vel, self._mount, s.walking, lambda: loop.clock.now())
             loop = LiveLoop(
                 _Again(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
-                patience=s.patience, record=s.record, watchers=() if drive is None else (drive.odometer, drive.gate),
+                patience=s.patience, record=self._record(), clock=self._sim,
+                watchers=(stamps, *(() if drive is None else (drive.odometer, drive.gate))),
             )  # fmt: skip
         except BaseException:
             camera.close()
             raise
         with self._news:
             self._loop, self._spec = loop, spec
-            if self._stopped or self.queries != queries:
-                if not self._stopped and self.queries and self._same(self.queries):
+            if self._stopped or self._rewound or self.queries != queries:
+                if not (self._stopped or self._rewound) and self.queries and self._same(self.queries):
                     loop.follow(self.queries)
                 else:
                     loop.stop()
         try:
             with nullcontext() if drive is None else drive.gate:
-                loop.run(lambda answer: self._answered(answer, loop, outbox, drive))
+                loop.run(lambda answer: self._answered(answer, loop, outbox, drive, stamps))
         finally:
             with self._news:
                 self._loop = None
@@ -226,11 +258,24 @@ class Node:
 
     def _camera(self) -> RosCamera:
         s = self.settings
-        return RosCamera(s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig)
+        return RosCamera(
+            s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig,
+            now=None if self._sim is None else self._sim.now, ended=self._ended,
+        )  # fmt: skip
+
+    def _record(self) -> Path | None:
+        """The folder to record into: each time that all begins anew, another one."""
+        path, number = self.settings.record, 1
+        while path is not None and path.exists():
+            number += 1
+            path = path.with_name(f"{self.settings.record.name}_{number}")  # type: ignore[union-attr]
+        return path
 
     def _odometry(self) -> RosPoses:
         s = self.settings
-        self._poses = RosPoses(s.odom_topic, graph=self.graph, camera=self._frame or None, body=s.body, world=s.world)
+        self._poses = RosPoses(
+            s.odom_topic, graph=self.graph, camera=self._frame, body=s.body, world=s.world, ended=self._ended
+        )
         return self._poses
 
     def _first_poses(self) -> Any:
@@ -244,20 +289,23 @@ class Node:
         except DeviceError as error:
             raise DeviceError(f"{error}. Without odometry: --poses auto takes turns from the pictures") from error
 
-    def _answered(self, answer: Answer, loop: LiveLoop, outbox: Outbox, drive: Drive | None) -> None:
+    def _answered(self, answer: Answer, loop: LiveLoop, outbox: Outbox, drive: Drive | None, stamps: Stamps) -> None:
         queries = loop.core.queries
         self.answers += 1
         self._say_faults(answer)
         number = queries.index(answer.query) if answer.query in queries else 0
-        counts, mount = loop.counts, self._mount(answer.stamp)
+        told_of = stamps.of(answer, self._now())
+        counts, mount = loop.counts, self._mount(told_of.stamp)
         told = {
             "pictures": str(counts.frames), "looks": str(counts.looks), "skipped": str(counts.skipped),
             "poses": str(counts.poses), "answers": str(counts.answers), "late": str(counts.late),
         }  # fmt: skip
+        if self._poses is not None:
+            told["between_poses_deg"] = f"{math.degrees(self._poses.reader.turning.midway):.2f}"
         if drive is not None and number == 0:
             step = drive.answered(answer, mount)
             told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}
-        outbox.put(answer, number, len(queries), mount, self._frame or self.settings.body, told)
+        outbox.put(told_of, answer.stamp, number, len(queries), mount, self._frame or self.settings.body, told)
 
     def _mount(self, stamp: float) -> np.ndarray:
         """body_R_camera."""
@@ -265,17 +313,27 @@ class Node:
         return np.eye(3) if poses is None else poses.body_R_camera(stamp)
 
     def _say_faults(self, answer: Answer) -> None:
-        """Say what is wrong once, as long as it lasts."""
-        now = {fault.text for fault in answer.faults}
-        if self._poses is not None and self._poses.problem:
-            now.add(self._poses.problem)
-        for text in sorted(now - self._faults):
+        """Say what begins to be wrong, lasts, and ends."""
+        now, faults = time.monotonic(), list(answer.faults)
+        if (problem := self._unplaced() if self._poses is None else self._poses.problem) is not None:
+            faults.append(Fault("poses", problem, answer.stamp))
+        for text, _ in self._told.of(faults, now):
             self._said(text)
-        self._faults = now
 
-    def _tell(self, outbox: Outbox, text: str) -> None:
-        self._said(text)
-        outbox.say(trouble(time.time(), text))
+    def _unplaced(self) -> str | None:
+        """What to say of the camera's place on the body, where no odometry is read, and so no transforms."""
+        body = self.settings.body
+        if not self._frame:
+            return unnamed(body)
+        if self._frame == body:
+            return None
+        return f"without odometry no transforms are read: the axes of {self._frame} are taken for those of {body}"
+
+    def _tell(self, outbox: Outbox, part: Part, text: str) -> None:
+        """Say what is wrong while no loop runs."""
+        if self._told.worth(Fault(part, text, self._now()), time.monotonic()):
+            self._said(text)
+        outbox.say(trouble(self._now(), text))
 
 
 class _Again:

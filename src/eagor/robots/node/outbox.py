@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -25,6 +24,7 @@ PARTS = ("camera", "poses", "perception", "clock", "recording")
 @dataclass(frozen=True, eq=False)
 class _Item:
     answer: Answer
+    given: float
     number: int
     count: int
     body_R_camera: np.ndarray
@@ -36,13 +36,13 @@ class Outbox:
     """Publishes answers on a `graph`, as `settings` (`NodeSettings`) say; a context manager.
 
     ``~/direction``, ``~/direction_pose``, ``~/belief_image`` and ``~/belief`` are of the first query; every further one
-    has ``~/NAME/direction`` and ``~/NAME/direction_pose``. ``~/markers`` and ``/diagnostics`` are of all. `failed`: how
-    many messages could not be sent.
+    has ``~/NAME/direction`` and ``~/NAME/direction_pose``. ``~/markers`` and ``/diagnostics`` are of all. `now`: the
+    time of the node, for what rests on no picture. `failed`: how many messages could not be sent.
     """
 
-    def __init__(self, graph: Graph, settings: Any) -> None:
+    def __init__(self, graph: Graph, settings: Any, now: Callable[[], float]) -> None:
         self.failed = 0
-        self._graph, self._settings = graph, settings
+        self._graph, self._settings, self._now = graph, settings, now
         self._writers: dict[str, GraphWriter] = {}
         self._news = threading.Condition()
         self._items: dict[str, _Item] = {}
@@ -65,15 +65,16 @@ class Outbox:
     def put(
         self,
         answer: Answer,
+        given: float,
         number: int,
         count: int,
         body_R_camera: np.ndarray,
         camera: str,
         told: Mapping[str, str],
     ) -> None:
-        """Send the `answer` to the query of this `number` among `count`; it replaces one that still waits."""
+        """Send the `answer`, `given` then, to the query of this `number` of `count`; it replaces one that waits."""
         with self._news:
-            self._items[answer.query] = _Item(answer, number, count, body_R_camera, camera, told)
+            self._items[answer.query] = _Item(answer, given, number, count, body_R_camera, camera, told)
             self._news.notify()
 
     def say(self, diagnostic: Any) -> None:
@@ -83,7 +84,7 @@ class Outbox:
             self._news.notify()
 
     def close(self) -> None:
-        """Send what waits, take the markers away, and end."""
+        """Say the words that wait, take the markers away, and end; answers are of no use any more."""
         with self._news:
             self._closed = True
             self._news.notify()
@@ -99,6 +100,8 @@ class Outbox:
                 items, self._items = self._items, {}
                 words, self._words = self._words, []
                 closed = self._closed
+                if closed:
+                    items = {}
             for diagnostic in words:
                 self._send("/diagnostics", diagnostic)
             for item in items.values():
@@ -108,7 +111,7 @@ class Outbox:
                 self._diagnose(items)
             if closed:
                 for query in self._shown:
-                    self._send("~/markers", made.gone(query, time.time(), self._settings.body))
+                    self._send("~/markers", made.gone(query, self._now(), self._settings.body))
                 return
 
     def _publish(self, item: _Item) -> None:
@@ -120,8 +123,9 @@ class Outbox:
         self._send("~/markers", made.markers(answer, turn, body, item.number))
         self._shown.add(answer.query)
         rate = self._settings.belief_rate
-        if item.number == 0 and rate > 0 and answer.stamp - self._believed >= 1 / rate and answer.direction is not None:
-            self._believed = answer.stamp
+        due = rate > 0 and _over(item.given - self._believed, 1 / rate)
+        if item.number == 0 and due and answer.direction is not None:
+            self._believed = item.given
             self._send(
                 "~/belief_image", made.belief_image(answer, item.camera, encoding=self._settings.belief_encoding)
             )
@@ -130,21 +134,21 @@ class Outbox:
     def _tidy(self, items: Mapping[str, _Item]) -> None:
         """Take away the markers of what is no longer followed."""
         self._newest |= items
-        newest = max(items.values(), key=lambda item: item.answer.stamp)
-        now = sorted(self._newest.values(), key=lambda item: -item.answer.stamp)[: newest.count]
+        newest = max(items.values(), key=lambda item: item.given)
+        now = sorted(self._newest.values(), key=lambda item: -item.given)[: newest.count]
         self._newest = {item.answer.query: item for item in now}
         for query in self._shown - self._newest.keys():
             self._send("~/markers", made.gone(query, newest.answer.stamp, self._settings.body))
             self._shown = self._shown - {query}
 
     def _diagnose(self, items: Mapping[str, _Item]) -> None:
-        now = max(item.answer.stamp for item in items.values())
-        if now - self._diagnosed < DIAGNOSED:
+        now = max(item.given for item in items.values())
+        if not _over(now - self._diagnosed, DIAGNOSED):
             return
         self._diagnosed = now
         order = sorted(self._newest.values(), key=lambda item: item.number)
         told = {**order[0].told, "not_sent": str(self.failed)}
-        found = made.diagnostics(now, [item.answer for item in order], order[0].body_R_camera, PARTS, told)
+        found = made.diagnostics(self._now(), [item.answer for item in order], order[0].body_R_camera, PARTS, told)
         self._send("/diagnostics", found)
 
     def _send(self, topic: str, message: Any) -> None:
@@ -161,3 +165,8 @@ class Outbox:
             }  # fmt: skip
             self._writers[topic] = self._graph.publish(topic, kinds[topic.rpartition("/")[2]], reliable=True, depth=10)
         return self._writers[topic]
+
+
+def _over(gone: float, seconds: float) -> bool:
+    """Whether so many seconds have gone; also where the clock has been set back."""
+    return not 0 <= gone < seconds

@@ -9,6 +9,7 @@ from typing import Any, Protocol, Self
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
+from eagor.robots.dds.discovery import ENCLAVE, Announcement
 from eagor.robots.dds.ros_types import ros_names
 
 __all__ = ["DdsGraph", "Graph", "GraphReader", "GraphWriter", "default_domain"]
@@ -76,12 +77,13 @@ def default_domain() -> int:
 class DdsGraph:
     """A `Graph` over a DDS link of its own, without ROS. `domain`: None is that of the environment.
 
-    Nodes of ROS list its topics, but not its name: that is told on a topic of ROS itself.
+    Nodes of ROS list it by its `name`, with its topics.
     """
 
     def __init__(self, domain: int | None = None, interface: str | None = None, name: str = NAME) -> None:
         self.name = name
-        self.link = Link(default_domain() if domain is None else domain, interface)
+        self.link = Link(default_domain() if domain is None else domain, interface, ENCLAVE)
+        self._announcement = Announcement(self.link, name)
 
     def __enter__(self) -> Self:
         return self
@@ -92,7 +94,9 @@ class DdsGraph:
     def publish(
         self, topic: str, kind: str, *, reliable: bool = True, depth: int = 10, transient: bool = False
     ) -> GraphWriter:
-        return self.link.publish(self._full(topic), kind, reliable=reliable, depth=depth, transient=transient)
+        writer = self.link.publish(self._full(topic), kind, reliable=reliable, depth=depth, transient=transient)
+        self._announcement.tell()
+        return writer
 
     def subscribe(
         self,
@@ -104,15 +108,18 @@ class DdsGraph:
         depth: int = 10,
         transient: bool = False,
     ) -> GraphReader:
-        return self.link.subscribe(
+        reader = self.link.subscribe(
             self._full(topic), kind, received, reliable=reliable, depth=depth, transient=transient
         )
+        self._announcement.tell()
+        return reader
 
     def topics(self, wait: float = 1.0) -> dict[str, tuple[str, int]]:
         names = Counter(ros_names(*each) for each in self.link.publications(wait, own=False))
         return dict(sorted((each[0], (each[1], count)) for each, count in names.items() if each is not None))
 
     def close(self) -> None:
+        self._announcement.close()
         self.link.close()
 
     def _full(self, topic: str) -> str:

@@ -17,10 +17,11 @@ from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import EagorError, ImageError, PoseError, TimeError
 from eagor.robots.dds.ros_types import store
 from eagor.robots.frames import Pose
+from eagor.tracking.poses import FARTHEST
 from eagor.worlds.panorama import read_image
 
 __all__ = [
-    "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR", "compressed_message",
+    "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR", "compressed_message",
     "header", "image_message", "imu_message", "message", "odometry_message", "panorama_of", "pose_message", "pose_of",
     "quaternion", "seconds", "stamp_of", "text_message", "time_message", "transform_message", "transforms_message",
     "vector", "vector_message",
@@ -29,18 +30,35 @@ __all__ = [
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
+CLOCK = "rosgraph_msgs/msg/Clock"
 
 NANO = 10**9
 LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32
 _NORM = 0.01  # by which a quaternion's length may differ from 1
-# Encodings of sensor_msgs/Image (sensor_msgs/image_encodings.hpp): bytes a pixel, and which of them are R, G, B.
+# Encodings of sensor_msgs/Image (sensor_msgs/image_encodings.hpp): values a pixel, and which of them are R, G, B. Those
+# that end in 16 have two bytes a value.
 ENCODINGS: Mapping[str, tuple[int, list[int]]] = {
     "rgb8": (3, [0, 1, 2]),
     "bgr8": (3, [2, 1, 0]),
     "rgba8": (4, [0, 1, 2]),
     "bgra8": (4, [2, 1, 0]),
     "mono8": (1, [0, 0, 0]),
+    "rgb16": (3, [0, 1, 2]),
+    "bgr16": (3, [2, 1, 0]),
+    "rgba16": (4, [0, 1, 2]),
+    "bgra16": (4, [2, 1, 0]),
+    "mono16": (1, [0, 0, 0]),
 }
+# Two pixels of YUV 4:2:2 in four bytes: where Y of both, U and V are. The older names are the same formats.
+YUV_422: Mapping[str, tuple[list[int], int, int]] = {
+    "uyvy": ([1, 3], 0, 2), "yuv422": ([1, 3], 0, 2),
+    "yuyv": ([0, 2], 1, 3), "yuv422_yuy2": ([0, 2], 1, 3),
+}  # fmt: skip
+# A plane of Y, then one of U and V in turn: how many rows and columns of pixels share them, and where U and V are.
+PLANES: Mapping[str, tuple[int, int, int]] = {"nv21": (2, 1, 0), "nv24": (1, 0, 1)}
+# RGB of Y (16 to 235), U and V (16 to 240 about 128), as ITU-R BT.601 has it; cameras of ROS drivers use it.
+_RGB_OF_YUV = np.array([[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]])
+_BLACK = np.array([16.0, 128.0, 128.0])
 
 
 def message(kind: str, **fields: Any) -> Any:
@@ -118,18 +136,63 @@ def panorama_of(received: Any) -> np.ndarray:
 
 
 def _raw(received: Any) -> np.ndarray:
-    height, width, step, encoding = received.height, received.width, received.step, received.encoding
-    if encoding not in ENCODINGS:
-        raise ImageError(f"an Image has the encoding {encoding!r}; wanted one of {', '.join(ENCODINGS)}")
-    size, places = ENCODINGS[encoding]
+    encoding = received.encoding
+    if encoding in ENCODINGS:
+        values, places = ENCODINGS[encoding]
+        if not encoding.endswith("16"):
+            return np.ascontiguousarray(_rows(received, values)[..., places])
+        order = ">u2" if received.is_bigendian else "<u2"
+        wide = np.ascontiguousarray(_rows(received, 2 * values)).view(order)[..., places]
+        return (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+    if encoding in YUV_422:
+        return _of_yuv(*_packed(_rows(received, 2), *YUV_422[encoding]))
+    if encoding in PLANES:
+        return _of_yuv(*_planes(received, *PLANES[encoding]))
+    raise ImageError(
+        f"an Image has the encoding {encoding!r}; wanted one of {', '.join([*ENCODINGS, *YUV_422, *PLANES])}"
+    )
+
+
+def _rows(received: Any, size: int) -> np.ndarray:
+    """The bytes ``(H, W, size)`` of an Image. Raises `ImageError` if there are too few."""
+    height, width, step = received.height, received.width, received.step
     data = np.frombuffer(memoryview(received.data).cast("B"), dtype=np.uint8)
     if height < 1 or width < 1 or step < width * size or len(data) < height * step:
         raise ImageError(
             f"an Image of {width} x {height} pixels of {size} bytes has {step} bytes a row and {len(data)} in all; "
             f"wanted at least {width * size} and {height * max(step, width * size)}"
         )
-    rows = data[: height * step].reshape(height, step)[:, : width * size].reshape(height, width, size)
-    return np.ascontiguousarray(rows[..., places])
+    return data[: height * step].reshape(height, step)[:, : width * size].reshape(height, width, size)
+
+
+def _packed(rows: np.ndarray, y: list[int], u: int, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Y, U and V, each ``(H, W)``, of two pixels in four bytes. Raises `ImageError` for an odd width."""
+    height, width, _ = rows.shape
+    if width % 2:
+        raise ImageError(f"an Image of YUV 4:2:2 is {width} pixels wide; wanted an even number: two share their colour")
+    pairs = np.ascontiguousarray(rows).reshape(height, width // 2, 4)
+    return pairs[..., y].reshape(height, width), *(np.repeat(pairs[..., each], 2, axis=1) for each in (u, v))  # type: ignore[return-value]
+
+
+def _planes(received: Any, shared: int, u: int, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Y, U and V, each ``(H, W)``, of two planes. Raises `ImageError` if the second is too short, or sides are odd."""
+    height, width = received.height, received.width
+    y = _rows(received, 1)[..., 0]
+    colours = np.frombuffer(memoryview(received.data).cast("B"), dtype=np.uint8)[height * received.step :]
+    step = 2 * received.step // shared  # of the second plane's rows
+    if height % shared or width % shared or len(colours) < height // shared * step:
+        raise ImageError(
+            f"an Image of {width} x {height} pixels as {received.encoding} has {len(colours)} bytes of colour; wanted "
+            f"{height // shared * step}, and {'even sides' if shared > 1 else 'two a pixel'}"
+        )
+    pairs = colours[: height // shared * step].reshape(height // shared, step)[:, : 2 * width // shared]
+    return y, *(pairs[:, each::2].repeat(shared, axis=0).repeat(shared, axis=1) for each in (u, v))  # type: ignore[return-value]
+
+
+def _of_yuv(y: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """RGB ``(H, W, 3)`` uint8 of Y, U and V, each ``(H, W)``."""
+    yuv = np.stack([y, u, v], axis=-1).astype(np.float32) - _BLACK.astype(np.float32)
+    return np.rint(yuv @ _RGB_OF_YUV.T.astype(np.float32)).clip(0, 255).astype(np.uint8)
 
 
 def _decoded(received: Any) -> np.ndarray:
@@ -247,10 +310,12 @@ def rotation_of(q: Any) -> np.ndarray:
 
 
 def triple(place: Any) -> np.ndarray:
-    """The numbers ``(3,)`` of a Point or Vector3. Raises `PoseError` unless they are finite."""
+    """The numbers ``(3,)`` of a Point or Vector3. Raises `PoseError` unless they can be metres on Earth."""
     values = np.array([place.x, place.y, place.z], dtype=np.float64)
-    if not np.isfinite(values).all():
-        raise PoseError(f"a position is {values.tolist()}; wanted finite metres")
+    if not (np.abs(values) <= FARTHEST).all():
+        raise PoseError(
+            f"a position is {values.tolist()}; wanted finite metres, each within {FARTHEST:g} of the origin"
+        )
     return values
 
 

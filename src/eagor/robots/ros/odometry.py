@@ -3,28 +3,92 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from statistics import fmean, median
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from eagor.errors import DeviceError
 from eagor.robots.frames import Pose
 from eagor.robots.ros.messages import IMU, ODOMETRY, TRANSFORMS, pose_of
-from eagor.robots.ros.transforms import IDENTITY, Transform, TransformTree, composed, optical
+from eagor.robots.ros.transforms import BACK, IDENTITY, Transform, TransformTree, composed, optical
 
-__all__ = ["BODY", "WORLDS", "PoseReader"]
+__all__ = ["BODY", "TOLERATED", "WORLDS", "PoseReader", "Turning", "unnamed"]
 
 BODY = "base_link"
+TOLERATED = math.radians(3.0)  # a detector is off by as much
+HOLE = 2.5  # times as long as most: an interval in which poses are missing
+RATES, FEWEST = 50, 10  # changes of the rate of turning that count, and that are enough
 WORLDS = ("odom", "map")  # REP-105; odom does not jump
+
+
+def unnamed(body: str) -> str:
+    """What to say of pictures whose headers name no frame."""
+    return (
+        f"the pictures name no frame (frame_id is empty): the camera's axes are taken for those of {body}; set it in "
+        "the camera's driver, or name the frame (eagor ros --camera)"
+    )
+
+
+class Turning:
+    """How far poses between two of odometry may be off, since nobody knows how the body turned there.
+
+    The rate of turning is taken for a random walk. Its density `q` follows from how the measured rates change: over two
+    intervals of `a` and `b` seconds by ``q (a + b) / 3`` (variance). What is interpolated midway in an interval of `t`
+    seconds is off by ``q t^3 / 48``. What swings faster than poses come is not seen in them.
+    """
+
+    def __init__(self) -> None:
+        self._pose: Pose | None = None
+        self._rate: tuple[np.ndarray, float] | None = None  # radians per second in the body's axes, and their seconds
+        self._density: deque[float] = deque(maxlen=RATES)
+        self._gaps: deque[float] = deque(maxlen=RATES)
+
+    def add(self, pose: Pose) -> None:
+        """The next pose."""
+        before, self._pose = self._pose, pose
+        if before is None or (gap := pose.stamp - before.stamp) <= 0:
+            self._rate = None
+            return
+        known = bool(self._gaps)
+        self._gaps.append(gap)
+        if known and gap > HOLE * median(self._gaps):  # it may have turned about, and the shortest turn is none of it
+            self._rate = None
+            return
+        rate = Rotation.from_matrix(before.world_R_body.T @ pose.world_R_body).as_rotvec() / gap
+        if self._rate is not None:
+            change = rate - self._rate[0]
+            self._density.append(3 * float(change @ change) / (gap + self._rate[1]))
+        self._rate = rate, gap
+
+    @property
+    def midway(self) -> float:
+        """Standard deviation, radians, midway between two poses that are as far apart as most are."""
+        if len(self._density) < FEWEST:
+            return 0.0
+        return math.sqrt(fmean(self._density) * median(self._gaps) ** 3 / 48)
+
+    def said(self, topic: str) -> str:
+        """The same in words."""
+        return (
+            f"{topic} tells a pose every {median(self._gaps):.2f} s, too seldom for how the turning changes: between "
+            f"two of them, directions are off by {math.degrees(self.midway):.1f} degrees (standard deviation); wanted "
+            "odometry at a higher rate"
+        )
 
 
 class PoseReader:
     """Makes poses of the messages on one `topic` of type `kind`.
 
-    `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message. None:
-    the pose of the `body`. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
+    `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message. "": its
+    pictures name none, so that its axes are taken for those of the `body`, which is a problem. None: the pose of the
+    `body` is wanted. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
     taken for those of the message. `world`: the frame of the poses for transforms (default: odom, else map, else the
-    root of the tree). `problem`: what is missing, in words, or None.
+    root of the tree). `rewinds`: whether the stamps may go back by more than a second, as those of a clock that was
+    set; otherwise such poses are left out. `turning`: how well the poses tell what lies between them. `problem`: what
+    is missing, in words, or None.
     """
 
     def __init__(
@@ -36,11 +100,14 @@ class PoseReader:
         body: str = BODY,
         world: str | None = None,
         strict: bool = False,
+        rewinds: bool = False,
     ) -> None:
         self.topic, self.kind = topic, kind
         self.camera, self.body, self.world, self.strict = camera, body, world, strict
-        self.problem: str | None = None
+        self.rewinds = rewinds
+        self.problem = self._unnamed = unnamed(body) if camera == "" else None
         self.tree = TransformTree()
+        self.turning = Turning()
         self._frames: tuple[str, str] | None = None
         self._last = -math.inf
 
@@ -97,15 +164,15 @@ class PoseReader:
             found: Transform | None = IDENTITY
         else:
             found = self.tree.at(source, target, stamp)
-        self.problem = None
+        self.problem = self._unnamed
         if found is None:
             self.problem = f"/tf_static and /tf do not tell where {target} is in {source}"
             if self.strict:
                 return None
-            if self.camera is not None:
+            if self.camera:
                 self.problem += ": its axes are taken for the same"
             else:
-                self.problem = None  # the body is what the odometry tells of
+                self.problem = self._unnamed  # the body is what the odometry tells of
             found = IDENTITY
         return found[0] @ optical(target), found[1]
 
@@ -126,14 +193,17 @@ class PoseReader:
         found = self.tree.at(world, target, stamp)
         if found is None:
             return []
-        self.problem = None
+        self.problem = self._unnamed
         rotation, place = composed(found, (optical(target), np.zeros(3)))
         return self._in_order(Pose(stamp, rotation, place))
 
     def _in_order(self, pose: Pose) -> list[Pose]:
-        if pose.stamp <= self._last:
+        if pose.stamp <= self._last and not (self.rewinds and pose.stamp < self._last - BACK):
             return []
         self._last = pose.stamp
+        self.turning.add(pose)
+        if self.problem is None and self.turning.midway > TOLERATED:
+            self.problem = self.turning.said(self.topic)
         return [pose]
 
     @staticmethod

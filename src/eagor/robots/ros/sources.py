@@ -7,7 +7,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,15 @@ from eagor.robots.ros.messages import TRANSFORMS, panorama_of, stamp_of
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.playing import apart
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, find_topic
+from eagor.robots.ros.transforms import BACK
 
 __all__ = ["RosCamera", "RosPoses", "address"]
 
 FIRST = 10.0  # seconds in which the first message has to come
 SETTLING = 1.0  # seconds for transforms that were said before to come, once a topic is found
-WAITING = 0.2  # seconds after which a waiting iterator looks whether it was closed
+WAITING = 0.1  # seconds after which who waits for the first message looks whether to go on
 LATEST = 4000  # poses that wait to be taken: ten seconds at 400 per second
+BEFORE = 0.2  # seconds of poses from before anybody asks: pictures that wait are not older
 COUNTED = 1.0  # seconds between two looks at who writes the odometry
 
 
@@ -51,9 +53,10 @@ class RosCamera:
     kept, and decoded when it is asked for; `dropped` counts the others, and those that were damaged.
 
     `rows`: the most rows of a panorama; `rate`: the most pictures per second; `rig`: the lenses, if the topic has their
-    pictures. `domain`: None is that of the environment; `graph`: a graph to use instead of an own one. `frame`: the
-    frame that the pictures name. `problem`: what is wrong now, or None. Raises `DeviceError` if there is no such topic
-    or no picture comes, `ImageError` for pictures that are no panoramas.
+    pictures. `domain`: None is that of the environment; `graph`: a graph to use instead of an own one; `now`: a clock
+    to use instead of this machine's; `ended` says whether nobody waits for a picture any more. `frame`: the frame that
+    the pictures name. `problem`: what is wrong now, or None. Raises `DeviceError` if there is no such topic or no
+    picture comes, `ImageError` for pictures that are no panoramas.
     """
 
     live = True
@@ -71,11 +74,13 @@ class RosCamera:
         rate: float | None = None,
         graph: Graph | None = None,
         wait: float = FIRST,
+        ended: Callable[[], bool] = lambda: False,
+        now: Callable[[], float] | None = None,
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
         asked, settings = address(topic or "")
-        self.latency, self.problem = latency, None
+        self.latency, self.problem, self._now = latency, None, now
         self._apart = apart(rate)
         self._changed = threading.Condition()
         self._newest: tuple[Any, float] | None = None
@@ -85,9 +90,9 @@ class RosCamera:
         self._graph: Graph = graph or self._own  # type: ignore[assignment]
         self._reader: GraphReader | None = None
         try:
-            self.topic, self.kind, _ = find_topic(self._graph, PICTURES, asked, option="--image-topic")
+            self.topic, self.kind, _ = find_topic(self._graph, PICTURES, asked, option="--image-topic", ended=ended)
             self._reader = self._graph.subscribe(self.topic, self.kind, self._received, depth=5)
-            first = self._first(wait)
+            first = self._first(wait, ended)
             picture = panorama_of(first)
             self.frame: str = first.header.frame_id
             self._panoramas = Panoramas(((picture.shape[1], picture.shape[0]),), rig, rows, self.topic)
@@ -119,10 +124,10 @@ class RosCamera:
                 self.problem = f"{self.topic}: a picture is left out: {error}"
                 self._warn(self.problem)
                 continue
-            if stamp <= self._last:  # sent twice, or out of order
+            if self._last - BACK <= stamp <= self._last:  # sent twice, or out of order
                 self._dropped += 1
                 continue
-            if stamp < self._last + self._apart:
+            if 0 < stamp - self._last < self._apart:
                 continue
             self._last, self.problem = stamp, None
             yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s")
@@ -139,14 +144,14 @@ class RosCamera:
     def _received(self, message: Any, when: float) -> None:
         with self._changed:
             self._dropped += self._newest is not None
-            self._newest = message, when
+            self._newest = message, when if self._now is None else self._now()
             self._changed.notify_all()
 
-    def _first(self, wait: float) -> Any:
+    def _first(self, wait: float, ended: Callable[[], bool]) -> Any:
         """The first picture; it is not taken away."""
         with self._changed:
-            if self._changed.wait_for(lambda: self._newest is not None, wait):
-                assert self._newest is not None
+            _wait(self._changed, lambda: self._newest is not None, wait, ended)
+            if self._newest is not None:
                 return self._newest[0]
         writers = 0 if self._reader is None else self._reader.writers
         raise DeviceError(
@@ -199,6 +204,7 @@ class RosPoses:
         interface: str | None = None,
         graph: Graph | None = None,
         wait: float = FIRST,
+        ended: Callable[[], bool] = lambda: False,
     ) -> None:
         asked, settings = address(topic or "")
         self._changed = threading.Condition()
@@ -210,19 +216,23 @@ class RosPoses:
         self._readers: list[GraphReader] = []
         self._main: GraphReader | None = None  # messages come before it is there
         try:
-            self.topic, self.kind, writers = find_topic(self._graph, MOTION, asked, option="--odom-topic")
+            self.topic, self.kind, writers = find_topic(self._graph, MOTION, asked, option="--odom-topic", ended=ended)
             self._check_alone(writers)
-            self.reader = PoseReader(self.topic, self.kind, camera=camera, body=body, world=world, strict=strict)
+            self.reader = PoseReader(
+                self.topic, self.kind, camera=camera, body=body, world=world, strict=strict, rewinds=True
+            )
             subscribe = self._graph.subscribe
             self._readers.append(
                 subscribe(TF_STATIC, TRANSFORMS, self._fixed, reliable=True, depth=100, transient=True)
             )
             if self.kind != TRANSFORMS:
                 self._readers.append(subscribe(TF, TRANSFORMS, self._moved, depth=100))
-                self._settle()
+                self._settle(ended)
             self._main = subscribe(self.topic, self.kind, self._received, depth=100)
             self._readers.append(self._main)
-            self._wait_for_first(wait)
+            self._wait_for_first(wait, ended)
+            if self._own is not None and self.problem is not None:  # otherwise the graph's owner tells it
+                warnings.warn(self.problem, UserWarning, stacklevel=2)
         except BaseException:
             self.close()
             raise
@@ -238,6 +248,9 @@ class RosPoses:
             return self.reader.body_R_camera(stamp)
 
     def __iter__(self) -> Iterator[Pose]:
+        with self._changed:  # what has waited for long came late for its clock, it would seem
+            while self._poses and self._poses[0].stamp < self._poses[-1].stamp - BEFORE:
+                self._poses.popleft()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._poses or self._closed or self._error)
@@ -297,18 +310,25 @@ class RosPoses:
                 f"(ros2 topic info -v {self.topic} names them), or take another topic with --odom-topic"
             )
 
-    def _settle(self) -> None:
+    def _settle(self, ended: Callable[[], bool]) -> None:
         """Wait for the fixed transforms, if anybody tells them."""
         end = time.monotonic() + SETTLING
-        while time.monotonic() < end and not self.reader.tree.frames:
+        while time.monotonic() < end and not (self.reader.tree.frames or ended()):
             time.sleep(0.02)
 
-    def _wait_for_first(self, wait: float) -> None:
+    def _wait_for_first(self, wait: float, ended: Callable[[], bool]) -> None:
         with self._changed:
-            self._changed.wait_for(lambda: self._poses or self._error, wait)
+            _wait(self._changed, lambda: bool(self._poses or self._error), wait, ended)
             if self._error is not None:
                 raise self._error
             if self._poses:
                 return
         told = self.reader.problem or "are its stamps set, and does it run?"
         raise DeviceError(f"no pose came on {self.topic} within {wait:g} s: {told}")
+
+
+def _wait(news: threading.Condition, what: Callable[[], bool], seconds: float, ended: Callable[[], bool]) -> None:
+    """Wait until `what` is true, for so many seconds, or until `ended` is."""
+    end = time.monotonic() + seconds
+    while not (what() or ended()) and (left := end - time.monotonic()) > 0:
+        news.wait(min(left, WAITING))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from eagor.errors import DeviceError, EagorError, FormatError
 from eagor.robots.ros.graph import Graph
@@ -60,9 +60,18 @@ def pick(
 
 
 def find_topic(
-    graph: Graph, kinds: Sequence[str], asked: str | None, *, option: str, wait: float = FOUND
+    graph: Graph,
+    kinds: Sequence[str],
+    asked: str | None,
+    *,
+    option: str,
+    wait: float = FOUND,
+    ended: Callable[[], bool] = lambda: False,
 ) -> tuple[str, str, int]:
-    """As `pick`, on a graph: the topic, its type, and how many write it. Waits for it; raises `DeviceError`."""
+    """As `pick`, on a graph: the topic, its type, and how many write it. Raises `DeviceError`.
+
+    Waits for it, unless `ended` says that nobody wants it any more.
+    """
     end = time.monotonic() + wait
     while True:
         found = graph.topics(LOOK)
@@ -73,6 +82,6 @@ def find_topic(
             )  # fmt: skip
             return topic, kind, found[topic][1]
         except DeviceError as error:
-            if time.monotonic() >= end:
+            if time.monotonic() >= end or ended():
                 more = "" if found else ": is the domain (ROS_DOMAIN_ID), or the network interface, another one?"
                 raise DeviceError(f"{error}{more}") from None

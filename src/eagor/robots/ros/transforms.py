@@ -14,10 +14,11 @@ from eagor.errors import EagorError
 from eagor.robots.ros.messages import rotation_of, seconds, triple
 from eagor.tracking.poses import PoseHistory
 
-__all__ = ["Transform", "TransformTree", "composed", "inverse", "optical"]
+__all__ = ["BACK", "Transform", "TransformTree", "composed", "inverse", "optical"]
 
 KEPT = 10.0  # seconds of moving transforms, as tf2 keeps them
 MOST = 100  # links from a frame to the root: more are a circle
+BACK = 1.0  # seconds by which stamps have to go back before it is a clock that was set, not a message out of order
 OPTICAL = "_optical_frame"  # REP-103: the suffix of frames with x right, y down, z forward
 
 Transform = tuple[np.ndarray, np.ndarray]
@@ -54,7 +55,10 @@ class TransformTree:
         return {*links, *(parent for parent, _ in links.values())}
 
     def add(self, received: Any, fixed: bool) -> set[str]:
-        """Take in a TFMessage; returns the frames that have been moved. What is damaged or out of order is left out."""
+        """Take in a TFMessage; returns the frames that have been moved. What is damaged or out of order is left out.
+
+        Where the stamps of a frame go back by more than `BACK` its older transforms are forgotten, as tf2 does.
+        """
         news = set()
         for each in received.transforms:
             parent, child = _named(each.header.frame_id), _named(each.child_frame_id)
@@ -64,12 +68,12 @@ class TransformTree:
                     self._fixed[child] = parent, (rotation, place)
                     self._moving.pop(child, None)
                 else:
-                    known = self._moving.get(child)
-                    if known is None or known[0] != parent:
+                    known, stamp = self._moving.get(child), seconds(each.header.stamp)
+                    if known is None or known[0] != parent or stamp < self._newest[child] - BACK:
                         known = self._moving[child] = parent, PoseHistory(KEPT)
                         self._fixed.pop(child, None)
-                    known[1].add(seconds(each.header.stamp), rotation, place)
-                    self._newest[child] = seconds(each.header.stamp)
+                    known[1].add(stamp, rotation, place)
+                    self._newest[child] = stamp
             except EagorError:
                 continue
             news.add(child)
