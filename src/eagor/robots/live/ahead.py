@@ -1,0 +1,91 @@
+"""Where the camera points after its newest pose, and how far that may be wrong.
+
+How well a camera can be foretold is seen in its own poses: the same extrapolation from earlier poses is compared with
+the poses that came later. So a camera on wheels is foretold better than one in a hand, and late poses cost more.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+__all__ = ["RecentPoses"]
+
+RECENT = 2.0  # seconds over which extrapolations are tried
+FARTHEST = 1.0  # seconds: longer extrapolations are not tried, and their error is `acceleration`'s alone
+TRIALS = 16
+POSES = 64  # that are looked at, evenly spaced
+LEVEL = 1.2  # deviations are rounded to powers of this, so that answers can share what they compute
+LEAST = math.radians(0.2)  # a smaller deviation counts as 0
+MOST = math.pi / 2  # radians: nothing is known of the direction any more
+
+
+class RecentPoses:
+    """Orientations of the last seconds. `acceleration`: see `eagor.robots.live.core.Settings`."""
+
+    def __init__(self, acceleration: float) -> None:
+        self.acceleration = acceleration
+        self._stamps: list[float] = []
+        self._poses: list[np.ndarray] = []
+
+    def add(self, stamp: float, world_R_body: np.ndarray) -> None:
+        """The next pose; stamps rise."""
+        self._stamps.append(stamp)
+        self._poses.append(world_R_body)
+        old = bisect.bisect_left(self._stamps, stamp - RECENT - 2 * FARTHEST)
+        del self._stamps[:old], self._poses[:old]
+
+    def clear(self) -> None:
+        """Later poses have nothing to do with those so far."""
+        self._stamps.clear()
+        self._poses.clear()
+
+    def after(self, seconds: float) -> tuple[np.ndarray, float]:
+        """`world_R_body` ``(3, 3)`` so many seconds after the newest pose, and the deviation (radians per axis).
+
+        The camera holds the newest pose, or turns on as fast as it did over the same time before: whichever would have
+        missed its later poses by less. The root mean square of these misses, with that of `acceleration` as one more,
+        is the deviation. It is taken for that of a turn across the line of sight, which moves what is seen the most.
+        """
+        if not self._poses:
+            return np.eye(3), 0.0
+        newest, count = self._poses[-1], len(self._poses)
+        if seconds <= 0:
+            return newest, 0.0
+        span = max(seconds, (self._stamps[-1] - self._stamps[0]) / max(count - 1, 1))
+        guessed = (0.5 * self.acceleration * seconds * (seconds + span)) ** 2
+        first = bisect.bisect_left(self._stamps, self._stamps[-1] - RECENT - seconds - span)
+        chosen = np.unique(np.linspace(first, count - 1, POSES).astype(int))
+        stamps = np.array([self._stamps[index] for index in chosen])
+        begin, end = stamps[0] + span, stamps[-1] - seconds
+        if len(stamps) < 3 or seconds > FARTHEST or begin > end:
+            return newest, _level(guessed / 2)
+        slerp = Slerp(stamps, Rotation.from_matrix(np.array([self._poses[index] for index in chosen])))
+
+        def between(times: np.ndarray) -> Rotation:
+            return slerp(np.clip(times, stamps[0], stamps[-1]))  # for what rounding adds
+
+        starts = np.linspace(begin, end, TRIALS)
+        here, there, share = between(starts), between(starts + seconds), seconds / span
+        steps = _scaled(between(starts - span).inv() * here, share)
+        held, turned = ((guess.inv() * there).magnitude() for guess in (here, here * steps))
+        held, turned = (float((guessed + misses @ misses) / (TRIALS + 1)) for misses in (held, turned))
+        if held <= turned:
+            return newest, _level(held / 2)
+        step = _scaled(between(stamps[-1] - span).inv() * between(stamps[-1]), share)
+        return (Rotation.from_matrix(newest) * step).as_matrix(), _level(turned / 2)
+
+
+def _scaled(turns: Rotation, share: float) -> Rotation:
+    return Rotation.from_rotvec(turns.as_rotvec() * share)
+
+
+def _level(variance: float) -> float:
+    """The deviation of a variance, rounded."""
+    deviation = math.sqrt(variance)
+    if deviation < LEAST:
+        return 0.0
+    return min(LEAST * LEVEL ** round(math.log(deviation / LEAST, LEVEL)), MOST)
