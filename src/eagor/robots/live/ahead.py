@@ -30,9 +30,11 @@ class RecentPoses:
         self.acceleration = acceleration
         self._stamps: list[float] = []
         self._poses: list[np.ndarray] = []
+        self._known: tuple[float, np.ndarray, float] | None = None  # what was asked last
 
     def add(self, stamp: float, world_R_body: np.ndarray) -> None:
         """The next pose; stamps rise."""
+        self._known = None
         self._stamps.append(stamp)
         self._poses.append(world_R_body)
         old = bisect.bisect_left(self._stamps, stamp - RECENT - 2 * FARTHEST)
@@ -40,6 +42,7 @@ class RecentPoses:
 
     def clear(self) -> None:
         """Later poses have nothing to do with those so far."""
+        self._known = None
         self._stamps.clear()
         self._poses.clear()
 
@@ -50,6 +53,11 @@ class RecentPoses:
         missed its later poses by less. The root mean square of these misses, with that of `acceleration` as one more,
         is the deviation. It is taken for that of a turn across the line of sight, which moves what is seen the most.
         """
+        if self._known is None or self._known[0] != seconds:
+            self._known = seconds, *self._after(seconds)
+        return self._known[1:]
+
+    def _after(self, seconds: float) -> tuple[np.ndarray, float]:
         if not self._poses:
             return np.eye(3), 0.0
         newest, count = self._poses[-1], len(self._poses)
@@ -63,24 +71,19 @@ class RecentPoses:
         begin, end = stamps[0] + span, stamps[-1] - seconds
         if len(stamps) < 3 or seconds > FARTHEST or begin > end:
             return newest, _level(guessed / 2)
+        # The last start is the newest pose, of which only the turn before it is known.
+        starts = np.append(np.linspace(begin, end, TRIALS), stamps[-1])
+        times = np.clip(starts + np.array([[-span], [0.0], [seconds]]), stamps[0], stamps[-1])  # for what rounding adds
         slerp = Slerp(stamps, Rotation.from_matrix(np.array([self._poses[index] for index in chosen])))
-
-        def between(times: np.ndarray) -> Rotation:
-            return slerp(np.clip(times, stamps[0], stamps[-1]))  # for what rounding adds
-
-        starts = np.linspace(begin, end, TRIALS)
-        here, there, share = between(starts), between(starts + seconds), seconds / span
-        steps = _scaled(between(starts - span).inv() * here, share)
-        held, turned = ((guess.inv() * there).magnitude() for guess in (here, here * steps))
+        before, here, there = np.split(slerp(times.ravel()).as_quat(), 3)
+        before, here, there = map(Rotation.from_quat, (before, here, there[:-1]))
+        turns = Rotation.from_rotvec((before.inv() * here).as_rotvec() * (seconds / span))
+        ahead = here * turns
+        held, turned = ((guess[:-1].inv() * there).magnitude() for guess in (here, ahead))
         held, turned = (float((guessed + misses @ misses) / (TRIALS + 1)) for misses in (held, turned))
         if held <= turned:
             return newest, _level(held / 2)
-        step = _scaled(between(stamps[-1] - span).inv() * between(stamps[-1]), share)
-        return (Rotation.from_matrix(newest) * step).as_matrix(), _level(turned / 2)
-
-
-def _scaled(turns: Rotation, share: float) -> Rotation:
-    return Rotation.from_rotvec(turns.as_rotvec() * share)
+        return ahead[-1].as_matrix(), _level(turned / 2)
 
 
 def _level(variance: float) -> float:
