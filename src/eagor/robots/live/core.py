@@ -24,7 +24,7 @@ from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["LiveCore", "Settings", "warm"]
 
-HELD = 0.05  # seconds for which the last pose may hold without a word
+HELD = 0.05  # seconds that the newest pose may be old without a word
 STARTING = 1.0  # seconds that the first pose may take
 STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
 INTERVALS = 2.5  # between pictures, if that is longer: slow cameras are not stale
@@ -310,7 +310,7 @@ class LiveCore:
             fault = _overdue("poses", "pose", now, self._pose, begun)
             if not math.isinf(self._pose):
                 fault = replace(
-                    fault, text=f"the last pose holds for {now - self._pose:.2f} s already: turns since are not known"
+                    fault, text=f"the last pose holds for {now - self._pose:.2f} s already: the turn since is a guess"
                 )
             found.append(fault)
         if self.queries:
