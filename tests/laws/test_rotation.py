@@ -211,6 +211,14 @@ def test_features_are_matched_only_where_corners_are_not_followed(monkeypatch):
     assert gap(turned.world_R_body, world_R_body(2.0, 0.5)) < 0.1
 
 
+def test_corners_are_followed_over_pictures_that_were_left_out(monkeypatch):
+    monkeypatch.setattr("eagor.robots.rotation.match", None)
+    room, odometer = PatternRoom(2), VisualOdometer()
+    for stamp in (0.0, 0.1, 0.6, 0.7, 1.6):
+        turned = odometer.add(room.panorama(world_R_body(1.2 * stamp)), stamp)
+        assert gap(turned.world_R_body, world_R_body(1.2 * stamp)) < 0.05
+
+
 def test_rounding_does_not_grow_from_picture_to_picture():
     odometer, pictures = VisualOdometer(), [PatternRoom(3).panorama(world_R_body(angle)) for angle in (0.0, 0.05)]
     for number in range(30):

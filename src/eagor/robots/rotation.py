@@ -74,48 +74,53 @@ class VisualOdometer:
         self._turn = 0  # the key frame whose turn it is
         self._anchor: _Key | None = None  # the frame from which corners are followed
         self._previous: _Key | None = None  # the last picture that was found
-        self._step = np.eye(3)  # the turn from the picture before that one to it
+        self._step = np.zeros(3)  # the turn (rotation vector) from the picture before that one to it, and the seconds
+        self._lasted = 1.0
+        self._stamp = 0.0  # of that one
         self._held = 0  # pictures without information since then
         self._squares, self._steps = 0.0, 0  # of the turns from picture to picture (radians), and how many
         self._shares = (1.0, 4.0)  # points found again and points there, in frames found (a guess to begin with)
 
-    def add(self, panorama: np.ndarray) -> Turned:
+    def add(self, panorama: np.ndarray, stamp: float | None = None) -> Turned:
         """The rotation at the next picture ``(H, W, 3)`` uint8; sizes may change from picture to picture.
 
+        `stamp`: seconds, rising; it helps where pictures are left out. Without stamps they count as evenly spaced.
         Raises `ImageError` for another array, and `MissingExtraError` without OpenCV.
         """
-        views, flown = self._flown(panorama)
+        stamp = self._stamp + self._lasted if stamp is None else stamp
+        views, flown = self._flown(panorama, stamp)
         if flown is not None:
-            return self._now(flown)
+            return self._now(flown, stamp)
         features = views.features
         if not self._keys:
             blind = self._previous is not None and len(features) < FEWEST
-            return self._hold() if blind else self._begin(views)
+            return self._hold() if blind else self._begin(views, stamp)
         found = self._found(views)
         if found is None:
             expected = len(features) * self._shares[0] / self._shares[1]
-            return self._hold() if expected < FEWEST else self._begin(views)
+            return self._hold() if expected < FEWEST else self._begin(views, stamp)
         now, turn, share = found
         again, there = self._shares
         self._shares = again + share, there + 1
         if share < THIN:
             self._add_key(now)
         self._anchor = now
-        return self._now((now, turn))
+        return self._now((now, turn), stamp)
 
-    def _now(self, found: tuple[_Key, Turn]) -> Turned:
+    def _now(self, found: tuple[_Key, Turn], stamp: float) -> Turned:
         """What is said of a picture that was found."""
         now, turn = found
-        self._learn(now)
+        self._learn(now, stamp)
         self._previous, self._held = now, 0
         return Turned(now.world_R_body, self._spread(now.covariance), False, int(turn.inliers.sum()))
 
-    def _flown(self, panorama: np.ndarray) -> tuple[Views, tuple[_Key, Turn] | None]:
+    def _flown(self, panorama: np.ndarray, stamp: float) -> tuple[Views, tuple[_Key, Turn] | None]:
         """A picture's views, and where it points if enough of the anchor's corners are found again."""
         anchor, previous = self._anchor, self._previous
         if anchor is None or previous is None:
             return Views.of(panorama, min(max(np.shape(panorama)[0], SMALLEST), SIZE)), None
-        guess = anchor.world_R_body.T @ previous.world_R_body @ self._step
+        step = Rotation.from_rotvec(self._step * (stamp - self._stamp) / self._lasted)
+        guess = anchor.world_R_body.T @ previous.world_R_body @ step.as_matrix()
         guess = Rotation.from_matrix(guess).as_matrix()  # orthogonal: else rounding grows from picture to picture
         enough = max(FEWEST, FOLLOWED * sum(map(len, anchor.corners)))
         left = ROUNDS
@@ -130,11 +135,12 @@ class VisualOdometer:
                 return views, (_placed(anchor, views, turn), turn)
             guess = turn.old_R_new
 
-    def _begin(self, views: Views) -> Turned:
+    def _begin(self, views: Views, stamp: float) -> Turned:
         """The world starts with this picture, unless there is nothing in it."""
         anew = self._previous is not None
         start = _Key(views, np.eye(3), np.zeros((3, 3)))
-        self._previous, self._held, self._step = start, 0, np.eye(3)
+        self._previous, self._held = start, 0
+        self._step, self._stamp = np.zeros(3), stamp
         self._keys = [start] if len(views.features) >= FEWEST else []
         self._anchor = start if self._keys else None
         self._reference = self._turn = 0
@@ -190,15 +196,14 @@ class VisualOdometer:
             del self._keys[1]
         self._reference = len(self._keys) - 1
 
-    def _learn(self, now: _Key) -> None:
+    def _learn(self, now: _Key, stamp: float) -> None:
         """How fast the camera turns."""
         assert self._previous is not None
-        if self._held:
-            self._step = np.eye(3)
-            return
-        self._step = self._previous.world_R_body.T @ now.world_R_body
-        self._squares += _angle(np.eye(3), self._step) ** 2
-        self._steps += 1
+        self._step = Rotation.from_matrix(self._previous.world_R_body.T @ now.world_R_body).as_rotvec()
+        self._lasted, self._stamp = max(stamp - self._stamp, 1e-6), stamp
+        if not self._held:
+            self._squares += float(self._step @ self._step)
+            self._steps += 1
 
     def _spread(self, covariance: np.ndarray) -> float:
         return math.sqrt(float(np.trace(covariance)) / (1 if self.level else 3))
