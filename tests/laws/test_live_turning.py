@@ -100,6 +100,18 @@ def test_a_steady_turn_goes_on_and_is_nearly_sure(rate):
     assert spread < math.radians(0.5)
 
 
+def test_a_turn_that_nobody_has_seen_for_long_goes_on_and_is_hardly_known():
+    recent = RecentPoses(0.5)
+    for stamp in np.arange(0, 3, 0.5):
+        recent.add(stamp, world_R_body(stamp))
+    times = [0.4, 1.2, 2.0, 4.0]
+    after = [recent.after(seconds) for seconds in times]
+    for seconds, (pose, _) in zip(times, after, strict=True):
+        assert angular_distance(pose[:, 0], world_R_body(2.5 + seconds)[:, 0]) < 0.01
+    assert np.all(np.diff([spread for _, spread in after]) > 0)
+    assert after[-1][1] > 1
+
+
 def test_few_poses_or_long_ago_tell_little():
     recent = RecentPoses(0.5)
     assert recent.after(1.0)[1] == 0.0, "before any pose the camera stands"

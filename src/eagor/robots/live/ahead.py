@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 __all__ = ["RecentPoses"]
 
 RECENT = 2.0  # seconds over which extrapolations are tried
-FARTHEST = 1.0  # seconds: longer extrapolations are not tried, and their error is `acceleration`'s alone
+FARTHEST = 1.0  # seconds: longer extrapolations are not tried
 TRIALS = 16
 POSES = 64  # that are looked at, evenly spaced
 LEVEL = 1.2  # deviations are rounded to powers of this, so that answers can share what they compute
@@ -63,27 +63,28 @@ class RecentPoses:
         newest, count = self._poses[-1], len(self._poses)
         if seconds <= 0:
             return newest, 0.0
-        span = max(seconds, (self._stamps[-1] - self._stamps[0]) / max(count - 1, 1))
-        guessed = (0.5 * self.acceleration * seconds * (seconds + span)) ** 2
-        first = bisect.bisect_left(self._stamps, self._stamps[-1] - RECENT - seconds - span)
+        if count < 3:
+            return newest, _level((0.5 * self.acceleration * seconds * seconds) ** 2 / 2)
+        # What is longer than can be tried goes on at the same rate, and what it misses grows with the square of time.
+        tried = min(seconds, FARTHEST, (self._stamps[-1] - self._stamps[0]) / 3)
+        longer = seconds / tried
+        span = max(tried, (self._stamps[-1] - self._stamps[0]) / (count - 1))
+        guessed = (0.5 * self.acceleration * tried * (tried + span)) ** 2
+        unseen = (0.5 * self.acceleration * (seconds - tried) ** 2) ** 2
+        first = min(bisect.bisect_left(self._stamps, self._stamps[-1] - RECENT - tried - span), count - 3)
         chosen = np.unique(np.linspace(first, count - 1, POSES).astype(int))
         stamps = np.array([self._stamps[index] for index in chosen])
-        begin, end = stamps[0] + span, stamps[-1] - seconds
-        if len(stamps) < 3 or seconds > FARTHEST or begin > end:
-            return newest, _level(guessed / 2)
         # The last start is the newest pose, of which only the turn before it is known.
-        starts = np.append(np.linspace(begin, end, TRIALS), stamps[-1])
-        times = np.clip(starts + np.array([[-span], [0.0], [seconds]]), stamps[0], stamps[-1])  # for what rounding adds
+        starts = np.append(np.linspace(stamps[0] + span, stamps[-1] - tried, TRIALS), stamps[-1])
+        times = np.clip(starts + np.array([[-span], [0.0], [tried]]), stamps[0], stamps[-1])  # for what rounding adds
         slerp = Slerp(stamps, Rotation.from_matrix(np.array([self._poses[index] for index in chosen])))
         before, here, there = np.split(slerp(times.ravel()).as_quat(), 3)
         before, here, there = map(Rotation.from_quat, (before, here, there[:-1]))
-        turns = Rotation.from_rotvec((before.inv() * here).as_rotvec() * (seconds / span))
-        ahead = here * turns
-        held, turned = ((guess[:-1].inv() * there).magnitude() for guess in (here, ahead))
+        turns = (before.inv() * here).as_rotvec() * (tried / span)
+        held, turned = ((guess[:-1].inv() * there).magnitude() for guess in (here, here * Rotation.from_rotvec(turns)))
         held, turned = (float((guessed + misses @ misses) / (TRIALS + 1)) for misses in (held, turned))
-        if held <= turned:
-            return newest, _level(held / 2)
-        return ahead[-1].as_matrix(), _level(turned / 2)
+        found = here[-1] if held <= turned else here[-1] * Rotation.from_rotvec(turns[-1] * longer)
+        return found.as_matrix(), _level((min(held, turned) * longer**4 + unseen) / 2)
 
 
 def _level(variance: float) -> float:

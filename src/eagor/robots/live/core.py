@@ -46,7 +46,7 @@ class Settings:
 
     Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
     `acceleration`: radians per second squared (root mean square) by which the camera may turn faster or slower. The
-    poses tell more: this counts as one of `TRIALS` + 1 observations, and alone where there are too few.
+    poses tell more: this counts as one observation beside many, and alone where there are too few.
     """
 
     queries: tuple[str, ...]
