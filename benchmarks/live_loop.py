@@ -4,6 +4,7 @@ python benchmarks/live_loop.py                    # CPU per simulated second, as
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
 python benchmarks/live_loop.py --in-turn          # a picture is searched for one of the targets
 python benchmarks/live_loop.py --real             # the whole loop with threads and a perception's process, in real time
+python benchmarks/live_loop.py --turning          # a camera that turns, in real time: do cones hold the truth?
 python benchmarks/live_loop.py --hours 8 --in-turn   # memory after hour 1 and at the end
 """
 
@@ -17,19 +18,22 @@ import argparse
 import resource
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from eagor import Evidence
+from eagor import DetectorModel, Evidence
 from eagor.robots.frames import Frame, Pose
 from eagor.robots.live.core import LiveCore, Settings
 from eagor.robots.live.events import Asked, EvidenceCame, FrameCame, PoseCame
-from eagor.sphere import world_R_body
+from eagor.sphere import angular_distance, unit, world_R_body
 from eagor.tracking import TrackerConfig
+from eagor.worlds.panorama import read_panorama
 
 POSES, LOOKS, ANSWERS, TARGETS = 200, 10, 50, 3  # per second, and how many things are followed
 LATENCY = 0.4  # seconds from a picture to its evidence
 TURN, SPEED = 0.5, 0.3  # radians and metres per second
+FINER = 8  # columns of the turntable's picture for each one that is shown
 QUERIES = tuple(f"thing {number}" for number in range(TARGETS))
 
 
@@ -233,6 +237,112 @@ def real(positions: bool, seconds: float) -> None:
     )
 
 
+class Turntable:
+    """A camera that turns at `rate` (radians per second): ten pictures a second of a photograph, 480 x 240."""
+
+    latency, dropped, live = 0.0, 0, True
+
+    def __init__(self, photograph: Path, rate: float) -> None:
+        import cv2
+
+        picture = read_panorama(photograph)
+        wide = cv2.resize(picture, (FINER * 480, 240), interpolation=cv2.INTER_AREA)
+        self.wide = cv2.blur(wide, (FINER, 1))  # each column shows as much as one of the picture does
+        self.rate, self.over = rate, False
+
+    def __iter__(self):
+        next_time = time.time()
+        while not self.over:
+            next_time += 1 / LOOKS
+            time.sleep(max(0.0, next_time - time.time()))
+            now = time.time()
+            columns = np.arange(480) * FINER - round(self.rate * now / (2 * np.pi) * self.wide.shape[1])
+            shown = np.ascontiguousarray(self.wide[:, columns % self.wide.shape[1]])
+            yield Frame(now, shown, str(now))
+
+    def close(self) -> None:
+        self.over = True
+
+
+class Compass:
+    """200 poses a second of a turntable."""
+
+    def __init__(self, rate: float) -> None:
+        self.rate, self.over = rate, False
+
+    def __iter__(self):
+        while not self.over:
+            time.sleep(1 / POSES)
+            now = time.time()
+            yield Pose(now, world_R_body(self.rate * now))
+
+    def close(self) -> None:
+        self.over = True
+
+
+class Noisy:
+    """A detector that errs as its model says, and takes 0.3 seconds: it knows where the camera points by itself."""
+
+    def __init__(self, rate: float, model: DetectorModel) -> None:
+        self.rate, self.model, self.draw = rate, model, None
+
+    def __call__(self, panorama, query, *, stamp=None):
+        self.draw = self.draw or np.random.default_rng(int(query.split()[-1]))
+        time.sleep(0.1)
+        found = []
+        if self.draw.random() < self.model.detection_probability:
+            found.append(bearing(query) + self.model.spread * self.draw.normal(size=3))
+        found += [self.draw.normal(size=3) for _ in range(self.draw.poisson(self.model.false_alarms_per_look))]
+        seen = unit(np.array(found).reshape(-1, 3)) @ world_R_body(self.rate * stamp)
+        return Evidence.from_points(seen, detector=self.model, stamp=stamp)
+
+
+def bearing(query: str) -> np.ndarray:
+    """Where in the world the thing of a query is: a unit vector ``(3,)``."""
+    return unit(np.random.default_rng(int(query.split()[-1]) + 1000).normal(size=3) * [1, 1, 0.3])
+
+
+def turning(photographs: Path, seconds: float, runs: int) -> None:
+    """Print a table: a turning camera, with odometry of 200 poses a second and with poses from its pictures."""
+    from eagor.robots.live.loop import LiveLoop
+
+    model = DetectorModel(detection_probability=0.9, false_alarms_per_look=0.1, spread=np.radians(3))
+    files = sorted(photographs.glob("*.png"))
+    print("poses     deg/s  in cone  error  cone  answers/s  late  CPU  pose age: median, 99 %, longest (s)")
+    for odometry in (True, False):
+        for degrees in (0, 15, 45, 90):
+            rate, rows, gaps, used = np.radians(degrees), [], [], 0.0
+            for run in range(runs):
+                queries = tuple(f"thing {TARGETS * run + number}" for number in range(TARGETS))
+                camera = Turntable(files[run % len(files)], rate)
+                poses = Compass(rate) if odometry else "auto"
+                loop = LiveLoop(camera, Noisy(rate, model), queries, poses=poses)
+                begun = cpu = last = None
+                for answer in loop:
+                    use(answer)
+                    if begun is None and loop.counts.looks >= 6 * TARGETS:
+                        begun, cpu = answer.stamp, time.process_time()
+                    if begun is None or answer.direction is None:
+                        continue
+                    pointed = world_R_body(rate * answer.stamp)
+                    off = angular_distance(answer.direction, bearing(answer.query) @ pointed)
+                    rows.append((off, answer.estimate.credible_angle, answer.pose_age))
+                    if answer.query == queries[0]:
+                        gaps += [] if last is None else [answer.stamp - last]
+                        last = answer.stamp
+                    if answer.stamp - begun > seconds:
+                        used += time.process_time() - cpu
+                        loop.stop()
+            off, cone, age = np.array(rows).T
+            print(
+                f"{'odometry' if odometry else 'pictures'} {degrees:6d} {100 * np.mean(off <= cone):6.0f} % "
+                f"{np.degrees(np.median(off)):6.1f} {np.degrees(np.median(cone)):5.1f} {1 / np.mean(gaps):10.1f} "
+                f"{100 * np.mean(np.array(gaps) > 0.1):4.0f} % {100 * used / (runs * seconds):3.0f} %  "
+                f"{np.median(age):.3f} {np.quantile(age, 0.99):.3f} {age.max():.3f}",
+                flush=True,
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=int, default=20)
@@ -240,9 +350,14 @@ def main() -> None:
     parser.add_argument("--positions", action="store_true")
     parser.add_argument("--in-turn", action="store_true")
     parser.add_argument("--real", action="store_true")
+    parser.add_argument("--turning", action="store_true")
+    parser.add_argument("--runs", type=int, default=4, help="of each kind of turn, with other things and photographs")
+    parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
     given = parser.parse_args()
     if given.hours:
         memory(given.hours, given.positions, given.in_turn)
+    elif given.turning:
+        turning(given.photographs, given.seconds, given.runs)
     elif given.real:
         real(given.positions, given.seconds)
     else:

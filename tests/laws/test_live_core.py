@@ -112,9 +112,9 @@ def test_evidence_that_comes_before_its_pose_waits_for_it():
     assert math.degrees(angular_distance(before.direction, THING @ yawed(2.0 * 0.2))) < 1.0  # placed by the old pose
     for number in range(1, 60):
         stamp = number / 200
-        core.take(PoseCame(0.3 + stamp * 0.01, Pose(stamp, yawed(2.0 * stamp))))
+        core.take(PoseCame(0.3 + stamp * 0.01, Pose(stamp, yawed(2.0 * stamp))))  # and the turn goes on
     (after,) = core.take(Asked(0.4))
-    now = yawed(2.0 * 59 / 200)
+    now = yawed(2.0 * 0.4)
     assert math.degrees(angular_distance(after.direction, THING @ now)) < 1.0
     assert math.degrees(angular_distance(before.direction, THING @ now)) > 10
 

@@ -11,7 +11,8 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from eagor.robots.features import features_of, match
+from eagor.robots.features import Views, features_of, match
+from eagor.robots.flow import corners_of, followed, steadied
 from eagor.robots.rotation import VisualOdometer
 from eagor.robots.two_views import turn_between
 from eagor.sphere import angular_distance, world_R_body
@@ -176,6 +177,53 @@ def test_points_are_found_again_at_the_seam_and_the_poles():
     assert right.mean() > 0.8
     for where in ([0, 0, 1], [0, 0, -1], [-1, 0, 0]):
         assert (angular_distance(old.directions[a][right], np.array(where)) < math.radians(25)).sum() > 5
+
+
+def test_corners_are_followed_from_a_guess_of_the_turn():
+    room, truth = PatternRoom(1), world_R_body(2.0, 0.4, -0.3)
+    views = Views.of(room.panorama(np.eye(3)), 240)
+    corners = corners_of(views)
+    guess = truth @ world_R_body(0.05, -0.05)
+    old, new = followed(views, corners, steadied(room.panorama(truth), views, guess))
+    assert len(old) > 0.9 * sum(map(len, corners))
+    found = turn_between(old, new)
+    assert found is not None
+    assert gap(found.old_R_new, truth) < 0.05
+
+
+def test_corners_of_another_room_do_not_return():
+    views = Views.of(PatternRoom(1).panorama(np.eye(3)), 240)
+    corners = corners_of(views)
+    for other in (PatternRoom(2).panorama(np.eye(3)), BLACK):
+        old, _ = followed(views, corners, steadied(other, views, np.eye(3)))
+        assert len(old) < 0.1 * sum(map(len, corners))
+
+
+def test_features_are_matched_only_where_corners_are_not_followed(monkeypatch):
+    matched = []
+    monkeypatch.setattr("eagor.robots.rotation.match", lambda *both: matched.append(1) or match(*both))
+    room, odometer = PatternRoom(2), VisualOdometer()
+    for angle in (0.0, 0.08, 0.16, 0.24):
+        odometer.add(room.panorama(world_R_body(angle)))
+    assert not matched
+    turned = odometer.add(room.panorama(world_R_body(2.0, 0.5)))
+    assert matched
+    assert gap(turned.world_R_body, world_R_body(2.0, 0.5)) < 0.1
+
+
+def test_corners_are_followed_over_pictures_that_were_left_out(monkeypatch):
+    monkeypatch.setattr("eagor.robots.rotation.match", None)
+    room, odometer = PatternRoom(2), VisualOdometer()
+    for stamp in (0.0, 0.1, 0.6, 0.7, 1.6):
+        turned = odometer.add(room.panorama(world_R_body(1.2 * stamp)), stamp)
+        assert gap(turned.world_R_body, world_R_body(1.2 * stamp)) < 0.05
+
+
+def test_rounding_does_not_grow_from_picture_to_picture():
+    odometer, pictures = VisualOdometer(), [PatternRoom(3).panorama(world_R_body(angle)) for angle in (0.0, 0.05)]
+    for number in range(30):
+        pose = odometer.add(pictures[number % 2]).world_R_body
+    assert np.abs(pose @ pose.T - np.eye(3)).max() < 1e-12
 
 
 def test_a_tumbling_camera_hardly_drifts():

@@ -60,18 +60,18 @@ def agreeing_rotation(
     return best
 
 
-def agreeing_motions(
+def agreeing_motion(
     here: np.ndarray, there: np.ndarray, rotation: np.ndarray, random: np.random.Generator
-) -> list[Agreement]:
-    """Rotations and directions of motion that put most pairs of unit vectors ``(n, 3)`` on epipolar great circles.
+) -> Agreement | None:
+    """A rotation and a direction of motion that put most pairs of unit vectors ``(n, 3)`` on epipolar great circles.
 
-    At most two: the best that keeps `rotation`, a first guess, and takes the direction from two pairs; and the best
-    that takes both from eight pairs (Longuet-Higgins 1981, in unit vectors). The direction's sign and the rotation's
-    twist by half a turn about it are chosen so that things lie ahead.
+    The less likely by chance of two: the best that keeps `rotation`, a first guess, and takes the direction from two
+    pairs; and the best that takes both from eight pairs (Longuet-Higgins 1981, in unit vectors). The direction's sign
+    and the rotation's twist by half a turn about it are chosen so that things lie ahead. None from too few parts.
     """
     parts = Parts(here)
     if parts.count <= 8:
-        return []
+        return None
     products = (here[:, :, None] * there[:, None, :]).reshape(-1, 9)
     normals = np.cross(here, there @ rotation.T)
     found = []
@@ -95,8 +95,8 @@ def agreeing_motions(
                 best = Agreement(rotations[index], directions[index], chance, inliers), by_pairs
                 wanted = _enough(inliers.mean(), size)
         if best is not None:
-            found.append(_facing(best[0], here, there))
-    return found
+            found.append(best[0])
+    return _facing(min(found, key=lambda each: each.log_chance), here, there) if found else None
 
 
 class Parts:

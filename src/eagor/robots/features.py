@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from eagor._extras import need
+from eagor._lazy import lazy
 from eagor.grids import PerspectiveGrid
 from eagor.perception.cutting import cut, tangent_views
 
@@ -35,32 +36,63 @@ class Features:
         return len(self.directions)
 
 
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Six flat views that cover the sphere: `grids` in the body frame, and the grey `pictures` ``(size, size)``."""
+
+    grids: tuple[PerspectiveGrid, ...]
+    pictures: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, panorama: np.ndarray, size: int = SIZE, grids: tuple[PerspectiveGrid, ...] = ()) -> Views:
+        """The views of a panorama ``(H, W, 3)`` uint8: of `size` pixels as a cube, or other `grids`.
+
+        Raises `ImageError`, and `MissingExtraError` without OpenCV.
+        """
+        need("finding features in a panorama", "photos", "cv2")
+        import cv2
+
+        grids = grids or _views(size)
+        pictures = cut(panorama, *grids)
+        return cls(grids, tuple(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in pictures))
+
+    @lazy
+    def features(self) -> Features:
+        """The points of the panorama; none in a blank picture.
+
+        Views overlap. Each point counts in the view whose axis is nearest, so there are no duplicates.
+        """
+        import cv2
+
+        detector = cv2.SIFT.create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
+        directions: list[Any] = [np.empty((0, 3))]
+        descriptors: list[Any] = [np.empty((0, 128), np.float32)]
+        for index, picture in enumerate(self.pictures):
+            points, found = detector.detectAndCompute(picture, None)
+            if found is None or len(points) == 0:
+                continue
+            rays, own = self.seen(index, np.array([point.pt for point in points]))
+            strength = np.array([point.response for point in points])
+            own = np.flatnonzero(own)
+            own = own[np.argsort(-strength[own], kind="stable")][:MOST]
+            directions.append(rays[own])
+            descriptors.append(found[own])
+        return Features(np.concatenate(directions), _rooted(np.concatenate(descriptors)))
+
+    def seen(self, index: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Directions ``(n, 3)`` of OpenCV's `points` ``(n, 2)`` in a view, and whether its axis is the nearest one."""
+        x, y = points.T.astype(np.float64) + 0.5  # OpenCV counts from the centre of the first pixel
+        rays = self.grids[index].unproject(x, y)
+        axes = np.array([grid.body_R_view[:, 0] for grid in self.grids])
+        return rays, (rays @ axes.T).argmax(axis=1) == index
+
+
 def features_of(panorama: np.ndarray, size: int = SIZE) -> Features:
     """The points of a panorama ``(H, W, 3)`` uint8, from views of `size` pixels; none in a blank picture.
 
-    Views overlap. Each point counts in the view whose axis is nearest, so there are no duplicates. Raises `ImageError`,
-    and `MissingExtraError` without OpenCV.
+    Raises `ImageError`, and `MissingExtraError` without OpenCV.
     """
-    need("finding features in a panorama", "photos", "cv2")
-    import cv2
-
-    views = _views(size)
-    axes = np.array([view.body_R_view[:, 0] for view in views])
-    detector = cv2.SIFT.create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
-    directions: list[Any] = [np.empty((0, 3))]
-    descriptors: list[Any] = [np.empty((0, 128), np.float32)]
-    for index, (view, picture) in enumerate(zip(views, cut(panorama, *views), strict=True)):
-        points, found = detector.detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None)
-        if found is None or len(points) == 0:
-            continue
-        x, y = np.array([point.pt for point in points]).T + 0.5  # OpenCV counts from the centre of the first pixel
-        rays = view.unproject(x, y)
-        strength = np.array([point.response for point in points])
-        own = np.flatnonzero((rays @ axes.T).argmax(axis=1) == index)
-        own = own[np.argsort(-strength[own], kind="stable")][:MOST]
-        directions.append(rays[own])
-        descriptors.append(found[own])
-    return Features(np.concatenate(directions), _rooted(np.concatenate(descriptors)))
+    return Views.of(panorama, size).features
 
 
 def match(a: Features, b: Features) -> tuple[np.ndarray, np.ndarray]:

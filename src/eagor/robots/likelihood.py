@@ -27,6 +27,7 @@ from eagor.robots.consensus import Parts
 _OUTLIER = -math.log(4 * math.pi)
 _STEP = 1e-5  # of numerical derivatives: radians, or in logarithms
 _ROUNDS = 60
+_ENOUGH = 1e-2  # nats: what a step gains when the rest moves a turn by a small part of its uncertainty
 _USUAL_NOISE = math.radians(0.2)  # of a SIFT point in a view of 320 pixels; half a pixel
 _LEAST_NOISE = math.radians(0.05)  # points that are drawn, or fixed to the camera, may seem exact
 _USUAL_SHIFT = 0.1  # radians: a step of 0.2 m, things at 2 m
@@ -166,7 +167,7 @@ def maximise(model: Model, parameters: np.ndarray) -> np.ndarray:
         gain = 0.0
         while damping < 1e9:
             step = np.linalg.solve(curvature + damping * np.diag(scale), gradient)
-            trial = parameters + step
+            trial = parameters + step / max(1.0, float(np.abs(step).max()))  # a radian or a factor of e at most
             reached = float(_log_likelihood(model, trial[None])[0] @ weights)
             gain = reached - value
             if gain >= 0:  # NaN is not
@@ -175,7 +176,7 @@ def maximise(model: Model, parameters: np.ndarray) -> np.ndarray:
             damping *= 10
         else:
             break
-        if gain < 1e-7:
+        if gain < _ENOUGH:
             break
     return parameters
 

@@ -6,14 +6,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from eagor.robots.features import Features, features_of, match
+from eagor._lazy import lazy
+from eagor.robots.features import SIZE, Features, Views, match
+from eagor.robots.flow import corners_of, followed, steadied
 from eagor.robots.two_views import Turn, turn_between
 
 __all__ = ["Turned", "VisualOdometer"]
 
 MOST_KEYS = 48  # key frames in memory, about 1 MB each
 THIN = 0.15  # share of a frame's points found again in a key frame; below it the frame becomes a key frame itself
+FOLLOWED = 0.4  # share of a frame's corners found again by optical flow; with fewer, features are matched anew
+NEAR = math.radians(2)  # of the guess: flow from farther away is repeated, since views change with the turn
+ROUNDS = 3  # of that, at most
+SMALLEST = 128  # pixels of a view, however small the pictures are
 FEWEST = 8  # points: so few that match cannot be told from chance, or hardly
 _CONSISTENT = 16.3  # chi-square with three degrees of freedom, exceeded once in 1000
 _UNKNOWN = math.sqrt(math.pi**2 / 9 + 2 / 3)  # radians per axis: a rotation of which nothing is known (uniform, SO(3))
@@ -38,19 +45,26 @@ class Turned:
 
 @dataclass(frozen=True, eq=False)
 class _Key:
-    """A frame to compare with: its points, its pose, the covariance ``(3, 3)`` of the pose (world axes)."""
+    """A frame to compare with: its views, its pose, the covariance ``(3, 3)`` of the pose (world axes)."""
 
-    features: Features
+    views: Views
     world_R_body: np.ndarray
     covariance: np.ndarray
+
+    @lazy
+    def corners(self) -> tuple[np.ndarray, ...]:
+        """The corners of its views."""
+        return corners_of(self.views)
 
 
 class VisualOdometer:
     """The rotation of a camera, panorama by panorama. `level`: the pictures stay level, and only the heading turns.
 
-    Each picture is compared with key frames: the one that fitted last, the first one, and one of the others in turn, so
-    that a camera that comes back loses its drift. The answer with the least uncertainty counts. A new key frame is made
-    where few points are found again. The state grows to at most `MOST_KEYS` key frames. Not for several threads.
+    Corners are followed by optical flow from one frame, the anchor, to each picture, as long as many are found again.
+    Where they are not, the picture's features are matched with key frames: the one that fitted last, the first one, and
+    one of the others in turn, so that a camera that comes back loses its drift. The answer with the least uncertainty
+    counts, and the picture is the next anchor. A new key frame is made where few points are found again. The state
+    grows to at most `MOST_KEYS` key frames. Not for several threads.
     """
 
     def __init__(self, *, level: bool = False) -> None:
@@ -58,38 +72,77 @@ class VisualOdometer:
         self._keys: list[_Key] = []
         self._reference = 0  # the key frame that fitted last
         self._turn = 0  # the key frame whose turn it is
+        self._anchor: _Key | None = None  # the frame from which corners are followed
         self._previous: _Key | None = None  # the last picture that was found
+        self._step = np.zeros(3)  # the turn (rotation vector) from the picture before that one to it, and the seconds
+        self._lasted = 1.0
+        self._stamp = 0.0  # of that one
         self._held = 0  # pictures without information since then
         self._squares, self._steps = 0.0, 0  # of the turns from picture to picture (radians), and how many
         self._shares = (1.0, 4.0)  # points found again and points there, in frames found (a guess to begin with)
 
-    def add(self, panorama: np.ndarray) -> Turned:
+    def add(self, panorama: np.ndarray, stamp: float | None = None) -> Turned:
         """The rotation at the next picture ``(H, W, 3)`` uint8; sizes may change from picture to picture.
 
+        `stamp`: seconds, rising; it helps where pictures are left out. Without stamps they count as evenly spaced.
         Raises `ImageError` for another array, and `MissingExtraError` without OpenCV.
         """
-        features = features_of(panorama)
+        stamp = self._stamp + self._lasted if stamp is None else stamp
+        views, flown = self._flown(panorama, stamp)
+        if flown is not None:
+            return self._now(flown, stamp)
+        features = views.features
         if not self._keys:
             blind = self._previous is not None and len(features) < FEWEST
-            return self._hold() if blind else self._begin(features)
-        found = self._found(features)
+            return self._hold() if blind else self._begin(views, stamp)
+        found = self._found(views)
         if found is None:
             expected = len(features) * self._shares[0] / self._shares[1]
-            return self._hold() if expected < FEWEST else self._begin(features)
+            return self._hold() if expected < FEWEST else self._begin(views, stamp)
         now, turn, share = found
-        matches = int(turn.inliers.sum())
-        self._learn(now, share)
+        again, there = self._shares
+        self._shares = again + share, there + 1
         if share < THIN:
             self._add_key(now)
-        self._previous, self._held = now, 0
-        return Turned(now.world_R_body, self._spread(now.covariance), False, matches)
+        self._anchor = now
+        return self._now((now, turn), stamp)
 
-    def _begin(self, features: Features) -> Turned:
+    def _now(self, found: tuple[_Key, Turn], stamp: float) -> Turned:
+        """What is said of a picture that was found."""
+        now, turn = found
+        self._learn(now, stamp)
+        self._previous, self._held = now, 0
+        return Turned(now.world_R_body, self._spread(now.covariance), False, int(turn.inliers.sum()))
+
+    def _flown(self, panorama: np.ndarray, stamp: float) -> tuple[Views, tuple[_Key, Turn] | None]:
+        """A picture's views, and where it points if enough of the anchor's corners are found again."""
+        anchor, previous = self._anchor, self._previous
+        if anchor is None or previous is None:
+            return Views.of(panorama, min(max(np.shape(panorama)[0], SMALLEST), SIZE)), None
+        step = Rotation.from_rotvec(self._step * (stamp - self._stamp) / self._lasted)
+        guess = anchor.world_R_body.T @ previous.world_R_body @ step.as_matrix()
+        guess = Rotation.from_matrix(guess).as_matrix()  # orthogonal: else rounding grows from picture to picture
+        enough = max(FEWEST, FOLLOWED * sum(map(len, anchor.corners)))
+        left = ROUNDS
+        while True:
+            left -= 1
+            views = steadied(panorama, anchor.views, guess)
+            old, new = followed(anchor.views, anchor.corners, views)
+            turn = turn_between(old, new, level=self.level) if len(old) >= enough else None
+            if turn is None or turn.inliers.sum() < enough:
+                return views, None
+            if _angle(guess, turn.old_R_new) < NEAR or not left:
+                return views, (_placed(anchor, views, turn), turn)
+            guess = turn.old_R_new
+
+    def _begin(self, views: Views, stamp: float) -> Turned:
         """The world starts with this picture, unless there is nothing in it."""
         anew = self._previous is not None
-        start = _Key(features, np.eye(3), np.zeros((3, 3)))
+        start = _Key(views, np.eye(3), np.zeros((3, 3)))
         self._previous, self._held = start, 0
-        self._keys = [start] if len(features) >= FEWEST else []
+        self._step, self._stamp = np.zeros(3), stamp
+        self._keys = [start] if len(views.features) >= FEWEST else []
+        self._anchor = start if self._keys else None
         self._reference = self._turn = 0
         return Turned(start.world_R_body, 0.0, anew, 0)
 
@@ -103,40 +156,38 @@ class VisualOdometer:
         spread = math.hypot(self._spread(self._previous.covariance), rate * self._held)
         return Turned(self._previous.world_R_body, min(spread, most), False, 0)
 
-    def _found(self, features: Features) -> tuple[_Key, Turn, float] | None:
+    def _found(self, views: Views) -> tuple[_Key, Turn, float] | None:
         """This picture as a key frame, the turn that tells most about it, and the largest share of points found."""
         self._turn = (self._turn + 1) % len(self._keys)
         indices = dict.fromkeys((self._reference, 0, self._turn))
-        results = {index: self._compared(self._keys[index], features) for index in indices}
+        results = {index: self._compared(self._keys[index], views) for index in indices}
         agreed = {index: result for index, result in results.items() if result is not None}
         best, most = None, 0.0
         if agreed:
             surest = max(agreed.values(), key=lambda result: result[1].inliers.sum())
-            most = _share(surest[1], features)
+            most = _share(surest[1], views.features)
             alike = [index for index, result in agreed.items() if _alike(surest[0], result[0])]
             self._reference = min(alike, key=lambda index: np.trace(agreed[index][0].covariance))
             best = agreed[self._reference]
         if best is None and self._previous is not None:
-            best = self._compared(self._previous, features)
+            best = self._compared(self._previous, views)
             if best is not None:  # no key frame shows enough; the previous picture does
                 self._add_key(self._previous)
-                most = _share(best[1], features)
+                most = _share(best[1], views.features)
         if best is None:
             for index in range(len(self._keys)):
-                best = self._compared(self._keys[index], features)
+                best = self._compared(self._keys[index], views)
                 if best is not None:
-                    self._reference, most = index, _share(best[1], features)
+                    self._reference, most = index, _share(best[1], views.features)
                     break
         return None if best is None else (*best, most)
 
-    def _compared(self, key: _Key, features: Features) -> tuple[_Key, Turn] | None:
+    def _compared(self, key: _Key, views: Views) -> tuple[_Key, Turn] | None:
         """This picture's pose by way of one key frame."""
-        old, new = match(key.features, features)
-        turn = turn_between(key.features.directions[old], features.directions[new], level=self.level)
-        if turn is None:
-            return None
-        covariance = key.covariance + key.world_R_body @ turn.covariance @ key.world_R_body.T
-        return _Key(features, key.world_R_body @ turn.old_R_new, covariance), turn
+        here, there = key.views.features, views.features
+        old, new = match(here, there)
+        turn = turn_between(here.directions[old], there.directions[new], level=self.level)
+        return None if turn is None else (_placed(key, views, turn), turn)
 
     def _add_key(self, key: _Key) -> None:
         """Keep a key frame; beyond the limit the oldest but one goes."""
@@ -145,18 +196,28 @@ class VisualOdometer:
             del self._keys[1]
         self._reference = len(self._keys) - 1
 
-    def _learn(self, now: _Key, share: float) -> None:
-        """How fast the camera turns, and how many points are found again."""
+    def _learn(self, now: _Key, stamp: float) -> None:
+        """How fast the camera turns."""
         assert self._previous is not None
+        self._step = Rotation.from_matrix(self._previous.world_R_body.T @ now.world_R_body).as_rotvec()
+        self._lasted, self._stamp = max(stamp - self._stamp, 1e-6), stamp
         if not self._held:
-            cosine = (np.trace(self._previous.world_R_body.T @ now.world_R_body) - 1) / 2
-            self._squares += math.acos(min(max(float(cosine), -1.0), 1.0)) ** 2
+            self._squares += float(self._step @ self._step)
             self._steps += 1
-        again, there = self._shares
-        self._shares = again + share, there + 1
 
     def _spread(self, covariance: np.ndarray) -> float:
         return math.sqrt(float(np.trace(covariance)) / (1 if self.level else 3))
+
+
+def _placed(key: _Key, views: Views, turn: Turn) -> _Key:
+    """A picture that has turned since a key frame."""
+    covariance = key.covariance + key.world_R_body @ turn.covariance @ key.world_R_body.T
+    return _Key(views, key.world_R_body @ turn.old_R_new, covariance)
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> float:
+    """Radians between two rotations ``(3, 3)``."""
+    return float(Rotation.from_matrix(a.T @ b).magnitude())
 
 
 def _share(turn: Turn, features: Features) -> float:
@@ -166,7 +227,5 @@ def _share(turn: Turn, features: Features) -> float:
 
 def _alike(a: _Key, b: _Key) -> bool:
     """Whether two poses differ by no more than their uncertainties explain."""
-    from scipy.spatial.transform import Rotation
-
     gap = Rotation.from_matrix(a.world_R_body @ b.world_R_body.T).as_rotvec()
     return float(gap @ np.linalg.pinv(a.covariance + b.covariance) @ gap) < _CONSISTENT

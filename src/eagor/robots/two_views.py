@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.robots.consensus import Agreement, Parts, agreeing_motions, agreeing_rotation
+from eagor.robots.consensus import Agreement, Parts, agreeing_motion, agreeing_rotation
 from eagor.robots.likelihood import Moving, Standing, covariance, evidence, maximise, right
 
 FALSE_ALARM = 1e-5  # expected number of agreements among unrelated pairs; above it an agreement counts as chance
@@ -39,14 +39,14 @@ def turn_between(old: np.ndarray, new: np.ndarray, *, level: bool = False, moves
     still = agreeing_rotation(old, new, random, level)
     if still is None:
         return None
-    motions = agreeing_motions(old, new, still.rotation, random) if moves else []
-    if min(each.log_chance for each in (still, *motions)) > math.log(FALSE_ALARM):
+    moved = agreeing_motion(old, new, still.rotation, random) if moves else None
+    if min(each.log_chance for each in (still, moved) if each is not None) > math.log(FALSE_ALARM):
         return None
     axes = np.array([[0.0, 0.0, 1.0]]) if level else np.eye(3)
     parts = Parts(old)
     found: list[tuple[float, Standing | Moving, np.ndarray]] = []
     found.append(_fitted(Standing(old, new, still.rotation, axes, parts), still))
-    for moved in motions:
+    if moved is not None:
         assert moved.direction is not None
         guess = _yaw_of(moved.rotation) if level else moved.rotation
         found.append(_fitted(Moving(old, new, guess, axes, parts, moved.direction), moved))

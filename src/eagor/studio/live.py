@@ -37,6 +37,7 @@ class Shown:
         self._sent = -math.inf
         self._position: np.ndarray | None = None
         self._fresh = False
+        self._shown: Any = None  # the belief that was sent last
         self._number = 0
         self._query = ""
         self._faults = ""
@@ -76,7 +77,8 @@ class Shown:
         header["look"] = {"age": rounded(answer.look_age, 3), "fresh": self._fresh}
         self._fresh = False
         blobs: dict[str, Blob] = {}
-        if estimate.of is None:  # computed anew, not only turned
+        if estimate.cases is not self._shown:  # computed anew, not only turned
+            self._shown = estimate.cases
             header["belief"], coefficients = belief_of(estimate, answer.stamp, estimate.config.degree)
             blobs["belief"] = Blob(FLOATS, coefficients)
         picture = self._picture

@@ -27,11 +27,12 @@ from eagor.belief.windows import REACH
 from eagor.evidence.detections import Detections, resolved
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid
+from eagor.harmonics import RealHarmonics
 from eagor.tracking.look import Look, Shares, Sight
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.standing import Standing
 from eagor.tracking.turning import Turning
-from eagor.tracking.wandering import Wandering
+from eagor.tracking.wandering import FAINTEST, Wandering
 
 _RISE = 0.35  # nats over the typical place: less is no peak, where most of the sphere was never detected
 _FAR = 4.0  # standard deviations from a detection: cells beyond do not count when movers are judged
@@ -121,12 +122,22 @@ class Cases:
         values = np.log(np.exp(np.minimum(stands.values, LARGEST)) + np.maximum(moving, 1e-300))
         return SphereField(self.grid, values, tuple(patches))
 
-    @lazy
+    @property
     def reading(self) -> Reading:
         """The `Reading` of `field`."""
-        if self.standing.bank is None:
-            return Reading(self.field)
-        return Reading(self.field, float(np.median(self.field.values)) + _RISE)
+        return self.widened(0.0)
+
+    @lazy
+    def _readings(self) -> dict[float, Reading]:
+        return {}
+
+    def widened(self, spread: float) -> Reading:
+        """The reading if all directions together may be off by `spread` radians per axis."""
+        if spread not in self._readings:
+            field = self.field if spread == 0 else _widened(self.field, spread)
+            least = -math.inf if self.standing.bank is None else float(np.median(field.values)) + _RISE
+            self._readings[spread] = Reading(field, least)
+        return self._readings[spread]
 
     def after(
         self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
@@ -379,6 +390,15 @@ def _with_offset(field: SphereField, offset: float) -> SphereField:
         around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
         patches.append(wide.like(np.logaddexp(wide.values, around)))
     return replace(field, patches=tuple(patches))
+
+
+def _widened(field: SphereField, spread: float) -> SphereField:
+    """The density convolved with a Gaussian: about peaks in their planes, or if it is wide, by the grid's harmonics."""
+    if spread < 2 * math.pi / field.grid.height:  # two cells
+        return _with_offset(field, spread)
+    basis = RealHarmonics(field.grid.height // 2 - 1)
+    wide = basis.smooth(basis.analyse(field.averaged(field.log_mean), field.grid), spread)
+    return SphereField(field.grid, np.log(np.maximum(basis.synthesise(wide, field.grid), FAINTEST)))
 
 
 def _drifted(standing: Standing, drift: float, elapsed: float) -> Standing:

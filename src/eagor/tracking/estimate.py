@@ -51,7 +51,7 @@ class Estimate:
 
     `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any); `cases`:
     the posterior, in WORLD axes; `world_R_body`: the pose at that time; `alarms`: the number of false alarms in a look,
-    where it is learnt.
+    where it is learnt. `spread`: radians per axis by which that pose may be off; regions are as much wider.
     """
 
     stamp: float
@@ -60,6 +60,7 @@ class Estimate:
     world_R_body: np.ndarray
     config: TrackerConfig
     alarms: Alarms | None = None
+    spread: float = 0.0
     of: Estimate | None = field(default=None, repr=False)  # what this is `turned` from
 
     def __repr__(self) -> str:
@@ -72,7 +73,7 @@ class Estimate:
     @property
     def posterior(self) -> Reading:
         """The posterior over directions, given that the target is present; world axes."""
-        return self.cases.reading
+        return self.cases.widened(self.spread)
 
     @lazy
     def direction(self) -> np.ndarray | None:
@@ -119,7 +120,7 @@ class Estimate:
     @lazy
     def credible_angle(self) -> float:
         """Half-angle (radians) of the cone that is centred on the answer and holds 90 % of the belief."""
-        return self.posterior.cone(0.9, self._about) if self.of is None else self.of.credible_angle
+        return self.posterior.cone(0.9, self._about) if self._alike is None else self._alike.credible_angle
 
     def within(self, angle: float) -> float:
         """Probability that the target is present and within `angle` radians of the answer."""
@@ -142,6 +143,11 @@ class Estimate:
         It is the expected cosine of the angle between the answer and the target; 0 while nothing is known.
         """
         return 0.0 if self.direction is None else self.posterior.cosine(self._about)
+
+    @property
+    def _alike(self) -> Estimate | None:
+        """What this is turned from, if the pose was as sure then."""
+        return None if self.of is None or self.of.spread != self.spread else self.of
 
     @property
     def _about(self) -> np.ndarray:
@@ -225,8 +231,8 @@ class Estimate:
 
     @lazy
     def _found(self) -> Status:
-        if self.of is not None:
-            return self.of._found
+        if self._alike is not None:
+            return self._alike._found
         if self.presence < 0.5:
             return "searching"
         rivals = sum(mode.weight >= RIVAL for mode in self.modes)
@@ -237,14 +243,16 @@ class Estimate:
         told = sum(mode.weight for mode in self.modes)
         return "ambiguous" if len(self.modes) > 1 and told >= 0.5 else "searching"
 
-    def turned(self, stamp: float, world_R_body: np.ndarray) -> Estimate:
+    def turned(self, stamp: float, world_R_body: np.ndarray, spread: float = 0.0) -> Estimate:
         """This belief at a later time, from another orientation ``(3, 3)``; quick, since all is shared with this one.
+
+        `spread`: radians per axis by which that orientation may be off.
 
         Exact for the camera's turns. What else may have happened since (the target moved, the camera moved past it) is
         left out: for a short while only. `stamp` must not be earlier than this estimate's.
         """
         age = self.age + (stamp - self.stamp)
-        return replace(self, stamp=stamp, age=age, world_R_body=world_R_body, of=self.of or self)
+        return replace(self, stamp=stamp, age=age, world_R_body=world_R_body, spread=spread, of=self.of or self)
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""

@@ -16,7 +16,7 @@ from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
 from eagor.tracking.motion import MotionModel
 
-_FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series
+FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Wandering:
         jumped = motion.jumped(elapsed)
         sigmas = np.hypot(motion.wander, drift) * math.sqrt(elapsed)
         spread = basis.synthesise(basis.smooth(basis.analyse(self.densities, grid), sigmas[:, None]), grid)
-        roamed = (1 - jumped) * np.maximum(spread, _FAINTEST) + jumped
+        roamed = (1 - jumped) * np.maximum(spread, FAINTEST) + jumped
         wander = slice(2, 2 + len(sigmas))
         born, begun, kept = (flow[wander, None, None] for flow in (flows[0], flows[1], np.diagonal(flows)))
         mixed = kept * roamed + begun * stands + born

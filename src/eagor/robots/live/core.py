@@ -18,13 +18,14 @@ from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.robots.clocks import RelatedClock
 from eagor.robots.frames import Pose
+from eagor.robots.live.ahead import RecentPoses
 from eagor.robots.live.answers import Answer, Fault, Part
 from eagor.robots.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["LiveCore", "Settings", "warm"]
 
-HELD = 0.05  # seconds for which the last pose may hold without a word
+HELD = 0.05  # seconds that the newest pose may be old without a word
 STARTING = 1.0  # seconds that the first pose may take
 STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
 INTERVALS = 2.5  # between pictures, or poses, if that is longer: slow ones are not stale
@@ -33,6 +34,7 @@ STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
 TOGETHER = 0.2  # seconds: looks that come faster are taken in together
 REFRESHED = 0.4  # seconds for which a belief may only be turned with the camera before it is computed anew,
 MOVED = 0.1  # ... unless the camera has gone so many metres meanwhile: near things are elsewhere by then
+WAITING = 0.5  # seconds that a look may wait for the pose of its picture, if others are known
 FUTURE = 0.1  # seconds by which evidence may be ahead of time
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
@@ -45,12 +47,15 @@ class Settings:
     """What a core starts with: `queries`, the tracker's `config`, whether `poses` are expected, the camera's `latency`.
 
     Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
+    `acceleration`: radians per second squared (root mean square) by which the camera may turn faster or slower. The
+    poses tell more: this counts as one observation beside many, and alone where there are too few.
     """
 
     queries: tuple[str, ...]
     config: TrackerConfig = field(default_factory=TrackerConfig)
     poses: bool = True
     latency: float = 0.0
+    acceleration: float = 0.5
 
 
 class LiveCore:
@@ -58,7 +63,7 @@ class LiveCore:
 
     A belief is computed anew with a new look, but at most every `TOGETHER` seconds, and without one when the camera has
     moved by `MOVED` or after `REFRESHED` seconds. In between it is turned with the camera, which is exact for turns and
-    cheap.
+    cheap. After the newest pose the camera's turn is extrapolated, and regions are wider by what that may miss.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -66,13 +71,15 @@ class LiveCore:
         self._camera = RelatedClock("camera", settings.latency, SLOWEST)
         self._odometry = RelatedClock("odometry")
         self._tracker = DirectionTracker(settings.config)
+        self._recent = RecentPoses(settings.acceleration)
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
         self._image = self._pose = -math.inf
         self._interval = 0.0
         self._first = math.inf  # stamp of the first pose
         self._beats: deque[float] = deque(maxlen=BEATS)  # seconds between poses
         self._looks: dict[str, float] = {}
-        self._early: list[tuple[str, Evidence]] = []  # of the next moments: stamps may be a little ahead of ours
+        # With their arrival: stamps may be a little ahead of ours, or of the poses.
+        self._early: list[tuple[str, Evidence, float]] = []
         # What was computed last, with all of its belief, and where the camera was then.
         self._full: dict[str, tuple[Estimate, np.ndarray | None]] = {}
         self._fresh: set[str] = set()
@@ -156,6 +163,7 @@ class LiveCore:
         except EagorError as error:
             self._say("poses", f"a pose is left out: {error}", event.arrival)
             return
+        self._recent.add(stamp, self._tracker.pose_at(stamp)[0])
         for query, look in self._looks.items():
             if look > self._pose:  # it has waited for this pose, and is placed anew
                 self._fresh.add(query)
@@ -179,13 +187,18 @@ class LiveCore:
                     self._say("poses", text, event.arrival)
                     continue
                 own = self._first
-            self._early.append((event.query, replace(look, stamp=checked_stamp(own))))
+            self._early.append((event.query, replace(look, stamp=checked_stamp(own)), event.arrival))
         self._settle(event.arrival)
 
     def _settle(self, now: float) -> None:
-        """Give the tracker the evidence that is not of the future."""
-        for query, look in [each for each in self._early if each[1].stamp <= now]:  # type: ignore[operator]
+        """Give the tracker the evidence that is not of the future, and whose pose is there or does not come."""
+        early, self._early = self._early, []
+        for query, look, arrival in early:
             assert look.stamp is not None
+            waits = self.has_poses and look.stamp > self._pose and query in self._looks and now < arrival + WAITING
+            if look.stamp > now or waits:
+                self._early.append((query, look, arrival))
+                continue
             try:
                 self._tracker.observe(look, query)
             except EagorError as error:
@@ -193,7 +206,6 @@ class LiveCore:
                 continue
             self._looks[query] = max(self._looks.get(query, -math.inf), look.stamp)
             self._fresh.add(query)
-        self._early = [each for each in self._early if each[1].stamp > now]  # type: ignore[operator]
 
     def _of_picture(self, stamp: float) -> float | None:
         """The stamp of a picture on our clock, as it was related when the picture came."""
@@ -220,6 +232,7 @@ class LiveCore:
 
     def _lost(self, event: PosesLost) -> None:
         self._tracker.reset()
+        self._recent.clear()
         self._pose, self._first = -math.inf, math.inf
         self._full.clear()
         self._fresh.clear()
@@ -241,9 +254,10 @@ class LiveCore:
         due.sort(key=lambda query: self._full[query][0].stamp if query in self._full else -math.inf)
         # The same work in each round: a belief that waits is turned meanwhile.
         most = math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
-        computed = {query: self._computed(query, now) for query in due[: max(1, most)]}
+        for query in due[: max(1, most)]:
+            self._compute(query, now)
         for query in self.queries:
-            estimate = computed.get(query) or self._turned(query, now)
+            estimate = self._turned(query, now)
             answers.append(
                 Answer(
                     now, query, estimate,
@@ -266,19 +280,22 @@ class LiveCore:
         here = self._tracker.pose_at(now)[1]
         return before is not None and here is not None and math.dist(before, here) >= MOVED
 
-    def _computed(self, query: str, now: float) -> Estimate:
+    def _compute(self, query: str, now: float) -> None:
         if query in self._fresh:
             self._fresh.discard(query)
             self._taken[query] = now
         known = query in self._tracker.targets
         estimate = self._tracker.estimate(now, query) if known else self._unknown(now)
         self._full[query] = estimate, self._tracker.pose_at(now)[1]
-        return estimate
 
     def _turned(self, query: str, now: float) -> Estimate:
+        """What was computed last, seen from where the camera points now."""
         if query not in self._full:
-            return self._computed(query, now)
-        return self._full[query][0].turned(now, self._tracker.pose_at(now)[0])
+            self._compute(query, now)
+        # A look without a pose of its time has the newest pose: what matters is how the camera has turned since.
+        known = max(self._pose, self._looks.get(query, -math.inf))
+        pose, spread = self._recent.after(now - known if self.has_poses else 0.0)
+        return self._full[query][0].turned(now, pose, spread)
 
     def _unknown(self, now: float) -> Estimate:
         """The estimate of a target without evidence."""
@@ -299,7 +316,7 @@ class LiveCore:
             fault = _overdue("poses", "pose", now, self._pose, begun)
             if not math.isinf(self._pose):
                 fault = replace(
-                    fault, text=f"the last pose holds for {now - self._pose:.2f} s already: turns since are not known"
+                    fault, text=f"the last pose holds for {now - self._pose:.2f} s already: the turn since is a guess"
                 )
             found.append(fault)
         if self.queries:

@@ -78,8 +78,9 @@ class LiveLoop:
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
     the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.robots.live.recorder`), with
-    the `pictures` as "jpeg", "png" or "none". `mask`: what the camera never sees. `watchers` see all that happens, too.
-    `clock`: what tells the time; one that stands still, as a simulation's does, gives no answers meanwhile.
+    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `Settings`. `mask`: what the camera never sees.
+    `watchers` see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does,
+    gives no answers meanwhile.
 
     Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
@@ -101,11 +102,12 @@ class LiveLoop:
         record: Path | None = None,
         pictures: Pictures = "jpeg",
         fast: bool = False,
+        acceleration: float = Settings.acceleration,
         mask: BodyMask | None = None,
         watchers: Sequence[Watcher] = (),
         clock: LoopClock | None = None,
     ) -> None:
-        for name, value in (("rate", rate), ("patience", patience)):
+        for name, value in (("rate", rate), ("patience", patience), ("acceleration", acceleration)):
             if not above(value, 0):
                 raise TimeError(f"{name} = {value!r}; wanted a number above 0")
         if not queries:
@@ -122,7 +124,9 @@ class LiveLoop:
         self._poses: Any = (None, None) if sight is not None or poses is None else opener(poses)
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
-        self._settings = settings = Settings(tuple(queries), config, poses is not None, self._camera.latency)
+        self._settings = settings = Settings(
+            tuple(queries), config, poses is not None, self._camera.latency, acceleration
+        )
         self.core = LiveCore(settings)
         self._watchers = [*watchers]
         self._recorder: Recorder | None = None

@@ -23,7 +23,7 @@ from eagor.tracking.checkpoint import packed, unpacked
 
 __all__ = ["event_from", "event_in_bytes", "settings_from", "settings_in_bytes"]
 
-VERSION = 1
+VERSION = 2
 _FRAME, _POSE = struct.Struct("<dd"), struct.Struct("<dd??9d3d")
 _LOOK = struct.Struct("<ddddI")
 
@@ -86,20 +86,21 @@ def event_from(content: bytes) -> Event:
 
 def settings_in_bytes(settings: Settings) -> bytes:
     """What the core began with."""
-    return b"S" + packed((VERSION, settings.queries, settings.config, settings.poses, settings.latency))
+    values = settings.queries, settings.config, settings.poses, settings.latency, settings.acceleration
+    return b"S" + packed((VERSION, *values))
 
 
 def settings_from(content: bytes) -> Settings:
     """The settings that `settings_in_bytes` turned into bytes. Raises `FormatError`."""
     found = unpacked(content[1:]) if content[:1] == b"S" else None
-    if not isinstance(found, tuple) or len(found) != 5 or not isinstance(found[2], TrackerConfig):
+    if not isinstance(found, tuple) or len(found) < 5 or not isinstance(found[2], TrackerConfig):
         raise FormatError("the recording does not begin with its settings; it is not one of eagor live --record")
-    version, queries, config, poses, latency = found
-    if version != VERSION:
+    if found[0] != VERSION:
         raise FormatError(
-            f"the recording is of version {version}; wanted {VERSION}: play it with the eagor that made it"
+            f"the recording is of version {found[0]}; wanted {VERSION}: play it with the eagor that made it"
         )
-    return Settings(tuple(queries), config, bool(poses), float(latency))
+    _, queries, config, poses, latency, acceleration = found
+    return Settings(tuple(queries), config, bool(poses), float(latency), float(acceleration))
 
 
 def _looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:

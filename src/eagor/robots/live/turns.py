@@ -28,7 +28,7 @@ class Turns:
     def of(self, picture: Picture, now: Callable[[], float]) -> Iterator[Event]:
         """The pose at a picture, after what is to be said of it. `now` gives the times of arrival."""
         try:
-            turned = self._odometer.add(picture.panorama)
+            turned = self._odometer.add(picture.panorama, picture.stamp)
         except EagorError as error:
             yield Trouble(now(), "poses", str(error))
             return
