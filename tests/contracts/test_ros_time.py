@@ -249,6 +249,10 @@ def test_an_answer_is_told_as_of_the_newest_pose_or_else_of_the_newest_picture()
     found = stamps.of(ahead, 7.0)
     assert found.stamp == 3.25
     np.testing.assert_allclose(found.direction, world_R_body(0.2).T @ answer.direction, atol=1e-9)
+    # What is interpolated between two poses of slow odometry may be off, and regions say so.
+    near = math.radians(10)
+    assert 0.3 * found.estimate.within(near) < stamps.of(ahead, 7.0, near).estimate.within(near)
+    assert stamps.of(ahead, 7.0, near).estimate.within(near) < 0.8 * found.estimate.within(near)
 
 
 def test_odometry_whose_clock_is_set_back_goes_on():

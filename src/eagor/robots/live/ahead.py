@@ -12,7 +12,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-__all__ = ["RecentPoses"]
+__all__ = ["RecentPoses", "deviation"]
 
 RECENT = 2.0  # seconds over which extrapolations are tried
 FARTHEST = 1.0  # seconds: longer extrapolations are not tried
@@ -64,7 +64,7 @@ class RecentPoses:
         if seconds <= 0:
             return newest, 0.0
         if count < 3:
-            return newest, _level((0.5 * self.acceleration * seconds * seconds) ** 2 / 2)
+            return newest, deviation((0.5 * self.acceleration * seconds * seconds) ** 2 / 2)
         # What is longer than can be tried goes on at the same rate, and what it misses grows with the square of time.
         tried = min(seconds, FARTHEST, (self._stamps[-1] - self._stamps[0]) / 3)
         longer = seconds / tried
@@ -84,12 +84,12 @@ class RecentPoses:
         held, turned = ((guess[:-1].inv() * there).magnitude() for guess in (here, here * Rotation.from_rotvec(turns)))
         held, turned = (float((guessed + misses @ misses) / (TRIALS + 1)) for misses in (held, turned))
         found = here[-1] if held <= turned else here[-1] * Rotation.from_rotvec(turns[-1] * longer)
-        return found.as_matrix(), _level((min(held, turned) * longer**4 + unseen) / 2)
+        return found.as_matrix(), deviation((min(held, turned) * longer**4 + unseen) / 2)
 
 
-def _level(variance: float) -> float:
-    """The deviation of a variance, rounded."""
-    deviation = math.sqrt(variance)
-    if deviation < LEAST:
+def deviation(variance: float) -> float:
+    """The root of a variance, rounded, so that what is computed for one can be used for the next."""
+    root = math.sqrt(variance)
+    if root < LEAST:
         return 0.0
-    return min(LEAST * LEVEL ** round(math.log(deviation / LEAST, LEVEL)), MOST)
+    return min(LEAST * LEVEL ** round(math.log(root / LEAST, LEVEL)), MOST)

@@ -10,6 +10,7 @@ from typing import Any
 
 from eagor.errors import DeviceError
 from eagor.robots.frames import Pose
+from eagor.robots.live.ahead import deviation
 from eagor.robots.live.answers import Answer
 from eagor.robots.live.events import Event, FrameCame, PoseCame
 from eagor.robots.live.playing import LoopClock
@@ -92,10 +93,14 @@ class Stamps:
     def close(self) -> None:
         """Nothing is held."""
 
-    def of(self, answer: Answer, otherwise: float) -> Answer:
-        """The same answer there; at the stamp `otherwise`, if no input has told a time."""
+    def of(self, answer: Answer, otherwise: float, between: float = 0.0) -> Answer:
+        """The same answer there; at the stamp `otherwise`, if no input has told a time.
+
+        `between`: standard deviation, radians, of a pose that is interpolated between two of the odometry, as those of
+        the pictures are; regions are as much wider.
+        """
         pose = self._pose
         if pose is None:
             return replace(answer, stamp=self._picture if self._picture > 0 else otherwise)
-        estimate = answer.estimate.turned(answer.estimate.stamp, pose.world_R_body)
+        estimate = answer.estimate.turned(answer.estimate.stamp, pose.world_R_body, deviation(between**2 / 2))
         return replace(answer, stamp=pose.stamp if pose.stamp > 0 else otherwise, estimate=estimate)

@@ -294,14 +294,15 @@ class Node:
         self.answers += 1
         self._say_faults(answer)
         number = queries.index(answer.query) if answer.query in queries else 0
-        told_of = stamps.of(answer, self._now())
+        between = 0.0 if self._poses is None else self._poses.reader.turning.midway
+        told_of = stamps.of(answer, self._now(), between)
         counts, mount = loop.counts, self._mount(told_of.stamp)
         told = {
             "pictures": str(counts.frames), "looks": str(counts.looks), "skipped": str(counts.skipped),
             "poses": str(counts.poses), "answers": str(counts.answers), "late": str(counts.late),
         }  # fmt: skip
         if self._poses is not None:
-            told["between_poses_deg"] = f"{math.degrees(self._poses.reader.turning.midway):.2f}"
+            told["between_poses_deg"] = f"{math.degrees(between):.2f}"
         if drive is not None and number == 0:
             step = drive.answered(answer, mount)
             told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}
