@@ -69,7 +69,7 @@ class Watch:
 
     def __init__(self, settings: Settings, robot: Robot, keys: Keys | None = None) -> None:
         self.settings, self.robot, self._keys = settings, robot, keys
-        self.gate, self.state = Gate(settings.limits, settings.armed), State()
+        self.gate, self.state = Gate(settings.limits, settings.armed, obeys=not settings.avoid), State()
         self.ending: str | None = None  # why it ends
         self._said: dict[str, Any] = {}
         self._held = HeldKey()
@@ -181,6 +181,7 @@ def main(arguments: list[str]) -> int:
                     armed=settings.armed,
                     avoid=settings.avoid,
                     remote=settings.deadman == "remote",
+                    aside=settings.limits.aside,
                 )
             )
             robot.start(settings.patience)

@@ -1,0 +1,42 @@
+"""How often something comes, from its stamps, and from which age on it must have stopped to come. Pure.
+
+A limit that fits the slowest perception lets a quick one hang for seconds. So the limit follows what is usual.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from statistics import median_high
+
+__all__ = ["INTERVALS", "LEAST", "Rhythm", "age_allowed", "heard"]
+
+INTERVALS = 3  # usual intervals that may pass since the capture of the newest
+LEAST = 0.5  # seconds that are always allowed: networks and schedulers have their hiccups
+BEYOND = 2  # usual intervals beyond the usual age of what just came: pictures travel, looks may overlap
+SAME = 0.01  # seconds within which two stamps are one: they are computed anew from ages at each word
+ENOUGH, KEPT = 4, 9  # stamps from which an interval counts as usual; and those that are remembered
+
+Rhythm = tuple[tuple[float, float], ...]  # stamps and the times at which each was heard of first, oldest first
+
+
+def heard(rhythm: Rhythm, stamp: float | None, now: float) -> Rhythm:
+    """With the newest stamp, if that is a new one. One that is no time, or lies in the future, is none."""
+    if stamp is None or not math.isfinite(stamp) or not math.isfinite(now) or stamp > now + SAME:
+        return rhythm
+    if rhythm and stamp - rhythm[-1][0] <= SAME:
+        return rhythm
+    return (*rhythm[1 - KEPT :], (stamp, now))
+
+
+def age_allowed(rhythm: Rhythm, most: float) -> float:
+    """Seconds since its capture after which the newest is too old: `most` until enough is known.
+
+    Three usual intervals, at least half a second, at most `most`. Where things usually come later than one interval
+    after their capture: their usual age and two intervals. Usual is the median.
+    """
+    if len(rhythm) < ENOUGH:
+        return most
+    interval = median_high(after[0] - before[0] for before, after in pairwise(rhythm))
+    age = median_high(now - stamp for stamp, now in rhythm)
+    return min(most, max(LEAST, INTERVALS * interval, age + BEYOND * interval))
