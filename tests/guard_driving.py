@@ -88,6 +88,7 @@ class Other:
         self._link = Link(robot.domain, "lo")
         client = SportClient(self._link)
         assert client.wait(20)
+        time.sleep(1.0)  # until the guard has found it as well
         begun = time.monotonic()
         assert client.move(0.2, 0.0, 0.0) == OK
         return begun

@@ -99,6 +99,22 @@ def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself():
         assert not any(server._avoid.values())  # the remote control has its robot back
 
 
+def test_a_guard_that_is_killed_while_the_robot_avoids_obstacles_is_stood_in_for():
+    domain = free_domain()
+    with Simulated(domain=domain) as robot:
+        server = robot._robot.server
+        guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, avoid=True)
+        with guard, Driver(guard):
+            until(lambda: robot.moves)
+            begun = time.monotonic()
+            os.kill(guard.pid, signal.SIGKILL)
+            until(lambda: robot.still_since(begun))
+            service, api_id, asked = [each for each in server.requests if each[:2] != ("sport", 1003)][-1]
+            assert (service, api_id, asked["x"], asked["yaw"]) == ("obstacles_avoid", 1003, 0.0, 0.0)
+            assert server.requests[-1][:2] == ("sport", 1003)
+        assert not any(server._avoid.values())  # the remote control has its robot back
+
+
 def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
     driver, peer = driven
     bring_to_speed(driver, peer)

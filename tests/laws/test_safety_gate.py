@@ -14,7 +14,7 @@ from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.safety import Body, Gate, Inputs, Limits, Mode, State, Velocity
 from eagor.robots.safety.faults import faults_of
 from eagor.robots.safety.gate import Stop
-from eagor.robots.safety.rhythm import age_allowed, heard
+from eagor.robots.safety.rhythm import heard, look_age, picture_age
 
 LIMITS = Limits()
 PERIOD = LIMITS.period
@@ -259,8 +259,27 @@ def test_no_stamps_allow_more_than_the_limit_or_less_than_half_a_second(words):
         rhythm = heard(rhythm, stamp, now)
         assert len(rhythm) <= 9
         assert all(before[0] < after[0] <= after[1] + 0.01 for before, after in pairwise(((-math.inf, 0), *rhythm)))
-        assert 0.5 <= age_allowed(rhythm, 3.0) <= 3.0
-        assert age_allowed(rhythm, 0.3) == 0.3
+        assert 0.5 <= look_age(rhythm, 3.0) <= 3.0
+        assert look_age(rhythm, 0.3) == 0.3
+        assert 0.19 <= picture_age(rhythm, 1.0) <= 1.0
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.03, 0.4), st.floats(0.0, 0.3), st.floats(0, 1))
+def test_a_camera_that_ends_stops_the_robot_within_two_intervals(interval, latency, moment):
+    gate, state, now, begun = Gate(armed=True), State(), 0.0, None
+    ends = 4.0 + moment * interval
+    while begun is None:
+        now += PERIOD
+        newest = math.floor((min(now, ends) - latency) / interval) * interval  # what is on its way is lost
+        body = Body(now, 0.0, 0.0, 0.8 * state.sent.forward, 0.8 * state.sent.turn)
+        state, output = gate.step(state, now, good(now, image=newest, body=body, acknowledged=state.stops))
+        if now > 3 and output.faults:
+            begun = now
+        else:
+            assert now < 3 or moves(output)
+    assert 0 < begun - ends <= max(0.2, 2 * interval) + 2 * PERIOD
+    assert [fault.name for fault in output.faults] == ["image"]
 
 
 def test_walking_needs_presence_turning_does_not():

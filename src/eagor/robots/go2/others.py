@@ -49,7 +49,7 @@ class Others:
         self.newest: Heard | None = None
         self.count = 0
         self._readers = [
-            link.subscribe(f"rt/api/{name}/request", Request, partial(self._came, name), reliable=True, own=False)
+            link.subscribe(f"rt/api/{name}/request", Request, partial(self._came, name), own=False)
             for name in services
         ]
 

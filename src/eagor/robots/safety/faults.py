@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eagor.robots.safety.limits import STILL, Limits, Velocity
-from eagor.robots.safety.rhythm import Rhythm, age_allowed
+from eagor.robots.safety.rhythm import Rhythm, look_age, picture_age
 
 __all__ = ["Body", "Fault", "Inputs", "faults_of", "stamp_of"]
 
@@ -89,7 +89,7 @@ def faults_of(
     """
     if not math.isfinite(now):
         return (Fault("number", f"the time is {now}"),)
-    ages = age_allowed(pictures, limits.image_age), age_allowed(looks, limits.belief_age)
+    ages = picture_age(pictures, limits.image_age), look_age(looks, limits.belief_age)
     return tuple(_faults(limits, now, inputs, sent, *ages))
 
 

@@ -59,7 +59,7 @@ class Limits:
       0.15 s to compute (measured on a busy machine of two cores).
     - `image_age`: the newest picture, since its capture. `belief_age`: the newest evidence, since its capture; a model
       that needs 1.4 s per look comes to 2.8 s. Both are the most that is allowed: once it is known how often pictures
-      and looks come, three of their usual intervals are, or half a second (`eagor.robots.safety.rhythm`).
+      and looks come, less is (`eagor.robots.safety.rhythm`).
     - `silence`: the gate's own last step. A gate that was away for longer stops, and needs a new command; the program
       that it works for sends StopMove itself meanwhile (`eagor.robots.safety.guard.Guard`).
     - `early`: how far a stamp may lie in the future: clocks that differ.

@@ -1,4 +1,4 @@
-"""The gate as a process of its own, which alone commands the robot: ``python -m eagor.robots.safety.process``.
+"""The gate as a process of its own, which alone sends velocities: ``python -m eagor.robots.safety.process``.
 
 `eagor.robots.safety.guard` starts it. It steps the gate on the monotonic clock, reads the robot's state itself, and
 ends by StopMove when it is interrupted, when its parent ends however that happens, and on errors of its own.

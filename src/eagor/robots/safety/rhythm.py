@@ -9,11 +9,10 @@ import math
 from itertools import pairwise
 from statistics import median_high
 
-__all__ = ["INTERVALS", "LEAST", "Rhythm", "age_allowed", "heard"]
+__all__ = ["Rhythm", "heard", "look_age", "picture_age"]
 
-INTERVALS = 3  # usual intervals that may pass since the capture of the newest
-LEAST = 0.5  # seconds that are always allowed: networks and schedulers have their hiccups
-BEYOND = 2  # usual intervals beyond the usual age of what just came: pictures travel, looks may overlap
+INTERVALS, LEAST = 3, 0.5  # usual intervals that may pass since the newest look; seconds that are always allowed
+BEYOND, SLACK = 2, 0.2  # usual intervals, and at least seconds, beyond the usual age of what just came
 SAME = 0.01  # seconds within which two stamps are one: they are computed anew from ages at each word
 ENOUGH, KEPT = 4, 9  # stamps from which an interval counts as usual; and those that are remembered
 
@@ -29,14 +28,30 @@ def heard(rhythm: Rhythm, stamp: float | None, now: float) -> Rhythm:
     return (*rhythm[1 - KEPT :], (stamp, now))
 
 
-def age_allowed(rhythm: Rhythm, most: float) -> float:
-    """Seconds since its capture after which the newest is too old: `most` until enough is known.
+def picture_age(rhythm: Rhythm, most: float) -> float:
+    """Seconds since its capture after which the newest picture is too old: `most` until enough is known.
 
-    Three usual intervals, at least half a second, at most `most`. Where things usually come later than one interval
-    after their capture: their usual age and two intervals. Usual is the median.
+    The usual age of one that just came, and two usual intervals, at least 0.2 s; at most `most`. So a camera of ten
+    pictures per second or more that ends is noticed within 0.2 s. Usual is the median.
     """
     if len(rhythm) < ENOUGH:
         return most
-    interval = median_high(after[0] - before[0] for before, after in pairwise(rhythm))
-    age = median_high(now - stamp for stamp, now in rhythm)
+    interval, age = _usual(rhythm)
+    return min(most, age + max(SLACK, BEYOND * interval))
+
+
+def look_age(rhythm: Rhythm, most: float) -> float:
+    """The same of the newest look: three usual intervals, at least half a second; at most `most`.
+
+    Where looks usually come later than one interval after their capture: their usual age and two intervals.
+    """
+    if len(rhythm) < ENOUGH:
+        return most
+    interval, age = _usual(rhythm)
     return min(most, max(LEAST, INTERVALS * interval, age + BEYOND * interval))
+
+
+def _usual(rhythm: Rhythm) -> tuple[float, float]:
+    """Seconds between two stamps, and from a stamp to when it was heard of."""
+    interval = median_high(after[0] - before[0] for before, after in pairwise(rhythm))
+    return interval, median_high(now - stamp for stamp, now in rhythm)

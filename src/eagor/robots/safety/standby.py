@@ -31,6 +31,8 @@ class Standby:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._avoid is not None and self.sent:  # whoever turned this on may be gone
+            self._avoid.end()
         self._link.close()
 
     def wait(self, timeout: float) -> None:
