@@ -109,9 +109,9 @@ def test_a_guard_that_is_killed_while_the_robot_avoids_obstacles_is_stood_in_for
             begun = time.monotonic()
             os.kill(guard.pid, signal.SIGKILL)
             until(lambda: robot.still_since(begun))
-            service, api_id, asked = [each for each in server.requests if each[:2] != ("sport", 1003)][-1]
-            assert (service, api_id, asked["x"], asked["yaw"]) == ("obstacles_avoid", 1003, 0.0, 0.0)
-            assert server.requests[-1][:2] == ("sport", 1003)
+            last = {service: (api_id, asked) for service, api_id, asked in server.requests}
+            assert last["sport"][0] == last["obstacles_avoid"][0] == 1003
+            assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
         assert not any(server._avoid.values())  # the remote control has its robot back
 
 
