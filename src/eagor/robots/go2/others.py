@@ -49,8 +49,7 @@ class Others:
         self.newest: Heard | None = None
         self.count = 0
         self._readers = [
-            link.subscribe(f"rt/api/{name}/request", Request, partial(self._came, name), own=False)
-            for name in services
+            link.subscribe(f"rt/api/{name}/request", Request, partial(self._came, name), own=False) for name in services
         ]
 
     def close(self) -> None:
