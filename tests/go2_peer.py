@@ -82,6 +82,7 @@ class Peer(Noted):
     roll: float = 0.0
     error_code: int = 0
     mute: bool = False  # tells no state
+    growing: float = 0.0  # seconds per second by which its states come later and later
     deaf: int = 0  # so many StopMove are neither obeyed nor acknowledged
     stuck: bool = False  # Move has no effect
     mode: int = 1
@@ -119,16 +120,17 @@ class Peer(Noted):
             self._reply.write(idl.Response(head, "", []))
 
     def _run(self):
-        before, speed, count = time.monotonic(), (0.0, 0.0, 0.0), 0
+        before, speed, count, late = time.monotonic(), (0.0, 0.0, 0.0), 0, 0.0
         kind, low = raw(idl.SportModeState), raw(idl.LowState)
         while not self._ended.wait(0.005):
             now = time.monotonic()
             share = 1 - math.exp(-(now - before) / LAG)
             told = (0.0, 0.0, 0.0) if self.stuck else self.commanded(now - DEAD)
             speed = tuple(v + share * (g * c - v) for v, g, c in zip(speed, GAINS, told, strict=True))
+            late = late + self.growing * (now - before) if self.growing else 0.0
             before = now
             self.speeds.append((now, speed))
-            stamp, half = time.time(), self.roll / 2
+            stamp, half = time.time() - late, self.roll / 2
             fields = SportFields(
                 int(stamp), int(1e9 * (stamp % 1)), self.error_code, (math.cos(half), math.sin(half), 0.0, 0.0),
                 rpy=(self.roll, 0.0, 0.0), mode=self.mode, velocity=(*speed[:2], 0.0), yaw_speed=speed[2],

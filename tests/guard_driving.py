@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from eagor.errors import DeviceError
+from eagor.robots.dds import Link
+from eagor.robots.go2.sport import OK, SportClient
 from eagor.robots.safety.guard import Guard
 
 RATE = 20.0  # messages per second, as the live loop gives answers
@@ -53,7 +55,10 @@ class Driver:
 
 @dataclass(frozen=True)
 class Trial:
-    """A fault: `begin(driver, robot)` makes it, `end` takes it away; `detection`: seconds until it can be noticed."""
+    """A fault: `begin(driver, robot)` makes it, `end` takes it away; `detection`: seconds until it can be noticed.
+
+    `begin` may give the time (monotonic) at which the fault began, if that is later than the call.
+    """
 
     begin: Callable[[Driver, Any], Any]
     end: Callable[[Driver, Any], Any]
@@ -76,6 +81,24 @@ def is_so(whose: str, name: str, value: Any, normal: Any, detection: float = 0.0
     return Trial(put(value), put(normal), detection)
 
 
+class Other:
+    """Somebody else who commands the robot, once."""
+
+    def begin(self, _: Driver, robot: Any) -> float:
+        self._link = Link(robot.domain, "lo")
+        client = SportClient(self._link)
+        assert client.wait(20)
+        time.sleep(1.0)  # until the guard has found it as well
+        begun = time.monotonic()
+        assert client.move(0.2, 0.0, 0.0) == OK
+        return begun
+
+    def end(self, _: Driver, __: Any) -> None:
+        self._link.close()
+
+
+OTHER = Other()
+
 # What can go wrong while the guard itself lives. The seconds are those of `Limits`, after which it is a fault.
 TRIALS = {
     "stale command": is_so("driver", "mumbles", True, False),
@@ -92,12 +115,16 @@ TRIALS = {
     "tilt": is_so("robot", "roll", 0.6, 0.0),
     "error code": is_so("robot", "error_code", 7, 0),
     "robot falls silent": is_so("robot", "mute", True, False, detection=0.1),
+    "robot's states come later and later": is_so("robot", "growing", 1.0, 0.0, detection=0.1),
+    "somebody else commands": Trial(OTHER.begin, OTHER.end),
     "emergency stop": Trial(lambda driver, _: driver.guard.emergency(), lambda driver, _: driver.guard.reset()),
     "stop": Trial(
         lambda driver, _: (setattr(driver, "mumbles", True), driver.guard.stop()),
         lambda driver, _: setattr(driver, "mumbles", False),
     ),
 }
+# What only the tests' own robot can do: lean, fall silent, be slow.
+PEERS = ("tilt", "robot falls silent", "robot's states come later and later")
 
 
 @dataclass(frozen=True)
@@ -126,6 +153,13 @@ def fast_enough(robot: Any, full: tuple[float, float, float]) -> None:
     """Wait until the robot is told this velocity, and has come near it."""
     until(lambda: robot.commanded(time.monotonic()) == full)
     until(lambda: math.hypot(*robot.speeds[-1][1][:2]) > 0.9 * 0.8 * full[0])
+
+
+def begun_by(trial: Trial, driver: Driver, robot: Any) -> float:
+    """Make the fault; when it began."""
+    begun = time.monotonic()
+    said = trial.begin(driver, robot)
+    return said if isinstance(said, float) else begun
 
 
 def measured(robot: Any, begun: float) -> Time:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 import warnings
@@ -115,6 +116,100 @@ def test_what_a_robot_does_not_know_or_understand_has_a_code():
         client._allowed = frozenset(range(3000))
         assert client.call(1030)[0] == 3203
         assert client.call(sport.MOVE, {"x": "?"})[0] == 3204
+
+
+@pytest.mark.parametrize("odd", ["NaN", "Infinity", "1e308", "-1e39", '"nan"', "1" + 400 * "0", "null", "[]"])
+@pytest.mark.parametrize("service", ["sport", "obstacles_avoid"])
+def test_a_move_that_is_no_velocity_is_refused_and_moves_nothing(service, odd):
+    with Link(free_domain(), "lo") as link, robot(link, dead_time=0.0) as server:
+        client = sport.AvoidClient(link) if service == "obstacles_avoid" else sport.SportClient(link)
+        assert client.wait(20)
+        if service == "obstacles_avoid":
+            assert client.start() == sport.OK
+        number, turn = (1003, "yaw") if service == "obstacles_avoid" else (1008, "z")
+        for wrong in ("x", "y", turn):
+            parts = {"x": "0.3", "y": "0.0", turn: "0.2"} | {wrong: odd}
+            text = "{" + ", ".join(f'"{name}": {value}' for name, value in parts.items()) + "}"
+            assert server._obey(service, number, text) == (3204, "")
+        with pytest.raises(DeviceError, match="wanted three finite numbers of 32 bits"):
+            client.move(1e308, 0.0, 0.0)
+        steps = server.plant.steps
+        wait_for(lambda: server.plant.steps > steps + 20)
+        assert server.plant.walked == 0.0
+        assert np.isfinite(server.truth.pose.position).all()
+
+
+def asked(link, service, api_id, **parameter):
+    """A request to a service that our clients never use, as another program sends it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sport.ALLOWED, service, frozenset({1, *range(1001, 1007)}))
+        client = sport.Service(link, service)
+    assert client.wait(20)
+    code, data = client.call(api_id, parameter)
+    client.close()
+    return code, json.loads(data) if data else None
+
+
+def test_programs_that_command_motors_can_be_rehearsed_release_the_mode_and_select_it_again():
+    """As Unitree's examples do: lie down and release until no mode is on; later select one and stand up."""
+    with Link(free_domain(), "lo") as link, robot(link, deaf=(0.0, 0.0)) as server:
+        client = sport.SportClient(link, timeout=0.5)
+        assert client.wait(20)
+        assert asked(link, "motion_switcher", 1001) == (0, {"form": "0", "name": "normal"})
+        assert client.stand_down() == sport.OK
+        assert asked(link, "motion_switcher", 1003) == (0, None)
+        assert asked(link, "motion_switcher", 1001)[1]["name"] == ""
+        assert server.truth.mode == 7  # limp
+        assert client.move(0.3, 0.0, 0.0) == sport.OK  # it was sent
+        assert client.stop() == sport.TIMEOUT  # nobody answers
+        assert server.plant.walked == 0.0
+        assert asked(link, "motion_switcher", 1002, name="moonwalk") == (7004, None)
+        assert asked(link, "motion_switcher", 1002, name="ai") == (0, None)
+        assert asked(link, "motion_switcher", 1001)[1]["name"] == "ai"
+        assert client.stand_up() == client.balance_stand() == sport.OK
+        client.move(0.3, 0.0, 0.0)
+        wait_for(lambda: server.plant.walked > 0.02)
+        assert asked(link, "motion_switcher", 1004, silent=True) == (0, None)
+        assert asked(link, "motion_switcher", 1005) == (0, {"silent": True})
+        assert asked(link, "motion_switcher", 1006)[0] == 3203
+
+
+def test_services_are_listed_and_switched_unless_they_are_protected():
+    with Link(free_domain(), "lo") as link, robot(link) as server:
+        code, listed = asked(link, "robot_state", 1003)
+        assert code == 0
+        assert {each["name"]: (each["status"], each["protect"]) for each in listed} == {
+            "sport_mode": (1, 0), "obstacles_avoid": (1, 0), "robot_state": (1, 1), "motion_switcher": (1, 1),
+        }  # fmt: skip
+        assert asked(link, "robot_state", 1001, name="sport_mode", switch=0) == (
+            0, {"name": "sport_mode", "status": 0},
+        )  # fmt: skip
+        assert server.truth.mode == 7
+        client = sport.SportClient(link, timeout=0.5)
+        client.wait(20)
+        assert client.stand_up() == sport.TIMEOUT
+        assert asked(link, "robot_state", 1001, name="motion_switcher", switch=0)[1]["status"] == 5
+        assert asked(link, "robot_state", 1001, name="lidar", switch=0)[0] == 5201
+        assert asked(link, "robot_state", 1001, name="sport_mode")[0] == 3204
+        assert asked(link, "robot_state", 1001, name="sport_mode", switch=1)[1]["status"] == 1
+        assert client.stand_up() == sport.OK
+
+
+def test_the_motors_tell_their_angles_and_rates():
+    with Link(free_domain(), "lo") as link, robot(link) as server:
+        seen = []
+        link.subscribe("rt/lowstate", idl.LowState, lambda message, when: seen.append(message))
+        wait_for(lambda: len(seen) > 5)
+        np.testing.assert_allclose([motor.q for motor in seen[-1].motor_state[:12]], server.plant.joints, atol=1e-6)
+        assert {motor.dq for motor in seen[-1].motor_state[:12]} == {0.0}
+        assert seen[-1].crc != 0
+        client = sport.SportClient(link)
+        client.wait(20)
+        client.move(0.5, 0.0, 0.0)
+        wait_for(lambda: server.plant.walked > 0.1)
+        walking = seen[-1].motor_state
+        assert max(abs(motor.dq) for motor in walking[:12]) > 0.1
+        assert {motor.q for motor in walking[12:]} == {0.0}
 
 
 @pytest.mark.parametrize("number", [1030, 1031, 1032, *range(2041, 2048), 1006, 1001, 0])

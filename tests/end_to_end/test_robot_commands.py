@@ -9,8 +9,10 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import pairwise, takewhile
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from eagor.robots.dds import Link
 from eagor.robots.dds.settings import free_domain
 from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.go2.sim_server import Go2Server
+from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.wire_settings import WireSettings
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -109,6 +112,41 @@ def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
             assert done.stdout.endswith("it cannot be used like this\n")
             assert servers[0].requests == []  # nothing was moved
         servers[1].close()
+
+
+def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
+    domain = free_domain()
+    with Link(domain, "lo") as link, Go2Server(Plant(PlantSettings(), np.random.default_rng(1)), link) as server:
+        walks = {"which": 0.0}
+        ended = threading.Event()
+
+        def walk():
+            with Link(domain, "lo") as other:
+                client = SportClient(other)
+                while not ended.wait(0.1):
+                    if walks["which"]:
+                        client.move(walks["which"], 0.0, 0.0)
+
+        thread = threading.Thread(target=walk)
+        thread.start()
+        try:
+            assert json.loads(check(domain, "--json", "--seconds", 1).stdout)["commands"] == 0
+            walks["which"] = 0.3
+            done = check(domain, "--seconds", 1)
+            assert done.returncode == 1
+            assert "problem: somebody else commands this robot (" in done.stdout
+            assert "the last Move on rt/api/sport/request): end that program or app" in done.stdout
+            walks["which"] = 0.0
+            ended.set()
+        finally:
+            ended.set()
+            thread.join()
+        # As its remote control leads it: nothing comes over these topics.
+        server.plant.settings = replace(server.plant.settings, expiry=60.0)
+        server.plant.move(0.4, 0.0, 0.0)
+        done = check(domain, "--seconds", 1.5)
+        assert "problem: the robot moves although nobody tells it to on its topics" in done.stdout
+        assert done.returncode == 1
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from eagor.robots.dds.settings import free_domain
 pytest.importorskip("cyclonedds")
 
 from go2_peer import Peer, Simulated
-from guard_driving import TRIALS, Driver, bring_to_speed, measured, until
+from guard_driving import PEERS, TRIALS, Driver, begun_by, bring_to_speed, measured, until
 
 from eagor.errors import DeviceError
 from eagor.robots.safety.guard import Guard, GuardState
@@ -44,13 +44,12 @@ def test_each_fault_stops_the_robot_in_time(driven, name):
     driver, peer = driven
     trial = TRIALS[name]
     bring_to_speed(driver, peer)
-    begun = time.monotonic()
-    trial.begin(driver, peer)
+    begun = begun_by(trial, driver, peer)
     try:
         took = measured(peer, begun)
         assert took.zero <= ZERO
         assert took.standing <= ZERO + COASTING
-        if name == "robot falls silent":
+        if name in ("robot falls silent", "robot's states come later and later"):
             assert driver.guard.state.mode == "stopping"  # nobody knows whether it stands
         else:
             until(lambda: driver.guard.state.mode in ("standing", "latched"))
@@ -68,14 +67,12 @@ def simulated():
         yield driver, robot
 
 
-# What only the tests' own robot can do: lean, fall silent.
-@pytest.mark.parametrize("name", [name for name in TRIALS if name not in ("tilt", "robot falls silent")])
+@pytest.mark.parametrize("name", [name for name in TRIALS if name not in PEERS])
 def test_the_simulated_go2_stops_in_time_too(simulated, name):
     driver, robot = simulated
     trial = TRIALS[name]
     bring_to_speed(driver, robot)
-    begun = time.monotonic()
-    trial.begin(driver, robot)
+    begun = begun_by(trial, driver, robot)
     try:
         took = measured(robot, begun)
         assert took.zero <= ZERO
@@ -99,6 +96,22 @@ def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself():
             driver.wrong = {"presence": 0.1}
             until(lambda: robot.still_since(begun))
             until(lambda: driver.guard.state.mode == "standing")
+        assert not any(server._avoid.values())  # the remote control has its robot back
+
+
+def test_a_guard_that_is_killed_while_the_robot_avoids_obstacles_is_stood_in_for():
+    domain = free_domain()
+    with Simulated(domain=domain) as robot:
+        server = robot._robot.server
+        guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, avoid=True)
+        with guard, Driver(guard):
+            until(lambda: robot.moves)
+            begun = time.monotonic()
+            os.kill(guard.pid, signal.SIGKILL)
+            until(lambda: robot.still_since(begun))
+            last = {service: (api_id, asked) for service, api_id, asked in server.requests}
+            assert last["sport"][0] == last["obstacles_avoid"][0] == 1003
+            assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
         assert not any(server._avoid.values())  # the remote control has its robot back
 
 
@@ -181,42 +194,72 @@ def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_proc
         wait_for(lambda: gone(guard))
 
 
-def test_a_guard_that_is_killed_leaves_the_rest_to_the_robot_and_the_program_hears_of_it():
+@pytest.fixture(params=[(0.15, 0.0, 0.2), (0.5, 0.0, 0.4)], ids=["slow", "quick"])
+def driving(request):
+    """A robot that walks, the guard and the program that walk it."""
     domain = free_domain()
     with (
         Peer(domain=domain) as peer,
         Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK) as guard,
+        Driver(guard, request.param) as driver,
     ):
-        driver = Driver(guard)
-        while not peer.moves:
-            driver.say(time.monotonic())
-            time.sleep(0.05)
-        begun = time.monotonic()
-        os.kill(guard.pid, signal.SIGKILL)
-        assert measured(peer, begun).zero < 1.2  # the robot's own timer: no Move holds for more than a second
-        with pytest.raises(DeviceError, match="the guard has ended"):
-            driver.say(time.monotonic())
-        with pytest.raises(DeviceError, match="the guard has ended"):
-            _ = guard.state
+        bring_to_speed(driver, peer)
+        yield driver, peer
 
 
-def test_a_guard_that_hangs_is_said_and_does_not_hold_up_the_program():
-    domain = free_domain()
-    with Peer(domain=domain) as peer:
-        guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK)
-        with guard, Driver(guard) as driver:
-            until(lambda: peer.moves)
-            begun = time.monotonic()
-            os.kill(guard.pid, signal.SIGSTOP)
-            assert measured(peer, begun).zero < 1.2  # the robot's own timer
-            for _ in range(200):  # more than a pipe holds
-                driver.say(time.monotonic())
-            time.sleep(1.0)
-            with pytest.raises(DeviceError, match="has not said a word for"):
+def stops_since(peer, begun):
+    return [told for told in peer.told if told.api_id == 1003 and told.when > begun]
+
+
+def test_a_guard_that_is_killed_is_stood_in_for_by_the_program_which_hears_of_it(driving):
+    driver, peer = driving
+    begun = time.monotonic()
+    os.kill(driver.guard.pid, signal.SIGKILL)
+    assert measured(peer, begun).zero <= ZERO
+    assert stops_since(peer, begun)
+    with pytest.raises(DeviceError, match="the guard has ended; this program sent StopMove itself, and the robot ack"):
+        driver.say(time.monotonic())
+    with pytest.raises(DeviceError, match="the guard has ended; this program sent StopMove itself, and the robot ack"):
+        _ = driver.guard.state
+
+
+def test_a_guard_that_is_killed_and_a_robot_that_does_not_listen_is_said(driving):
+    driver, peer = driving
+    peer.deaf = 1000
+    os.kill(driver.guard.pid, signal.SIGKILL)
+
+    def say_until_the_pipe_is_closed():
+        for _ in range(500):
+            driver.say(time.monotonic())
+            time.sleep(0.01)
+
+    with pytest.raises(DeviceError, match="the robot acknowledged none: if none came, it walks on until its last Move"):
+        say_until_the_pipe_is_closed()
+
+
+@pytest.mark.parametrize("seconds", [1, 3])
+def test_a_guard_that_is_frozen_is_stood_in_for_and_goes_on_afterwards(driving, seconds):
+    driver, peer = driving
+    guard, begun = driver.guard, time.monotonic()
+    os.kill(guard.pid, signal.SIGSTOP)
+    try:
+        assert measured(peer, begun).zero <= ZERO
+        assert stops_since(peer, begun)
+        if seconds == 1:
+            assert guard.state.mode == "stopping"
+            assert "this program sent StopMove itself, and the robot acknowledged it" in guard.state.reasons[0]
+        for _ in range(200):  # more than a pipe holds: a guard that hangs holds up nobody
+            driver.say(time.monotonic())
+        time.sleep(max(0.0, begun + seconds - time.monotonic()))
+        if seconds == 3:
+            with pytest.raises(DeviceError, match="has not said a word for 3"):
                 _ = guard.state
-            pid = guard.pid
-            os.kill(pid, signal.SIGCONT)
-        wait_for(lambda: gone(pid))
+    finally:
+        thawed = time.monotonic()
+        os.kill(guard.pid, signal.SIGCONT)
+    until(lambda: any(told.velocity and any(told.velocity) for told in peer.told if told.when > thawed))
+    first = [told.api_id for told in peer.told if told.when > thawed and told.api_id in (1003, 1008)]
+    assert 1003 in first[:2]  # before anything else, except for what was just being sent
 
 
 def test_a_dry_run_says_what_it_would_do_and_has_no_voice():

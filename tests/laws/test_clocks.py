@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import TimeError
-from eagor.robots.clocks import ClockOffset, RelatedClock
+from eagor.robots.clocks import ClockOffset, Lateness, RelatedClock
 
 RATE = 50.0
 
@@ -125,6 +125,34 @@ def test_a_clock_that_jumps_and_jumps_back_is_followed_in_words():
     assert unknown == [500, 501, 1000, 1001]  # until three agree
     for number, (ours, _) in enumerate(found):
         assert ours is None or ours == pytest.approx(stamps[number], abs=2e-3)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(0, 0.05), st.floats(3e-4, 1.0), st.integers(0, 999))
+def test_a_delay_that_grows_is_noticed_however_slowly_unless_clocks_drift_like_that(offset, jitter, growth, seed):
+    """The other clock is `offset` behind, the delay grows without end: no growth hides the delay for good."""
+    late, rng, most = Lateness(), np.random.default_rng(seed), 0.0
+    for arrival in np.arange(0.0, 0.4 / growth, max(0.005, 0.005 / growth)):
+        delay = growth * arrival + jitter * rng.random()
+        said = late.of(1e7 + arrival - delay - offset, arrival)
+        assert said <= delay + 1e-6
+        most = max(most, said)
+    assert most > 0.1  # the limit of the gate
+
+
+def test_states_that_come_late_for_good_stay_late_and_a_clock_that_is_set_does_not():
+    late, arrival, said = Lateness(), 0.0, []
+    for index, delay in enumerate([0.001] * 400 + [0.3] * 4000):  # 2 s, then 20 s
+        arrival += 0.005 if index != 400 else 0.304  # nothing comes meanwhile
+        said.append(late.of(1e7 + arrival - delay, arrival))
+    assert said[399] < 1e-3
+    assert min(said[400:]) > 0.29
+    for ahead in (5.0, -7.0):  # the other clock is set
+        said = []
+        for _ in range(40):
+            arrival += 0.005
+            said.append(late.of(1e7 + ahead + arrival - 0.001, arrival))
+        assert said[-1] < 0.01
+    assert late.of(0.0, arrival) == 0.0  # it tells no time
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf"), 1.7e18])

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import ast
+import ctypes
 import dataclasses
+import typing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from cyclonedds.idl import types as idl_types
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import eagor.robots
 from eagor.errors import FormatError
 from eagor.robots.go2 import idl
 from eagor.robots.go2.low import BUTTONS, Remote
-from eagor.robots.go2.wire import LONG, LOW, SHORT, LowFields, SportFields
+from eagor.robots.go2.wire import LONG, LOW, MOTORS, SHORT, LowFields, SportFields, checksum
 
 KINDS = [getattr(idl, name) for name in idl.__all__]
 octets = st.integers(0, 255)
@@ -35,7 +38,7 @@ states = st.builds(
 lows = st.builds(
     LowFields,
     vector(4), vector(3), vector(3), vector(3), octets, st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1),
-    st.binary(min_size=40, max_size=40), numbers, numbers,
+    st.binary(min_size=40, max_size=40), numbers, numbers, vector(MOTORS), vector(MOTORS),
 )  # fmt: skip
 
 
@@ -76,6 +79,71 @@ def test_low_states_are_what_cyclonedds_writes_and_come_back(fields):
     assert (theirs.tick, theirs.power_v, theirs.power_a) == (fields.tick, fields.power_v, fields.power_a)
     assert plain(theirs.wireless_remote) == tuple(fields.wireless_remote)
     assert plain(theirs.imu_state)[:4] == (fields.quaternion, fields.gyroscope, fields.accelerometer, fields.rpy)
+    motors = theirs.motor_state[:MOTORS]
+    assert tuple(motor.q for motor in motors) == fields.angles
+    assert tuple(motor.dq for motor in motors) == fields.rates
+    assert {motor.mode for motor in motors} == {1}
+    assert plain(theirs.motor_state[MOTORS]) == (0,) * 10 + ((0, 0),)
+
+
+BITS = {"byte": ctypes.c_uint8, "int16": ctypes.c_int16, "uint16": ctypes.c_uint16, "int32": ctypes.c_int32,
+        "uint32": ctypes.c_uint32, "float32": ctypes.c_float}  # fmt: skip
+
+
+def as_c(kind):
+    """The type of a member as a C++ compiler lays it out."""
+    if dataclasses.is_dataclass(kind):
+        members = [(field.name, as_c(kind.__annotations__[field.name])) for field in dataclasses.fields(kind)]
+        return type(kind.__name__, (ctypes.Structure,), {"_fields_": members})
+    said = typing.get_args(kind)[-1]
+    if isinstance(said, idl_types.array):
+        return as_c(said.subtype) * said.length
+    return BITS[said]
+
+
+def fill(there, value):
+    for name, *_ in there._fields_:
+        part = getattr(value, name)
+        if dataclasses.is_dataclass(part):
+            fill(getattr(there, name), part)
+        elif isinstance(part, list | tuple | bytes):
+            for index, each in enumerate(part):
+                if dataclasses.is_dataclass(each):
+                    fill(getattr(there, name)[index], each)
+                else:
+                    getattr(there, name)[index] = each
+        else:
+            setattr(there, name, part)
+
+
+def bit_by_bit(words):
+    """The checksum as Unitree's SDK for C++ goes through words: the polynomial of CRC-32, highest bits first."""
+    crc = 0xFFFFFFFF
+    for word in words:
+        for bit in range(31, -1, -1):
+            carry = (crc >> 31) ^ (word >> bit & 1)
+            crc = (crc << 1 & 0xFFFFFFFF) ^ (0x04C11DB7 if carry else 0)
+    return crc
+
+
+@settings(max_examples=10, deadline=None)
+@given(lows)
+def test_the_checksum_is_that_of_the_message_as_a_compiler_lays_it_out(fields):
+    theirs = idl.LowState.deserialize(fields.to_bytes())
+    there = as_c(idl.LowState)()
+    fill(there, theirs)
+    assert ctypes.sizeof(there) == 1180
+    assert type(there).crc.offset == 1176
+    words = np.frombuffer(bytes(there), "<u4")[:-1]
+    assert theirs.crc == bit_by_bit(words.tolist()) != 0
+
+
+def test_the_checksum_is_crc_32_mpeg_2():
+    """Which has a published check value, of the text 123456789: two words and eight bits."""
+    crc = checksum(np.frombuffer(b"12345678", ">u4").astype("<u4").tobytes()) ^ ord("9") << 24
+    for _ in range(8):
+        crc = (crc << 1 & 0xFFFFFFFF) ^ (0x04C11DB7 if crc >> 31 else 0)
+    assert crc == 0x0376E6E7
 
 
 @given(states, st.booleans())

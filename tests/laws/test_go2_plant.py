@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import DeviceError
+from eagor.robots.go2.legs import AHEAD, ASIDE, JOINTS, LINK, joint_angles
 from eagor.robots.go2.plant import LIMP, LOCKED, LYING, STANDING, WALKING, Plant, PlantSettings
 from eagor.robots.go2.sim_state import sport_fields
 from eagor.robots.go2.state import BodyState
@@ -157,6 +158,55 @@ def test_what_it_says_of_its_body_is_its_odometry(command, seed, stamp):
     assert state.robot_stamp == pytest.approx(stamp, abs=1e-6)
     assert (state.yaw_rate, state.mode) == (said.yaw_rate, said.mode)
     np.testing.assert_allclose(np.linalg.norm(state.accelerometer), 9.81)
+
+
+def feet(angles):
+    """Forward kinematics of a Go2's legs: the feet from the hips, axes of the body, ``(4, 3)`` metres."""
+    found = []
+    for hip, thigh, calf in np.reshape(angles, (4, 3)):
+        upper = Rotation.from_euler("x", hip) * Rotation.from_euler("y", thigh)
+        down = np.array([0.0, 0.0, -LINK])
+        found.append(upper.apply(down) + (upper * Rotation.from_euler("y", calf)).apply(down))
+    return np.array(found)
+
+
+speeds = st.tuples(st.floats(-0.8, 0.8), st.floats(-0.4, 0.4), st.floats(-1.5, 1.5))
+
+
+@given(speeds, st.floats(0, 6.28), st.floats(0.2, 0.34))
+def test_feet_on_the_floor_stay_where_they_are_and_diagonal_ones_go_together(velocity, phase, height):
+    trot, dt = 3.0, 1e-6
+    now = feet(joint_angles(height, velocity, phase, trot, 1.0))
+    later = feet(joint_angles(height, velocity, phase + 2 * math.pi * trot * dt, trot, 1.0))
+    lifted = now[:, 2] > -height + 1e-9
+    assert lifted[0] == lifted[3]
+    assert lifted[1] == lifted[2]
+    hips = np.array([[AHEAD, -ASIDE], [AHEAD, ASIDE], [-AHEAD, -ASIDE], [-AHEAD, ASIDE]])
+    if min(abs(phase % math.pi - edge) for edge in (0.0, math.pi)) > 0.01:  # where feet come down and go up
+        assert lifted.sum() == 2
+        for foot in np.flatnonzero(~lifted):
+            moves = (later[foot, :2] - now[foot, :2]) / dt
+            carried = np.array([velocity[0] - velocity[2] * hips[foot, 1], velocity[1] + velocity[2] * hips[foot, 0]])
+            np.testing.assert_allclose(moves, -carried, atol=1e-6)
+            assert now[foot, 2] == pytest.approx(-height)
+
+
+def test_the_joints_of_a_body_are_those_of_its_posture_and_move_as_it_walks():
+    body = plant()
+    assert len(JOINTS) == 12
+    np.testing.assert_allclose(feet(body.joints), np.tile([0, 0, -0.32], (4, 1)), atol=1e-12)
+    assert max(abs(angle) for angle in np.reshape(body.joints, (4, 3))[:, 0]) < 1e-12
+    standing = body.joints
+    run(body, 1.0, (0.4, 0.0, 0.0))
+    walking = []
+    for _ in range(60):
+        run(body, STEP, (0.4, 0.0, 0.0))
+        walking.append(body.joints)
+    assert np.ptp(walking, axis=0)[1::3].min() > 0.1  # every thigh
+    run(body, 4.0)
+    np.testing.assert_allclose(body.joints, standing, atol=0.01)
+    body.stand_down()
+    assert all(calf < -2.7 for calf in body.joints[2::3])  # folded
 
 
 def test_odometry_drifts_per_metre_and_per_radian_as_stated():

@@ -2,15 +2,19 @@
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError
+from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.safety import Body, Gate, Inputs, Limits, Mode, State, Velocity
 from eagor.robots.safety.faults import faults_of
 from eagor.robots.safety.gate import Stop
+from eagor.robots.safety.rhythm import heard, look_age, picture_age
 
 LIMITS = Limits()
 PERIOD = LIMITS.period
@@ -211,6 +215,73 @@ def test_the_command_is_zero_before_it_is_stale(early, more):
     assert output.mode is Mode.STANDING
 
 
+def play_looks(stamps, until):
+    """The gate's steps while looks are captured at `stamps`, each heard of `arrives` seconds later: time and output."""
+    gate, state, now, steps = Gate(armed=True), State(), 0.0, []
+    while now < until:
+        now += PERIOD
+        newest = max((stamp for stamp, arrives in stamps if arrives <= now), default=None)
+        body = Body(now, 0.0, 0.0, 0.8 * state.sent.forward, 0.8 * state.sent.turn)
+        state, output = gate.step(state, now, good(now, belief=newest, body=body, acknowledged=state.stops))
+        steps.append((now, output))
+    return steps
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.05, 1.4), st.floats(0.05, 1.0), st.integers(8, 12), st.floats(0, 1))
+def test_a_perception_that_hangs_stops_the_robot_after_three_of_its_usual_intervals(interval, share, looks, odd):
+    """Looks take a share of the interval; one of them takes twice as long. Then no more come."""
+    stamps, at = [], 1.0
+    for index in range(looks):
+        stamps.append((at, at + share * interval))
+        at += interval * (2 if index == int(odd * (looks - 2)) else 1)
+    (last, arrives), allowed = stamps[-1], min(LIMITS.belief_age, max(0.5, 3 * interval))
+    steps = play_looks(stamps, last + 4.0)
+    hangs = [now for now, output in steps if output.faults and now > arrives + PERIOD]
+    assert hangs[0] - last == pytest.approx(allowed, abs=3 * PERIOD)
+    assert not any(moves(output) for now, output in steps if now >= hangs[0])
+    before = [now for now, output in steps if output.faults and stamps[0][1] < now < hangs[0]]
+    assert not before or interval * (2 + share) > LIMITS.belief_age  # so slow that a look comes too late even so
+
+
+def test_looks_that_overlap_may_be_older_than_three_intervals():
+    stamps = [(0.1 * index, 0.1 * index + 1.5) for index in range(60)]
+    steps = play_looks(stamps, 9.0)
+    assert moves(next(output for now, output in steps if now > 7.0))
+    hangs = next(now for now, output in steps if now > 7.0 and output.faults)
+    assert hangs - stamps[-1][0] == pytest.approx(1.5 + 2 * 0.1, abs=2 * PERIOD)
+
+
+@given(st.lists(st.tuples(st.one_of(st.none(), odd, st.floats(-5, 5)), st.one_of(odd, st.floats(0, 5))), max_size=30))
+def test_no_stamps_allow_more_than_the_limit_or_less_than_half_a_second(words):
+    rhythm = ()
+    for stamp, now in words:
+        rhythm = heard(rhythm, stamp, now)
+        assert len(rhythm) <= 9
+        assert all(before[0] < after[0] <= after[1] + 0.01 for before, after in pairwise(((-math.inf, 0), *rhythm)))
+        assert 0.5 <= look_age(rhythm, 3.0) <= 3.0
+        assert look_age(rhythm, 0.3) == 0.3
+        assert 0.19 <= picture_age(rhythm, 1.0) <= 1.0
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.03, 0.4), st.floats(0.0, 0.3), st.floats(0, 1))
+def test_a_camera_that_ends_stops_the_robot_within_two_intervals(interval, latency, moment):
+    gate, state, now, begun = Gate(armed=True), State(), 0.0, None
+    ends = 4.0 + moment * interval
+    while begun is None:
+        now += PERIOD
+        newest = math.floor((min(now, ends) - latency) / interval) * interval  # what is on its way is lost
+        body = Body(now, 0.0, 0.0, 0.8 * state.sent.forward, 0.8 * state.sent.turn)
+        state, output = gate.step(state, now, good(now, image=newest, body=body, acknowledged=state.stops))
+        if now > 3 and output.faults:
+            begun = now
+        else:
+            assert now < 3 or moves(output)
+    assert 0 < begun - ends <= max(0.2, 2 * interval) + 2 * PERIOD
+    assert [fault.name for fault in output.faults] == ["image"]
+
+
 def test_walking_needs_presence_turning_does_not():
     gate, state, now = Gate(armed=True), State(), 0.0
     for _ in range(60):
@@ -240,6 +311,87 @@ def test_a_robot_that_ignores_what_it_is_told_gets_little_until_it_moves():
     now += PERIOD
     state, output = gate.step(state, now, good(now, body=Body(now, 0, 0, 0.1, 0.2)))
     assert LIMITS.creep < output.send.forward < LIMITS.creep + 0.02
+
+
+def walk_a_go2(plant, wanted, seconds, told=lambda now: None):
+    """The gate's steps with a Go2's body: `wanted(now)` is wanted; `told(now)` is what somebody else commands."""
+    gate, state, now, steps = Gate(armed=True), State(), 0.0, []
+    while now < seconds:
+        now += PERIOD
+        truth = plant.truth
+        speed = float(np.hypot(*truth.velocity[:2]))
+        body = Body.of(now, truth.pose.world_R_body, speed, truth.yaw_rate)
+        state, output = gate.step(state, now, good(now, wanted(now), body=body, acknowledged=state.stops))
+        if isinstance(output.send, Stop):
+            plant.stop()
+        elif output.send is not None:
+            plant.move(*output.send.parts)
+        if (other := told(now)) is not None:
+            plant.move(*other)
+        for _ in range(round(PERIOD / plant.settings.step)):
+            plant.advance()
+        steps.append((now, output))
+    return steps
+
+
+def strays(output):
+    return any(fault.name == "follow" for fault in output.faults)
+
+
+wishes = st.tuples(st.floats(-0.2, 0.5), st.floats(-0.3, 0.3), st.floats(-0.8, 0.8))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(wishes, min_size=1, max_size=6), st.floats(0.7, 1.05), st.floats(0.1, 0.45), st.floats(0.05, 0.25))
+def test_a_go2_that_does_what_it_is_told_is_never_taken_for_one_that_does_not(wanted, gain, lag, dead):
+    body = PlantSettings(gain=(gain, gain, gain), lag=lag, dead_time=dead)
+    steps = walk_a_go2(
+        Plant(body, np.random.default_rng(0)), lambda now: Velocity(*wanted[int(now / 1.3) % 6 % len(wanted)]), 9.0
+    )
+    assert not any(strays(output) for _, output in steps)
+    assert any(moves(output) for _, output in steps) or all(abs(value) < 0.01 for each in wanted for value in each)
+
+
+@pytest.mark.parametrize("other", [(0.0, 0.0, 0.0), (0.5, 0.0, -0.6), (1.5, 0.0, 0.4), (-0.5, 0.0, -0.4)])
+def test_a_robot_that_somebody_else_commands_is_stood_down_soon_and_for_a_while(other):
+    """The other one speaks last, from the third second on: the body does what that one wants."""
+    begun, ends = 3.0, 6.0
+    steps = walk_a_go2(
+        Plant(PlantSettings(), np.random.default_rng(0)), lambda now: Velocity(0.5, 0.0, 0.4), 12.0,
+        lambda now: other if begun < now < ends else None,
+    )  # fmt: skip
+    noticed = next(now for now, output in steps if strays(output))
+    assert begun + LIMITS.follow < noticed < begun + LIMITS.follow + 0.7  # the body needs a while to show it
+    stood = [now for now, output in steps if now >= noticed and not moves(output)]
+    assert all(not moves(output) for now, output in steps if noticed <= now < noticed + LIMITS.aside)
+    assert len(stood) * PERIOD >= LIMITS.aside
+    assert moves(steps[-1][1])  # and it goes on when the other one has gone
+
+
+def test_a_robot_that_walks_around_obstacles_by_itself_may_do_something_else():
+    gate, state, now = Gate(armed=True, obeys=False), State(), 0.0
+    for _ in range(300):
+        now += PERIOD
+        state, output = gate.step(state, now, good(now, body=Body(now, 0.0, 0.0, 0.1, -0.6)))
+    assert moves(output)
+
+
+@given(st.floats(0.21, 20.0))
+def test_a_gate_that_was_away_stops_first_and_needs_a_new_command(away):
+    gate, state, now = Gate(armed=True), State(), 0.0
+    for _ in range(60):
+        now += PERIOD
+        state, output = gate.step(state, now, good(now))
+    assert moves(output)
+    now += away
+    state, output = gate.step(state, now, good(now))
+    assert isinstance(output.send, Stop)
+    assert "the guard itself was away" in output.reasons[0]
+    for _ in range(60):
+        now += PERIOD
+        old = state.barrier if math.isfinite(state.barrier) else now - PERIOD
+        state, output = gate.step(state, now, good(now, command=old, acknowledged=state.stops))
+        assert not moves(output)
 
 
 def test_a_stop_that_is_acknowledged_goes_on_while_the_robot_moves():

@@ -49,5 +49,7 @@ def _words(report: Report) -> dict[str, str]:
         found["battery"] = f"{report.battery} %, {report.volts:.1f} V"
     if report.sport_version is not None and report.answer is not None:
         found["walking service"] = f"version {report.sport_version}, answers in {1000 * report.answer:.1f} ms"
+    if report.commands:
+        found["commands of others"] = str(report.commands)
     found["cameras"] = ", ".join(report.cameras) or "none on DDS"
     return found

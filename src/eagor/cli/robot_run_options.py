@@ -47,7 +47,10 @@ class RobotRun(Common):
     calm: Annotated[tuple[int, ...], bare("CODE ...")] = ()
     """Error codes of the robot that are no error: some firmware tells its mode there."""
     belief_age: Annotated[float, arg(metavar="SECONDS")] = 3.0
-    """Age of the newest look beyond which it stands. A detector needs less than half of that per look."""
+    (
+        "Age of the newest look beyond which it stands, at most: three usual intervals between looks are less for a "
+        "quick detector. A detector needs less than half of that per look."
+    )
     seconds: Annotated[float | None, bare("SECONDS")] = None
     """Stop after this time (default: 120 with --sim, else at Ctrl-C)."""
     stay: Flag = False

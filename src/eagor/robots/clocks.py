@@ -8,14 +8,16 @@ clock is read.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 from eagor._checks import checked_stamp
 
-__all__ = ["ClockOffset", "Jump", "RelatedClock"]
+__all__ = ["ClockOffset", "Jump", "Lateness", "RelatedClock"]
 
 WINDOW = 60.0  # seconds for which the quickest message counts
+LONG_WINDOW = 600.0  # the same, for delays: what grows more slowly than a limit of 0.1 s in that time is like drift
 DRIFT = 1e-4  # seconds per second: a poor quartz, 100 ppm
 JUMP = 0.1  # seconds: a larger step is a clock that was set; smaller ones are delays
 CONFIRMED = 3  # messages in a row that have to agree on a jump
@@ -47,12 +49,15 @@ class ClockOffset:
 
     `window`: seconds for which a message counts; `drift`: by how much the clocks may part, seconds per second; `jump`:
     seconds from which a step is a jump. A jump is believed once `CONFIRMED` messages in a row agree on it (they come
-    too early, or their stamps went back), or once messages are late alike for `SETTLED` seconds. Until then, and for
-    single wrong stamps, nothing changes. Memory is bounded: only messages that may still become the quickest are kept.
+    too early, or their stamps went back), or once messages are late alike for `settled` seconds; infinite: messages
+    that are late never count as a clock that was set. Until then, and for single wrong stamps, nothing changes. Memory
+    is bounded: only messages that may still become the quickest are kept.
     """
 
-    def __init__(self, window: float = WINDOW, drift: float = DRIFT, jump: float = JUMP) -> None:
-        self.window, self.drift, self.jump = window, drift, jump
+    def __init__(
+        self, window: float = WINDOW, drift: float = DRIFT, jump: float = JUMP, settled: float = SETTLED
+    ) -> None:
+        self.window, self.drift, self.jump, self.settled = window, drift, jump, settled
         self._quickest: deque[tuple[float, float]] = deque()  # arrival, arrival - stamp; later ones are less quick
         self._strange: _Strange | None = None
         self._last = 0.0  # stamp of the newest message that fits
@@ -83,7 +88,7 @@ class ClockOffset:
             odd = self._strange = _Strange(stamp, arrival, 0, (arrival, late))
         odd.count += 1
         odd.quickest = min(odd.quickest, (arrival, late), key=lambda each: each[1])
-        settled = arrival - odd.since >= SETTLED
+        settled = arrival - odd.since >= self.settled
         if odd.count < CONFIRMED or not (settled or self._impossible(odd.stamp, *odd.quickest)):
             return None
         jump = Jump(self._at(arrival) - odd.quickest[1], odd.stamp)
@@ -110,6 +115,25 @@ class ClockOffset:
         while self._quickest[0][0] < arrival - self.window:
             self._quickest.popleft()
         self._strange, self._last, self._now = None, stamp, arrival
+
+
+class Lateness:
+    """How much later than the quickest messages come, from their own stamps: a delay that grows is noticed.
+
+    Clocks may drift by `DRIFT`, so that a delay that grows as slowly is taken for that.
+    """
+
+    def __init__(self) -> None:
+        self._clock = ClockOffset(window=LONG_WINDOW, settled=math.inf)
+
+    def of(self, stamp: float, arrival: float) -> float:
+        """Seconds. `stamp`: of the other clock, 0 if that tells no time; `arrival`: on ours."""
+        if stamp <= 0:
+            return 0.0
+        self._clock.add(stamp, arrival)
+        offset = self._clock.offset
+        assert offset is not None
+        return max(0.0, arrival - stamp - offset)
 
 
 class RelatedClock:

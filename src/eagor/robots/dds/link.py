@@ -96,16 +96,18 @@ class Link:
         reliable: bool = False,
         depth: int = 10,
         transient: bool = False,
+        own: bool = True,
     ) -> Reader:
         """Call ``received(message, when)`` for every message, in a thread; `when` is ``time.time()`` at arrival.
 
         An exception in `received`, or a message that cannot be decoded, is told once as a `UserWarning`, and counted
         (`Reader.damaged`). A best-effort reader (default) takes from every writer, a reliable one from reliable ones.
+        `own`: also what this link itself writes.
         """
         from cyclonedds.sub import DataReader
 
         made = self._topic(topic, kind)
-        qos = _qos(reliable, depth, transient, hash_of(kind) if isinstance(kind, str) else b"")
+        qos = _qos(reliable, depth, transient, hash_of(kind) if isinstance(kind, str) else b"", own)
         reader = Reader(topic, kind, DataReader(self.participant, made, qos), received)
         self._parts.append(reader)
         return reader
@@ -301,7 +303,7 @@ def _settle(domain: int, interface: str | None) -> None:
             ) from error
 
 
-def _qos(reliable: bool, depth: int, transient: bool, user_data: bytes) -> Any:
+def _qos(reliable: bool, depth: int, transient: bool, user_data: bytes, own: bool = True) -> Any:
     from cyclonedds.core import Policy
     from cyclonedds.qos import Qos
     from cyclonedds.util import duration
@@ -310,6 +312,7 @@ def _qos(reliable: bool, depth: int, transient: bool, user_data: bytes) -> Any:
         Policy.Reliability.Reliable(duration(seconds=BLOCKED)) if reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if transient else Policy.Durability.Volatile,
         Policy.History.KeepLast(depth),
+        Policy.IgnoreLocal.Nothing if own else Policy.IgnoreLocal.Participant,
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.Userdata(user_data),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 from eagor.robots.go2.low import Go2Low
+from eagor.robots.go2.others import Others
 from eagor.robots.go2.sport import OK, SportClient, in_words
 from eagor.robots.go2.state import MODES, SOURCES, BodyState, Go2State
 from eagor.robots.go2.wire import LONG
@@ -19,6 +20,7 @@ __all__ = ["Report", "examine"]
 SLOW = {SOURCES["sport"]: 100.0, SOURCES["slow"]: 10.0}  # messages per second: less is a bad network
 FINDING = 1.0  # seconds in which processes find each other
 LATE = 0.05  # seconds by which one state in a hundred may come later than the quickest
+MOVES, LONG_ENOUGH = (0.15, 0.2), 0.5  # m/s and rad/s beyond which a robot moves; seconds of that in a row
 EMPTY = 15  # per cent of charge below which a walk may end on the way
 PICTURES = ("sensor_msgs::msg::dds_::CompressedImage_", "sensor_msgs::msg::dds_::Image_")
 
@@ -29,7 +31,7 @@ class Report:
 
     `rates`: messages per second by topic. `clock`: seconds by which the robot's clock is ahead of this machine's, as
     the quickest message tells. `lateness`: seconds after the quickest, median and 99 of 100. `answer`: seconds to
-    the answer of a question. None where nothing was heard.
+    the answer of a question. `commands`: how many were sent by others meanwhile. None where nothing was heard.
     """
 
     topics: dict[str, str]
@@ -43,6 +45,7 @@ class Report:
     volts: float | None = None
     sport_version: str | None = None
     answer: float | None = None
+    commands: int = 0
     cameras: tuple[str, ...] = ()
     problems: tuple[str, ...] = field(default=())
 
@@ -55,7 +58,7 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
     topics = link.topics(FINDING)  # before this process writes any itself
     states: list[BodyState] = []
     odometry = {name: Go2State(link, name, received=states.append if name == "sport" else None) for name in SOURCES}
-    low, sport = Go2Low(link), SportClient(link)
+    low, sport, others = Go2Low(link), SportClient(link), Others(link)
     time.sleep(FINDING)  # until readers and writers have found each other
     before = {name: source.count for name, source in odometry.items()}
     states.clear()
@@ -92,6 +95,7 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
         )
     if newest is not None and newest.error_code:
         problems.append(f"the robot reports error {newest.error_code}: look at its own app")
+    problems += _commanded(others, states)
     version, answer, trouble = _asked(sport)
     if trouble:
         problems.append(trouble)
@@ -101,7 +105,7 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
     elif reading.soc < EMPTY:
         problems.append(f"the battery is at {reading.soc} %: charge it before a walk")
     offset = main.clock.offsets.offset
-    for part in (*odometry.values(), low, sport):
+    for part in (*odometry.values(), low, sport, others):
         part.close()
     return Report(
         topics,
@@ -115,6 +119,7 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
         volts=None if reading is None else reading.volts,
         sport_version=version,
         answer=answer,
+        commands=others.count,
         cameras=tuple(topic for topic, kind in topics.items() if kind in PICTURES),
         problems=tuple(problems),
     )
@@ -140,6 +145,22 @@ def _slow(rates: dict[str, float]) -> list[str]:
         for topic, least in SLOW.items()
         if rates.get(topic, least) < least
     ]
+
+
+def _commanded(others: Others, states: list[BodyState]) -> list[str]:
+    """Whether somebody else commands the robot: on its topics, or because it moves and nobody here told it to."""
+    if others.newest is not None:
+        return [
+            f"somebody else commands this robot ({others.count} times, the last {others.newest.words}): end that "
+            "program or app, for a robot obeys whoever spoke last"
+        ]
+    since = None
+    for state in states:
+        if state.speed <= MOVES[0] and abs(state.yaw_rate) <= MOVES[1]:
+            since = None
+        elif state.received - (since := state.received if since is None else since) >= LONG_ENOUGH:
+            return ["the robot moves although nobody tells it to on its topics: is it led by its remote control?"]
+    return []
 
 
 def _asked(sport: SportClient) -> tuple[str | None, float | None, str | None]:

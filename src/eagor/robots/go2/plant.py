@@ -17,6 +17,7 @@ import numpy as np
 from eagor._checks import require, stretch, within
 from eagor.errors import DeviceError
 from eagor.robots.frames import Pose
+from eagor.robots.go2.legs import joint_angles
 
 __all__ = ["STANDING", "WALKING", "Ahead", "Motion", "Plant", "PlantSettings", "Slide"]
 
@@ -116,6 +117,12 @@ class Plant:
     def seconds(self) -> float:
         """Since the start."""
         return self.steps * self.settings.step
+
+    @property
+    def joints(self) -> tuple[float, ...]:
+        """The angles of the legs' joints (`eagor.robots.go2.legs.JOINTS`), radians."""
+        forward, left, turn = (float(value) for value in self._speed)
+        return joint_angles(self._height, (forward, left, turn), self._phase, self.settings.trot, self._rocking)
 
     # --- commands: whether the robot takes them, as it says itself ---
 
@@ -217,6 +224,10 @@ class Plant:
         self._before = self._attitude
         self._attitude = self._leaning(self._yaw)
 
+    @property
+    def _height(self) -> float:
+        return self.settings.height * (0.25 if self.mode in (LYING, LIMP) else 1.0)
+
     def _leaning(self, yaw: float) -> np.ndarray:
         lean = self.settings.tilt * self._rocking
         return _turned(yaw, lean * math.sin(self._phase + 1.0), lean * math.sin(self._phase))
@@ -238,12 +249,11 @@ class Plant:
         return self._motion(self._believed_xy, self._leaning(self._believed_yaw), speed)
 
     def _motion(self, xy: np.ndarray, attitude: np.ndarray, velocity: np.ndarray) -> Motion:
-        height = self.settings.height * (0.25 if self.mode in (LYING, LIMP) else 1.0)
         turn = self._before.T @ self._attitude
         # For the small turn of one step the antisymmetric part is the rotation vector (to 1e-6 of it).
         rates = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         rates /= 2 * self.settings.step
-        pose = Pose(self.seconds, attitude, np.array([*xy, height]))
+        pose = Pose(self.seconds, attitude, np.array([*xy, self._height]))
         return Motion(pose, np.array([*velocity, 0.0]), rates, float(self._speed[2]), self.mode)
 
 

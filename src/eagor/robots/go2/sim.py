@@ -22,7 +22,7 @@ from eagor.robots.go2.house import House, Thing, ball_of, load_house
 from eagor.robots.go2.plant import Motion, Plant, PlantSettings
 from eagor.robots.go2.sim_camera import CameraSettings, SimulatedCamera
 from eagor.robots.go2.sim_state import sport_fields
-from eagor.robots.go2.sport import OK
+from eagor.robots.go2.sport import OK, checked_velocity
 from eagor.robots.go2.state import BodyState
 from eagor.robots.go2.wire import SportFields
 from eagor.robots.go2.wire_settings import WireSettings
@@ -127,10 +127,9 @@ class SimulatedGo2:
     # --- commands ---
 
     def move(self, vx: float, vy: float, wz: float) -> int:
-        """Walk forward and left (m/s), turn left (rad/s), for about a second."""
-        if not all(map(math.isfinite, (vx, vy, wz))):
-            raise DeviceError(f"velocities {(vx, vy, wz)}; wanted three finite numbers")
-        return self._do(lambda: self.plant.move(vx, vy, wz))
+        """Walk forward and left (m/s), turn left (rad/s), for about a second. Raises `DeviceError` for NaN."""
+        wanted = checked_velocity(vx, vy, wz)
+        return self._do(lambda: self.plant.move(*wanted))
 
     def stop(self) -> int:
         """Stand still."""

@@ -18,7 +18,9 @@ from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 from eagor.robots.go2.low import Remote
 from eagor.robots.go2.plant import Motion, Plant
+from eagor.robots.go2.sim_services import NOT_KNOWN, VERSIONS, ServiceError, Switches
 from eagor.robots.go2.sim_state import odometry_of, sport_fields
+from eagor.robots.go2.sport import checked_velocity
 from eagor.robots.go2.wire import LowFields, raw
 from eagor.robots.go2.wire_settings import WireSettings
 
@@ -26,8 +28,7 @@ __all__ = ["TRUTH", "Go2Server"]
 
 TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry): no robot has this topic
 SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
-VERSIONS = {"sport": "1.0.0.1", "obstacles_avoid": "1.0.0.2"}
-NOT_KNOWN, NOT_UNDERSTOOD = 3203, 3204
+NOT_UNDERSTOOD = 3204
 KEPT = 1000  # requests
 LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
 
@@ -57,6 +58,8 @@ class Go2Server:
         self.skipped = 0  # steps that no state tells of: this machine was too slow
         self._rng = rng or np.random.default_rng()
         self._every_step = every_step
+        self.switches = Switches(plant)
+        self._joints, self._told = plant.joints, plant.steps  # at the last message of the motors
         self._avoid = {"enable": False, "is_remote_commands_from_api": False}
         self._turn = threading.RLock()
         self._ended = threading.Event()
@@ -153,10 +156,14 @@ class Go2Server:
             self._send("rt/utlidar/robot_odom", odometry_of(believed, robot))
             self._send(TRUTH, odometry_of(truth, host, "world"))
         battery = self.wire.battery - int(truth.pose.stamp / 60)  # a full battery lasts for an hour and a half or so
+        joints, gone = self.plant.joints, self.plant.settings.step * max(1, steps - self._told)
+        rates = tuple((now - before) / gone for now, before in zip(joints, self._joints, strict=True))
+        self._joints, self._told = joints, steps
         low = LowFields(
             fields.quaternion, fields.gyroscope, fields.accelerometer, fields.rpy,
             soc=max(0, battery), current=-3000, tick=int(1000 * truth.pose.stamp),
             wireless_remote=self.remote.to_bytes(), power_v=29.0, power_a=3.0,
+            angles=joints, rates=rates,
         ).to_bytes()  # fmt: skip
         self._send("rt/lowstate", self._low(low))
         if slow:
@@ -165,7 +172,7 @@ class Go2Server:
     # --- requests ---
 
     def _request(self, service: str, request: Any) -> None:
-        if self._lost():
+        if self._lost() or not self.switches.answers(service):
             return
         identity = request.header.identity
         code, data = self._obey(service, identity.api_id, request.parameter)
@@ -184,8 +191,14 @@ class Go2Server:
             with self._turn:
                 self._requests.append((service, api_id, asked))
                 self.asked += 1
-                return (self._sport if service == "sport" else self._avoiding)(api_id, asked)
-        except (ValueError, KeyError, TypeError, AttributeError):
+                if service == "sport":
+                    return self._sport(api_id, asked)
+                if service == "obstacles_avoid":
+                    return self._avoiding(api_id, asked)
+                return 0, self.switches.obey(service, api_id, asked)
+        except ServiceError as error:
+            return error.code, ""
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, DeviceError):
             return NOT_UNDERSTOOD, ""
 
     def _sport(self, api_id: int, asked: dict[str, Any]) -> tuple[int, str]:
@@ -194,7 +207,7 @@ class Go2Server:
             1005: self.plant.stand_down, 1006: self.plant.recover,
         }  # fmt: skip
         if api_id == 1008:
-            self.plant.move(float(asked["x"]), float(asked["y"]), float(asked["z"]))
+            self.plant.move(*checked_velocity(asked["x"], asked["y"], asked["z"]))
         elif api_id in plain:
             plain[api_id]()
         else:
@@ -207,8 +220,9 @@ class Go2Server:
         elif api_id == 1002:
             return 0, json.dumps({"enable": self._avoid["enable"]})
         elif api_id == 1003:
+            wanted = checked_velocity(asked["x"], asked["y"], asked["yaw"])
             if all(self._avoid.values()) and asked.get("mode", 0) == 0:
-                self.plant.move(float(asked["x"]), float(asked["y"]), float(asked["yaw"]), careful=True)
+                self.plant.move(*wanted, careful=True)
         elif api_id == 1004:
             self._avoid["is_remote_commands_from_api"] = bool(asked["is_remote_commands_from_api"])
         else:

@@ -7,7 +7,6 @@ to 1032, 2041 to 2047) have no way out of this module.
 from __future__ import annotations
 
 import json
-import math
 import threading
 import time
 from typing import Any
@@ -15,9 +14,21 @@ from typing import Any
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 
-__all__ = ["ALLOWED", "CODES", "OK", "SEND", "TIMEOUT", "AvoidClient", "Service", "SportClient", "in_words"]
+__all__ = [
+    "ALLOWED",
+    "CODES",
+    "OK",
+    "SEND",
+    "TIMEOUT",
+    "AvoidClient",
+    "Service",
+    "SportClient",
+    "checked_velocity",
+    "in_words",
+]
 
 OK, SEND, TIMEOUT = 0, 3102, 3104
+FLOAT32 = 3.4028234663852886e38  # the largest number of 32 bits
 API_VERSION = 1
 BALANCE_STAND, STOP_MOVE, STAND_UP, STAND_DOWN, MOVE = 1002, 1003, 1004, 1005, 1008
 AVOID_SET, AVOID_GET, AVOID_MOVE, AVOID_FROM_API = 1001, 1002, 1003, 1004
@@ -160,7 +171,7 @@ class SportClient(Service):
 
     def move(self, vx: float, vy: float, wz: float) -> int:
         """Walk forward and left (metres per second), turn left (radians per second). Raises `DeviceError` for NaN."""
-        x, y, z = _finite(vx, vy, wz)
+        x, y, z = checked_velocity(vx, vy, wz)
         return self.tell(MOVE, {"x": x, "y": y, "z": z})
 
     def stop(self) -> int:
@@ -204,7 +215,7 @@ class AvoidClient(Service):
 
     def move(self, vx: float, vy: float, wz: float) -> int:
         """As `SportClient.move`; the robot goes around obstacles, or stops before them."""
-        x, y, yaw = _finite(vx, vy, wz)
+        x, y, yaw = checked_velocity(vx, vy, wz)
         return self.tell(AVOID_MOVE, {"x": x, "y": y, "yaw": yaw, "mode": 0})
 
     def stop(self) -> int:
@@ -220,8 +231,9 @@ class AvoidClient(Service):
         return OK
 
 
-def _finite(*values: float) -> tuple[float, ...]:
-    numbers = tuple(float(value) for value in values)
-    if not all(map(math.isfinite, numbers)):
-        raise DeviceError(f"velocities {numbers}; wanted three finite numbers")
-    return numbers
+def checked_velocity(vx: float, vy: float, wz: float) -> tuple[float, float, float]:
+    """The three as floats. Raises `DeviceError` for what is no number of 32 bits, with which a robot computes."""
+    x, y, z = numbers = float(vx), float(vy), float(wz)
+    if not all(abs(number) <= FLOAT32 for number in numbers):  # neither does NaN
+        raise DeviceError(f"velocities {numbers}; wanted three finite numbers of 32 bits (m/s, m/s, rad/s)")
+    return x, y, z

@@ -7,14 +7,17 @@ one decoder reads both; types that cyclonedds decodes fit one form only.
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from eagor.errors import FormatError
 from eagor.robots.dds.ros_types import Encoded
 
-__all__ = ["LONG", "LOW", "SHORT", "LowFields", "SportFields", "raw"]
+__all__ = ["LONG", "LOW", "MOTORS", "SHORT", "LowFields", "SportFields", "checksum", "raw"]
 
 _STATE = "iI I 4f 3f 3f 3f B B2x f B3x f 3f f 3f f 4f 4h 12f 12f"
 _MOTOR = "7f B3x I 2I"
@@ -24,6 +27,10 @@ _LOW = (
     + f"B3x {_MOTOR} " * 19
     + "4B i H 2B 2B 15H 4h 4h I 40s B3x f 2B2x 2f 4H I I"
 )
+# The same members as a C++ compiler lays them out, which is what the checksum is of: structures begin at 4 bytes.
+_LOW_NATIVE = "4B 4I H2x 13f B3x " + "B3x 7f B3x 3I" * 20 + "4B i H 4B 15H 8h I 40s B3x f 2B2x 2f 4H I"
+_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))  # bytes with their bits from right to left
+MOTORS = 12  # of 20 places in the message: three joints of four legs
 _PATH = 280  # bytes of the planned path: ten points of seven numbers
 _HEAD = 4  # bytes before the message: how it is written
 _LITTLE, _BIG = (b"\x00\x01", b"\x00\x07"), (b"\x00\x00", b"\x00\x06")  # CDR and plain CDR 2: alike for such members
@@ -104,6 +111,8 @@ class LowFields:
     wireless_remote: bytes = field(default=bytes(40))
     power_v: float = 0.0  # volts
     power_a: float = 0.0  # amperes
+    angles: tuple[float, ...] = (0.0,) * MOTORS  # radians, of the motors as in `eagor.robots.go2.legs.JOINTS`
+    rates: tuple[float, ...] = (0.0,) * MOTORS  # radians per second
 
     @classmethod
     def from_bytes(cls, data: bytes) -> LowFields:
@@ -111,7 +120,7 @@ class LowFields:
         if len(data) != LOW:
             raise FormatError(f"the robot's low state has {len(data)} bytes; wanted {LOW}: its firmware is another one")
         values = _values(_LOW, data)
-        imu, bms = 9, 9 + 14 + 20 * 12
+        imu, motors, bms = 9, 9 + 14, 9 + 14 + 20 * 12
         tick = bms + 5 + 1 + 4 + 15 + 8
         return cls(
             values[imu : imu + 4],
@@ -124,18 +133,31 @@ class LowFields:
             wireless_remote=values[tick + 1],
             power_v=values[tick + 6],
             power_a=values[tick + 7],
+            angles=values[motors + 1 : motors + 12 * MOTORS : 12],
+            rates=values[motors + 2 : motors + 12 * MOTORS : 12],
         )
 
     def to_bytes(self) -> bytes:
-        """The whole message; all that is not here is 0."""
+        """The whole message with its checksum; all that is not here is 0. Motors that are there run in mode 1."""
         head = (0,) * 9
-        motors = (0,) * (20 * 12)
+        joints = zip(self.angles, self.rates, strict=True)
+        motors = [part for angle, rate in joints for part in (1, angle, rate, *(0,) * 9)] + [0] * (12 * (20 - MOTORS))
         values = (
             *head, *self.quaternion, *self.gyroscope, *self.accelerometer, *self.rpy, 0, *motors,
             0, 0, 0, self.soc, self.current, 0, *(0,) * 4, *(0,) * 15, *(0,) * 8,
-            self.tick, self.wireless_remote, 0, 0.0, 0, 0, self.power_v, self.power_a, *(0,) * 4, 0, 0,
+            self.tick, self.wireless_remote, 0, 0.0, 0, 0, self.power_v, self.power_a, *(0,) * 4, 0,
         )  # fmt: skip
-        return b"\x00\x01\x00\x00" + struct.pack("<" + _LOW, *values)
+        crc = checksum(struct.pack("<" + _LOW_NATIVE, *values))
+        return b"\x00\x01\x00\x00" + struct.pack("<" + _LOW, *values, crc)
+
+
+def checksum(data: bytes) -> int:
+    """Unitree's checksum of whole 32-bit words (little-endian): CRC-32/MPEG-2, each word from its highest bit on.
+
+    That is the CRC of `zlib` with all bits the other way round and without the inversion at its end.
+    """
+    words = np.frombuffer(data, "<u4").byteswap().tobytes()
+    return int(f"{zlib.crc32(words.translate(_REVERSED)) ^ 0xFFFFFFFF:032b}"[::-1], 2)
 
 
 def _values(layout: str, data: bytes) -> tuple[Any, ...]:

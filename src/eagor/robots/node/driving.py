@@ -34,7 +34,9 @@ from eagor.sphere import heading
 __all__ = ["BASE", "TWIST", "Drive", "TwistGate"]
 
 TWIST = "geometry_msgs/msg/Twist"
-BASE = Limits(state_age=0.5, pose_age=0.5)  # odometry of bases comes 10 to 50 times a second, over Wi-Fi late
+BASE = Limits(
+    state_age=0.5, pose_age=0.5, silence=0.5
+)  # odometry of bases comes 10 to 50 times a second, over Wi-Fi late
 SPAN = 0.2  # seconds of odometry from which the base's speed is read
 
 
@@ -47,7 +49,7 @@ class TwistGate:
     """
 
     def __init__(self, graph: Graph, topic: str, mount: Callable[[float], np.ndarray], limits: Limits = BASE) -> None:
-        self.gate = Gate(limits, armed=True)
+        self.gate = Gate(limits, armed=True, obeys=False)
         self._writer = graph.publish(topic, TWIST, reliable=True, depth=1)
         self._mount = mount
         self._turn = threading.Lock()

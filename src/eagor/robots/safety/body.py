@@ -6,8 +6,10 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 from eagor.errors import DeviceError
+from eagor.robots.clocks import Lateness
 from eagor.robots.dds import Link
 from eagor.robots.go2.low import Go2Low
+from eagor.robots.go2.others import Others
 from eagor.robots.go2.sport import OK, AvoidClient, SportClient, in_words
 from eagor.robots.go2.state import MODES, BodyState, Go2State
 from eagor.robots.safety.faults import Body
@@ -25,17 +27,29 @@ ABLE = (0, 1, 2, 3, 6, 9)  # modes from which it can walk
 class Go2Body:
     """A Go2 as the guard sees it; a context manager. `avoid`: it walks around obstacles by itself.
 
-    With `armed` False it never has a writer, so it cannot command anything. Raises `DeviceError`, `MissingExtraError`.
+    With `armed` False it never has a writer, so it cannot command anything. `aside`: seconds for which a command of
+    somebody else is a fault. Raises `DeviceError`, `MissingExtraError`.
     """
 
     def __init__(
-        self, domain: int, interface: str | None, *, armed: bool, avoid: bool = False, remote: bool = False
+        self,
+        domain: int,
+        interface: str | None,
+        *,
+        armed: bool,
+        avoid: bool = False,
+        remote: bool = False,
+        aside: float = 2.0,
     ) -> None:
         self.body: Body | None = None
         self.mode: int | None = None
         self.acknowledged: int | None = None
         self.problem: str | None = None  # of the last command
+        self._lateness = Lateness()
+        self._aside = aside
         self._link = Link(domain, interface)
+        # A robot that avoids obstacles may command its own walking.
+        self._others = Others(self._link, ["obstacles_avoid"] if avoid else ["sport", "obstacles_avoid"])
         self._state = Go2State(self._link, received=self._received)
         self._low = Go2Low(self._link) if remote else None
         self._sport = SportClient(self._link, timeout=PATIENCE) if armed else None
@@ -98,12 +112,15 @@ class Go2Body:
 
     def faults(self) -> tuple[str, ...]:
         """What is wrong with the robot beside what `Body` tells, in words."""
-        found = [self._state.fault, None]
+        found = [] if (fault := self._state.fault) is None else [fault]
         if self.mode is not None and self.mode not in ABLE:
-            found[1] = (
+            found.append(
                 f"the robot cannot walk: it is {MODES.get(self.mode, f'in mode {self.mode}')}; let it stand first"
             )
-        return tuple(text for text in found if text)
+        other = self._others.newest
+        if other is not None and (ago := time.monotonic() - other.when) < self._aside:
+            found.append(f"somebody else commands the robot ({other.words}, {ago:.1f} s ago): end that program or app")
+        return tuple(found)
 
     @property
     def pressed(self) -> frozenset[str] | None:
@@ -114,5 +131,7 @@ class Go2Body:
         return reading.remote.pressed
 
     def _received(self, state: BodyState) -> None:
+        now = time.monotonic()
         self.mode = state.mode
-        self.body = Body.of(time.monotonic(), state.world_R_body, state.speed, state.yaw_rate, state.error_code)
+        stamp = now - self._lateness.of(state.robot_stamp, now)
+        self.body = Body.of(stamp, state.world_R_body, state.speed, state.yaw_rate, state.error_code)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eagor.robots.safety.limits import STILL, Limits, Velocity
+from eagor.robots.safety.rhythm import Rhythm, look_age, picture_age
 
 __all__ = ["Body", "Fault", "Inputs", "faults_of", "stamp_of"]
 
@@ -78,17 +79,23 @@ def stamp_of(now: float, age: float | None) -> float | None:
     return None if age is None or age == math.inf else now - age
 
 
-def faults_of(limits: Limits, now: float, inputs: Inputs, sent: Velocity = STILL) -> tuple[Fault, ...]:
+def faults_of(
+    limits: Limits, now: float, inputs: Inputs, sent: Velocity = STILL, *, pictures: Rhythm = (), looks: Rhythm = ()
+) -> tuple[Fault, ...]:
     """Everything that forbids motion at `now`; empty if nothing does. `sent`: the velocity that was sent last.
 
-    A stale command is not among these: it only means that the wanted velocity is zero.
+    `pictures`, `looks`: how often they have come, which may allow less than `limits` do. A stale command is not among
+    the faults: it only means that the wanted velocity is zero.
     """
     if not math.isfinite(now):
         return (Fault("number", f"the time is {now}"),)
-    return tuple(_faults(limits, now, inputs, sent))
+    ages = picture_age(pictures, limits.image_age), look_age(looks, limits.belief_age)
+    return tuple(_faults(limits, now, inputs, sent, *ages))
 
 
-def _faults(limits: Limits, now: float, inputs: Inputs, sent: Velocity) -> Iterator[Fault]:
+def _faults(
+    limits: Limits, now: float, inputs: Inputs, sent: Velocity, image_age: float, belief_age: float
+) -> Iterator[Fault]:
     if inputs.gone:
         yield Fault("parent", "the program that steers has ended")
     else:
@@ -97,9 +104,9 @@ def _faults(limits: Limits, now: float, inputs: Inputs, sent: Velocity) -> Itera
         )
     if inputs.deadman is False:
         yield Fault("deadman", "the dead-man switch is not held")
-    yield from _stale("image", "picture", inputs.image, limits.image_age, limits, now)
+    yield from _stale("image", "picture", inputs.image, image_age, limits, now)
     yield from _stale("pose", "pose", inputs.pose, limits.pose_age, limits, now)
-    yield from _stale("belief", "look of the perception", inputs.belief, limits.belief_age, limits, now)
+    yield from _stale("belief", "look of the perception", inputs.belief, belief_age, limits, now)
     yield from _of_body(limits, now, inputs.body)
     yield from _of_command(limits, now, inputs, sent)
     for words in inputs.stated:
@@ -112,7 +119,7 @@ def _stale(name: str, what: str, stamp: float | None, most: float, limits: Limit
     elif not math.isfinite(stamp):
         yield Fault("number", f"the stamp of the newest {what} is {stamp}")
     elif now - stamp > most:
-        yield Fault(name, f"the newest {what} is {now - stamp:.2f} s old; at most {most:g} s is allowed")
+        yield Fault(name, f"the newest {what} is {now - stamp:.2f} s old; at most {most:.3g} s is allowed")
     elif stamp - now > limits.early:
         yield Fault(name, f"the newest {what} is {stamp - now:.2f} s in the future: the clocks differ")
 

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from eagor.robots.safety.faults import Fault, Inputs, faults_of
+from eagor.robots.safety.following import Following, follow
 from eagor.robots.safety.limits import STILL, Limits, Velocity
+from eagor.robots.safety.rhythm import Rhythm, heard
 
 __all__ = ["Gate", "Mode", "Output", "State", "Stop"]
 
@@ -67,14 +69,23 @@ class State:
     stops: int = 0  # how many StopMove were sent
     stopped: float = -math.inf  # the last of them
     ignored: float | None = None  # it is told to move since then, and does not
+    pictures: Rhythm = ()  # how often they come
+    looks: Rhythm = ()
+    following: Following = field(default_factory=Following)
+    astray: tuple[float, str] | None = None  # when it last did something else than it was told for too long, in words
 
 
 @dataclass(frozen=True)
 class Gate:
-    """The rules. `armed`: False is a dry run, which never commands anything."""
+    """The rules. `armed`: False is a dry run, which never commands anything.
+
+    `obeys`: whether the robot does what it is told and nothing else. False for one that walks around obstacles by
+    itself, or whose speed others limit: then it is no fault if it does not.
+    """
 
     limits: Limits = field(default_factory=Limits)
     armed: bool = False
+    obeys: bool = True
 
     def step(self, state: State, now: float, inputs: Inputs) -> tuple[State, Output]:
         """One step at `now` (seconds, a clock that does not go back): the next state, and what to send.
@@ -84,11 +95,19 @@ class Gate:
         if not self.armed:  # a robot that is told nothing acknowledges nothing, and does not move
             stands = inputs.body and replace(inputs.body, speed=0.0, turn=0.0)
             inputs = replace(inputs, acknowledged=state.stops, body=stands)
-        faults = faults_of(self.limits, now, inputs, state.sent)
+        pictures, looks = heard(state.pictures, inputs.image, now), heard(state.looks, inputs.belief, now)
+        faults = faults_of(self.limits, now, inputs, state.sent, pictures=pictures, looks=looks)
+        state = replace(state, pictures=pictures, looks=looks)
         if math.isfinite(now) and state.time is not None and now < state.time:
             faults += (Fault("clock", f"the clock went back by {state.time - now:.2f} s"),)
         latched = inputs.emergency or (state.latched and not inputs.reset)
         pressed = latched and not state.latched
+        if self.armed and self.obeys and math.isfinite(now):
+            state = self._followed(state, now, inputs)
+            if state.astray is not None and now - state.astray[0] < self.limits.aside:
+                faults += (Fault("follow", state.astray[1]),)
+        if math.isfinite(now) and state.time is not None and now - state.time > self.limits.silence:
+            faults += (Fault("guard", f"the guard itself was away for {now - state.time:.2f} s"),)
         if latched:
             faults += (Fault("emergency", "the emergency stop was pressed; it stands until somebody releases that"),)
         blocked = bool(faults)
@@ -122,7 +141,7 @@ class Gate:
             return state, None, (f"nothing may be wrong for {self.limits.settle:g} s before it moves",)
         if wanted.still:
             return state, None, (remark,)
-        state = replace(state, mode=Mode.ARMED, sent=STILL, resting=None, ignored=None)
+        state = replace(state, mode=Mode.ARMED, sent=STILL, resting=None, ignored=None, following=Following())
         return self._move(state, time, inputs, wanted, remark)
 
     def _stop(self, state: State, time: float, inputs: Inputs) -> tuple[State, Stop | None, tuple[str, ...]]:
@@ -201,6 +220,22 @@ class Gate:
             _ramp(before.turn, wanted.turn, room * limits.turn_acceleration),
         )
         return replace(state, sent=sent, resting=None, ignored=ignored), sent, remarks
+
+    def _followed(self, state: State, time: float, inputs: Inputs) -> State:
+        """Whether the robot does what it was told; what it does while it is not told to move is its own affair."""
+        body, sent = inputs.body, state.sent
+        if state.mode is not Mode.ARMED or state.time is None or body is None or self._moves(time, inputs) is None:
+            return replace(state, following=replace(state.following, since=None))
+        ignored = self._ignored(state, time, inputs) is not None
+        following = follow(self.limits, state.following, time, time - state.time, sent, body, ignored=ignored)
+        state = replace(state, following=following)
+        if following.since is None or time - following.since < self.limits.follow:
+            return state
+        words = (
+            f"the robot does not do what it is told ({math.hypot(sent.forward, sent.left):.2f} m/s, {sent.turn:.2f} "
+            f"rad/s), but {body.speed:.2f} m/s, {body.turn:.2f} rad/s: somebody else commands it, or holds it"
+        )
+        return replace(state, astray=(time, words))
 
     def _ignored(self, state: State, time: float, inputs: Inputs) -> float | None:
         """Since when the robot stands although it is told to move fast enough to see it."""

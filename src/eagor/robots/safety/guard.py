@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
+import select
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from eagor import errors
 from eagor.errors import DeviceError, EagorError
@@ -23,11 +24,15 @@ from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.limits import Limits, Velocity
 from eagor.robots.safety.lines import LineReader, as_line, cut, write_now
 
+if TYPE_CHECKING:
+    from eagor.robots.safety.standby import Standby
+
 __all__ = ["Guard", "GuardState"]
 
 STARTING = 20.0  # seconds beyond its patience for the process to start
 ENDING = 6.0  # seconds for it to end: it stops the robot first
-HANGS = 2.0  # seconds without a word from it
+HANGS = 2.0  # seconds without a word from it after which it is given up
+STANDING_IN = 3.0  # seconds for which this process sends StopMove to a robot that acknowledges none
 STATED, WORDS = 5, 150  # faults that are passed on, and bytes of each
 
 
@@ -96,7 +101,12 @@ class Guard:
     - `watch(state)`: called after every step of the gate, 50 times a second, in a thread.
 
     Call `command` and `status` again and again: the robot stands as soon as they are older than the limits. A program
-    that hangs, or is killed, leaves a robot that stands. Raises `DeviceError` if there is no robot or no switch.
+    that hangs, or is killed, leaves a robot that stands. The other way round a thread of the program watches the
+    guard's process: if that ends, or says nothing for `Limits.silence`, the thread sends StopMove itself, over a
+    connection that was opened beforehand (`eagor.robots.safety.standby`). If both processes are gone or frozen, nobody
+    sends anything any more; a Go2 then walks on until its last Move expires, which takes 1 to 2 s.
+
+    Raises `DeviceError` if there is no robot or no switch.
     """
 
     def __init__(
@@ -126,8 +136,14 @@ class Guard:
         self._state: GuardState | None = None
         self._error: EagorError | None = None
         self._heard = threading.Event()
+        self._standby: Standby | None = None
 
     def __enter__(self) -> Self:
+        if self.armed:  # a dry run has no voice, not even for StopMove
+            from eagor.robots.safety.standby import Standby
+
+            known = self._settings
+            self._standby = Standby(known["domain"], known["interface"], avoid=known["avoid"])
         self._terminal = Terminal() if self._settings["deadman"] == "key" else None
         inlet, self._out = os.pipe()
         there, outlet = os.pipe()
@@ -152,6 +168,12 @@ class Guard:
             raise self._error or DeviceError(
                 f"the guard's process ended before its first step ({code}); its words, if any, are above"
             )
+        if self._standby is not None:
+            try:
+                self._standby.wait(self._patience)
+            except DeviceError:
+                self.close()
+                raise
         return self
 
     def __exit__(
@@ -161,15 +183,36 @@ class Guard:
 
     @property
     def state(self) -> GuardState:
-        """What the guard did at its last step. Raises `DeviceError` if it has ended, or hangs."""
+        """What the guard did at its last step; while it says nothing, that and what this process does instead.
+
+        Raises `DeviceError` if it has ended, or hangs.
+        """
         if self._state is None or self._process is None or self._process.poll() is not None:
-            raise self._error or DeviceError("the guard has ended, so the robot stands; start the program again")
-        if (silent := time.monotonic() - self._state.time) > HANGS:
-            raise DeviceError(
-                f"the guard has not said a word for {silent:.1f} s, so nobody commands the robot, which stops by "
-                "itself; this machine may be too busy. Start the program again"
-            )
-        return self._state
+            raise self._end()
+        if (silent := time.monotonic() - self._state.time) <= self.limits.silence:
+            return self._state
+        words = f"the guard has not said a word for {silent:.1f} s; {self._instead()}"
+        if silent > HANGS:
+            raise DeviceError(f"{words}. This machine may be too busy. Start the program again")
+        mode = Mode.STOPPING if self.armed else self._state.mode
+        return replace(self._state, mode=mode, sent=None, faults=(("guard", words),), remarks=())
+
+    def _end(self) -> EagorError:
+        """Why there is no guard any more, and what stops the robot."""
+        if self._process is not None and threading.current_thread() is not self._thread:
+            self._thread.join(STANDING_IN)
+        return self._error or DeviceError(f"the guard has ended; {self._instead()}. Start the program again")
+
+    def _instead(self) -> str:
+        """What stops the robot while the guard does not, in words."""
+        if (standby := self._standby) is None:
+            return "it was a dry run, which commanded nothing"
+        if standby.acknowledged:
+            return "this program sent StopMove itself, and the robot acknowledged it"
+        return (
+            f"this program sent StopMove itself {standby.sent} times, and the robot acknowledged none: if none came, "
+            "it walks on until its last Move expires, 1 to 2 s after it was sent"
+        )
 
     @property
     def pid(self) -> int:
@@ -231,6 +274,7 @@ class Guard:
         """Stop the robot and end the process. May be called twice."""
         process, self._process = self._process, None
         if process is None:
+            self._let_go()
             return
         with suppress(BrokenPipeError):
             write_now(self._out, as_line({"end": "the program ends"}))
@@ -240,36 +284,65 @@ class Guard:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        self._thread.join(1.0)
+        self._thread.join(STANDING_IN)
+        self._let_go()
         if self._terminal is not None:
             self._terminal.restore()
 
+    def _let_go(self) -> None:
+        standby, self._standby = self._standby, None
+        if standby is not None:
+            with standby:
+                pass
+
     def _send(self) -> None:
-        """Write all that is known. A guard that does not read is one that hangs: the robot's own timer stops it."""
+        """Write all that is known. A guard that does not read is one that hangs, which the thread notices."""
         if self._process is None:
             raise DeviceError("the guard is not running: use it in a with statement")
         message = vars(self._said) | {"heartbeat": time.monotonic()}
         try:
             write_now(self._out, as_line(message))
         except BrokenPipeError:
-            raise self._error or DeviceError(
-                "the guard has ended, so the robot stands; start the program again"
-            ) from None
+            raise self._end() from None
 
     def _listen(self, there: int) -> None:
-        """Take what the process says, in a thread, until it ends."""
-        reader = LineReader()
+        """Take what the process says, in a thread, until it ends; stop the robot while it says nothing."""
+        reader, ended = LineReader(), False
         try:
-            while data := os.read(there, 65536):
-                for message in reader.feed(data):
-                    if "error" in message:
-                        kind = getattr(errors, message["kind"], DeviceError)
-                        self._error = kind(message["error"])
-                        continue
-                    self._state = GuardState.from_message(message)
-                    self._heard.set()
-                    if self._watch is not None:
-                        self._watch(self._state)
+            while not ended:
+                if select.select([there], [], [], self._left())[0]:
+                    data = os.read(there, 65536)
+                    ended = not data
+                    for message in reader.feed(data):
+                        self._take(message)
+                elif self._stand_in():
+                    select.select([there], [], [])  # until it has a word again
         finally:
             os.close(there)
             self._heard.set()
+            if self._state is not None and self._process is not None:  # it was not told to end
+                end = time.monotonic() + STANDING_IN
+                while not self._stand_in() and time.monotonic() < end:
+                    pass
+
+    def _left(self) -> float | None:
+        """Seconds until the guard has been silent for too long; None before its first word.
+
+        At least two steps of the gate: this process may have been away itself, and the pipe may hold old words.
+        """
+        if self._state is None:
+            return None
+        return max(2 * self.limits.period, self._state.time + self.limits.silence - time.monotonic())
+
+    def _stand_in(self) -> bool:
+        """Send StopMove in the guard's stead; whether the robot acknowledged it, or was never commanded."""
+        return self._standby is None or self._standby.stop()
+
+    def _take(self, message: dict[str, Any]) -> None:
+        if "error" in message:
+            self._error = getattr(errors, message["kind"], DeviceError)(message["error"])
+            return
+        self._state = GuardState.from_message(message)
+        self._heard.set()
+        if self._watch is not None:
+            self._watch(self._state)

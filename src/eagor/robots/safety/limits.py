@@ -57,8 +57,11 @@ class Limits:
     - `state_age`: the newest state of the robot that the gate's process read itself.
     - `pose_age`: the newest pose that the parent used. It tells of it between two answers, each of which takes it up to
       0.15 s to compute (measured on a busy machine of two cores).
-    - `image_age`: the newest picture, since its capture.
-    - `belief_age`: the newest evidence, since its capture. A model that needs 1.4 s per look comes to 2.8 s.
+    - `image_age`: the newest picture, since its capture. `belief_age`: the newest evidence, since its capture; a model
+      that needs 1.4 s per look comes to 2.8 s. Both are the most that is allowed: once it is known how often pictures
+      and looks come, less is (`eagor.robots.safety.rhythm`).
+    - `silence`: the gate's own last step. A gate that was away for longer stops, and needs a new command; the program
+      that it works for sends StopMove itself meanwhile (`eagor.robots.safety.guard.Guard`).
     - `early`: how far a stamp may lie in the future: clocks that differ.
 
     What must hold:
@@ -74,8 +77,10 @@ class Limits:
     - `still_speed` (m/s), `still_turn` (rad/s): below both, the robot stands. A trotting Go2 sways, so not 0.
     - `settle`: seconds without any fault before the robot moves again.
     - `rest`: seconds of zero velocity after which StopMove is sent.
-    - `follow`: seconds in which the robot must begin to do what it is told. After that it gets no more than `creep`
-      (m/s) and `creep_turn` (rad/s), until it moves: a Go2 ignores Move for seconds after it stood up.
+    - `follow`: seconds for which the robot may do something else than it is told (`eagor.robots.safety.following`).
+      After that it is stopped. One that has not moved at all yet gets no more than `creep` (m/s) and `creep_turn`
+      (rad/s), until it moves: a Go2 ignores Move for seconds after it stood up.
+    - `aside`: seconds for which it keeps standing after that, and after a command of somebody else.
     """
 
     forward: float = 0.5
@@ -91,6 +96,7 @@ class Limits:
     pose_age: float = 0.25
     image_age: float = 1.0
     belief_age: float = 3.0
+    silence: float = 0.2
     early: float = 0.05
     presence: float = 0.5
     tilt: float = 0.5
@@ -102,7 +108,8 @@ class Limits:
     still_turn: float = 0.05
     settle: float = 0.5
     rest: float = 0.5
-    follow: float = 1.0
+    follow: float = 0.5
+    aside: float = 2.0
     creep: float = 0.15
     creep_turn: float = 0.25
 
@@ -115,7 +122,7 @@ class Limits:
         checks |= {name: (above(getattr(self, name), 0, 3600), "a number above 0") for name in rest}
         codes = isinstance(self.calm_codes, tuple) and all(whole(code, 0, 2**32 - 1) for code in self.calm_codes)
         require(self, checks | {"calm_codes": (codes, "whole numbers from 0 on, in a tuple")})
-        shortest = min(self.command_age, self.heartbeat_age, self.state_age, self.pose_age)
+        shortest = min(self.command_age, self.heartbeat_age, self.state_age, self.pose_age, self.silence)
         orders = {
             "period": (2 * self.period < shortest, f"less than half of the shortest age, {shortest:g} s"),
             "creep": (self.creep > 2 * self.still_speed, "more than twice still_speed: else it cannot be seen"),

@@ -1,4 +1,4 @@
-"""The gate as a process of its own, which alone commands the robot: ``python -m eagor.robots.safety.process``.
+"""The gate as a process of its own, which alone sends velocities: ``python -m eagor.robots.safety.process``.
 
 `eagor.robots.safety.guard` starts it. It steps the gate on the monotonic clock, reads the robot's state itself, and
 ends by StopMove when it is interrupted, when its parent ends however that happens, and on errors of its own.
@@ -69,7 +69,7 @@ class Watch:
 
     def __init__(self, settings: Settings, robot: Robot, keys: Keys | None = None) -> None:
         self.settings, self.robot, self._keys = settings, robot, keys
-        self.gate, self.state = Gate(settings.limits, settings.armed), State()
+        self.gate, self.state = Gate(settings.limits, settings.armed, obeys=not settings.avoid), State()
         self.ending: str | None = None  # why it ends
         self._said: dict[str, Any] = {}
         self._held = HeldKey()
@@ -181,6 +181,7 @@ def main(arguments: list[str]) -> int:
                     armed=settings.armed,
                     avoid=settings.avoid,
                     remote=settings.deadman == "remote",
+                    aside=settings.limits.aside,
                 )
             )
             robot.start(settings.patience)

@@ -81,7 +81,7 @@ class Odometer:
             self.xy = None if place is None else (float(place[0]), float(place[1]))
             if event.arrival - self._told >= POSES:
                 self._told = event.arrival
-                self._guard.pose(max(0.0, self._now() - event.arrival))
+                self._guard.pose(max(0.0, self._now() - event.pose.stamp))
 
     def close(self) -> None:
         """Nothing is held."""
