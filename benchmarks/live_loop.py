@@ -330,7 +330,7 @@ def turning(photographs: Path, seconds: float, runs: int) -> None:
                     if answer.query == queries[0]:
                         gaps += [] if last is None else [answer.stamp - last]
                         last = answer.stamp
-                    if answer.stamp - begun > seconds:
+                    if answer.query == queries[-1] and answer.stamp - begun > seconds:
                         used += time.process_time() - cpu
                         loop.stop()
             off, cone, age = np.array(rows).T
