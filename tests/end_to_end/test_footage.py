@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -21,6 +22,8 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from eagor.cli import main
+from eagor.cli.poses import Pose
+from eagor.cli.steps import with_file
 from eagor.grids import ErpGrid
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
@@ -455,3 +458,13 @@ def test_without_the_extra_it_is_named(tilting, monkeypatch, eagor, package):
 def test_a_path_need_not_be_ascii(tmp_path, answers):
     path = filmed(Path(tmp_path / "küche 1.mp4"), turned(HEADING[:4]))
     assert answers("track", path, "the red ball")["frames"][0]["frame"] == "küche 1.mp4 at 0.00 s"
+
+
+def test_a_log_of_many_poses_is_known_from_its_beginning():
+    """Two minutes at 200 a second, more than a tracker remembers."""
+    poses = [Pose(k / 200, world_R_body(math.radians(k / 100)), None, None) for k in range(24_000)]
+    frames = [(stamp, str(stamp), lambda: None) for stamp in (0.5025, 60.0, 119.0)]
+    steps = [*with_file(SimpleNamespace(frames=lambda: iter(frames)), poses, Path("log.csv"))]
+    seen = [step.pose for step in steps if step.frame]
+    for pose, (stamp, _, _) in zip(seen, frames, strict=True):
+        assert np.allclose(pose.world_R_body, world_R_body(math.radians(2 * stamp)), atol=1e-9)

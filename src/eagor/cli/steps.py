@@ -7,8 +7,9 @@ Pictures are read one by one: a long video needs no more memory than a short one
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -148,7 +149,7 @@ def _by_image(
             pose = told
             yield Step(pose) if image is None else Step(pose, image.name, partial(read, image))
         elif image is not None:  # the frame is told of, at the pose before
-            yield Step(replace(pose, stamp=told.stamp, frame=told.frame), image.name, partial(_placeless, told))
+            yield Step(pose._replace(stamp=told.stamp, frame=told.frame), image.name, partial(_placeless, told))
 
 
 def _placeless(pose: Pose) -> PanoramaFile:
@@ -158,9 +159,7 @@ def _placeless(pose: Pose) -> PanoramaFile:
 
 def _by_time(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step]:
     """Each frame at its own time, its pose interpolated, among the poses of the file."""
-    history = PoseHistory(math.inf)
-    for pose in poses:
-        history.add(pose.stamp, pose.world_R_body, pose.position)
+    stamps = [pose.stamp for pose in poses]
     first, last, fed = poses[0].stamp, poses[-1].stamp, 0
     for stamp, frame, read in source.frames():
         if not first - BEYOND <= stamp <= last + BEYOND:
@@ -171,8 +170,11 @@ def _by_time(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step
         while fed < len(poses) and poses[fed].stamp < stamp:
             yield Step(poses[fed])
             fed += 1
-        at, position = history.at(min(max(stamp, first), last))
-        yield Step(Pose(stamp, at, position, frame), frame, read)
+        at = min(max(stamp, first), last)
+        after, around = bisect_left(stamps, at), PoseHistory(math.inf)
+        for pose in poses[max(after - 1, 0) : after + 1]:
+            around.add(pose.stamp, pose.world_R_body, pose.position)
+        yield Step(Pose(stamp, *around.at(at), frame), frame, read)
 
 
 def with_imu(source: Source, motion: Any) -> Iterator[Step]:
