@@ -74,9 +74,10 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
     except FormatError as error:
         raise FormatError(f"{path}, line {number}: {error}") from error
     with _collecting_nothing():
-        rows = list(lines)
-        poses = _at_once(names, [fields for _, fields in rows])
-    poses = poses or _one_by_one(path, names, rows)
+        poses = _at_once(names, _table(names, text.split("\n", number)[-1]))
+        if poses is None:
+            rows = list(lines)
+            poses = _at_once(names, _table_of_rows(names, rows), rows) or _one_by_one(path, names, rows)
     if not poses:
         raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
     if "qw" in names and _is_another_order(poses):
@@ -113,37 +114,66 @@ def _collecting_nothing() -> Iterator[None]:
             gc.enable()
 
 
-def _at_once(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[Pose, ...] | None:
-    """All poses, computed together; None where a line is wrong, which `_one_by_one` finds and says."""
-    from scipy.spatial.transform import Rotation
+def _table(names: Sequence[str], body: str) -> np.ndarray | None:
+    """The numbers of all lines below the header ``(n, columns)``, by NumPy's reader; None where it takes no such file.
 
-    if not rows or any(len(row) != len(names) for row in rows):
+    It would take comments within a line, knows no quotes, and has no place for names of frames.
+    """
+    if "frame" in names or not body.strip() or any(mark in body for mark in '#"'):
         return None
-
-    def table(columns: Sequence[str]) -> np.ndarray:
-        places = [names.index(name) for name in columns]
-        cells = [[row[place] for row in rows] for place in places]
-        if any("_" in ",".join(column) for column in cells):
-            raise ValueError  # Python would take 1_0 for 10
-        return np.array([list(map(float, column)) for column in cells]).T
-
     try:
-        stamps, turns = table(("stamp",))[:, 0], table(QUATERNION if "qw" in names else ANGLES)
-        places = table(POSITION) if "x" in names else None
+        return np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
     except ValueError:
         return None
-    lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
-    if not (np.isfinite(turns).all() and np.isfinite(stamps).all() and (places is None or np.isfinite(places).all())):
+
+
+def _table_of_rows(names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> np.ndarray | None:
+    """The same from fields, with NaN in columns of other things; None where a line is wrong."""
+    if not rows or any(len(fields) != len(names) for _, fields in rows):
         return None
-    if (np.abs(lengths - 1) > _NORM_TOLERANCE).any() or (np.diff(stamps) <= 0).any():
+    columns = []
+    for place, name in enumerate(names):
+        cells = [fields[place] for _, fields in rows]
+        if name not in ("stamp", *QUATERNION, *ANGLES, *POSITION):
+            columns.append(np.full(len(cells), math.nan))
+            continue
+        try:
+            if "_" in ",".join(cells):  # Python would take 1_0 for 10
+                return None
+            columns.append(np.array(list(map(float, cells))))
+        except ValueError:
+            return None
+    return np.array(columns).T
+
+
+def _at_once(
+    names: Sequence[str], table: np.ndarray | None, rows: Sequence[tuple[int, list[str]]] = ()
+) -> tuple[Pose, ...] | None:
+    """The poses of a `table` ``(n, columns)``, computed together; None where a line is wrong, for `_one_by_one` to say.
+
+    `rows`: the same lines, for the names of their frames.
+    """
+    from scipy.spatial.transform import Rotation
+
+    if table is None or table.shape[1] != len(names):
+        return None
+    stamps, turns, places = (
+        table[:, [names.index(name) for name in columns if name in names]]
+        for columns in (("stamp",), QUATERNION if "qw" in names else ANGLES, POSITION)
+    )
+    lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
+    if not all(np.isfinite(part).all() for part in (stamps, turns, places)):
+        return None
+    if (np.abs(lengths - 1) > _NORM_TOLERANCE).any() or (np.diff(stamps[:, 0]) <= 0).any():
         return None
     if "qw" in names:
         matrices = rotation_from_wxyz(turns / lengths[:, None])
     else:
         matrices = Rotation.from_euler("ZYX", turns, degrees=True).as_matrix()
+    nothing = [None] * len(table)
     at = names.index("frame") if "frame" in names else None
-    frames = [None] * len(rows) if at is None else [row[at].strip() or None for row in rows]
-    return tuple(map(Pose, stamps.tolist(), matrices, [None] * len(rows) if places is None else places, frames))
+    frames = nothing if at is None else [fields[at].strip() or None for _, fields in rows]
+    return tuple(map(Pose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, frames))
 
 
 def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[Pose, ...]:
@@ -165,9 +195,9 @@ def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int
 
 def usable(poses: Sequence[Pose], name: str | Path) -> tuple[Pose, ...]:
     """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
+    if poses[0].position is None or (np.abs([pose.position for pose in poses]) <= FARTHEST).all():  # type: ignore[arg-type]
+        return tuple(poses)
     near = tuple(pose for pose in poses if pose.near)
-    if len(near) == len(poses):
-        return near
     first = next(pose for pose in poses if not pose.near)
     text = (
         f"{name}: the position at {first.stamp:.10g} s is {first.position.tolist()}; wanted metres, each within "  # type: ignore[union-attr]
