@@ -19,7 +19,7 @@ __all__ = ["Go2Body"]
 
 PATIENCE = 0.1  # seconds until a StopMove counts as not acknowledged; others are on their way meanwhile
 AT_ONCE = 4  # StopMove that may wait for their answers
-STARTING = 2.0  # seconds that commands before the first move may take
+STARTING = 5.0  # seconds that commands before the first move may take
 LOCKED = 6  # `MODES`: stands with locked joints
 ABLE = (0, 1, 2, 3, 6, 9)  # modes from which it can walk
 
