@@ -127,7 +127,7 @@ def test_directions_are_stamped_with_the_poses_that_they_were_turned_with(begins
         )
         stamps, _ = errors_of(robot, robot.graph.of("~/direction"))
     assert stamps == sorted(stamps)
-    assert begins <= stamps[0] <= stamps[-1] <= robot.now
+    assert begins <= stamps[0] <= stamps[-1] <= robot.now + 1e-6  # stamps have nanoseconds
     poses, markers = robot.graph.of("~/direction_pose"), robot.graph.of("~/markers")
     assert {m.stamp_of(each) for each in poses} <= {*stamps}
     assert {m.stamp_of(each) for each in markers[-5].markers} <= {*stamps}
