@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from eagor.cli.looking import checked_frame
-from eagor.cli.poses import Pose
+from eagor.cli.poses import Pose, between
 from eagor.cli.steps import BEYOND, Read, Step
 from eagor.cli.terminal import log, warning
 from eagor.errors import PoseError
@@ -24,7 +24,6 @@ from eagor.robots.pictures import PanoramaFile
 from eagor.robots.ros.bags import Bag
 from eagor.robots.ros.playing import BagCamera, BagPoses
 from eagor.robots.ros.topics import MOTION, TF_STATIC
-from eagor.tracking.poses import PoseHistory
 
 HOLE = 0.5  # seconds without a pose that are worth a word
 
@@ -97,7 +96,7 @@ def with_odometry(source: BagFilm, poses: BagPoses) -> Iterator[Step]:
         if ahead is None and last is not None and stamp - last.stamp > BEYOND:
             late += 1
             continue
-        pose = _between(last, ahead, stamp)
+        pose = between(last, ahead, stamp)
         if last is not None and ahead is not None and ahead.stamp - last.stamp > HOLE:
             warning(f"{name}: {poses.topic} has no pose for {ahead.stamp - last.stamp:.2f} s about it")
         used += 1
@@ -111,16 +110,3 @@ def with_odometry(source: BagFilm, poses: BagPoses) -> Iterator[Step]:
     for count, side in ((early, "before the first"), (late, "after the last")):
         if count:
             log(f"{count} pictures {side} pose of {poses.topic} are left out")
-
-
-def _between(last: GivenPose | None, ahead: GivenPose | None, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """The pose at `stamp`, from those before and after it."""
-    if last is None:
-        assert ahead is not None
-        return ahead.world_R_body, ahead.position
-    if ahead is None:
-        return last.world_R_body, last.position
-    two = PoseHistory(math.inf)
-    for each in (last, ahead):
-        two.add(each.stamp, each.world_R_body, each.position)
-    return two.at(stamp)

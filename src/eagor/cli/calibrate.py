@@ -125,15 +125,13 @@ def replay(options: Calibrate, what: str) -> int:
 
 def _poses(path: str) -> Callable[[float], Pose]:
     """The camera's pose at any stamp, from a file of poses."""
-    from eagor.cli.poses import read_poses, usable
+    from eagor.cli.poses import interpolated, read_poses, usable
     from eagor.cli.steps import BEYOND
-    from eagor.tracking.poses import PoseHistory
 
     if path == "level":
         raise terminal.UsageError("--poses level needs pictures; wanted a CSV file of poses with --replay, or none")
-    poses, history = usable(read_poses(path), path), PoseHistory(math.inf)
-    for pose in poses:
-        history.add(pose.stamp, pose.world_R_body, pose.position)
+    poses = usable(read_poses(path), path)
+    found = interpolated(poses)
 
     def at(stamp: float) -> Pose:
         if not poses[0].stamp - BEYOND <= stamp <= poses[-1].stamp + BEYOND:
@@ -141,7 +139,7 @@ def _poses(path: str) -> Callable[[float], Pose]:
                 f"the look at {stamp:.10g} s has no pose: {path} tells those from {poses[0].stamp:.10g} to "
                 f"{poses[-1].stamp:.10g} s. Both files must use one clock"
             )
-        return history.at(min(max(stamp, poses[0].stamp), poses[-1].stamp))
+        return found(stamp)
 
     return at
 

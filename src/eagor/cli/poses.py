@@ -19,7 +19,8 @@ import gc
 import io
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -29,8 +30,9 @@ import numpy as np
 from eagor._files import read_file
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
+from eagor.robots.frames import Pose as GivenPose
 from eagor.sphere import world_R_body
-from eagor.tracking.poses import FARTHEST
+from eagor.tracking.poses import FARTHEST, PoseHistory
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
@@ -207,6 +209,32 @@ def usable(poses: Sequence[Pose], name: str | Path) -> tuple[Pose, ...]:
         raise PoseError(f"{text}. So are all others: are they metres?")
     warnings.warn(f"{text}. Left out: {len(poses) - len(near)} of {len(poses)} poses", UserWarning, stacklevel=2)
     return near
+
+
+def interpolated(poses: Sequence[Pose]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
+    """The pose at any time, as `between` tells it, however many `poses` there are: a tracker keeps fewer."""
+    stamps = [pose.stamp for pose in poses]
+
+    def at(stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
+        after = bisect_left(stamps, stamp)
+        return between(poses[after - 1] if after else None, poses[after] if after < len(poses) else None, stamp)
+
+    return at
+
+
+def between(
+    last: Pose | GivenPose | None, ahead: Pose | GivenPose | None, stamp: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Orientation ``(3, 3)`` and position ``(3,)`` at `stamp`, from the poses before and after it, if there are any."""
+    if last is None:
+        assert ahead is not None
+        return ahead.world_R_body, ahead.position
+    if ahead is None:
+        return last.world_R_body, last.position
+    two = PoseHistory(math.inf)
+    for each in (last, ahead):
+        two.add(each.stamp, each.world_R_body, each.position)
+    return two.at(stamp)
 
 
 def pair(

@@ -7,7 +7,6 @@ Pictures are read one by one: a long video needs no more memory than a short one
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,12 +16,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from eagor.cli.looking import checked_frame, find_frames, read_frame
-from eagor.cli.poses import Pose, pair, usable
+from eagor.cli.poses import Pose, interpolated, pair, usable
 from eagor.cli.stitched import LensPictures
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, PoseError
 from eagor.robots.pictures import PanoramaFile
-from eagor.tracking.poses import PoseHistory
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
@@ -159,7 +157,7 @@ def _placeless(pose: Pose) -> PanoramaFile:
 
 def _by_time(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step]:
     """Each frame at its own time, its pose interpolated, among the poses of the file."""
-    stamps = [pose.stamp for pose in poses]
+    at = interpolated(poses)
     first, last, fed = poses[0].stamp, poses[-1].stamp, 0
     for stamp, frame, read in source.frames():
         if not first - BEYOND <= stamp <= last + BEYOND:
@@ -170,11 +168,7 @@ def _by_time(source: Source, poses: Sequence[Pose], name: Path) -> Iterator[Step
         while fed < len(poses) and poses[fed].stamp < stamp:
             yield Step(poses[fed])
             fed += 1
-        at = min(max(stamp, first), last)
-        after, around = bisect_left(stamps, at), PoseHistory(math.inf)
-        for pose in poses[max(after - 1, 0) : after + 1]:
-            around.add(pose.stamp, pose.world_R_body, pose.position)
-        yield Step(Pose(stamp, *around.at(at), frame), frame, read)
+        yield Step(Pose(stamp, *at(stamp), frame), frame, read)
 
 
 def with_imu(source: Source, motion: Any) -> Iterator[Step]:
