@@ -14,8 +14,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from eagor.perception.cutting import cut, tangent_views
-from eagor.worlds.panorama import view
+from eagor.media.cutting import cut, tangent_views
+from eagor.media.panorama import view
 
 
 def main() -> None:

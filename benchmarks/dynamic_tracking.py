@@ -41,9 +41,12 @@ from typing import Any
 import numpy as np
 
 from eagor.evidence import Evidence
+from eagor.media.bags import messages
+from eagor.media.bags import reader as bags
+from eagor.media.bags.writer import BagWriter
+from eagor.media.frames import Frame, Pose
 from eagor.perception import load
 from eagor.robots.dds import Link
-from eagor.robots.frames import Frame, Pose
 from eagor.robots.go2.house import House, load_house
 from eagor.robots.go2.plant import PlantSettings
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
@@ -54,8 +57,6 @@ from eagor.robots.go2.sim_server import TRUTH as TRUTH_POSE
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.robots.go2.wire_settings import WireSettings
-from eagor.robots.ros import bags, messages
-from eagor.robots.ros.recording import BagWriter
 from eagor.sphere import angular_distance, unit
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import NAMES, Method, make_method

@@ -30,10 +30,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from rigs import distorted_rig, off
 
 from eagor.grids import ErpGrid
-from eagor.robots.cameras import Stitcher, dual_fisheye, seen_by
-from eagor.robots.cameras.calibrating import calibrate
+from eagor.media.cameras import Stitcher, dual_fisheye, seen_by
+from eagor.media.cameras.calibrating import calibrate
+from eagor.media.panorama import read_panorama, turn
 from eagor.sphere import world_R_body
-from eagor.worlds.panorama import read_panorama, turn
 
 
 def loss(found: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:

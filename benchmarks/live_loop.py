@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 
 from eagor import DetectorModel, Evidence
-from eagor.robots.frames import Frame, Pose
-from eagor.robots.live.core import LiveCore, Settings
-from eagor.robots.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.live.core import LiveCore, Settings
+from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.media.frames import Frame, Pose
+from eagor.media.panorama import read_panorama
 from eagor.sphere import angular_distance, unit, world_R_body
 from eagor.tracking import TrackerConfig
-from eagor.worlds.panorama import read_panorama
 
 POSES, LOOKS, ANSWERS, TARGETS = 200, 10, 50, 3  # per second, and how many things are followed
 LATENCY = 0.4  # seconds from a picture to its evidence
@@ -211,7 +211,7 @@ class Seeing:
 
 
 def real(positions: bool, seconds: float) -> None:
-    from eagor.robots.live.loop import LiveLoop
+    from eagor.live.loop import LiveLoop
 
     loop = LiveLoop(Camera(), Seeing(), QUERIES, poses=Odometry(positions), rate=ANSWERS)
     began = cpu = None
@@ -304,7 +304,7 @@ def bearing(query: str) -> np.ndarray:
 
 def turning(photographs: Path, seconds: float, runs: int) -> None:
     """Print a table: a turning camera, with odometry of 200 poses a second and with poses from its pictures."""
-    from eagor.robots.live.loop import LiveLoop
+    from eagor.live.loop import LiveLoop
 
     model = DetectorModel(detection_probability=0.9, false_alarms_per_look=0.1, spread=np.radians(3))
     files = sorted(photographs.glob("*.png"))

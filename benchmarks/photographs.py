@@ -10,7 +10,7 @@ photograph is turned by known rotations, 40 frames a second apart:
 - large: as yaw, 5760 x 2880; jpeg: as tumble, JPEG at quality 50.
 - tilt: as yaw, the mount is tilted by 10 degrees and the poses do not say so.
 - drift: as yaw, the heading of the poses drifts by 1 degree a second; drift-told: the tracker is told so.
-- sight: as tumble, poses from the pictures alone (`eagor.robots.rotation`).
+- sight: as tumble, poses from the pictures alone (`eagor.media.rotation`).
 
 The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over;
 --model gives one instead. What was seen is kept in the file of --looks, so that a second run only plays it (the looks
@@ -44,14 +44,14 @@ from eagor.evidence import DetectorModel, Evidence, model_as_json, parse_model
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import ErpGrid
+from eagor.media.panorama import read_panorama, turn
+from eagor.media.rotation import VisualOdometer
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco.classes import CLASSES
 from eagor.perception.pieces import Thing
-from eagor.robots.rotation import VisualOdometer
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.tasks.methods import NAMES, Method, TrackerMethod, make_method
 from eagor.tracking import Estimate, TrackerConfig
-from eagor.worlds.panorama import read_panorama, turn
 
 FRAMES, STEP, TUMBLE = 40, math.radians(9), math.radians(20)
 TILT = math.radians(10)

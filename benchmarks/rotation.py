@@ -29,12 +29,12 @@ from scipy.spatial.transform import Rotation
 
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
-from eagor.robots.features import features_of, match
-from eagor.robots.rotation import VisualOdometer
-from eagor.robots.two_views import turn_between
+from eagor.media.features import features_of, match
+from eagor.media.panorama import read_panorama, turn
+from eagor.media.rotation import VisualOdometer
+from eagor.media.two_views import turn_between
 from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval
-from eagor.worlds.panorama import read_panorama, turn
 
 BASIS, SMALL = RealHarmonics(15), ErpGrid(64, 128)
 Answers = list[np.ndarray | None]

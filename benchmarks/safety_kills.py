@@ -82,7 +82,7 @@ class Steady:
 
 def program(domain: int, speed: float) -> None:
     """The program that steers: says the numbers of its processes, and walks until somebody ends it."""
-    from eagor.robots.live.loop import LiveLoop
+    from eagor.live.loop import LiveLoop
     from eagor.robots.ros.sources import RosCamera
     from eagor.robots.safety.steering import Odometer, steer
     from eagor.robots.safety.walking import WalkSettings
@@ -104,7 +104,7 @@ def program(domain: int, speed: float) -> None:
 
 def camera(domain: int) -> None:
     """The camera: a painted room far away, which turns as the robot does."""
-    from eagor.robots.ros.messages import compressed_message, pose_of
+    from eagor.media.bags.messages import compressed_message, pose_of
     from eagor.sphere import heading
     from eagor.worlds.painted import painted_room
 

@@ -32,7 +32,7 @@ with av.open(path, "w") as container:
 """
 READ = """
 import re, sys
-from eagor.robots.video import Video
+from eagor.media.video import Video
 video = Video(sys.argv[1], rows=int(sys.argv[2]) or None)
 seen = sum(1 for _ in video)
 peak = int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1]) / 1024

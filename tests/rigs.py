@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor.robots.cameras import FisheyeLens, Rig
+from eagor.media.cameras import FisheyeLens, Rig
 from eagor.sphere import world_R_body
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.robots.dds.ros_types import store
-from eagor.robots.frames import Pose
-from eagor.robots.ros import messages as m
+from eagor.media.bags import messages as m
+from eagor.media.bags.ros_types import store
+from eagor.media.frames import Pose
 from eagor.sphere import world_R_body
 
 READ = {

@@ -18,8 +18,8 @@ import numpy as np
 
 from eagor.cli import main as eagor
 from eagor.drawing.movies import Movie
+from eagor.media.panorama import read_panorama, turn
 from eagor.sphere import world_R_body
-from eagor.worlds.panorama import read_panorama, turn
 
 SECONDS, LOOKS = 10.0, 2.0  # of the clip; looks per second
 FRAMES = 4.0  # per second, of the clip and of the picture that is drawn

@@ -30,11 +30,12 @@ if TYPE_CHECKING:
     from eagor import evidence as evidence
     from eagor import grids as grids
     from eagor import harmonics as harmonics
+    from eagor import live as live
+    from eagor import media as media
     from eagor import metrics as metrics
     from eagor import perception as perception
     from eagor import plugins as plugins
     from eagor import queries as queries
-    from eagor import robots as robots
     from eagor import sphere as sphere
     from eagor import statistics as statistics
     from eagor import tasks as tasks
@@ -84,8 +85,9 @@ _HOME = {
 
 # The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
-    "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics",
-    "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics", "tasks", "tracking", "worlds",
+    "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics", "live",
+    "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics", "tasks", "tracking",
+    "worlds",
 )  # fmt: skip
 _MOVED = {  # old names, which still work as attributes of `eagor`
     **dict.fromkeys(

@@ -18,13 +18,13 @@ import pytest
 from PIL import Image
 
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
-from eagor.robots.cameras import Newest, check_camera, dual_fisheye, open_camera, seen_by, write_rig
-from eagor.robots.cameras.clock import PROBATION, StreamClock
-from eagor.robots.cameras.feeds import Feed
-from eagor.robots.cameras.live import LiveCamera
-from eagor.robots.cameras.pipes import raw_pipe
-from eagor.robots.cameras.streams import Stream, device
-from eagor.robots.frames import Frame
+from eagor.media.cameras import Newest, check_camera, dual_fisheye, open_camera, seen_by, write_rig
+from eagor.media.cameras.clock import PROBATION, StreamClock
+from eagor.media.cameras.feeds import Feed
+from eagor.media.cameras.live import LiveCamera
+from eagor.media.cameras.pipes import raw_pipe
+from eagor.media.cameras.streams import Stream, device
+from eagor.media.frames import Frame
 from eagor.worlds.painted import painted_room
 
 av = pytest.importorskip("av")
@@ -369,7 +369,7 @@ def test_stamps_of_a_pipe_are_kept_and_a_cut_picture_is_said():
 
 READER = """
 import sys
-from eagor.robots.cameras import open_camera
+from eagor.media.cameras import open_camera
 
 camera = open_camera(sys.argv[1])
 frame = next(iter(camera))
@@ -589,7 +589,7 @@ def test_the_test_of_cameras_finds_faults():
 
 
 def test_a_plugin_is_opened_by_its_name(monkeypatch):
-    from eagor.robots.cameras import opening
+    from eagor.media.cameras import opening
 
     monkeypatch.setitem(opening.BUILT_IN, "fake", f"{__name__}:fake_camera")
     monkeypatch.setitem(sys.modules, __name__, sys.modules[fake_camera.__module__])

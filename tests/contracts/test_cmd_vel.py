@@ -6,8 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from eagor.robots.frames import Pose
-from eagor.robots.live.events import PoseCame
+from eagor.live.events import PoseCame
+from eagor.media.frames import Pose
 from eagor.robots.node import NodeSettings
 from eagor.robots.node.driving import BASE, TWIST, TwistGate, body_of
 from eagor.robots.safety.gate import Mode

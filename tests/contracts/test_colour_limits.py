@@ -10,10 +10,10 @@ from PIL import Image
 
 import eagor
 from eagor.grids import ErpGrid, PatchGrid
+from eagor.media.panorama import read_panorama
 from eagor.perception.colour import COLOURS, ColourPerception
 from eagor.sphere import direction
 from eagor.worlds.painted import painted_room
-from eagor.worlds.panorama import read_panorama
 
 PHOTOGRAPHS = Path(__file__).parents[2] / ".." / "shared" / "panoramas"
 HUES = [name for name, colour in COLOURS.items() if colour.hue is not None]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from eagor.errors import DeviceError, FormatError
+from eagor.media.bags.ros_types import _struct, encoded_type, store, topic_name
 from eagor.robots.dds import Link
-from eagor.robots.dds.ros_types import _struct, encoded_type, store, topic_name
 from eagor.robots.dds.settings import free_domain
 
 pytestmark = pytest.mark.xdist_group("real time")

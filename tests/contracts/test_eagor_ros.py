@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 import yaml
 
-from eagor.robots.dds.ros_types import store
-from eagor.robots.frames import Pose
+from eagor.media.bags import messages as m
+from eagor.media.bags.ros_types import store
+from eagor.media.frames import Pose
 from eagor.robots.node import answers as made
-from eagor.robots.ros import messages as m
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
 

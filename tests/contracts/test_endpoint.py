@@ -22,13 +22,13 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.media.panorama import view
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
 from eagor.perception.endpoint.chat import ServedChat, chat_from_text
 from eagor.perception.endpoint.faults import retry_after
 from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.sphere import angular_distance, direction, world_R_body
-from eagor.worlds.panorama import view
 
 openai = pytest.importorskip("openai")
 

@@ -17,10 +17,10 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.grids import ErpGrid
+from eagor.media.frames import Frame, Pose
 from eagor.metrics import angular_error_deg
 from eagor.robots.dds import Link
 from eagor.robots.dds.settings import free_domain
-from eagor.robots.frames import Frame, Pose
 from eagor.robots.go2.house import BALL_ID, load_house
 from eagor.robots.go2.plant import PlantSettings
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2

@@ -12,9 +12,9 @@ import pytest
 from processes import wait_for
 
 from eagor.errors import DeviceError
+from eagor.media.frames import PoseSource
 from eagor.robots.dds import Link
 from eagor.robots.dds.settings import free_domain
-from eagor.robots.frames import PoseSource
 from eagor.robots.go2 import idl, sport
 from eagor.robots.go2.low import Go2Low, Remote
 from eagor.robots.go2.plant import Plant, PlantSettings

@@ -7,11 +7,11 @@ import time
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from eagor.media.bags import messages as m
+from eagor.media.bags.ros_types import encoded_type, hash_of
 from eagor.robots.dds import Link
 from eagor.robots.dds.discovery import INFO, TOPIC, announced
-from eagor.robots.dds.ros_types import encoded_type, hash_of
 from eagor.robots.dds.settings import free_domain
-from eagor.robots.ros import messages as m
 from eagor.robots.ros.graph import DdsGraph
 
 pytestmark = pytest.mark.xdist_group("real time")

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
-from eagor.robots.cameras import check_camera, open_camera
+from eagor.media.bags import messages as m
+from eagor.media.bags.reader import BagWriter
+from eagor.media.cameras import check_camera, open_camera
+from eagor.media.frames import Pose
 from eagor.robots.dds import Link
 from eagor.robots.dds.settings import free_domain
-from eagor.robots.frames import Pose
-from eagor.robots.ros import messages as m
-from eagor.robots.ros.bags import BagWriter
 from eagor.robots.ros.graph import DdsGraph
 from eagor.robots.ros.playing import BagCamera, BagPoses
 from eagor.robots.ros.sources import RosCamera, RosPoses

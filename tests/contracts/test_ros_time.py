@@ -14,12 +14,12 @@ from rosgraph import FakeGraph, clock_message
 
 from eagor import Evidence
 from eagor.errors import DeviceError
-from eagor.robots.frames import Pose
-from eagor.robots.live.core import LiveCore, Settings
-from eagor.robots.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.live.core import LiveCore, Settings
+from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.media.bags import messages as m
+from eagor.media.frames import Pose
 from eagor.robots.node import Node, NodeSettings
 from eagor.robots.node.clock import SimClock, Stamps
-from eagor.robots.ros import messages as m
 from eagor.robots.ros.odometry import PoseReader
 from eagor.robots.ros.sources import RosCamera, RosPoses
 from eagor.robots.ros.topics import find_topic
@@ -196,8 +196,8 @@ def test_a_camera_whose_place_on_the_body_is_not_known_is_said(frame, poses, sai
 @pytest.mark.parametrize("left", [{}, {"/image": m.IMAGE, "/odom": m.ODOMETRY}])
 def test_a_node_ends_at_once_though_the_robot_is_gone(monkeypatch, left):
     """It looks for a topic, or for a first message, which takes for ever here; and nothing is waited out."""
-    monkeypatch.setattr("eagor.robots.live.loop.STALLED", 0.3)
-    monkeypatch.setattr("eagor.robots.live.loop.LEAVING", 1e6)
+    monkeypatch.setattr("eagor.live.loop.STALLED", 0.3)
+    monkeypatch.setattr("eagor.live.loop.LEAVING", 1e6)
     for waits in (find_topic, RosCamera.__init__, RosPoses.__init__):
         monkeypatch.setitem(waits.__kwdefaults__, "wait", 1e6)
     with Robot(1000.0) as robot:

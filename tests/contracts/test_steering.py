@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from eagor.drawing.robot_page import Plan, RobotPage, Sample, summary
+from eagor.live.answers import Answer, Fault
+from eagor.live.events import FrameCame, PoseCame
+from eagor.media.frames import Pose
 from eagor.perception.colour import ColourPerception
-from eagor.robots.frames import Pose
-from eagor.robots.live.answers import Answer, Fault
-from eagor.robots.live.events import FrameCame, PoseCame
+from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.guard import GuardState
 from eagor.robots.safety.steering import Odometer, steer

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from eagor.cli import main
-from eagor.robots.frames import Pose
-from eagor.robots.ros import messages as m
-from eagor.robots.ros.bags import BagWriter
+from eagor.media.bags import messages as m
+from eagor.media.bags.reader import BagWriter
+from eagor.media.frames import Pose
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
 

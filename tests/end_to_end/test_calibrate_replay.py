@@ -10,11 +10,11 @@ from PIL import Image
 from eagor.cli import main
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evaluation.replayed import read_truth, replayed_looks
+from eagor.media.panorama import turn
 from eagor.perception.calibrated import read_calibrated
 from eagor.perception.replay import ReplayPerception, write_record
 from eagor.sphere import azimuth_elevation, unit, world_R_body
 from eagor.worlds.painted import painted_room
-from eagor.worlds.panorama import turn
 
 SPREAD = 0.06
 

@@ -11,10 +11,10 @@ from moving_rooms import PatternRoom
 from PIL import Image
 
 from eagor.cli import main
-from eagor.robots.cameras import dual_fisheye, read_rig, seen_by, write_rig
+from eagor.media.cameras import dual_fisheye, read_rig, seen_by, write_rig
+from eagor.media.panorama import turn
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
-from eagor.worlds.panorama import turn
 
 pytest.importorskip("cv2")
 pytest.importorskip("av")

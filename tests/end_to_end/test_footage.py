@@ -25,9 +25,9 @@ from eagor.cli import main
 from eagor.cli.poses import Pose
 from eagor.cli.steps import with_file
 from eagor.grids import ErpGrid
+from eagor.media.panorama import turn
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.worlds.panorama import turn
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
 ROWS, COUNT, RATE = 192, 12, 4  # of a clip: rows, pictures, pictures per second

@@ -19,8 +19,9 @@ from eagor.errors import EagorError, FormatError
 from eagor.evaluation.labelled import apartment_labels
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
+from eagor.media.cutting import cut
+from eagor.media.panorama import read_panorama
 from eagor.perception import is_model, load, rows_of, short_name
-from eagor.perception.cutting import cut
 from eagor.perception.partial import look_at_view
 from eagor.perception.transformers import TransformersPerception, loading
 from eagor.perception.transformers.language import LanguageModel
@@ -28,7 +29,6 @@ from eagor.perception.vlm.families import FAMILIES, Checkpoint
 from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.tasks.eyes import shared
-from eagor.worlds.panorama import read_panorama
 
 QWEN = "qwen2_5_vl"
 SMALL = "pixels=25088&seam=false"  # 112 x 224 pixels, 32 tokens

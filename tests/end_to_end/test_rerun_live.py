@@ -10,10 +10,10 @@ from rerunreading import read
 
 from eagor import DirectionTracker, Evidence
 from eagor.drawing import rerun_log
-from eagor.drawing.rerun_live import LiveLog
-from eagor.robots.frames import Pose
-from eagor.robots.live.answers import Answer, Fault
-from eagor.robots.live.events import Asked, FrameCame, PoseCame
+from eagor.live.answers import Answer, Fault
+from eagor.live.events import Asked, FrameCame, PoseCame
+from eagor.live.rerun import LiveLog
+from eagor.media.frames import Pose
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
 

@@ -21,8 +21,8 @@ import json, math, sys, time
 import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
-from eagor.robots.frames import Pose
-from eagor.robots.ros import messages as m
+from eagor.media.frames import Pose
+from eagor.media.bags import messages as m
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import Ball, Room, paint
 

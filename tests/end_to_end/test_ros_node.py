@@ -16,10 +16,10 @@ import pytest
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
+from eagor.media.bags import messages as m
 from eagor.robots.dds import Link
 from eagor.robots.dds.settings import free_domain
 from eagor.robots.node import answers as made
-from eagor.robots.ros import messages as m
 from eagor.sphere import angular_distance
 from eagor.worlds.painted import Room, bearing
 
@@ -31,8 +31,8 @@ import math, sys, time
 import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
-from eagor.robots.frames import Pose
-from eagor.robots.ros import messages as m
+from eagor.media.frames import Pose
+from eagor.media.bags import messages as m
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import Room, paint
 
@@ -230,7 +230,7 @@ def test_a_node_without_a_camera_or_with_a_wrong_topic(robot, capsys):
 
 
 def test_a_run_of_some_seconds_is_recorded(robot, tmp_path):
-    from eagor.robots.ros.bags import Bag
+    from eagor.media.bags.reader import Bag
 
     domain = robot(0.0)
     process = node(domain, "red ball", "--seconds", "8", "--json", "--record", str(tmp_path / "run"))

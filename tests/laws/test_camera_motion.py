@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.errors import PoseError
-from eagor.robots.insta360 import read_trailer
-from eagor.robots.motion import MotionTrack, complementary, integrate
-from eagor.robots.video import Video
+from eagor.media.insta360 import read_trailer
+from eagor.media.motion import MotionTrack, complementary, integrate
+from eagor.media.video import Video
 from eagor.sphere import world_R_body
 
 G = 9.80665

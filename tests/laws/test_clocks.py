@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import TimeError
-from eagor.robots.clocks import ClockOffset, Lateness, RelatedClock
+from eagor.media.clocks import ClockOffset, Lateness, RelatedClock
 
 RATE = 50.0
 

@@ -9,14 +9,14 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import ImageError, PoseError
-from eagor.robots.cameras import dual_fisheye, seen_by
-from eagor.robots.cameras.calibrating import calibrate
-from eagor.robots.cameras.circles import first_rig
-from eagor.robots.cameras.fitting import solve
-from eagor.robots.cameras.latency import Steps, latency_between
-from eagor.robots.cameras.overlap import overlap_of, with_seam
-from eagor.robots.cameras.sightings import Pairs
-from eagor.robots.frames import Pose
+from eagor.media.cameras import dual_fisheye, seen_by
+from eagor.media.cameras.calibrating import calibrate
+from eagor.media.cameras.circles import first_rig
+from eagor.media.cameras.fitting import solve
+from eagor.media.cameras.latency import Steps, latency_between
+from eagor.media.cameras.overlap import overlap_of, with_seam
+from eagor.media.cameras.sightings import Pairs
+from eagor.media.frames import Pose
 from eagor.sphere import world_R_body
 
 cv2 = pytest.importorskip("cv2")

@@ -11,7 +11,7 @@ from strategies import directions, rotations
 
 from eagor.errors import GridError, ImageError
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
-from eagor.robots.cameras import FisheyeLens, PinholeLens, Rig, Stitcher, dual_fisheye, read_rig, seen_by, write_rig
+from eagor.media.cameras import FisheyeLens, PinholeLens, Rig, Stitcher, dual_fisheye, read_rig, seen_by, write_rig
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import painted_room
 

@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eagor.robots.live.answers import Fault
-from eagor.robots.live.news import AGAIN, CALM, News
+from eagor.live.answers import Fault
+from eagor.live.news import AGAIN, CALM, News
 
 
 def poses(age: float) -> Fault:

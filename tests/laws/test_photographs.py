@@ -6,10 +6,10 @@ from PIL import Image, PngImagePlugin
 
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid
-from eagor.robots.pictures import read_photograph
+from eagor.media.panorama import turn
+from eagor.media.pictures import read_photograph
 from eagor.sphere import angular_distance, direction
 from eagor.worlds.painted import painted_room
-from eagor.worlds.panorama import turn
 
 SHAPE = (128, 256)
 

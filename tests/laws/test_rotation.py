@@ -11,12 +11,12 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from eagor.robots.features import Views, features_of, match
-from eagor.robots.flow import corners_of, followed, steadied
-from eagor.robots.rotation import VisualOdometer
-from eagor.robots.two_views import turn_between
+from eagor.media.features import Views, features_of, match
+from eagor.media.flow import corners_of, followed, steadied
+from eagor.media.panorama import read_panorama, turn
+from eagor.media.rotation import VisualOdometer
+from eagor.media.two_views import turn_between
 from eagor.sphere import angular_distance, world_R_body
-from eagor.worlds.panorama import read_panorama, turn
 
 pytest.importorskip("cv2")
 PHOTOGRAPHS = sorted((Path(__file__).parents[2] / ".." / "shared" / "panoramas").glob("*.png"))
@@ -201,7 +201,7 @@ def test_corners_of_another_room_do_not_return():
 
 def test_features_are_matched_only_where_corners_are_not_followed(monkeypatch):
     matched = []
-    monkeypatch.setattr("eagor.robots.rotation.match", lambda *both: matched.append(1) or match(*both))
+    monkeypatch.setattr("eagor.media.rotation.match", lambda *both: matched.append(1) or match(*both))
     room, odometer = PatternRoom(2), VisualOdometer()
     for angle in (0.0, 0.08, 0.16, 0.24):
         odometer.add(room.panorama(world_R_body(angle)))
@@ -212,7 +212,7 @@ def test_features_are_matched_only_where_corners_are_not_followed(monkeypatch):
 
 
 def test_corners_are_followed_over_pictures_that_were_left_out(monkeypatch):
-    monkeypatch.setattr("eagor.robots.rotation.match", None)
+    monkeypatch.setattr("eagor.media.rotation.match", None)
     room, odometer = PatternRoom(2), VisualOdometer()
     for stamp in (0.0, 0.1, 0.6, 0.7, 1.6):
         turned = odometer.add(room.panorama(world_R_body(1.2 * stamp)), stamp)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eagor.grids import ErpGrid
-from eagor.robots.video import Video
+from eagor.media.video import Video
 from eagor.sphere import angular_distance, direction
 from eagor.worlds.painted import painted_room
 

@@ -10,12 +10,12 @@ from scipy.ndimage import find_objects, label
 
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence
 from eagor.errors import EagorError, GridError, ImageError, QueryError
+from eagor.media.cutting import cut, tangent_views
+from eagor.media.panorama import turn
 from eagor.perception import check_perception, look
-from eagor.perception.cutting import cut, tangent_views
 from eagor.perception.pieces import Piece, things
 from eagor.perception.views import Views
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
-from eagor.worlds.panorama import turn
 
 GREY = 90
 GRID = ErpGrid(256, 512)

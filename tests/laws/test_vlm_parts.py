@@ -14,8 +14,8 @@ from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryEr
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.perception.cutting import cut, tangent_views
-from eagor.perception.pictures import resized
+from eagor.media.cutting import cut, tangent_views
+from eagor.media.images import resized
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn
 from eagor.perception.vlm.lenient import values

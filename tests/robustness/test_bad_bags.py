@@ -18,9 +18,9 @@ from processes import limited
 from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
-from eagor.robots.ros import messages as m
-from eagor.robots.ros.bags import Bag, BagWriter, is_bag, read_bag
-from eagor.robots.ros.mcap import MAGIC, MOST
+from eagor.media.bags import messages as m
+from eagor.media.bags.mcap import MAGIC, MOST
+from eagor.media.bags.reader import Bag, BagWriter, is_bag, read_bag
 
 
 def small(path, count=20):
@@ -234,7 +234,7 @@ def test_bags_that_ask_for_much_room(tmp_path):
     (tmp_path / "h.mcap").write_bytes(finished(chunk(len(large), packed(large, "zstd"), "zstd")))
     assert (tmp_path / "b-zstd.mcap").stat().st_size < 200_000
     said = limited(
-        "from eagor.errors import EagorError\nfrom eagor.robots.ros.bags import read_bag\n", ASK, tmp_path, 600
+        "from eagor.errors import EagorError\nfrom eagor.media.bags.reader import read_bag\n", ASK, tmp_path, 600
     )
     wanted = [
         *["is damaged (a chunk cannot be unpacked (it holds more than the 1000 bytes that it declares)); copy or"] * 2,

@@ -21,11 +21,11 @@ from PIL import Image
 from processes import limited
 
 from eagor.errors import FormatError, ImageError, WorldError
+from eagor.media.panorama import read_panorama
 from eagor.tasks.hstar import data as files
 from eagor.tasks.hstar.data import Stored, find_scenes, open_panorama
 from eagor.worlds.glb import import_glb
 from eagor.worlds.objectnav import read_episodes
-from eagor.worlds.panorama import read_panorama
 
 
 def glb(tree, binary=b""):
@@ -226,7 +226,7 @@ import numpy, trimesh
 from eagor.errors import EagorError
 from eagor.worlds.glb import import_glb
 from eagor.worlds.objectnav import read_episodes
-from eagor.worlds.panorama import read_panorama
+from eagor.media.panorama import read_panorama
 """
 READERS = """
 readers = {"a.glb": import_glb, "b.glb": import_glb, "c.json.gz": read_episodes, "d.png": read_panorama}

@@ -32,10 +32,10 @@ from livemaking import (
 from processes import alive, sessions_of, wait_for
 
 from eagor.errors import DeviceError, EagorError, QueryError, StorageError, TimeError
-from eagor.robots.frames import Pose
-from eagor.robots.live import loop as looping
-from eagor.robots.live.loop import LiveLoop
-from eagor.robots.live.replay import Replay
+from eagor.live import loop as looping
+from eagor.live.loop import LiveLoop
+from eagor.live.replay import Replay
+from eagor.media.frames import Pose
 from eagor.tracking import TrackerConfig
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -341,7 +341,7 @@ import sys, time
 sys.path[:0] = {paths!r}
 from pathlib import Path
 from livemaking import Camera, Odometry, Seeing
-from eagor.robots.live.loop import LiveLoop
+from eagor.live.loop import LiveLoop
 
 if __name__ == "__main__":
     loop = LiveLoop(Camera(), {perception}, ["red chair"], poses=Odometry(), record=Path({record!r}), rate=20.0)
@@ -382,7 +382,7 @@ import resource, sys
 sys.path[:0] = {paths!r}
 from pathlib import Path
 from livemaking import Camera, Odometry, Seeing
-from eagor.robots.live.loop import LiveLoop
+from eagor.live.loop import LiveLoop
 
 if __name__ == "__main__":
     import signal
@@ -437,8 +437,8 @@ def test_a_recording_is_played_again_bit_for_bit_and_looked_at_anew(tmp_path):
 
 def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    from eagor.robots.ros.bags import bag_topics, read_bag
-    from eagor.robots.ros.messages import panorama_of, pose_of, stamp_of
+    from eagor.media.bags.messages import panorama_of, pose_of, stamp_of
+    from eagor.media.bags.reader import bag_topics, read_bag
 
     loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")
     answers = followed(loop, well)

@@ -15,12 +15,12 @@ from mutations import as_text, damaged, reads, trees
 from PIL import Image
 from processes import limited
 
+from eagor.media.panorama import read_panorama
 from eagor.tasks.hstar.data import Stored, open_panorama
 from eagor.worlds.glb import export_glb, import_glb
 from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav import read_episodes
 from eagor.worlds.painted import painted_room
-from eagor.worlds.panorama import read_panorama
 from eagor.worlds.scene import Instance, Material, Scene
 
 PIXELS = painted_room(16, 32)
@@ -112,7 +112,7 @@ from eagor.evidence import Evidence
 from eagor.perception.records import parse_record
 from eagor.tasks.osr.looking import read_depth
 from eagor.worlds.glb import import_glb
-from eagor.worlds.panorama import read_panorama
+from eagor.media.panorama import read_panorama
 import numpy, trimesh
 """
 READERS = """

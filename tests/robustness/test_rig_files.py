@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError, FormatError
-from eagor.robots.cameras import read_rig
+from eagor.media.cameras import read_rig
 
 pytest.importorskip("yaml")
 GOOD = """pictures:

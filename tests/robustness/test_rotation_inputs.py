@@ -7,7 +7,7 @@ import pytest
 from moving_rooms import PatternRoom
 
 from eagor.errors import ImageError, MissingExtraError
-from eagor.robots.rotation import VisualOdometer
+from eagor.media.rotation import VisualOdometer
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")

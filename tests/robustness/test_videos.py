@@ -17,15 +17,15 @@ from PIL import Image
 
 from eagor.errors import ImageError, TimeError
 from eagor.grids import FisheyeGrid
-from eagor.robots.boxes import read_movie
-from eagor.robots.insta360 import read_trailer
-from eagor.robots.matroska import read_head
-from eagor.robots.said import read_said
-from eagor.robots.video import Video
-from eagor.robots.xmp import GPANO, properties
+from eagor.media.boxes import read_movie
+from eagor.media.insta360 import read_trailer
+from eagor.media.matroska import read_head
+from eagor.media.panorama import view
+from eagor.media.said import read_said
+from eagor.media.video import Video
+from eagor.media.xmp import GPANO, properties
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
-from eagor.worlds.panorama import view
 
 # --- arguments -------------------------------------------------------------------------------------------------------
 
@@ -124,7 +124,7 @@ def test_no_pictures(tmp_path):
 
 
 def test_pictures_too_large(tmp_path, monkeypatch):
-    monkeypatch.setattr("eagor.robots.decoding.LARGEST", 8000)
+    monkeypatch.setattr("eagor.media.decoding.LARGEST", 8000)
     with pytest.raises(ImageError, match="pictures of 128 x 64 pixels; wanted at most 8000"):
         Video(clips.clip(tmp_path / "a.mp4"))
 
@@ -324,7 +324,7 @@ def test_nothing_stays_open(tmp_path):
 
 PEAK = """
 import re, sys
-from eagor.robots.video import Video
+from eagor.media.video import Video
 video = Video(sys.argv[1], rows=int(sys.argv[2]) or None)
 print(sum(1 for _ in video), *video.shape)
 # Not ru_maxrss: it begins with what the process had that started this one.

@@ -19,9 +19,9 @@ from eagor.cli.poses import Pose, between
 from eagor.cli.steps import BEYOND, Read, Step
 from eagor.cli.terminal import log, warning
 from eagor.errors import PoseError
-from eagor.robots.frames import Pose as GivenPose
-from eagor.robots.pictures import PanoramaFile
-from eagor.robots.ros.bags import Bag
+from eagor.media.bags.reader import Bag
+from eagor.media.frames import Pose as GivenPose
+from eagor.media.pictures import PanoramaFile
 from eagor.robots.ros.playing import BagCamera, BagPoses
 from eagor.robots.ros.topics import MOTION, TF_STATIC
 

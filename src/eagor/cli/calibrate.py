@@ -299,9 +299,9 @@ def print_fit(found: DetectorFit) -> None:
 
 def heads(options: Calibrate) -> int:
     """``eagor calibrate heads``."""
+    from eagor.media.panorama import read_panorama
     from eagor.perception import is_model, load, short_name
     from eagor.perception.vlm.labelled import labelled_lines, read_labelled
-    from eagor.worlds.panorama import read_panorama
 
     name = options.perception or "scout"
     if min(options.episodes, options.take) < 1:

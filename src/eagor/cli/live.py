@@ -31,13 +31,14 @@ from eagor.cli.looking import (
 from eagor.cli.poses import read_poses
 from eagor.cli.steps import LEAST_ROWS
 from eagor.drawing.words import answer_in_words
+from eagor.live.answers import Answer
+from eagor.live.loop import LiveLoop, Watcher
+from eagor.live.news import News
+from eagor.live.sources import GivenPoses, MotionPoses
+from eagor.media.cameras import open_camera
+from eagor.media.frames import CameraSource, Pose
 from eagor.perception import is_model, rows_of
-from eagor.robots.cameras import open_camera
-from eagor.robots.frames import CameraSource, Pose
-from eagor.robots.live.answers import Answer
-from eagor.robots.live.loop import LiveLoop, Watcher
-from eagor.robots.live.news import News
-from eagor.robots.live.sources import GO2, ROS, GivenPoses, MotionPoses, open_poses
+from eagor.robots.poses import GO2, ROS, open_poses
 from eagor.robots.ros.playing import BagCamera
 
 MOST_DRIFT = 90  # degrees
@@ -54,7 +55,7 @@ def live(options: Live) -> int:
     told, watchers = _Told(options, queries), []
     try:
         if options.rerun is not None:
-            from eagor.drawing.rerun_live import LiveLog
+            from eagor.live.rerun import LiveLog
 
             watchers.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
         loop = loop_of(options, watchers)
@@ -113,7 +114,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
     opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
-        from eagor.robots.cameras import read_rig
+        from eagor.media.cameras import read_rig
         from eagor.robots.ros.sources import RosCamera
 
         topic = source.removeprefix(ROS)
@@ -273,7 +274,7 @@ def _in_line(answer: Answer) -> str:
 
 def _replay(options: Live) -> int:
     """``eagor live replay DIR``."""
-    from eagor.robots.live.replay import Replay
+    from eagor.live.replay import Replay
 
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one recording: eagor live replay DIR")

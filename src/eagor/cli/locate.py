@@ -34,9 +34,9 @@ from eagor.cli.tables import table
 from eagor.cli.unseen import Unseen
 from eagor.drawing.words import STATUS, answer_in_words, distance_in_words, in_words, signed
 from eagor.evidence import Evidence
+from eagor.media.pictures import PanoramaFile
 from eagor.perception import Perception, rows_of, short_name
 from eagor.perception.looks import look
-from eagor.robots.pictures import PanoramaFile
 from eagor.sphere import azimuth_elevation
 from eagor.tracking.estimate import Estimate, Mode
 from eagor.tracking.tracker import DirectionTracker
@@ -92,7 +92,7 @@ def _frame(options: Locate, perception: Perception) -> PanoramaFile:
         if options.rig is not None:
             return LensPictures(options.rig).read(options.panorama)
         return read_frame(options.panorama, options.force)
-    from eagor.robots.video import Video
+    from eagor.media.video import Video
 
     if options.rig is None:
         video = Video(options.panorama, start=start, rows=rows)

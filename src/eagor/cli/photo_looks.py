@@ -12,8 +12,8 @@ import numpy as np
 
 from eagor.cli.terminal import RunError, UsageError
 from eagor.evaluation.published import OURS
+from eagor.media.cutting import cut
 from eagor.perception import Perception, look, rows_of
-from eagor.perception.cutting import cut
 from eagor.perception.views import Views
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
 from eagor.tasks.methods import NAMES, TrackerMethod, make_method

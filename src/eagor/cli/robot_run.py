@@ -26,14 +26,14 @@ from eagor.cli.looking import (
 )
 from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.steps import LEAST_ROWS
-from eagor.drawing.robot_page import Plan, RobotPage, Sample, summary
 from eagor.errors import DeviceError
+from eagor.live.loop import LiveLoop
+from eagor.media.cameras import open_camera
+from eagor.media.frames import CameraSource, Pose
 from eagor.perception import is_model, rows_of
-from eagor.robots.cameras import open_camera
 from eagor.robots.dds import Link
-from eagor.robots.frames import CameraSource, Pose
 from eagor.robots.go2.state import Go2State
-from eagor.robots.live.loop import LiveLoop
+from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.deadman import DEADMEN
 from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import Limits
@@ -151,7 +151,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
     def camera() -> CameraSource:
         if source.startswith(ROS):  # on the robot's network, not on that of the environment
-            from eagor.robots.cameras.rig_files import read_rig
+            from eagor.media.cameras.rig_files import read_rig
             from eagor.robots.ros.sources import RosCamera
 
             rig = None if options.rig is None else read_rig(options.rig)

@@ -20,7 +20,7 @@ from eagor.cli.poses import Pose, interpolated, pair, usable
 from eagor.cli.stitched import LensPictures
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, PoseError
-from eagor.robots.pictures import PanoramaFile
+from eagor.media.pictures import PanoramaFile
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
@@ -94,7 +94,7 @@ class Images:
 
 @dataclass(frozen=True)
 class Film:
-    """The frames of a video (`eagor.robots.video.Video`)."""
+    """The frames of a video (`eagor.media.video.Video`)."""
 
     video: Any
     force: bool
@@ -178,8 +178,8 @@ def with_imu(source: Source, motion: Any) -> Iterator[Step]:
 
 
 def with_sight(source: Source, level: bool) -> Iterator[Step]:
-    """Frames with the orientations that the pictures themselves tell (`eagor.robots.rotation`)."""
-    from eagor.robots.rotation import VisualOdometer
+    """Frames with the orientations that the pictures themselves tell (`eagor.media.rotation`)."""
+    from eagor.media.rotation import VisualOdometer
 
     odometer, met = VisualOdometer(level=level), False
     upright = np.eye(3) if source.level_R_body is None else source.level_R_body

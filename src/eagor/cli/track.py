@@ -106,7 +106,7 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
     for name in ("rate", "fps"):
         if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
-    from eagor.robots.bag_files import is_bag
+    from eagor.media.bags.paths import is_bag
 
     if len(places) == 1 and is_bag(places[0]):
         return _recorded(options, places[0], poses, perception)
@@ -150,7 +150,7 @@ def _video(options: Track, places: Sequence[Path], rate: float, rows: int) -> An
     """The video, stitched with ``--rig``."""
     if options.rig is not None:
         return film_of(places, options.rig, rate=rate, start=options.start, end=options.end, rows=rows)
-    from eagor.robots.video import Video
+    from eagor.media.video import Video
 
     return Video(places[0], rate=rate, start=options.start, end=options.end, rows=rows)
 
@@ -158,8 +158,8 @@ def _video(options: Track, places: Sequence[Path], rate: float, rows: int) -> An
 def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Perception) -> Journey:
     """The stream of a ROS 2 bag."""
     from eagor.cli.bag_steps import BagFilm, odometry_of, with_odometry
-    from eagor.robots.ros.bags import Bag
-    from eagor.robots.ros.messages import IMU
+    from eagor.media.bags.messages import IMU
+    from eagor.media.bags.reader import Bag
     from eagor.robots.ros.playing import BagCamera
 
     bag = Bag(place)
@@ -167,7 +167,7 @@ def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Pe
     shown = looks if options.video is None else max(looks, options.fps or FPS)
     rig = None
     if options.rig is not None:
-        from eagor.robots.cameras import read_rig
+        from eagor.media.cameras import read_rig
 
         rig = read_rig(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS), rig=rig)

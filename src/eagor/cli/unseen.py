@@ -8,8 +8,8 @@ import numpy as np
 
 from eagor.cli import terminal
 from eagor.evidence import BodyMask, Evidence
-from eagor.robots.pictures import PanoramaFile
-from eagor.robots.suspect import NeverSeen
+from eagor.media.pictures import PanoramaFile
+from eagor.media.suspect import NeverSeen
 
 SAID = 0.002  # share of the sphere from which on a black region is worth a sentence
 

@@ -179,7 +179,7 @@ def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
     image = np.asarray(panorama)
     if image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
         raise ImageError(
-            f"the panorama has shape {image.shape}; wanted (H, W, 3), RGB. Files: eagor.worlds.panorama.read_panorama"
+            f"the panorama has shape {image.shape}; wanted (H, W, 3), RGB. Files: eagor.media.panorama.read_panorama"
         )
     decode: Callable[[np.ndarray], np.ndarray]
     if image.dtype == np.uint8:

@@ -15,10 +15,10 @@ from eagor.errors import EagorError, GridError, QueryError
 from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid
+from eagor.media.cutting import cut, tangent_views
+from eagor.media.images import checked_picture
 from eagor.perception.adapters import Boxes, boxes_of
 from eagor.perception.blobs import spread_evidence
-from eagor.perception.cutting import cut, tangent_views
-from eagor.perception.pictures import checked_picture
 from eagor.perception.pieces import Piece, Thing, things
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, world_R_body

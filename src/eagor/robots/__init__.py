@@ -1,7 +1,1 @@
-"""Live cameras and their motion: pictures with their times, and how the camera turned between them."""
-
-from __future__ import annotations
-
-from eagor.robots.frames import CameraSource, Frame, Pose, PoseSource
-
-__all__ = ["CameraSource", "Frame", "Pose", "PoseSource"]
+"""ROS 2 and the Go2 over DDS, the simulated Go2, and what keeps a robot safe while it follows an answer."""

@@ -23,9 +23,9 @@ import numpy as np
 from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
+from eagor.media.pictures import read_photograph
 from eagor.perception import load, rows_of
 from eagor.perception.looks import look_if_recorded
-from eagor.robots.pictures import read_photograph
 from eagor.studio.houses import House, house_of, place_of
 from eagor.studio.kept import Kept, given_back
 from eagor.studio.orders import Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned

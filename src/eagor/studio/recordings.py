@@ -12,9 +12,9 @@ import numpy as np
 from eagor._json import parsed
 from eagor.drawing.animation import Thinned
 from eagor.errors import FormatError
-from eagor.robots.live.core import LiveCore
-from eagor.robots.live.events import FrameCame, PoseCame
-from eagor.robots.live.replay import Replay
+from eagor.live.core import LiveCore
+from eagor.live.events import FrameCame, PoseCame
+from eagor.live.replay import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.pictures import jpeg
 from eagor.studio.replays import Advance, Redrawn

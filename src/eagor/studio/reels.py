@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.robots.frames import Frame
-from eagor.robots.rotation import VisualOdometer
-from eagor.robots.video import Video
+from eagor.media.frames import Frame
+from eagor.media.rotation import VisualOdometer
+from eagor.media.video import Video
 from eagor.studio.orders import LOOKS
 
 __all__ = ["ROWS", "Reel"]

@@ -148,9 +148,9 @@ def _is_video(path: Path) -> bool:
 def _photo(path: Path, name: str) -> Upload:
     from PIL import Image
 
-    from eagor.robots.pictures import is_whole, read_photograph
-    from eagor.robots.suspect import fisheye_circles, problems
-    from eagor.worlds.panorama import FORMATS
+    from eagor.media.panorama import FORMATS
+    from eagor.media.pictures import is_whole, read_photograph
+    from eagor.media.suspect import fisheye_circles, problems
 
     try:
         with warnings.catch_warnings():
@@ -184,7 +184,7 @@ def _photo(path: Path, name: str) -> Upload:
 
 
 def _video(path: Path, name: str) -> Upload:
-    from eagor.robots.video import Video
+    from eagor.media.video import Video
     from eagor.studio.orders import LOOKS
     from eagor.studio.reels import ROWS
 

@@ -42,7 +42,7 @@ def picture_size(file: Path | IO[bytes], upright: bool = False) -> tuple[int, in
     """Width and height of a picture, None if it cannot be read; `upright`: after its orientation tag was followed."""
     from PIL import Image
 
-    from eagor.worlds.panorama import FORMATS, ORIENTATION
+    from eagor.media.panorama import FORMATS, ORIENTATION
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -15,8 +15,8 @@ from eagor._extras import need
 from eagor._json import number, parsed, shown
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
+from eagor.media.panorama import FORMATS, decoded_bytes
 from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
-from eagor.worlds.panorama import FORMATS, decoded_bytes
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 
 # A few kilobytes can ask for anything: nodes that share a mesh, accessors without data, blank textures. So the size of

@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from eagor.errors import GridError, ImageError, PoseError
+from eagor.media.panorama import turn
 from eagor.sphere import check_rotation
-from eagor.worlds.panorama import turn
 from eagor.worlds.render import Frame, Position
 
 
@@ -35,7 +35,7 @@ class Photograph:
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
             raise ImageError(
                 f"the photograph is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
-                "eagor.worlds.panorama.read_panorama"
+                "eagor.media.panorama.read_panorama"
             )
         if np.shape(position) != (3,) or np.any(np.asarray(position, dtype=float) != 0):
             raise PoseError(

@@ -18,12 +18,12 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.perception.cutting import check_fields, tangent_views
+from eagor.media.cutting import check_fields, tangent_views
+from eagor.media.images import checked_picture
 from eagor.perception.endpoint.addresses import shown_address
 from eagor.perception.endpoint.extractors import GRID, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
 from eagor.perception.endpoint.server import Asker, Server, named
-from eagor.perception.pictures import checked_picture
 from eagor.perception.vlm.boxes import Frame, Order
 from eagor.perception.vlm.found import Thing, detected
 from eagor.perception.vlm.prompts import phrase

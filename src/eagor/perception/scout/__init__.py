@@ -91,7 +91,7 @@ class ScoutPerception:
         if image.dtype != np.uint8 or height == 0 or image.shape != (height, 2 * height, 3):
             raise ImageError(
                 f"the panorama is {image.dtype} of shape {image.shape}; the scout wants uint8 sRGB (H, 2 H, 3). Files: "
-                "eagor.worlds.panorama.read_panorama"
+                "eagor.media.panorama.read_panorama"
             )
         if not words:
             return np.zeros((0, *self.grid.shape), dtype=np.float32)

@@ -198,7 +198,7 @@ class TransformersPerception:
 
     def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
         """The pictures of a look at a panorama, and the time it began."""
-        from eagor.perception.pictures import checked_picture
+        from eagor.media.images import checked_picture
 
         began = time.perf_counter()
         for query in queries:
@@ -208,7 +208,7 @@ class TransformersPerception:
 
     def _whole(self, image: np.ndarray) -> _Shots:
         """The panorama at the model's size; with `seam` also rolled by half a turn."""
-        from eagor.perception.pictures import resized
+        from eagor.media.images import resized
         from eagor.perception.vlm.seam import merged
 
         aspect = image.shape[1] / image.shape[0]
@@ -228,7 +228,7 @@ class TransformersPerception:
         return _Shots(pictures, [(grid, 0.0), (grid, roll)], [grid, grid], combine, told)
 
     def _views(self, image: np.ndarray) -> _Shots:
-        from eagor.perception.cutting import cut
+        from eagor.media.cutting import cut
         from eagor.perception.vlm.views import lift
 
         views = self._cut()
@@ -249,6 +249,6 @@ class TransformersPerception:
 
     def _cut(self) -> tuple[PerspectiveGrid, ...]:
         """The views that are cut out of a panorama."""
-        from eagor.perception.cutting import tangent_views
+        from eagor.media.cutting import tangent_views
 
         return tangent_views(min(self.looker.size(1.0)), _VIEW_FIELD)

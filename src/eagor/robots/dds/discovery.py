@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError
+from eagor.media.bags.ros_types import encoded_type, hash_of, store
 from eagor.robots.dds.link import Link
-from eagor.robots.dds.ros_types import encoded_type, hash_of, store
 
 __all__ = ["ENCLAVE", "INFO", "TOPIC", "Announcement", "announced"]
 

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from eagor._extras import need
 from eagor.errors import DeviceError
-from eagor.robots.dds.ros_types import encoded_type, hash_of, store, topic_name
+from eagor.media.bags.ros_types import encoded_type, hash_of, store, topic_name
 from eagor.robots.dds.settings import checked_domain, settings
 
 __all__ = ["Link", "Reader", "Writer"]

@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor._checks import require, stretch, within
 from eagor.errors import DeviceError
-from eagor.robots.frames import Pose
+from eagor.media.frames import Pose
 from eagor.robots.go2.legs import joint_angles
 
 __all__ = ["STANDING", "WALKING", "Ahead", "Motion", "Plant", "PlantSettings", "Slide"]

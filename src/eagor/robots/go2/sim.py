@@ -16,8 +16,8 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.errors import DeviceError
-from eagor.robots.clocks import RelatedClock
-from eagor.robots.frames import Frame
+from eagor.media.clocks import RelatedClock
+from eagor.media.frames import Frame
 from eagor.robots.go2.house import House, Thing, ball_of, load_house
 from eagor.robots.go2.plant import Motion, Plant, PlantSettings
 from eagor.robots.go2.sim_camera import CameraSettings, SimulatedCamera

@@ -13,7 +13,7 @@ import numpy as np
 
 from eagor._processes import leave_ctrl_c, leave_with_parent, starting
 from eagor.errors import DeviceError, EagorError
-from eagor.robots.frames import Pose
+from eagor.media.frames import Pose
 from eagor.robots.go2.sim_camera import CameraSettings
 from eagor.worlds.ball import Ball
 
@@ -103,9 +103,9 @@ def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domai
     leave_ctrl_c()
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
     leave_with_parent()
+    from eagor.media.bags.messages import COMPRESSED, compressed_message
     from eagor.robots.dds import Link
     from eagor.robots.go2.sim_camera import SimulatedCamera
-    from eagor.robots.ros.messages import COMPRESSED, compressed_message
     from eagor.sphere import world_R_body
     from eagor.worlds import load
     from eagor.worlds.scene import Scene

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import DeviceError, FormatError
-from eagor.robots.clocks import RelatedClock
+from eagor.media.clocks import RelatedClock
+from eagor.media.frames import Pose
 from eagor.robots.dds import Link, Reader
-from eagor.robots.frames import Pose
 from eagor.robots.go2.wire import LONG, SportFields, raw
 
 __all__ = ["MODES", "SOURCES", "BodyState", "Go2State"]
@@ -90,11 +90,11 @@ class BodyState:
 
 
 class Go2State:
-    """The states of the Go2 on `link`; iterating gives `Pose` of the body, as `eagor.robots.frames.PoseSource`.
+    """The states of the Go2 on `link`; iterating gives `Pose` of the body, as `eagor.media.frames.PoseSource`.
 
     `source`: a name of `SOURCES`. `received(state)` is called for each state, in a thread. `mount` ``(3,)``: the point
     of the body whose position is given when iterating, metres in the body frame (where the camera is). States come on
-    this machine's clock: the robot's is related to it by `eagor.robots.clocks.RelatedClock`; `news` says how.
+    this machine's clock: the robot's is related to it by `eagor.media.clocks.RelatedClock`; `news` says how.
 
     Both forms of the message are read. A message of another length, two publishers of the same topic, or a pose that is
     no pose are faults: everything here then raises `DeviceError` that says so; with two publishers, until one ends.

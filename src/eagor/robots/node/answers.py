@@ -16,8 +16,8 @@ import numpy as np
 
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
-from eagor.robots.live.answers import Answer
-from eagor.robots.ros.messages import (
+from eagor.live.answers import Answer
+from eagor.media.bags.messages import (
     header,
     image_message,
     message,

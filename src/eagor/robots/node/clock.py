@@ -9,13 +9,13 @@ from dataclasses import replace
 from typing import Any
 
 from eagor.errors import DeviceError
-from eagor.robots.frames import Pose
-from eagor.robots.live.ahead import deviation
-from eagor.robots.live.answers import Answer
-from eagor.robots.live.events import Event, FrameCame, PoseCame
-from eagor.robots.live.playing import LoopClock
+from eagor.live.ahead import deviation
+from eagor.live.answers import Answer
+from eagor.live.events import Event, FrameCame, PoseCame
+from eagor.live.playing import LoopClock
+from eagor.media.bags.messages import CLOCK, seconds
+from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph
-from eagor.robots.ros.messages import CLOCK, seconds
 
 __all__ = ["SimClock", "Stamps"]
 

@@ -18,11 +18,11 @@ from typing import Any, Self
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.robots.frames import Pose
-from eagor.robots.live.answers import Answer
-from eagor.robots.live.events import Event, PoseCame
+from eagor.live.answers import Answer
+from eagor.live.events import Event, PoseCame
+from eagor.media.bags.messages import message, vector
+from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph
-from eagor.robots.ros.messages import message, vector
 from eagor.robots.safety.faults import Body, Inputs, stamp_of
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
 from eagor.robots.safety.guard import GuardState

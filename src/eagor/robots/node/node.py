@@ -1,6 +1,6 @@
 """The node: pictures, odometry and queries of a ROS 2 graph in; directions, markers, beliefs, diagnostics out.
 
-It runs the live loop (`eagor.robots.live`), so it answers at a steady rate however slow the perception is. The graph is
+It runs the live loop (`eagor.live`), so it answers at a steady rate however slow the perception is. The graph is
 DDS without ROS (`eagor.robots.ros.graph.DdsGraph`), or `rclpy` (the package ``eagor_ros`` in ``ros2/``).
 """
 
@@ -19,18 +19,18 @@ import numpy as np
 
 from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
+from eagor.live.answers import Answer, Fault, Part
+from eagor.live.loop import RATE, LiveLoop
+from eagor.live.news import News
+from eagor.media.bags.messages import TEXT
+from eagor.media.cameras.rig import Rig
 from eagor.perception import Perception
-from eagor.robots.cameras.rig import Rig
-from eagor.robots.live.answers import Answer, Fault, Part
-from eagor.robots.live.loop import RATE, LiveLoop
-from eagor.robots.live.news import News
 from eagor.robots.node.answers import trouble
 from eagor.robots.node.clock import SimClock, Stamps
 from eagor.robots.node.driving import Drive
 from eagor.robots.node.outbox import Outbox
 from eagor.robots.node.queries import after
 from eagor.robots.ros.graph import Graph, GraphReader
-from eagor.robots.ros.messages import TEXT
 from eagor.robots.ros.odometry import BODY, unnamed
 from eagor.robots.ros.sources import RosCamera, RosPoses
 from eagor.robots.safety.walking import WalkSettings

@@ -10,10 +10,10 @@ from typing import Any, Self
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.robots.live.answers import Answer
+from eagor.live.answers import Answer
+from eagor.media.bags.messages import IMAGE, POSE, VECTOR
 from eagor.robots.node import answers as made
 from eagor.robots.ros.graph import Graph, GraphWriter
-from eagor.robots.ros.messages import IMAGE, POSE, VECTOR
 
 __all__ = ["Outbox"]
 

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Any, Protocol, Self
 
 from eagor.errors import DeviceError
+from eagor.media.bags.ros_types import ros_names
 from eagor.robots.dds import Link
 from eagor.robots.dds.discovery import ENCLAVE, Announcement
-from eagor.robots.dds.ros_types import ros_names
 
 __all__ = ["DdsGraph", "Graph", "GraphReader", "GraphWriter", "default_domain"]
 

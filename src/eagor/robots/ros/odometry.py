@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import DeviceError
-from eagor.robots.frames import Pose
-from eagor.robots.ros.messages import IMU, ODOMETRY, TRANSFORMS, pose_of
+from eagor.media.bags.messages import IMU, ODOMETRY, TRANSFORMS, pose_of
+from eagor.media.frames import Pose
 from eagor.robots.ros.transforms import BACK, IDENTITY, Transform, TransformTree, composed, optical
 
 __all__ = ["BODY", "TOLERATED", "WORLDS", "PoseReader", "Turning", "unnamed"]

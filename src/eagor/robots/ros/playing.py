@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
-from eagor.robots.bag_files import split_bag
-from eagor.robots.cameras.making import Panoramas
-from eagor.robots.cameras.rig import Rig
-from eagor.robots.frames import Frame, Pose
-from eagor.robots.ros.bags import Bag
-from eagor.robots.ros.messages import TRANSFORMS, panorama_of, stamp_of
+from eagor.media.bags.messages import TRANSFORMS, panorama_of, stamp_of
+from eagor.media.bags.paths import split_bag
+from eagor.media.bags.reader import Bag
+from eagor.media.cameras.making import Panoramas
+from eagor.media.cameras.rig import Rig
+from eagor.media.frames import Frame, Pose
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, pick
 

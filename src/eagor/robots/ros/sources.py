@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError, EagorError, TimeError
-from eagor.robots.cameras.making import Panoramas
-from eagor.robots.cameras.rig import Rig
-from eagor.robots.frames import Frame, Pose
+from eagor.media.bags.messages import TRANSFORMS, panorama_of, stamp_of
+from eagor.media.cameras.making import Panoramas
+from eagor.media.cameras.rig import Rig
+from eagor.media.frames import Frame, Pose
 from eagor.robots.ros.graph import DdsGraph, Graph, GraphReader
-from eagor.robots.ros.messages import TRANSFORMS, panorama_of, stamp_of
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.playing import apart
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, find_topic

@@ -6,21 +6,17 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from eagor.errors import DeviceError, EagorError, FormatError
+from eagor.media.bags.messages import COMPRESSED, IMAGE, IMU, ODOMETRY, POSE, TRANSFORMS
+from eagor.media.bags.paths import listed
 from eagor.robots.ros.graph import Graph
-from eagor.robots.ros.messages import COMPRESSED, IMAGE, IMU, ODOMETRY, POSE, TRANSFORMS
 
-__all__ = ["MOTION", "PICTURES", "TF", "TF_STATIC", "find_topic", "listed", "pick"]
+__all__ = ["MOTION", "PICTURES", "TF", "TF_STATIC", "find_topic", "pick"]
 
 PICTURES = (IMAGE, COMPRESSED)
 MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS)  # the best first
 TF, TF_STATIC = "/tf", "/tf_static"
 FOUND = 5.0  # seconds in which a topic that is written must have been found
 LOOK = 0.5  # seconds of each look around
-
-
-def listed(topics: Mapping[str, str]) -> str:
-    """Topics and their types in words."""
-    return ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "none"
 
 
 def pick(

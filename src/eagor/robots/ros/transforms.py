@@ -11,7 +11,7 @@ import numpy as np
 
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.errors import EagorError
-from eagor.robots.ros.messages import rotation_of, seconds, triple
+from eagor.media.bags.messages import rotation_of, seconds, triple
 from eagor.tracking.poses import PoseHistory
 
 __all__ = ["BACK", "Transform", "TransformTree", "composed", "inverse", "optical"]

@@ -6,7 +6,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 from eagor.errors import DeviceError
-from eagor.robots.clocks import Lateness
+from eagor.media.clocks import Lateness
 from eagor.robots.dds import Link
 from eagor.robots.go2.low import Go2Low
 from eagor.robots.go2.others import Others

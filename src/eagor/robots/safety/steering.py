@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from eagor.robots.live.answers import Answer
-from eagor.robots.live.events import Event, FrameCame, PoseCame
+from eagor.live.answers import Answer
+from eagor.live.events import Event, FrameCame, PoseCame
 from eagor.robots.safety.guard import GuardState
 from eagor.robots.safety.walking import Sight, Walk, WalkSettings, Wish, walk
 from eagor.sphere import azimuth_elevation
@@ -61,7 +61,7 @@ class Step:
 
 
 class Odometer:
-    """A watcher of the live loop (`eagor.robots.live.loop.Watcher`): the newest place and picture.
+    """A watcher of the live loop (`eagor.live.loop.Watcher`): the newest place and picture.
 
     It tells the guard of poses as they come, which is more often than answers are given. `now`: the loop's clock.
     """
@@ -123,7 +123,7 @@ class Steering:
 
 
 def steer(loop: Any, guard: Guarding, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
-    """Walk by the answers of `loop` (`eagor.robots.live.loop.LiveLoop`, with one query) until it ends.
+    """Walk by the answers of `loop` (`eagor.live.loop.LiveLoop`, with one query) until it ends.
 
     `odometer` has to be one of its watchers. Raises what the loop and the guard raise.
     """

@@ -221,7 +221,7 @@ def open_panorama(panorama: Stored) -> np.ndarray:
     """
     from PIL import ImageOps
 
-    from eagor.worlds.panorama import read_image
+    from eagor.media.panorama import read_image
 
     try:
         data = panorama.read()

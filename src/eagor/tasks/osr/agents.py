@@ -116,7 +116,7 @@ class Vlm:
         self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map, which is asked for once
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
-        from eagor.worlds.panorama import read_panorama
+        from eagor.media.panorama import read_panorama
 
         mapped = scene.map_question
         if mapped is None:

@@ -40,7 +40,7 @@ def doc_to_visual(doc: Mapping[str, Any]) -> list[Any]:
     """The panorama, as a PIL image."""
     from PIL import Image
 
-    from eagor.worlds.panorama import FORMATS
+    from eagor.media.panorama import FORMATS
 
     with Image.open(doc["image"], formats=FORMATS) as file:
         return [file.convert("RGB")]

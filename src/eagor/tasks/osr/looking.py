@@ -94,7 +94,7 @@ class BeliefLooker:
     read: Callable[[Evidence], Evidence] = lambda evidence: evidence
 
     def __call__(self, scene: Scene, names: Sequence[str]) -> Seen:
-        from eagor.worlds.panorama import read_panorama
+        from eagor.media.panorama import read_panorama
 
         panorama = read_panorama(scene.picture)
         ranges = read_depth(scene.folder) if self.depth else None

@@ -1,0 +1,349 @@
+"""The live loop without threads, clocks and devices: events in, answers out.
+
+The same events give the same answers, bit for bit. Nothing here reads a clock: time is what the events say.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import deque
+from dataclasses import dataclass, field, replace
+from statistics import median
+
+import numpy as np
+
+from eagor._checks import checked_stamp
+from eagor.errors import EagorError, TimeError
+from eagor.evidence import Evidence
+from eagor.live.ahead import RecentPoses
+from eagor.live.answers import Answer, Fault, Part
+from eagor.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
+from eagor.media.clocks import RelatedClock
+from eagor.media.frames import Pose
+from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
+
+__all__ = ["LiveCore", "Settings", "warm"]
+
+HELD = 0.05  # seconds that the newest pose may be old without a word
+STARTING = 1.0  # seconds that the first pose may take
+STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
+INTERVALS = 2.5  # between pictures, or poses, if that is longer: slow ones are not stale
+BEATS = 9  # intervals between poses of which the middle one counts
+STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
+TOGETHER = 0.2  # seconds: looks that come faster are taken in together
+REFRESHED = 0.4  # seconds for which a belief may only be turned with the camera before it is computed anew,
+MOVED = 0.1  # ... unless the camera has gone so many metres meanwhile: near things are elsewhere by then
+WAITING = 0.5  # seconds that a look may wait for the pose of its picture, if others are known
+FUTURE = 0.1  # seconds by which evidence may be ahead of time
+PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
+SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
+ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
+TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a core starts with: `queries`, the tracker's `config`, whether `poses` are expected, the camera's `latency`.
+
+    Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
+    `acceleration`: radians per second squared (root mean square) by which the camera may turn faster or slower. The
+    poses tell more: this counts as one observation beside many, and alone where there are too few.
+    """
+
+    queries: tuple[str, ...]
+    config: TrackerConfig = field(default_factory=TrackerConfig)
+    poses: bool = True
+    latency: float = 0.0
+    acceleration: float = 0.5
+
+
+class LiveCore:
+    """Follows targets by `settings`, event by event. Not for several threads, except `orientation`.
+
+    A belief is computed anew with a new look, but at most every `TOGETHER` seconds, and without one when the camera has
+    moved by `MOVED` or after `REFRESHED` seconds. In between it is turned with the camera, which is exact for turns and
+    cheap. After the newest pose the camera's turn is extrapolated, and regions are wider by what that may miss.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.config, self.queries, self.has_poses = settings.config, settings.queries, settings.poses
+        self._camera = RelatedClock("camera", settings.latency, SLOWEST)
+        self._odometry = RelatedClock("odometry")
+        self._tracker = DirectionTracker(settings.config)
+        self._recent = RecentPoses(settings.acceleration)
+        self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
+        self._image = self._pose = -math.inf
+        self._interval = 0.0
+        self._first = math.inf  # stamp of the first pose
+        self._beats: deque[float] = deque(maxlen=BEATS)  # seconds between poses
+        self._looks: dict[str, float] = {}
+        # With their arrival: stamps may be a little ahead of ours, or of the poses.
+        self._early: list[tuple[str, Evidence, float]] = []
+        # What was computed last, with all of its belief, and where the camera was then.
+        self._full: dict[str, tuple[Estimate, np.ndarray | None]] = {}
+        self._fresh: set[str] = set()
+        self._taken: dict[str, float] = {}  # when looks were taken in last
+        self._faults: dict[tuple[Part, str], Fault] = {}
+        self._news: list[Fault] = []
+        self._asked = -math.inf
+        self._begun: float | None = None
+
+    def take(self, event: Event) -> list[Answer]:
+        """Take in an event. Answers come for `Asked` alone: one for each query, in their order."""
+        self._begun = event.arrival if self._begun is None else self._begun
+        match event:
+            case Asked():
+                return self._answers(event.arrival)
+            case FrameCame():
+                self._frame(event)
+            case PoseCame():
+                self._take_pose(event)
+            case EvidenceCame():
+                self._evidence(event)
+            case Trouble():
+                self._trouble(event)
+            case PosesLost():
+                self._lost(event)
+            case Following():
+                self._follow(event.queries)
+        return []
+
+    def orientation(self, stamp: float) -> np.ndarray | None:
+        """`world_R_body` ``(3, 3)`` at the picture of this (its source's) stamp, as far as it is known by now."""
+        ours = self._of_picture(stamp)
+        if not self.has_poses or ours is None or math.isinf(self._pose):
+            return None
+        try:
+            return self._tracker.pose_at(ours)[0]
+        except EagorError:
+            return None
+
+    def _follow(self, queries: tuple[str, ...]) -> None:
+        for gone in {*self.queries} - {*queries}:
+            self._faults.pop(("perception", gone), None)
+            self._full.pop(gone, None)
+            self._looks.pop(gone, None)
+            self._fresh.discard(gone)
+            if gone in self._tracker.targets:
+                self._tracker.forget(gone)
+        self.queries = queries
+
+    def _frame(self, event: FrameCame) -> None:
+        stamp, news = self._related(self._camera, event.stamp, event.arrival)
+        if news:
+            self._say("clock", news, event.arrival)
+        if stamp is not None:
+            stamp -= self._later()
+            self._pictures.append((event.stamp, stamp))
+            if stamp > self._image > -math.inf:
+                self._interval = stamp - self._image
+            self._image = max(self._image, stamp)
+
+    def _later(self) -> float:
+        """Seconds by which even the quickest picture comes later than the quickest pose of the same robot's clock."""
+        both = self._camera.related and self._odometry.related
+        later = self._camera.shift - self._odometry.shift if both else 0.0
+        return later if 0 < later < ONE_CLOCK else 0.0
+
+    def _take_pose(self, event: PoseCame) -> None:
+        pose = event.pose
+        if event.of_picture:
+            stamp = self._of_picture(pose.stamp)
+        else:
+            stamp, news = self._related(self._odometry, pose.stamp, event.arrival)
+            if news:
+                self._say("clock", news, event.arrival)
+        if stamp is None or (stamp := min(stamp, event.arrival)) <= self._pose:
+            return  # out of order, or a stamp that contradicts the others: the next one will do
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of far stamps: the age of the pose tells
+                self._tracker.add_pose(stamp, pose.world_R_body, pose.position)
+        except EagorError as error:
+            self._say("poses", f"a pose is left out: {error}", event.arrival)
+            return
+        self._recent.add(stamp, self._tracker.pose_at(stamp)[0])
+        for query, look in self._looks.items():
+            if look > self._pose:  # it has waited for this pose, and is placed anew
+                self._fresh.add(query)
+                self._taken.pop(query, None)
+        if math.isfinite(self._pose):
+            self._beats.append(stamp - self._pose)
+        self._pose, self._first = stamp, min(self._first, stamp)
+
+    def _evidence(self, event: EvidenceCame) -> None:
+        stamp = self._of_picture(event.stamp)
+        if event.query not in self.queries or stamp is None:
+            return
+        if stamp > event.arrival + FUTURE:
+            self._say("clock", f"a picture of {stamp - event.arrival:.2f} s ahead of time is left out", event.arrival)
+            return
+        for look in event.looks:
+            own = stamp if look.stamp is None else stamp + (look.stamp - event.told)
+            if own < self._first < math.inf:
+                if own < self._first - HELD:
+                    text = f"a look is left out: its picture was taken {self._first - own:.2f} s before the first pose"
+                    self._say("poses", text, event.arrival)
+                    continue
+                own = self._first
+            self._early.append((event.query, replace(look, stamp=checked_stamp(own)), event.arrival))
+        self._settle(event.arrival)
+
+    def _settle(self, now: float) -> None:
+        """Give the tracker the evidence that is not of the future, and whose pose is there or does not come."""
+        early, self._early = self._early, []
+        for query, look, arrival in early:
+            assert look.stamp is not None
+            waits = self.has_poses and look.stamp > self._pose and query in self._looks and now < arrival + WAITING
+            if look.stamp > now or waits:
+                self._early.append((query, look, arrival))
+                continue
+            try:
+                self._tracker.observe(look, query)
+            except EagorError as error:
+                self._say("perception", f"a look at {query!r} is left out: {error}", now)
+                continue
+            self._looks[query] = max(self._looks.get(query, -math.inf), look.stamp)
+            self._fresh.add(query)
+
+    def _of_picture(self, stamp: float) -> float | None:
+        """The stamp of a picture on our clock, as it was related when the picture came."""
+        return next((ours for its, ours in reversed(list(self._pictures)) if its == stamp), None)
+
+    @staticmethod
+    def _related(clock: RelatedClock, stamp: float, arrival: float) -> tuple[float | None, str | None]:
+        try:
+            return clock.take(stamp, arrival)
+        except TimeError as error:
+            return None, f"a stamp of the {clock.name} is left out: {error}"
+
+    def _trouble(self, event: Trouble) -> None:
+        if event.part == "clock" and event.text:  # it is over when it is said
+            self._say(event.part, event.text, event.arrival)
+            return
+        key = event.part, event.about
+        if not event.text:
+            self._faults.pop(key, None)
+            return
+        before = self._faults.get(key)
+        since = event.arrival if before is None else before.since
+        self._faults[key] = Fault(event.part, event.text, since)
+
+    def _lost(self, event: PosesLost) -> None:
+        self._tracker.reset()
+        self._recent.clear()
+        self._pose, self._first = -math.inf, math.inf
+        self._full.clear()
+        self._fresh.clear()
+        self._looks.clear()
+        self._early.clear()
+        self._say("poses", event.text, event.arrival)
+
+    def _say(self, part: Part, text: str, now: float) -> None:
+        """Something that happened: it stays among the faults for a while."""
+        others = [each for each in self._news if each.text != text]
+        self._news = [*others[-8:], Fault(part, text, now)]
+
+    def _answers(self, now: float) -> list[Answer]:
+        self._settle(now)
+        since, self._asked = now - self._asked, now
+        faults = tuple(self._wrong(now))
+        answers = []
+        due = [query for query in self.queries if self._is_due(query, now)]
+        due.sort(key=lambda query: self._full[query][0].stamp if query in self._full else -math.inf)
+        # The same work in each round: a belief that waits is turned meanwhile.
+        most = math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
+        for query in due[: max(1, most)]:
+            self._compute(query, now)
+        for query in self.queries:
+            estimate = self._turned(query, now)
+            answers.append(
+                Answer(
+                    now, query, estimate,
+                    pose_age=now - self._pose if self.has_poses else None,
+                    look_age=now - self._looks.get(query, -math.inf),
+                    image_age=now - self._image,
+                    faults=faults,
+                )
+            )  # fmt: skip
+        return answers
+
+    def _is_due(self, query: str, now: float) -> bool:
+        if query not in self._full:
+            return True
+        full, before = self._full[query]
+        if now < full.stamp or now - full.stamp >= REFRESHED:
+            return True
+        if query in self._fresh and now - self._taken.get(query, -math.inf) >= TOGETHER:
+            return True
+        here = self._tracker.pose_at(now)[1]
+        return before is not None and here is not None and math.dist(before, here) >= MOVED
+
+    def _compute(self, query: str, now: float) -> None:
+        if query in self._fresh:
+            self._fresh.discard(query)
+            self._taken[query] = now
+        known = query in self._tracker.targets
+        estimate = self._tracker.estimate(now, query) if known else self._unknown(now)
+        self._full[query] = estimate, self._tracker.pose_at(now)[1]
+
+    def _turned(self, query: str, now: float) -> Estimate:
+        """What was computed last, seen from where the camera points now."""
+        if query not in self._full:
+            self._compute(query, now)
+        # A look without a pose of its time has the newest pose: what matters is how the camera has turned since.
+        known = max(self._pose, self._looks.get(query, -math.inf))
+        pose, spread = self._recent.after(now - known if self.has_poses else 0.0)
+        return self._full[query][0].turned(now, pose, spread)
+
+    def _unknown(self, now: float) -> Estimate:
+        """The estimate of a target without evidence."""
+        from eagor.tracking.state import State
+
+        pose, position = self._tracker.pose_at(now)
+        return Estimate(now, math.inf, State.blank(self.config, now, position).cases, pose, self.config)
+
+    def _wrong(self, now: float) -> list[Fault]:
+        """What is wrong at this time: what was reported, what is overdue, what has just happened."""
+        begun = now if self._begun is None else self._begun
+        found = list(self._faults.values())
+        stale = max(STALE_IMAGE, INTERVALS * self._interval)
+        if now - self._image > stale and now - begun > stale:
+            found.append(_overdue("camera", "picture", now, self._image, begun))
+        held = max(HELD, INTERVALS * median(self._beats)) if self._beats else HELD
+        if self.has_poses and now - self._pose > held and (math.isfinite(self._pose) or now - begun > STARTING):
+            fault = _overdue("poses", "pose", now, self._pose, begun)
+            if not math.isinf(self._pose):
+                fault = replace(
+                    fault, text=f"the last pose holds for {now - self._pose:.2f} s already: the turn since is a guess"
+                )
+            found.append(fault)
+        if self.queries:
+            looked = max((self._looks.get(query, -math.inf) for query in self.queries), default=-math.inf)
+            told = any(fault.part == "perception" for fault in found)
+            if now - looked > STALE_LOOK and now - begun > STALE_LOOK and not told:
+                found.append(_overdue("perception", "look", now, looked, begun))
+        self._news = [each for each in self._news if now - each.since <= TOLD]
+        return sorted([*found, *self._news], key=lambda fault: fault.since)
+
+
+def warm(settings: Settings) -> None:
+    """Make the tables that the first answers need, which take tenths of a second, on a core of its own."""
+    core = LiveCore(replace(settings, queries=("",)))
+    for number in range(4):
+        stamp = 1.0 + number / 4
+        place = np.array([0.1 * number, 0.0, (settings.config.floor_height or 0.0) + 1.0])
+        if settings.poses:
+            core.take(PoseCame(stamp, Pose(stamp, np.eye(3), place)))
+        core.take(FrameCame(stamp, stamp, ""))
+        look = Evidence.from_points(np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1]]), scores=np.full(2, 0.8), stamp=stamp)
+        core.take(EvidenceCame(stamp, stamp, stamp, "", (look,)))
+        for answer in core.take(Asked(stamp + 0.2)):
+            answer.as_json()
+
+
+def _overdue(part: Part, what: str, now: float, last: float, begun: float) -> Fault:
+    if math.isinf(last):
+        return Fault(part, f"no {what} yet, after {now - begun:.1f} s", begun)
+    return Fault(part, f"no {what} for {now - last:.1f} s", last)

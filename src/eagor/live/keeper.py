@@ -1,0 +1,214 @@
+"""Keeps a perception running in a process of its own: whatever happens to it, the next picture finds a new one."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+from typing import Any
+
+import numpy as np
+
+from eagor._processes import starting
+from eagor.errors import EagorError, ImageError
+from eagor.evidence import BodyMask, Evidence
+from eagor.live.looker import serve
+from eagor.perception import Perception
+from eagor.tracking.checkpoint import unpacked
+
+__all__ = ["Failed", "Keeper", "Looked", "UnusableError"]
+
+PATIENCE = 60.0  # seconds for one look
+LOADING = 600.0  # seconds at least for a model to load
+PAUSES = (0.5, 30.0)  # seconds before a perception that died starts anew: at first, and at most; doubled each time
+ENDING = 3.0  # seconds for an idle process to leave by itself
+
+
+class UnusableError(EagorError):
+    """The perception cannot be loaded, and will not be the next time either."""
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What the perception says about `query`: several pieces of evidence for several views of the picture."""
+
+    query: str
+    looks: tuple[Evidence, ...]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Why there is no look; `query`: None if it concerns all. `refused`: this query will never be understood."""
+
+    query: str | None
+    text: str
+    refused: bool = False
+
+
+class Keeper:
+    """A perception in a process of its own, given as text for `eagor.perception.load` or as an object to pickle.
+
+    `patience`: seconds that a look may take; then the process is killed, and started anew with the next picture. One
+    that dies is started anew after a pause, which grows while that goes on. Loading may take `LOADING` seconds, or
+    `patience` if that is longer. `masks`: where looks say nothing; where all pictures are black about a pole, they do
+    not either. Not for several threads, except `kill`.
+    """
+
+    def __init__(
+        self, perception: str | Perception, *, patience: float = PATIENCE, masks: Sequence[BodyMask] = ()
+    ) -> None:
+        self.perception, self.patience, self.masks = perception, patience, tuple(masks)
+        self.starts = 0
+        self._process: Any = None
+        self._line: Connection | None = None
+        self._memory: SharedMemory | None = None
+        self._pause = PAUSES[0]
+        self._rest_until = -math.inf
+        self._killed = threading.Event()
+        self._lock = threading.Lock()
+
+    def start(self) -> Iterator[Failed]:
+        """Start the process and wait until it is ready. Nothing comes if it is. Raises `UnusableError`."""
+        if self._line is not None:
+            return
+        rest = self._rest_until - time.monotonic()
+        if self._killed.wait(max(0.0, rest)):
+            return
+        context = multiprocessing.get_context("spawn")
+        ours, there = context.Pipe()
+        with self._lock:
+            if self._killed.is_set():
+                return
+            process = context.Process(target=serve, args=(there, self.perception, self.masks, os.getpid()), daemon=True)
+            try:
+                with starting():
+                    process.start()
+            except Exception as error:  # the perception cannot be pickled, or the system has no more processes
+                ours.close()
+                there.close()
+                raise UnusableError(f"the perception's process cannot be started: {error}") from error
+            there.close()
+            self._process, self._line = process, ours
+        self.starts += 1
+        try:
+            said = self._heard(max(LOADING, self.patience))
+        except _Silent as silent:
+            yield Failed(None, self._over(silent, "load"))
+            return
+        if said[0] == "unusable":
+            self._end()
+            raise UnusableError(said[1])
+
+    def look(
+        self, panorama: np.ndarray, queries: Sequence[str], stamp: float, world_R_body: np.ndarray | None = None
+    ) -> Iterator[Looked | Failed]:
+        """Look at a panorama ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
+
+        Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
+        """
+        if panorama.ndim != 3 or panorama.shape[2] != 3 or panorama.dtype != np.uint8:
+            raise ImageError(f"a picture is {panorama.dtype} {panorama.shape}; wanted uint8 (H, W, 3)")
+        yield from self.start()
+        if self._line is None:
+            return
+        name = self._show(panorama)
+        try:
+            self._line.send((name, tuple(queries), stamp, panorama.shape, world_R_body))
+            while (said := self._heard(self.patience))[0] != "done":
+                self._pause = PAUSES[0]
+                if said[0] == "looked":
+                    yield Looked(said[1], unpacked(said[2]), said[3])
+                else:
+                    yield Failed(said[1], said[2], said[3])
+        except (_Silent, OSError, ValueError) as error:
+            silent = error if isinstance(error, _Silent) else _Silent(0.0)
+            yield Failed(None, self._over(silent, "look"))
+
+    def kill(self) -> None:
+        """End the process at once, from any thread; nothing is started any more."""
+        self._killed.set()
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+
+    def close(self) -> None:
+        """End the process and let go of the shared memory. May be called twice."""
+        self._killed.set()
+        self._end()
+
+    def _show(self, panorama: np.ndarray) -> str:
+        """Put the picture into shared memory; its name there."""
+        if self._memory is None or self._memory.size < panorama.nbytes:
+            self._free()
+            self._memory = SharedMemory(create=True, size=panorama.nbytes)
+        np.ndarray(panorama.shape, dtype=np.uint8, buffer=self._memory.buf)[...] = panorama
+        return self._memory.name
+
+    def _free(self) -> None:
+        """Let go of the shared memory."""
+        memory, self._memory = self._memory, None
+        if memory is not None:
+            memory.close()
+            with suppress(FileNotFoundError):
+                memory.unlink()
+
+    def _heard(self, patience: float) -> tuple[Any, ...]:
+        """What it says next. Raises `_Silent` if that is nothing."""
+        assert self._line is not None
+        try:
+            if not self._line.poll(patience):
+                raise _Silent(patience)
+            return self._line.recv()
+        except (EOFError, OSError):
+            raise _Silent(0.0) from None
+
+    def _over(self, silent: _Silent, what: str) -> str:
+        """See a process end that hangs or has died; how to say it."""
+        code = self._end()
+        if silent.seconds:
+            return f"the perception did not {what} within {silent.seconds:g} s; it was ended, and starts anew"
+        pause = self._pause
+        self._rest_until = time.monotonic() + pause
+        self._pause = min(2 * pause, PAUSES[1])
+        how = f"exit code {code}"
+        if code is not None and code < 0:
+            with suppress(ValueError):
+                how = signal.Signals(-code).name
+        return f"the perception's process died ({how}); it starts anew after {pause:g} s"
+
+    def _end(self) -> int | None:
+        """The exit code of the process, which is gone then."""
+        with self._lock:
+            process, self._process = self._process, None
+            line, self._line = self._line, None
+        if line is not None:
+            with suppress(OSError, ValueError):
+                line.close()  # an idle one leaves
+        if process is None:
+            self._free()
+            return None
+        process.join(0.2)
+        if process.is_alive():
+            process.kill()
+            process.join(ENDING)
+        code = process.exitcode
+        process.close()
+        self._free()
+        return code
+
+
+class _Silent(Exception):
+    """Nothing was heard for so many seconds; 0: the line is broken."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(seconds)
+        self.seconds = seconds

@@ -1,0 +1,412 @@
+"""The live loop: a camera, poses and a perception at their own rates; answers at a steady one."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, Literal, Protocol
+
+from eagor._checks import above
+from eagor.errors import EagorError, ImageError, QueryError, TimeError
+from eagor.evidence import BodyMask
+from eagor.live.answers import Answer, Part
+from eagor.live.core import LiveCore, Settings, warm
+from eagor.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, Trouble
+from eagor.live.fast import at_once
+from eagor.live.frozen import Frozen
+from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
+from eagor.live.playing import LoopClock, Pace, paced_frames, paced_poses
+from eagor.live.reading import Reader, opener
+from eagor.live.recorder import Pictures, Recorder
+from eagor.live.turns import Turns, TurnsThread
+from eagor.live.worker import Picture, Worker
+from eagor.media.frames import CameraSource, Frame, Pose, PoseSource
+from eagor.perception import Perception
+from eagor.tracking import TrackerConfig
+
+__all__ = ["Counts", "LiveLoop", "Watcher"]
+
+RATE = 20.0  # answers per second
+STALLED = 10.0  # seconds without a picture after which a stream is opened again
+SLIPPED = 0.1  # seconds by which this machine's clock is set before it is worth a word
+LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has the patience
+ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
+LEAVING = 5.0  # seconds that threads have to come back from a device
+
+Camera = CameraSource | Callable[[], CameraSource]
+Poses = PoseSource | Callable[[], PoseSource] | Literal["auto", "level"] | None
+
+
+class Watcher(Protocol):
+    """Sees all that comes into the loop and out of it, in the loop's thread: a recording, a viewer."""
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """An event, and the answers to it (none unless it is `Asked`). Must be quick."""
+        ...
+
+    def close(self) -> None:
+        """The loop has ended."""
+        ...
+
+
+@dataclass
+class Counts:
+    """What has happened so far.
+
+    `frames`, `poses` came; `looks`: at a picture for one query; `skipped`: pictures that the perception did not come
+    to, or the camera dropped; `answers` given; `late`: ticks that were missed.
+    """
+
+    frames: int = 0
+    poses: int = 0
+    looks: int = 0
+    skipped: int = 0
+    answers: int = 0
+    late: int = 0
+
+
+class LiveLoop:
+    """Follows `queries` with a camera, and answers `rate` times a second, however slow the perception is.
+
+    `camera`: a source, or a function that opens one; a function is called again when the camera is gone. A source that
+    is not `live` is played at its own speed, or with `fast` as fast as the perception can look at every picture.
+    `perception`: text for `eagor.perception.load`, or an object that can be pickled; it runs in a process of its own,
+    which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
+    function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
+    the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recorder`), with
+    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `Settings`. `mask`: what the camera never sees.
+    `watchers` see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does,
+    gives no answers meanwhile.
+
+    Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
+    perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
+    at the end. Raises `QueryError` if the perception understands no query, other `EagorError` if it cannot be loaded,
+    or the sources cannot be opened at first. Processes are started by spawning: a script needs
+    ``if __name__ == "__main__":``.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        perception: str | Perception,
+        queries: Sequence[str],
+        *,
+        poses: Poses = None,
+        config: TrackerConfig | None = None,
+        rate: float = RATE,
+        patience: float = PATIENCE,
+        record: Path | None = None,
+        pictures: Pictures = "jpeg",
+        fast: bool = False,
+        acceleration: float = Settings.acceleration,
+        mask: BodyMask | None = None,
+        watchers: Sequence[Watcher] = (),
+        clock: LoopClock | None = None,
+    ) -> None:
+        for name, value in (("rate", rate), ("patience", patience), ("acceleration", acceleration)):
+            if not above(value, 0):
+                raise TimeError(f"{name} = {value!r}; wanted a number above 0")
+        if not queries:
+            raise QueryError("there is no query; say what to look for, such as 'red chair'")
+        self.clock = clock or LoopClock()
+        self.rate, self.patience, self.fast, self.counts = rate, patience, fast, Counts()
+        open_camera, self._camera = opener(camera)
+        if self._camera is None:
+            assert open_camera is not None
+            self._camera = open_camera()
+        self.live = self._camera.live
+        sight = poses if isinstance(poses, str) else None
+        self._turns = None if sight is None else Turns(level=sight == "level")
+        self._poses: Any = (None, None) if sight is not None or poses is None else opener(poses)
+        config = config or TrackerConfig()
+        config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
+        self._settings = settings = Settings(
+            tuple(queries), config, poses is not None, self._camera.latency, acceleration
+        )
+        self.core = LiveCore(settings)
+        self._watchers = [*watchers]
+        self._recorder: Recorder | None = None
+        if record is not None:
+            self._recorder = Recorder(record, settings, lambda text: self._trouble("recording", text), pictures)
+            self._watchers.append(self._recorder)
+        masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
+        self._keeper = Keeper(perception, patience=patience, masks=masks)
+        self._events: SimpleQueue[Event | None] = SimpleQueue()
+        self._stopped = threading.Event()
+        self._pace = Pace(self.clock, self._stopped)
+        self._fatal: EagorError | None = None
+        self._refused: dict[str, str] = {}
+        self._worker: Worker | None = None
+        self._seer: TurnsThread | None = None
+        self._frames: Reader[tuple[Frame, float]] = Reader(
+            "camera",
+            self._camera,
+            open_camera,
+            items=_as_told if self.live else lambda source: paced_frames(source, self._pace),
+            again=self.live,
+            give=self._frame,
+            trouble=lambda text: self._trouble("camera", text),
+            ended=self._frames_ended,
+        )
+        self._odometry: Reader[Pose] | None = None
+        if self._poses != (None, None):
+            self._odometry = Reader(
+                "poses",
+                self._poses[1],
+                self._poses[0],
+                items=iter if self.live else lambda source: paced_poses(source, self._pace),
+                again=self.live,
+                give=lambda pose: self._post(PoseCame(self.clock.now(), pose)),
+                trouble=lambda text: self._trouble("poses", text),
+                ended=lambda text: self._trouble("poses", text) if text else None,
+            )
+        # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
+        self._on_demand = getattr(self._camera, "keeps_newest", False) and self._turns is None and record is None
+        self._last_frame = self.clock.now()  # its arrival
+        self._over = False
+        self._slip = 0.0
+        self._problem: str | None = None  # what the camera says of itself
+        self._frozen, self._froze = Frozen(self.core.orientation), ""
+
+    def __iter__(self) -> Iterator[Answer]:
+        """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
+        try:
+            yield from self._at_once() if self.fast and not self.live else self._paced()
+        finally:
+            self._close()
+
+    def run(self, on_answer: Callable[[Answer], Any]) -> None:
+        """Call `on_answer` with every answer until the source ends or `stop` is called."""
+        answers = iter(self)
+        try:
+            for answer in answers:
+                on_answer(answer)
+        finally:
+            answers.close()  # type: ignore[attr-defined]
+
+    @property
+    def recording_problem(self) -> str | None:
+        """Why the recording has ended before the loop, in words; None if it has not."""
+        return None if self._recorder is None else self._recorder.problem
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it ends, or has ended."""
+        return self._stopped.is_set()
+
+    def stop(self) -> None:
+        """End the loop, from any thread or from `on_answer`."""
+        self._stopped.set()
+        self._events.put(None)
+
+    def follow(self, queries: Sequence[str]) -> None:
+        """Follow these queries from now on, from any thread. What is known of those that stay is kept."""
+        self._post(Following(self.clock.now(), tuple(queries)))
+
+    def _paced(self) -> Iterator[Answer]:
+        """Answers at ticks of the real time; events are taken in as they come."""
+        self._begin()
+        next_tick = self.clock.now()
+        while not self._stopped.is_set():
+            self._take_events(next_tick)
+            if self._fatal is not None:
+                raise self._fatal
+            if self._stopped.is_set():
+                return
+            over = self._is_over()
+            self._look_after()
+            now = self.clock.now()
+            yield from self._taken(Asked(now))
+            if over:
+                return
+            missed = max(0, math.floor((now - next_tick) * self.rate))
+            self.counts.late += missed
+            next_tick += (missed + 1) / self.rate
+
+    def _begin(self) -> None:
+        self._trouble("perception", "the perception is being loaded")
+        self._worker = Worker(
+            self._keeper,
+            self.core.queries,
+            lambda picture, said: self._found(picture, said, self.clock.now()),
+            self._perception_ended,
+            self._ready,
+            self.core.orientation,
+        )
+        warm(self._settings)  # while the perception is loaded
+        if self._turns is not None:
+            self._seer = TurnsThread(self._turns, self._post, self.clock.now)
+        if self.live:
+            self._start_reading()
+
+    def _ready(self) -> None:
+        """The perception is loaded: a recording begins now."""
+        self._trouble("perception", "")
+        if not self.live:
+            self._start_reading()
+
+    def _start_reading(self) -> None:
+        self._last_frame = self.clock.now()
+        self._frames.start()
+        if self._odometry is not None:
+            self._odometry.start()
+
+    def _at_once(self) -> Iterator[Answer]:
+        """As fast as the perception looks at every picture."""
+        open_poses, poses = self._poses
+        if poses is None and open_poses is not None:
+            poses = open_poses()
+            self._poses = (open_poses, poses)
+        answers = at_once(
+            self._camera, poses or (), self._turns, self._keeper, self.core, self.rate,
+            self._taken, self._found,
+            lambda: [query for query in self.core.queries if query not in self._refused],
+        )  # fmt: skip
+        for answer in answers:
+            self._drain()
+            if self._stopped.is_set():
+                return
+            yield answer
+
+    def _drain(self) -> None:
+        """Take in what has been posted, without waiting."""
+        while not self._events.empty():
+            if (event := self._events.get()) is not None:
+                self._taken(event)
+        if self._fatal is not None:
+            raise self._fatal
+
+    def _take_events(self, until: float) -> None:
+        """Take in what comes until a time, and all that is there then."""
+        while not self._stopped.is_set() and self._fatal is None:
+            left = until - self.clock.now()
+            try:
+                event = self._events.get(timeout=left) if left > 0 else self._events.get_nowait()
+            except Empty:
+                if left > 0:  # a clock may be slower than the time that was waited
+                    continue
+                return
+            if event is not None:
+                self._taken(event)
+
+    def _taken(self, event: Event) -> list[Answer]:
+        answers = self.core.take(event)
+        self._count(event, len(answers))
+        for watcher in self._watchers:
+            watcher.take(event, answers)
+        return answers
+
+    def _count(self, event: Event, answers: int) -> None:
+        match event:
+            case FrameCame():
+                self.counts.frames += 1
+            case PoseCame():
+                self.counts.poses += 1
+            case EvidenceCame():
+                self.counts.looks += 1
+            case Asked():
+                self.counts.answers += answers
+            case Following():
+                if self._worker is not None:
+                    self._worker.queries = event.queries
+
+    def _post(self, event: Event) -> None:
+        self._events.put(event)
+
+    def _trouble(self, part: Part, text: str) -> None:
+        self._post(Trouble(self.clock.now(), part, text))
+
+    def _look_after(self) -> None:
+        """What nobody else notices: a stream that stalls, this machine's clock being set."""
+        now = self.clock.now()
+        if self.live and now - self._last_frame > STALLED:
+            self._last_frame = now
+            self._frames.interrupt()
+        problem = getattr(self._frames.source, "problem", None)
+        if problem != self._problem:
+            self._problem = problem
+            self._trouble("camera", problem or "")
+        slip = self.clock.slip()
+        if abs(slip - self._slip) > SLIPPED:
+            way = "forward" if slip > self._slip else "back"
+            text = f"this machine's clock was set {way} by {abs(slip - self._slip):.2f} s; the loop's goes on as it was"
+            self._slip = slip
+            self._trouble("clock", text)
+
+    def _is_over(self) -> bool:
+        """Whether a recording has ended, and all of it has been looked at."""
+        if not self._over or (self._seer is not None and not self._seer.done):
+            return False
+        return self._worker is not None and self._worker.idle and self._events.empty()
+
+    def _frames_ended(self, text: str) -> None:
+        if text:
+            self._trouble("camera", f"the recording ends early: {text}")
+            if not self.counts.frames:
+                self._fatal = ImageError(text)
+        if self._seer is not None:
+            self._seer.end()
+        self._over = True
+
+    def _frame(self, item: tuple[Frame, float]) -> None:
+        frame, told = item
+        self._last_frame = self.clock.now()
+        shown = frame.panorama if self._watchers else None  # who else would hold on to it?
+        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown))
+        if self.live and (froze := self._frozen.take(frame.panorama, frame.stamp)) != self._froze:
+            self._froze = froze
+            self._post(Trouble(self._last_frame, "camera", froze, "frozen"))
+        picture = Picture(frame.stamp, told, frame.panorama)
+        if self._seer is not None:
+            self._seer.give(picture)
+        assert self._worker is not None
+        self._worker.give(picture)
+        if self._on_demand:
+            self._worker.wait(ON_DEMAND)
+
+    def _found(self, picture: Picture | None, said: Looked | Failed, now: float) -> None:
+        """What the perception says."""
+        if isinstance(said, Looked) and picture is not None:
+            self._post(EvidenceCame(now, picture.stamp, picture.told, said.query, said.looks, said.seconds))
+            self._post(Trouble(now, "perception"))
+            self._post(Trouble(now, "perception", about=said.query))
+        elif isinstance(said, Failed):
+            if said.refused and said.query is not None:
+                self._refused[said.query] = said.text
+                if all(query in self._refused for query in self.core.queries):
+                    self._fatal = QueryError(said.text)
+            self._post(Trouble(now, "perception", said.text, said.query or ""))
+
+    def _perception_ended(self, error: EagorError | None) -> None:
+        self._fatal = self._fatal or error
+        self._events.put(None)
+
+    def _close(self) -> None:
+        """End threads and processes, let go of devices, finish the recording."""
+        self._stopped.set()
+        if self._worker is not None:
+            self._worker.stop()
+            self.counts.skipped = self._worker.skipped + getattr(self._frames.source, "dropped", 0)
+        self._keeper.close()
+        self._frames.close(LEAVING)
+        if self._seer is not None:
+            self._seer.close(LEAVING)
+        if self._odometry is not None:
+            self._odometry.close(LEAVING)
+        for watcher in self._watchers:
+            watcher.close()
+
+
+def _as_told(source: CameraSource) -> Iterator[tuple[Frame, float]]:
+    for frame in source:
+        yield frame, frame.stamp
+
+
+def _mask_of(camera: CameraSource) -> BodyMask | None:
+    """What no picture of a camera shows, if it says so."""
+    unseen = getattr(camera, "unseen", None)
+    return None if unseen is None or not unseen.any() else BodyMask(~unseen)

@@ -1,0 +1,323 @@
+"""ROS 2 messages to and from our types. Quaternions are xyzw, frames REP-103 and REP-105, stamps times of capture.
+
+Messages are `rosbags`' dataclasses; those of `rclpy` have the same fields, and are read as well.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
+from eagor.errors import EagorError, ImageError, PoseError, TimeError
+from eagor.media.bags.ros_types import store
+from eagor.media.frames import Pose
+from eagor.media.panorama import read_image
+from eagor.tracking.poses import FARTHEST
+
+__all__ = [
+    "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR", "compressed_message",
+    "header", "image_message", "imu_message", "message", "odometry_message", "panorama_of", "pose_message", "pose_of",
+    "quaternion", "seconds", "stamp_of", "text_message", "time_message", "transform_message", "transforms_message",
+    "vector", "vector_message",
+]  # fmt: skip
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
+CLOCK = "rosgraph_msgs/msg/Clock"
+
+NANO = 10**9
+LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32
+_NORM = 0.01  # by which a quaternion's length may differ from 1
+# Encodings of sensor_msgs/Image (sensor_msgs/image_encodings.hpp): values a pixel, and which of them are R, G, B. Those
+# that end in 16 have two bytes a value.
+ENCODINGS: Mapping[str, tuple[int, list[int]]] = {
+    "rgb8": (3, [0, 1, 2]),
+    "bgr8": (3, [2, 1, 0]),
+    "rgba8": (4, [0, 1, 2]),
+    "bgra8": (4, [2, 1, 0]),
+    "mono8": (1, [0, 0, 0]),
+    "rgb16": (3, [0, 1, 2]),
+    "bgr16": (3, [2, 1, 0]),
+    "rgba16": (4, [0, 1, 2]),
+    "bgra16": (4, [2, 1, 0]),
+    "mono16": (1, [0, 0, 0]),
+}
+# Two pixels of YUV 4:2:2 in four bytes: where Y of both, U and V are. The older names are the same formats.
+YUV_422: Mapping[str, tuple[list[int], int, int]] = {
+    "uyvy": ([1, 3], 0, 2), "yuv422": ([1, 3], 0, 2),
+    "yuyv": ([0, 2], 1, 3), "yuv422_yuy2": ([0, 2], 1, 3),
+}  # fmt: skip
+# A plane of Y, then one of U and V in turn: how many rows and columns of pixels share them, and where U and V are.
+PLANES: Mapping[str, tuple[int, int, int]] = {"nv21": (2, 1, 0), "nv24": (1, 0, 1)}
+# RGB of Y (16 to 235), U and V (16 to 240 about 128), as ITU-R BT.601 has it; cameras of ROS drivers use it.
+_RGB_OF_YUV = np.array([[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]])
+_BLACK = np.array([16.0, 128.0, 128.0])
+
+
+def message(kind: str, **fields: Any) -> Any:
+    """A message of a ROS 2 type that `eagor.media.bags.ros_types.store` knows; all fields have to be given."""
+    return store().types[kind](**fields)
+
+
+# --- time ---
+
+
+def time_message(stamp: float) -> Any:
+    """`stamp` (seconds from 1970) as builtin_interfaces/Time. Raises `TimeError`."""
+    sec, nanosec = divmod(nanoseconds(stamp), NANO)
+    return message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+
+
+def nanoseconds(stamp: float) -> int:
+    """Seconds as whole nanoseconds: back in seconds, times of this century are the same float. Raises `TimeError`."""
+    if not 0 <= stamp < LATEST:
+        raise TimeError(f"stamp = {stamp!r}; a ROS 2 message takes seconds from 0 to {LATEST}")
+    whole = math.floor(stamp)
+    return whole * NANO + round((stamp - whole) * NANO)
+
+
+def seconds(time: Any) -> float:
+    """The seconds of a builtin_interfaces/Time."""
+    return (time.sec * NANO + time.nanosec) / NANO
+
+
+def stamp_of(received: Any) -> float:
+    """The seconds of a message's header; 0 if its sender did not set it."""
+    return seconds(received.header.stamp)
+
+
+def header(stamp: float, frame: str) -> Any:
+    """A std_msgs/Header."""
+    return message("std_msgs/msg/Header", stamp=time_message(stamp), frame_id=frame)
+
+
+# --- pictures ---
+
+
+def image_message(panorama: np.ndarray, stamp: float, frame: str, encoding: str = "rgb8") -> Any:
+    """A sensor_msgs/Image of ``(H, W, 3)`` uint8 RGB; or of ``(H, W)``: uint8 is mono8, float32 is 32FC1."""
+    pixels = np.asarray(panorama)
+    height, width = pixels.shape[:2]
+    if pixels.ndim == 2:
+        encoding = {"u1": "mono8", "f4": "32FC1"}[pixels.dtype.str[1:]]
+    else:
+        size, places = ENCODINGS[encoding]
+        if size == 1:
+            pixels = np.asarray(Image.fromarray(pixels).convert("L"))
+        elif size == 4 or encoding != "rgb8":
+            full = np.full((height, width, size), 255, dtype=np.uint8)
+            full[..., places] = pixels
+            pixels = full
+    data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
+    return message(
+        IMAGE, header=header(stamp, frame), height=height, width=width, encoding=encoding, is_bigendian=0,
+        step=len(data) // height, data=data,
+    )  # fmt: skip
+
+
+def compressed_message(panorama: np.ndarray, stamp: float, frame: str, *, kind: str = "jpeg", quality: int = 90) -> Any:
+    """A sensor_msgs/CompressedImage of ``(H, W, 3)`` uint8 RGB or ``(H, W)`` grey: jpeg or png."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.asarray(panorama)).save(buffer, kind, **({"quality": quality} if kind == "jpeg" else {}))
+    data = np.frombuffer(buffer.getvalue(), dtype=np.uint8)
+    return message(COMPRESSED, header=header(stamp, frame), format=kind, data=data)
+
+
+def panorama_of(received: Any) -> np.ndarray:
+    """The picture ``(H, W, 3)`` uint8 RGB of an Image or a CompressedImage. Raises `ImageError`."""
+    return _decoded(received) if hasattr(received, "format") else _raw(received)
+
+
+def _raw(received: Any) -> np.ndarray:
+    encoding = received.encoding
+    if encoding in ENCODINGS:
+        values, places = ENCODINGS[encoding]
+        if not encoding.endswith("16"):
+            return np.ascontiguousarray(_rows(received, values)[..., places])
+        order = ">u2" if received.is_bigendian else "<u2"
+        wide = np.ascontiguousarray(_rows(received, 2 * values)).view(order)[..., places]
+        return (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+    if encoding in YUV_422:
+        return _of_yuv(*_packed(_rows(received, 2), *YUV_422[encoding]))
+    if encoding in PLANES:
+        return _of_yuv(*_planes(received, *PLANES[encoding]))
+    raise ImageError(
+        f"an Image has the encoding {encoding!r}; wanted one of {', '.join([*ENCODINGS, *YUV_422, *PLANES])}"
+    )
+
+
+def _rows(received: Any, size: int) -> np.ndarray:
+    """The bytes ``(H, W, size)`` of an Image. Raises `ImageError` if there are too few."""
+    height, width, step = received.height, received.width, received.step
+    data = np.frombuffer(memoryview(received.data).cast("B"), dtype=np.uint8)
+    if height < 1 or width < 1 or step < width * size or len(data) < height * step:
+        raise ImageError(
+            f"an Image of {width} x {height} pixels of {size} bytes has {step} bytes a row and {len(data)} in all; "
+            f"wanted at least {width * size} and {height * max(step, width * size)}"
+        )
+    return data[: height * step].reshape(height, step)[:, : width * size].reshape(height, width, size)
+
+
+def _packed(rows: np.ndarray, y: list[int], u: int, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Y, U and V, each ``(H, W)``, of two pixels in four bytes. Raises `ImageError` for an odd width."""
+    height, width, _ = rows.shape
+    if width % 2:
+        raise ImageError(f"an Image of YUV 4:2:2 is {width} pixels wide; wanted an even number: two share their colour")
+    pairs = np.ascontiguousarray(rows).reshape(height, width // 2, 4)
+    return pairs[..., y].reshape(height, width), *(np.repeat(pairs[..., each], 2, axis=1) for each in (u, v))  # type: ignore[return-value]
+
+
+def _planes(received: Any, shared: int, u: int, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Y, U and V, each ``(H, W)``, of two planes. Raises `ImageError` if the second is too short, or sides are odd."""
+    height, width = received.height, received.width
+    y = _rows(received, 1)[..., 0]
+    colours = np.frombuffer(memoryview(received.data).cast("B"), dtype=np.uint8)[height * received.step :]
+    step = 2 * received.step // shared  # of the second plane's rows
+    if height % shared or width % shared or len(colours) < height // shared * step:
+        raise ImageError(
+            f"an Image of {width} x {height} pixels as {received.encoding} has {len(colours)} bytes of colour; wanted "
+            f"{height // shared * step}, and {'even sides' if shared > 1 else 'two a pixel'}"
+        )
+    pairs = colours[: height // shared * step].reshape(height // shared, step)[:, : 2 * width // shared]
+    return y, *(pairs[:, each::2].repeat(shared, axis=0).repeat(shared, axis=1) for each in (u, v))  # type: ignore[return-value]
+
+
+def _of_yuv(y: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """RGB ``(H, W, 3)`` uint8 of Y, U and V, each ``(H, W)``."""
+    yuv = np.stack([y, u, v], axis=-1).astype(np.float32) - _BLACK.astype(np.float32)
+    return np.rint(yuv @ _RGB_OF_YUV.T.astype(np.float32)).clip(0, 255).astype(np.uint8)
+
+
+def _decoded(received: Any) -> np.ndarray:
+    data = bytes(memoryview(received.data).cast("B"))
+    try:
+        return read_image(io.BytesIO(data), len(data))
+    except Exception as error:  # Pillow's decoders may raise anything for damaged files
+        raise ImageError(
+            f"a CompressedImage of {len(data)} bytes, which says that its format is {received.format!r}, cannot be "
+            f"decoded ({error}); wanted jpeg or png"
+        ) from error
+
+
+# --- motion ---
+
+
+def vector(values: Any) -> Any:
+    """A geometry_msgs/Vector3."""
+    x, y, z = (float(value) for value in values)
+    return message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def quaternion(rotation: np.ndarray) -> Any:
+    """A geometry_msgs/Quaternion of a rotation ``(3, 3)``."""
+    x, y, z, w = (float(value) for value in xyzw_from_rotation(rotation))
+    return message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def point(values: Any) -> Any:
+    """A geometry_msgs/Point."""
+    x, y, z = (float(value) for value in values)
+    return message("geometry_msgs/msg/Point", x=x, y=y, z=z)
+
+
+def pose_part(rotation: np.ndarray, position: Any = (0, 0, 0)) -> Any:
+    """A geometry_msgs/Pose."""
+    return message("geometry_msgs/msg/Pose", position=point(position), orientation=quaternion(rotation))
+
+
+def vector_message(values: Any, stamp: float, frame: str) -> Any:
+    """A geometry_msgs/Vector3Stamped."""
+    return message(VECTOR, header=header(stamp, frame), vector=vector(values))
+
+
+def pose_message(pose: Pose, frame: str = "odom") -> Any:
+    """A geometry_msgs/PoseStamped; a pose without a position is at the origin."""
+    return message(POSE, header=header(pose.stamp, frame), pose=pose_part(pose.world_R_body, _place(pose)))
+
+
+def odometry_message(
+    pose: Pose, frame: str = "odom", child: str = "base_link", *, velocity: Any = (0, 0, 0), turning: Any = (0, 0, 0)
+) -> Any:
+    """A nav_msgs/Odometry; `velocity` m/s and `turning` rad/s in the axes of the body."""
+    spread = np.zeros(36)
+    with_spread = message(
+        "geometry_msgs/msg/PoseWithCovariance", pose=pose_part(pose.world_R_body, _place(pose)), covariance=spread
+    )
+    twist = message("geometry_msgs/msg/Twist", linear=vector(velocity), angular=vector(turning))
+    moving = message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=spread.copy())
+    return message(
+        ODOMETRY, header=header(pose.stamp, frame), child_frame_id=child, pose=with_spread, twist=moving
+    )  # fmt: skip
+
+
+def imu_message(pose: Pose, frame: str = "imu_link", *, turning: Any = (0, 0, 0), felt: Any = (0, 0, 9.81)) -> Any:
+    """A sensor_msgs/Imu; `turning` rad/s, `felt` acceleration m/s2, in the axes of the body."""
+    unknown = np.zeros(9)
+    return message(
+        IMU, header=header(pose.stamp, frame), orientation=quaternion(pose.world_R_body),
+        orientation_covariance=unknown, angular_velocity=vector(turning), angular_velocity_covariance=unknown.copy(),
+        linear_acceleration=vector(felt), linear_acceleration_covariance=unknown.copy(),
+    )  # fmt: skip
+
+
+def transform_message(stamp: float, parent: str, child: str, rotation: np.ndarray, translation: Any = (0, 0, 0)) -> Any:
+    """A geometry_msgs/TransformStamped: where the frame `child` is in the frame `parent`."""
+    transform = message("geometry_msgs/msg/Transform", translation=vector(translation), rotation=quaternion(rotation))
+    return message(
+        "geometry_msgs/msg/TransformStamped", header=header(stamp, parent), child_frame_id=child, transform=transform
+    )
+
+
+def transforms_message(*transforms: Any) -> Any:
+    """A tf2_msgs/TFMessage."""
+    return message(TRANSFORMS, transforms=list(transforms))
+
+
+def text_message(text: str) -> Any:
+    """A std_msgs/String."""
+    return message(TEXT, data=text)
+
+
+def pose_of(received: Any) -> Pose:
+    """The pose of an Odometry, a PoseStamped or an Imu (which has no position). Raises `PoseError`."""
+    if hasattr(received, "orientation_covariance"):
+        if received.orientation_covariance[0] == -1:  # sensor_msgs/Imu: there is no orientation
+            raise PoseError("an Imu says that it has no orientation; wanted one that has, or odometry")
+        return Pose(stamp_of(received), rotation_of(received.orientation), None)
+    inner = received.pose.pose if hasattr(received.pose, "covariance") else received.pose
+    return Pose(stamp_of(received), rotation_of(inner.orientation), triple(inner.position))
+
+
+def rotation_of(q: Any) -> np.ndarray:
+    """The rotation ``(3, 3)`` of a geometry_msgs/Quaternion. Raises `PoseError` unless its length is 1."""
+    values = np.array([q.x, q.y, q.z, q.w], dtype=np.float64)
+    length = float(np.linalg.norm(values))
+    if not abs(length - 1) <= _NORM:
+        raise PoseError(
+            f"a quaternion x, y, z, w = {values.tolist()} has the length {length:.3g}, wanted 1: is it unset?"
+        )
+    try:
+        return rotation_from_xyzw(values)
+    except EagorError as error:
+        raise PoseError(str(error)) from error
+
+
+def triple(place: Any) -> np.ndarray:
+    """The numbers ``(3,)`` of a Point or Vector3. Raises `PoseError` unless they can be metres on Earth."""
+    values = np.array([place.x, place.y, place.z], dtype=np.float64)
+    if not (np.abs(values) <= FARTHEST).all():
+        raise PoseError(
+            f"a position is {values.tolist()}; wanted finite metres, each within {FARTHEST:g} of the origin"
+        )
+    return values
+
+
+def _place(pose: Pose) -> Any:
+    return (0, 0, 0) if pose.position is None else pose.position

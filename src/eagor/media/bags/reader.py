@@ -1,0 +1,198 @@
+"""ROS 2 bags: recordings of topics, in MCAP or SQLite, as a folder or as a single file.
+
+They are written as MCAP (`eagor.media.bags.writer`). A file without an end, as a crash leaves it, is read up to
+where it breaks off (`eagor.media.bags.mcap`). Reading takes about half a GiB at most, whatever a file asks for; what
+would need more is refused.
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections.abc import Collection, Iterator, Sequence
+from errno import EINVAL
+from pathlib import Path
+from typing import Any
+
+from eagor._extras import need
+from eagor.errors import EagorError, FormatError
+from eagor.media.bags import db3, mcap
+from eagor.media.bags.messages import NANO
+from eagor.media.bags.paths import SUFFIXES, is_bag, listed
+from eagor.media.bags.ros_types import store
+from eagor.media.bags.writer import BagWriter
+
+__all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "read_bag"]
+
+ROS_1 = b"#ROSBAG V"
+
+
+def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
+    """(stamp, topic, kind, message) of each message, in order of the time of recording, seconds.
+
+    `topics`: only these. Messages are `rosbags`' dataclasses. Raises `FormatError` as `Bag`, for a topic that the bag
+    does not have, and for a type that neither the bag nor ROS 2 defines.
+    """
+    return Bag(path).messages(topics)
+
+
+def bag_topics(path: str | Path) -> dict[str, str]:
+    """The topics of a bag with their types, such as {"/odom": "nav_msgs/msg/Odometry"}. Raises as `Bag`."""
+    return Bag(path).topics
+
+
+class Bag:
+    """A ROS 2 bag: a folder, or one .mcap or .db3 file.
+
+    `topics`: name to type. `counts`: name to number of messages. A recording that was cut off is read as far as it
+    goes, with a `UserWarning`. Raises `FormatError` for what is no bag of ROS 2, `MissingExtraError`.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        need("reading bags", "robot", "rosbags")
+        self.path = Path(path)
+        self._files = [_recorded(file) for file in _files(self.path)]
+        self.topics: dict[str, str] = {}
+        self.counts: dict[str, int] = {}
+        for channel, count in ((c, file.counts[number]) for file in self._files for number, c in file.channels.items()):
+            known = self.topics.setdefault(channel.topic, channel.kind)
+            if known != channel.kind:
+                raise FormatError(f"{path}: the topic {channel.topic} has two types, {known} and {channel.kind}")
+            self.counts[channel.topic] = self.counts.get(channel.topic, 0) + count
+        self.topics = dict(sorted(self.topics.items()))
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
+        """As `read_bag`."""
+        for topic in topics or ():
+            if topic not in self.topics:
+                raise FormatError(f"{self.path} has no topic {topic}; it has {listed(self.topics)}")
+        return self._messages(topics)
+
+    def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[float, str, str, Any]]:
+        for file in self._files:  # a bag of several files was split in time
+            decode: dict[int, Any] = {}
+            wanted = {key: each for key, each in file.channels.items() if topics is None or each.topic in topics}
+            for number, nanos, data in _told(file, wanted) if wanted else ():
+                channel, stamp = wanted[number], nanos / NANO
+                if number not in decode:
+                    decode[number] = _decoder(self.path, channel)
+                try:
+                    found = decode[number](data, channel.kind)
+                except Exception as error:
+                    raise FormatError(
+                        f"{self.path}: a message of {channel.topic} at {stamp:.3f} s is no {channel.kind} "
+                        f"({type(error).__name__}: {error})"
+                    ) from error
+                yield stamp, channel.topic, channel.kind, found
+
+
+def _told(file: mcap.Recorded | db3.Recorded, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+    """The messages of a file. Raises `FormatError` where it is damaged."""
+    try:
+        yield from file.messages(wanted)
+    except (OSError, ValueError, EOFError, struct.error) as error:
+        raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
+
+
+def _recorded(path: Path) -> mcap.Recorded | db3.Recorded:
+    """What one file of a bag holds. Raises `FormatError`."""
+    try:
+        found = (mcap if path.suffix == ".mcap" else db3).recorded(path)
+    except (OSError, ValueError) as error:
+        if isinstance(error, EagorError):
+            raise
+        raise FormatError(f"{path} cannot be read as a bag ({error}); copy it again") from error
+    many = sum(found.counts.values())
+    if not many and (found.broken or not found.channels):
+        raise FormatError(f"{path} holds no message ({found.broken or 'it is empty'}); record it again")
+    if found.broken:
+        warnings.warn(f"{path.name} was cut off ({found.broken}); its first {many} messages are read", stacklevel=5)
+    return found
+
+
+def _files(path: Path) -> Sequence[Path]:
+    """The files of a bag, in order of time. Raises `FormatError`."""
+    try:
+        if path.is_dir():
+            return _in_folder(path)
+        if path.exists() and not path.is_file():
+            raise OSError(EINVAL, "it is a pipe or a device")
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        raise FormatError(
+            f"{path} cannot be read ({error.strerror}); give a ROS 2 bag: a folder, .mcap or .db3"
+        ) from error
+    if head.startswith(ROS_1):
+        raise FormatError(
+            f"{path} is a bag of ROS 1; convert it: rosbags-convert --src {path} --dst {path.with_suffix('')}"
+        )
+    if not head:
+        raise FormatError(f"{path} is empty; a recording that was never begun, or a copy that failed")
+    if path.suffix not in SUFFIXES:
+        raise FormatError(f"{path} is no bag of ROS 2; wanted a folder, or a file that ends in {' or '.join(SUFFIXES)}")
+    return [path]
+
+
+def _in_folder(path: Path) -> Sequence[Path]:
+    """The files that metadata.yaml names; all bag files where it is missing, as after a crash."""
+    inside = sorted((file for file in path.iterdir() if file.suffix in SUFFIXES), key=_numbered)
+    about = path / "metadata.yaml"
+    if about.is_file():
+        from ruamel.yaml import YAML, YAMLError
+
+        try:
+            told = YAML(typ="safe").load(about.read_text("utf-8"))["rosbag2_bagfile_information"]
+            if told.get("compression_mode", "").lower() in ("file", "message"):
+                raise FormatError(
+                    f"{path} is compressed by {told['compression_mode'].lower()}; unpack it: "
+                    f"rosbags-convert --src {path} --dst {path.name}-unpacked"
+                )
+            inside = [path / Path(name).name for name in told["relative_file_paths"]]
+        except (YAMLError, KeyError, TypeError, AttributeError, ValueError, OSError) as error:
+            if isinstance(error, EagorError):
+                raise
+            raise FormatError(f"{about} is not that of a bag ({type(error).__name__}: {error})") from error
+        if missing := [file.name for file in inside if not file.is_file()]:
+            raise FormatError(
+                f"{path} lacks {', '.join(missing)}, which its metadata.yaml names; copy the whole folder"
+            )
+    if not inside:
+        raise FormatError(f"{path} holds no bag: no metadata.yaml, no {' or '.join(SUFFIXES)} file")
+    return inside
+
+
+def _numbered(path: Path) -> tuple[int, str]:
+    """Sorts name_2 before name_10."""
+    last = path.stem.rpartition("_")[2]
+    return (int(last) if last.isdigit() else 0, path.name)
+
+
+def _decoder(path: Path, stream: mcap.Channel) -> Any:
+    """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
+    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+    known = store()
+    if not stream.definition:
+        if stream.kind in known.fielddefs:
+            return known.deserialize_cdr
+        raise FormatError(
+            f"{path}: {stream.topic} is of type {stream.kind}, which neither the bag nor ROS 2 Humble defines; record "
+            "it as MCAP, which keeps the definitions"
+        )
+    try:
+        if stream.encoding == "ros2idl":
+            types: dict[str, Any] = {}
+            for part in stream.definition.split("=" * 80 + "\n"):
+                types |= (
+                    get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part) if part else {}
+                )
+        else:
+            types = get_types_from_msg(stream.definition, stream.kind)
+        if all(name in known.fielddefs and known.fielddefs[name][1] == about[1] for name, about in types.items()):
+            return known.deserialize_cdr
+        own = get_typestore(Stores.EMPTY)
+        own.register({name: about for name, about in types.items() if name not in own.fielddefs})
+        return own.deserialize_cdr
+    except TypesysError as error:
+        raise FormatError(f"{path}: the definition of {stream.kind} cannot be read ({error})") from error

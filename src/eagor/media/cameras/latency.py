@@ -1,0 +1,181 @@
+"""How late a camera's stamps are: the turns that its pictures show, compared with odometry's.
+
+A camera that stamps its pictures `latency` seconds late shows at the stamp t what odometry told for t - latency. For
+each step between two pictures both tell how far the body turned about its vertical axis; the latency is the shift at
+which the two series have the highest correlation. Odometry is interpolated (slerp), so the shift is continuous. The
+interval is from a moving-block bootstrap (H. Kunsch, Annals of Statistics 17, 1989): neighbouring steps are not
+independent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eagor.errors import PoseError
+from eagor.media.frames import Frame, Pose
+from eagor.media.rotation import VisualOdometer
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Slerp
+
+__all__ = ["Latency", "Steps", "check_turning", "latency_between", "steps_of"]
+
+GRID = 0.005  # seconds between the shifts that are tried; the peak is found between them
+FEWEST = 20  # steps
+LEAST_CHANGE = math.radians(3.0)  # per second: by how much the turning rate has to vary to tell anything
+LEAST_MATCH = 0.5  # correlation below which the two do not show the same motion
+BLOCK = 1.0  # seconds of neighbouring steps that are drawn together
+DRAWS = 400
+LONGEST = 1.0  # seconds between two pictures that make a step
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Between two pictures each: `start` and `end` ``(n,)``, seconds; `turned` ``(n,)``: left about body z, radians."""
+
+    start: np.ndarray
+    end: np.ndarray
+    turned: np.ndarray
+
+
+@dataclass(frozen=True)
+class Latency:
+    """`seconds` from capture to stamp, the `interval` that holds it with 95 %, and the correlation there.
+
+    `steps`: how many were compared. `mirrored`: whether the pictures turn the other way than odometry does.
+    """
+
+    seconds: float
+    interval: tuple[float, float]
+    correlation: float
+    steps: int
+    mirrored: bool = False
+
+
+def steps_of(frames: Iterable[Frame], *, level: bool = False) -> Steps:
+    """How a camera turned from picture to picture, from its pictures; where it got lost, there is no step."""
+    odometer, before = VisualOdometer(level=level), None
+    rows = []
+    for frame in frames:
+        turned = odometer.add(frame.panorama)
+        if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:
+            rows.append((before[0], frame.stamp, _about_z(before[1].T @ turned.world_R_body)))
+        before = frame.stamp, turned.world_R_body
+    start, end, angle = np.array(rows).reshape(-1, 3).T
+    return Steps(start, end, angle)
+
+
+def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, seed: int = 0) -> Latency:
+    """The latency of the pictures against `poses` in order of time, from -`most` to `most` seconds.
+
+    Negative: odometry is the later one. Raises `PoseError` where the motion does not tell it: too few steps that both
+    cover, too little change of the turning rate, no correlation, or a peak at the end of what is searched.
+    """
+    check_turning(poses)
+    stamps = np.array([pose.stamp for pose in poses])
+    covered = (steps.start - most >= stamps[0]) & (steps.end + most <= stamps[-1])
+    n = int(covered.sum())
+    if n < FEWEST:
+        span = f"{steps.start[0]:.2f} to {steps.end[-1]:.2f} s" if len(steps.start) else "none that could be compared"
+        raise PoseError(
+            f"{n} steps between pictures lie within the odometry, {most:g} s off its ends; wanted {FEWEST} or more. "
+            f"Pictures: {span}; odometry: {stamps[0]:.2f} to {stamps[-1]:.2f} s. Both need one clock: shift one of "
+            "them, or record longer"
+        )
+    start, end, seen = steps.start[covered], steps.end[covered], steps.turned[covered]
+    lengths = end - start
+    shifts = np.arange(-most, most + GRID / 2, GRID)
+    slerp = _slerp(poses)
+    told = np.stack([_steps(slerp, start - shift, end - shift) for shift in shifts]) / lengths  # (shifts, n)
+    seen = seen / lengths
+    values = _correlation(told, seen)
+    mirrored = bool(values.max() < -values.min() - 0.2)
+    if mirrored:
+        values, seen = -values, -seen
+    at = int(values.argmax())
+    if values[at] < LEAST_MATCH:
+        raise PoseError(
+            f"what the pictures show and what odometry tells do not agree at any shift up to {most:g} s (highest "
+            f"correlation {values[at]:.2f}; wanted {LEAST_MATCH:g} or more). Are they of the same time and body, and "
+            "is the shift larger (--most SECONDS)?"
+        )
+    if at in (0, len(shifts) - 1):
+        raise PoseError(
+            f"the best shift is {shifts[at]:+.2f} s, the end of what was searched; search farther: --most {2 * most:g}"
+        )
+    ends = _interval(told, seen, lengths, shifts, seed)
+    return Latency(_peak(shifts, values), ends, float(values[at]), n, mirrored)
+
+
+def check_turning(poses: Sequence[Pose]) -> None:
+    """Raise `PoseError` if these turn too evenly to tell a latency."""
+    if len(poses) < 2:
+        raise PoseError(f"odometry has {len(poses)} poses; wanted those of the time in which the pictures were taken")
+    change = float(np.std(_rates(_slerp(poses), poses[0].stamp, poses[-1].stamp)))
+    if change < LEAST_CHANGE:
+        raise PoseError(
+            f"the turning rate varies by {math.degrees(change):.1f} degrees per second (standard deviation); wanted "
+            f"{math.degrees(LEAST_CHANGE):g} or more. Turn the camera left and right about its vertical axis, briskly, "
+            "for half a minute"
+        )
+
+
+def _slerp(poses: Sequence[Pose]) -> Slerp:
+    from scipy.spatial.transform import Rotation, Slerp
+
+    stamps = [pose.stamp for pose in poses]
+    return Slerp(stamps, Rotation.from_matrix(np.stack([pose.world_R_body for pose in poses])))
+
+
+def _about_z(old_R_new: np.ndarray) -> float:
+    from scipy.spatial.transform import Rotation
+
+    return float(Rotation.from_matrix(old_R_new).as_rotvec()[2])
+
+
+def _steps(slerp: Slerp, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """How far odometry turned about body z between these times, radians ``(n,)``."""
+    return (slerp(start).inv() * slerp(end)).as_rotvec()[:, 2]
+
+
+def _rates(slerp: Slerp, first: float, last: float) -> np.ndarray:
+    """Turning rates about body z every tenth of a second."""
+    ticks = np.linspace(first, last, max(2, math.ceil((last - first) / 0.1)))
+    return _steps(slerp, ticks[:-1], ticks[1:]) / np.diff(ticks)
+
+
+def _correlation(told: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Pearson's, of each row of `told` ``(s, n)`` with `seen` ``(n,)``."""
+    told = told - told.mean(axis=1, keepdims=True)
+    seen = seen - seen.mean()
+    norm = np.linalg.norm(told, axis=1) * np.linalg.norm(seen)
+    return (told @ seen) / np.maximum(norm, 1e-12)
+
+
+def _peak(shifts: np.ndarray, values: np.ndarray) -> float:
+    """Where the parabola through the highest value and its neighbours is highest."""
+    at = min(max(int(values.argmax()), 1), len(shifts) - 2)
+    a, b, c = values[at - 1 : at + 2]
+    bend = a - 2 * b + c
+    return float(shifts[at] + (GRID * 0.5 * (a - c) / bend if bend < -1e-12 else 0.0))
+
+
+def _interval(
+    told: np.ndarray, seen: np.ndarray, lengths: np.ndarray, shifts: np.ndarray, seed: int
+) -> tuple[float, float]:
+    """The middle 95 % of the peaks of resampled steps."""
+    random = np.random.default_rng(seed)
+    n = len(seen)
+    block = min(max(1, round(BLOCK / float(np.median(lengths)))), max(1, n // 4))
+    peaks = []
+    for _ in range(DRAWS):
+        begins = random.integers(0, n - block + 1, math.ceil(n / block))
+        chosen = (begins[:, None] + np.arange(block)).ravel()[:n]
+        peaks.append(_peak(shifts, _correlation(told[:, chosen], seen[chosen])))
+    low, high = np.quantile(peaks, [0.025, 0.975])
+    return float(low), float(high)

@@ -1,0 +1,276 @@
+"""Rigs as YAML files: read with errors that name the line, and written.
+
+::
+
+    pictures:                    # one, or one per lens
+      - {width: 3840, height: 1920}
+    lenses:
+      - name: front
+        kind: fisheye            # fisheye (default) or pinhole
+        picture: 0               # which of the pictures shows it (default: 0)
+        centre: [960.0, 960.0]   # x, y of the optical axis, pixels; the first pixel's centre is at 0.5
+        radius: 960.0            # fisheye: pixels from the centre to the rim
+        field_deg: 200.0         # fisheye: angle from rim to rim; or focal, pixels per radian at the centre
+        polynomial: [0, 0, 0, 0] # fisheye: factors of angle^3, ^5, ^7, ^9 (radians) (default: equidistant)
+        rotation: {yaw_deg: 0, pitch_deg: 0, roll_deg: 0}   # of the lens in the body: left, nose DOWN, roll
+      - name: side
+        kind: pinhole
+        focal: [610.0, 611.0]    # pinhole: pixels, one number or x and y
+        centre: [640.0, 360.0]
+        distortion: [-0.1, 0.01, 0, 0, 0]                   # k1, k2, p1, p2, k3, k4, k5, k6, as OpenCV orders them
+        rotation: [0.707, 0, 0, 0.707]                      # or a unit quaternion w, x, y, z
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eagor._extras import need
+from eagor._files import read_file, written
+from eagor.conventions import rotation_from_wxyz
+from eagor.errors import EagorError, FormatError
+from eagor.media.cameras.lenses import FisheyeLens, Lens, PinholeLens
+from eagor.media.cameras.rig import Rig
+from eagor.sphere import world_R_body
+
+if TYPE_CHECKING:
+    from yaml.nodes import Node
+
+__all__ = ["read_rig", "write_rig"]
+
+LARGEST = 1 << 20  # bytes: a rig has a few hundred
+BOTH = ("name", "kind", "picture", "centre", "rotation")
+KEYS = {
+    "fisheye": (*BOTH, "focal", "field_deg", "radius", "polynomial"),
+    "pinhole": (*BOTH, "focal", "distortion"),
+}
+ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
+UNIT = 0.01  # by which the length of a quaternion may differ from 1
+
+
+def read_rig(path: str | os.PathLike[str]) -> Rig:
+    """The rig in the YAML file at `path`; the format is this module's text.
+
+    Raises `FormatError`, which names the line, what is there and what was wanted.
+    """
+    need("reading a rig (YAML)", "photos", "yaml")
+    import yaml
+
+    name = os.fspath(path)
+    try:
+        if os.path.getsize(name) > LARGEST:
+            raise FormatError(f"{name} is larger than {LARGEST} bytes; wanted the YAML file of a rig")
+        text = read_file(name).decode("utf-8-sig")
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (OSError, UnicodeDecodeError, RecursionError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise FormatError(f"{name} cannot be read as a rig ({why}); give a YAML file of lenses") from error
+    except yaml.YAMLError as error:
+        raise FormatError(f"{name} is not YAML ({' '.join(str(error).split())}); wanted pictures and lenses") from error
+    if root is None:
+        raise FormatError(f"{name} is empty; wanted pictures and lenses")
+    try:
+        return _rig(_Place(root, ""))
+    except EagorError as error:
+        raise FormatError(f"{name}, {error}") from error
+
+
+class _Place:
+    """A node of the file: reads it as what is wanted, or raises `FormatError` with its line."""
+
+    def __init__(self, node: Node, path: str) -> None:
+        self.node, self.path = node, path
+
+    def wrong(self, wanted: str) -> FormatError:
+        return FormatError(f"line {self.node.start_mark.line + 1}: {self.path or 'the file'} {wanted}")
+
+    def mapping(self, keys: Sequence[str] | None = None) -> dict[str, _Place]:
+        """The entries; only `keys` are allowed."""
+        import yaml
+
+        if not isinstance(self.node, yaml.MappingNode):
+            raise self.wrong(f"is {self._what()}; wanted names with values" + (f": {', '.join(keys)}" if keys else ""))
+        found: dict[str, _Place] = {}
+        for key, value in self.node.value:
+            name = str(key.value)
+            place = _Place(value, f"{self.path}.{name}" if self.path else name)
+            line = key.start_mark.line + 1
+            if name in found:
+                raise FormatError(f"line {line}: {place.path} is there twice")
+            if keys is not None and name not in keys:
+                near = get_close_matches(name, keys, 1)
+                hint = f"; did you mean {near[0]}?" if near else ""
+                raise FormatError(f"line {line}: {place.path} is no key here{hint} Wanted: {', '.join(keys)}")
+            found[name] = place
+        return found
+
+    def items(self, wanted: str) -> list[_Place]:
+        """The members of a list."""
+        import yaml
+
+        if not isinstance(self.node, yaml.SequenceNode):
+            raise self.wrong(f"is {self._what()}; wanted {wanted}")
+        return [_Place(each, f"{self.path}[{index}]") for index, each in enumerate(self.node.value)]
+
+    def number(self, wanted: str = "a number", whole: bool = False) -> float:
+        import yaml
+
+        try:
+            if not isinstance(self.node, yaml.ScalarNode) or "_" in self.node.value:
+                raise ValueError
+            value = float(self.node.value)
+        except ValueError:
+            raise self.wrong(f"is {self._what()}; wanted {wanted}") from None
+        if not math.isfinite(value) or (whole and value != int(value)):
+            raise self.wrong(f"is {self._what()}; wanted {wanted}")
+        return value
+
+    def numbers(self, least: int, most: int, wanted: str) -> tuple[float, ...]:
+        found = self.items(wanted)
+        if not least <= len(found) <= most:
+            raise self.wrong(f"has {len(found)} members; wanted {wanted}")
+        return tuple(each.number() for each in found)
+
+    def text(self) -> str:
+        import yaml
+
+        if not isinstance(self.node, yaml.ScalarNode):
+            raise self.wrong(f"is {self._what()}; wanted a text")
+        return str(self.node.value)
+
+    def _what(self) -> str:
+        value = self.node.value
+        if isinstance(value, str):
+            return repr(value if len(value) < 60 else value[:57] + "...")
+        return "a list" if self.node.tag.endswith("seq") else "names with values"
+
+
+def _rig(root: _Place) -> Rig:
+    entries = root.mapping(("pictures", "lenses"))
+    for key in ("pictures", "lenses"):
+        if key not in entries:
+            raise root.wrong(f"has no {key}; wanted pictures (width and height of each) and lenses")
+    sizes = []
+    for picture in entries["pictures"].items("a list of width and height, one entry per picture"):
+        sides = picture.mapping(("width", "height"))
+        if len(sides) < 2:
+            raise picture.wrong("lacks a side; wanted width and height, in pixels")
+        width, height = (int(sides[side].number("a whole number of pixels", True)) for side in ("width", "height"))
+        if min(width, height) < 1:
+            raise picture.wrong(f"is {width} x {height}; wanted pixels, at least 1")
+        sizes.append((width, height))
+    if not sizes:
+        raise entries["pictures"].wrong("is empty; wanted width and height of at least one picture")
+    lenses = []
+    for place in entries["lenses"].items("a list of lenses"):
+        try:
+            lenses.append(_lens(place, sizes))
+        except FormatError:
+            raise
+        except EagorError as error:  # values that are numbers, but no lens
+            raise place.wrong(f"cannot be: {error}") from error
+    if not lenses:
+        raise entries["lenses"].wrong("is empty; wanted at least one lens")
+    return Rig(tuple(sizes), tuple(lenses))
+
+
+def _lens(place: _Place, sizes: Sequence[tuple[int, int]]) -> Lens:
+    every = dict.fromkeys(key for keys in KEYS.values() for key in keys)
+    found = place.mapping(tuple(every))
+    kind = found["kind"].text() if "kind" in found else "fisheye"
+    if kind not in KEYS:
+        raise found["kind"].wrong(f"is {kind!r}; wanted fisheye or pinhole")
+    found = place.mapping(KEYS[kind])
+    name = found["name"].text() if "name" in found else place.path
+    picture = int(found["picture"].number("the number of a picture, from 0", True)) if "picture" in found else 0
+    if not 0 <= picture < len(sizes):
+        raise found["picture"].wrong(f"is {picture}; wanted 0 to {len(sizes) - 1}, since pictures lists {len(sizes)}")
+    rotation = _rotation(found["rotation"]) if "rotation" in found else np.eye(3)
+    if "centre" not in found:
+        raise place.wrong("has no centre; wanted x and y of the optical axis, pixels")
+    x, y = found["centre"].numbers(2, 2, "x and y, pixels")
+    common: dict[str, Any] = {"body_R_lens": rotation, "picture": picture}
+    if kind == "pinhole":
+        if "focal" not in found:
+            raise place.wrong("has no focal; wanted the focal length in pixels, one number or x and y")
+        focal = _pair(found["focal"])
+        distortion = ()
+        if "distortion" in found:
+            distortion = found["distortion"].numbers(0, 8, "up to eight numbers: k1, k2, p1, p2, k3, k4, k5, k6")
+        return PinholeLens(name, sizes[picture], focal, (x, y), distortion, **common)
+    if "radius" not in found or ("focal" in found) == ("field_deg" in found):
+        raise place.wrong(
+            "needs radius (pixels from the centre to the rim), and either field_deg (degrees from rim to rim) or focal "
+            "(pixels per radian at the centre)"
+        )
+    radius = found["radius"].number("pixels")
+    if "polynomial" in found:
+        common["polynomial"] = found["polynomial"].numbers(0, 4, "up to four numbers")
+    if "field_deg" in found:
+        fov = math.radians(found["field_deg"].number("degrees"))
+        return FisheyeLens.of_field(name, (x, y), radius, fov, **common)
+    return FisheyeLens(name, (x, y), found["focal"].number("pixels per radian"), radius, **common)
+
+
+def _pair(place: _Place) -> tuple[float, float]:
+    """One number for both, or two."""
+    if isinstance(place.node.value, str):
+        value = place.number("pixels: one number, or x and y")
+        return value, value
+    x, y = place.numbers(2, 2, "pixels: one number, or x and y")
+    return x, y
+
+
+def _rotation(place: _Place) -> np.ndarray:
+    if place.node.tag.endswith("seq"):
+        wxyz = np.array(place.numbers(4, 4, "a quaternion w, x, y, z, or yaw_deg, pitch_deg and roll_deg"))
+        norm = float(np.linalg.norm(wxyz))
+        if abs(norm - 1) > UNIT:
+            raise place.wrong(f"has length {norm:.3g}; wanted a unit quaternion w, x, y, z")
+        return rotation_from_wxyz(wxyz / norm)
+    found = place.mapping(ANGLES)
+    return world_R_body(*(math.radians(found[name].number("degrees")) if name in found else 0.0 for name in ANGLES))
+
+
+def write_rig(rig: Rig, path: str | os.PathLike[str], notes: Sequence[str] = ()) -> None:
+    """Write a rig so that `read_rig` reads the same; `notes` become comments at its head. Raises `StorageError`."""
+    lines = [f"# {' '.join(note.split())}" for note in notes]
+    lines += ["pictures:", *(f"  - {{width: {width}, height: {height}}}" for width, height in rig.sizes), "lenses:"]
+    for lens in rig.lenses:
+        fields = _fields(lens)
+        first, *others = (f"{key}: {value}" for key, value in fields.items())
+        lines += [f"  - {first}", *(f"    {each}" for each in others)]
+    written(Path(path), "\n".join(lines) + "\n")
+
+
+def _fields(lens: Lens) -> Mapping[str, str]:
+    from scipy.spatial.transform import Rotation
+
+    yaw, pitch, roll = Rotation.from_matrix(lens.body_R_lens).as_euler("ZYX", degrees=True)
+    angles = ", ".join(f"{key}: {value:.6f}" for key, value in zip(ANGLES, (yaw, pitch, roll), strict=True))
+    common = {"picture": str(lens.picture), "centre": _list(lens.centre), "rotation": f"{{{angles}}}"}
+    head = {"name": _quoted(lens.name)}
+    if isinstance(lens, PinholeLens):
+        own = {"focal": _list(lens.focal), "distortion": _list(lens.distortion)}
+        return head | {"kind": "pinhole"} | common | own
+    own = {"focal": f"{lens.focal:.6f}", "radius": f"{lens.radius:.6f}", "polynomial": _list(lens.polynomial)}
+    about = {"focal": f"{own.pop('focal')}  # {2 * math.degrees(lens.reach):.2f} degrees from rim to rim"}
+    return head | {"kind": "fisheye"} | common | about | own
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"[{', '.join(f'{value:.9g}' for value in values)}]"
+
+
+def _quoted(text: str) -> str:
+    """A text as YAML: JSON's strings are."""
+    import json
+
+    return json.dumps(text, ensure_ascii=False)

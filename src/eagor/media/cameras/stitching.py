@@ -1,0 +1,194 @@
+"""Put the pictures of a camera's lenses together to a panorama, and take one apart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor._extras import need
+from eagor._lazy import lazy
+from eagor.errors import ImageError
+from eagor.grids import ErpGrid
+from eagor.media.cameras.rig import Rig
+from eagor.media.images import checked_picture
+
+__all__ = ["Stitcher", "seen_by"]
+
+RIM = 1.5  # pixels along the rim that are left out: interpolation would mix them with what lies beyond
+PAD = 8  # columns, and rows over the poles, that are added around a panorama before it is sampled
+STRIP = 1024  # width of the tables of the overlap; OpenCV takes sides below 32768
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """What one lens each shows of a panorama's pixels: the `table` for OpenCV says where to read them.
+
+    `pixels` ``(n,)``: those of the panorama that are blended, with `weights` ``(n, 3)`` of 256; `places`: where they
+    are among all that are blended. The first layer's table has all pixels of the panorama, those of the others theirs.
+    """
+
+    pixels: np.ndarray
+    table: tuple[np.ndarray, np.ndarray]
+    weights: np.ndarray
+    places: np.ndarray | slice
+
+
+class Stitcher:
+    """Makes panoramas of `rows` rows from pictures of a `rig`; tables are made once, and all frames use them.
+
+    Where several lenses see the same, they are blended: a lens counts in proportion to the distance from the rim of its
+    picture, so that no seam is to be seen where they agree. What no lens sees is black, and True in `unseen` ``(rows,
+    2 rows)`` (None if all is seen). Pictures are first brought to the rig's `sizes`, made about as fine as the
+    panorama. Needs OpenCV (`MissingExtraError`).
+    """
+
+    def __init__(self, rig: Rig, rows: int | None = None) -> None:
+        need("stitching pictures of lenses", "photos", "cv2")
+        rows = rig.rows if rows is None else rows
+        if rows < 2:
+            raise ImageError(f"rows = {rows}; wanted at least 2")
+        self.grid = ErpGrid(rows, 2 * rows)
+        self.rig = rig.scaled(min(1.0, rows / rig.rows))
+        self._offsets = np.cumsum([0, *(width for width, _ in self.rig.sizes)])
+
+    @property
+    def sizes(self) -> tuple[tuple[int, int], ...]:
+        """Width and height to which each picture is brought."""
+        return self.rig.sizes
+
+    @lazy
+    def _depths(self) -> np.ndarray:
+        """How deep each pixel of the panorama is inside each lens' rim, ``(lenses, rows * 2 rows)``, radians."""
+        return np.stack([self._positions(k)[2] for k in range(len(self.rig.lenses))])
+
+    def _positions(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Place on the canvas, and depth, ``(n,)`` each, of the panorama's pixels in one lens."""
+        lens = self.rig.lenses[index]
+        x, y, depth = lens.project(self.grid.directions.reshape(-1, 3))
+        return x + self._offsets[lens.picture] - 0.5, y - 0.5, depth - RIM / lens.density
+
+    @property
+    def unseen(self) -> np.ndarray | None:
+        """The mask ``(rows, 2 rows)`` of what no lens sees, or None."""
+        mask = (self._depths.max(axis=0) <= 0).reshape(self.grid.shape)
+        return mask if mask.any() else None
+
+    @lazy
+    def _layers(self) -> tuple[_Layer, ...]:
+        """First the deepest lens of each pixel, then the second deepest where there is one, and so on."""
+        import cv2
+
+        count, n = self._depths.shape
+        order = np.argsort(-self._depths, axis=0, kind="stable")
+        ranked = np.take_along_axis(self._depths, order, axis=0)
+        share = np.maximum(ranked, 0)
+        share = share / np.maximum(share.sum(axis=0), 1e-12)
+        places = np.stack([np.stack(self._positions(k)[:2]) for k in range(count)]).astype(np.float32)
+        whole = np.rint(256 * share[1:]).astype(np.uint16)
+        whole = np.concatenate([256 - whole.sum(axis=0, keepdims=True, dtype=np.uint16), whole])  # to 256 exactly
+        shared = np.flatnonzero(ranked[1] > 0) if count > 1 else np.empty(0, np.intp)
+        layers = []
+        for rank in range(count):
+            pixels = np.arange(n) if rank == 0 else np.flatnonzero(ranked[rank] > 0)
+            if len(pixels) == 0:
+                break
+            x, y = places[order[rank, pixels], :, pixels].T
+            if rank == 0:
+                hidden = ranked[0] <= 0
+                x, y = np.where(hidden, -9, x), np.where(hidden, -9, y)
+                shape = self.grid.shape
+            else:  # any shape will do
+                full = -len(pixels) % STRIP
+                x, y = (np.pad(each, (0, full), constant_values=-9) for each in (x, y))
+                shape = (-1, STRIP)
+            table = cv2.convertMaps(x.reshape(shape), y.reshape(shape), cv2.CV_16SC2)
+            own = shared if rank == 0 else pixels
+            weights = np.repeat(whole[rank, own][:, None], 3, axis=1)
+            among = slice(None) if len(own) == len(shared) else np.searchsorted(shared, own)
+            layers.append(_Layer(own, table, weights, among))  # type: ignore[arg-type]
+        return tuple(layers)
+
+    def canvas(self, pictures: tuple[np.ndarray, ...]) -> np.ndarray:
+        """The pictures ``(H, W, 3)`` uint8 at their `sizes`, side by side. Raises `ImageError`."""
+        import cv2
+
+        given = tuple((checked_picture(p, "a picture").shape[1], p.shape[0]) for p in pictures)
+        self.rig.factor_of(given, "a picture")
+        scaled = [
+            picture
+            if size == own
+            else cv2.resize(picture, own, interpolation=cv2.INTER_AREA if size[0] > own[0] else cv2.INTER_LINEAR)
+            for picture, size, own in zip(pictures, given, self.sizes, strict=True)
+        ]
+        if len(scaled) == 1:
+            return np.ascontiguousarray(scaled[0])
+        height = max(each.shape[0] for each in scaled)
+        return np.hstack([np.pad(each, ((0, height - each.shape[0]), (0, 0), (0, 0))) for each in scaled])
+
+    def stitch(self, *pictures: np.ndarray) -> np.ndarray:
+        """The panorama ``(rows, 2 rows, 3)`` uint8 of the pictures of one moment, ``(H, W, 3)`` uint8 each.
+
+        Raises `ImageError` for another number of pictures, or another shape.
+        """
+        import cv2
+
+        canvas = self.canvas(pictures)
+        first, *others = self._layers
+        panorama = cv2.remap(canvas, *first.table, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
+        if not others:
+            return panorama
+        flat = panorama.reshape(-1, 3)
+        # 255 * 256 and a half fit into 16 bits.
+        total = np.multiply(np.take(flat, first.pixels, axis=0), first.weights, dtype=np.uint16)
+        for layer in others:
+            read = cv2.remap(canvas, *layer.table, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
+            read = read.reshape(-1, 3)[: len(layer.pixels)]
+            total[layer.places] += np.multiply(read, layer.weights, dtype=np.uint16)
+        total += 128
+        total >>= 8
+        flat[first.pixels] = total
+        return panorama
+
+    def alone(self, index: int, *pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What one lens sees, as a panorama ``(rows, 2 rows, 3)`` black elsewhere, and where it sees."""
+        import cv2
+
+        x, y, depth = (each.reshape(self.grid.shape).astype(np.float32) for each in self._positions(index))
+        read = cv2.remap(self.canvas(pictures), x, y, cv2.INTER_CUBIC)
+        seen = depth > 0
+        read[~seen] = 0
+        return read, seen
+
+
+def seen_by(rig: Rig, panorama: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What the rig's camera shows of a panorama ``(H, W, 3)`` uint8: its pictures ``(H, W, 3)``, black beyond the rims.
+
+    Bicubic, without a low-pass filter: give a panorama that is about as fine as the pictures. Raises `ImageError`.
+    """
+    need("taking a panorama apart", "photos", "cv2")
+    import cv2
+
+    image = checked_picture(panorama)
+    grid, half = ErpGrid(*image.shape[:2]), image.shape[1] // 2
+    # Beyond a pole the picture goes on half a turn away.
+    tall = np.concatenate([np.roll(image[PAD - 1 :: -1], half, 1), image, np.roll(image[: -PAD - 1 : -1], half, 1)])
+    canvas = np.concatenate([tall[:, -PAD:], tall, tall[:, :PAD]], axis=1)
+    pictures = [np.zeros((height, width, 3), np.uint8) for width, height in rig.sizes]
+    for lens in rig.lenses:
+        picture = pictures[lens.picture]
+        height, width = picture.shape[:2]
+        directions = lens.unproject(np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None])
+        x, y = ((place + PAD - 0.5).astype(np.float32) for place in grid.project(directions)[:2])
+        read = cv2.remap(canvas, x, y, cv2.INTER_CUBIC)
+        back_x, back_y, depth = lens.project(directions)
+        near = np.hypot(back_x - np.arange(width) - 0.5, back_y - np.arange(height)[:, None] - 0.5) < 1
+        shown = near & (depth >= 0)
+        picture[shown] = read[shown]
+    return tuple(pictures)
+
+
+def field_in_words(rig: Rig) -> str:
+    """Such as "front 200, back 198 degrees"."""
+    return ", ".join(f"{lens.name} {2 * math.degrees(lens.reach):.0f}" for lens in rig.lenses) + " degrees"

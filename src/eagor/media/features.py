@@ -1,0 +1,127 @@
+"""Points of a panorama that can be found again: directions and descriptors, and which of two panoramas belong together.
+
+SIFT (Lowe, IJCV 60, 2004) on flat views that cover the sphere, so that neither the seam nor the poles differ from
+other places. Of OpenCV's features it gave the most precise directions: see benchmarks/rotation.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from eagor._extras import need
+from eagor._lazy import lazy
+from eagor.grids import PerspectiveGrid
+from eagor.media.cutting import cut, tangent_views
+
+FIELD = math.radians(100)  # of a view; six such views cover the sphere
+SIZE = 320  # pixels of a view
+CONTRAST = 0.02  # half of SIFT's usual threshold: dim rooms have few strong points
+MOST = 400  # points of a view, strongest first
+RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004, section 7.1)
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """`n` points: unit vectors `directions` ``(n, 3)``, body frame; `descriptors` ``(n, 128)`` float32, unit length."""
+
+    directions: np.ndarray
+    descriptors: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.directions)
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Six flat views that cover the sphere: `grids` in the body frame, and the grey `pictures` ``(size, size)``."""
+
+    grids: tuple[PerspectiveGrid, ...]
+    pictures: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, panorama: np.ndarray, size: int = SIZE, grids: tuple[PerspectiveGrid, ...] = ()) -> Views:
+        """The views of a panorama ``(H, W, 3)`` uint8: of `size` pixels as a cube, or other `grids`.
+
+        Raises `ImageError`, and `MissingExtraError` without OpenCV.
+        """
+        need("finding features in a panorama", "photos", "cv2")
+        import cv2
+
+        grids = grids or _views(size)
+        pictures = cut(panorama, *grids)
+        return cls(grids, tuple(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in pictures))
+
+    @lazy
+    def features(self) -> Features:
+        """The points of the panorama; none in a blank picture.
+
+        Views overlap. Each point counts in the view whose axis is nearest, so there are no duplicates.
+        """
+        import cv2
+
+        detector = cv2.SIFT.create(contrastThreshold=CONTRAST, enable_precise_upscale=True)
+        directions: list[Any] = [np.empty((0, 3))]
+        descriptors: list[Any] = [np.empty((0, 128), np.float32)]
+        for index, picture in enumerate(self.pictures):
+            points, found = detector.detectAndCompute(picture, None)
+            if found is None or len(points) == 0:
+                continue
+            rays, own = self.seen(index, np.array([point.pt for point in points]))
+            strength = np.array([point.response for point in points])
+            own = np.flatnonzero(own)
+            own = own[np.argsort(-strength[own], kind="stable")][:MOST]
+            directions.append(rays[own])
+            descriptors.append(found[own])
+        return Features(np.concatenate(directions), _rooted(np.concatenate(descriptors)))
+
+    def seen(self, index: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Directions ``(n, 3)`` of OpenCV's `points` ``(n, 2)`` in a view, and whether its axis is the nearest one."""
+        x, y = points.T.astype(np.float64) + 0.5  # OpenCV counts from the centre of the first pixel
+        rays = self.grids[index].unproject(x, y)
+        axes = np.array([grid.body_R_view[:, 0] for grid in self.grids])
+        return rays, (rays @ axes.T).argmax(axis=1) == index
+
+
+def features_of(panorama: np.ndarray, size: int = SIZE) -> Features:
+    """The points of a panorama ``(H, W, 3)`` uint8, from views of `size` pixels; none in a blank picture.
+
+    Raises `ImageError`, and `MissingExtraError` without OpenCV.
+    """
+    return Views.of(panorama, size).features
+
+
+def match(a: Features, b: Features) -> tuple[np.ndarray, np.ndarray]:
+    """Indices into `a` and `b`, ``(m,)`` each, of points that look alike.
+
+    Each is the other's nearest by its descriptor, and clearly nearer than the second (Lowe's ratio test) both ways.
+    """
+    if min(len(a), len(b)) < 2:
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+    squared = 2 - 2 * (a.descriptors @ b.descriptors.T)
+    nearest = squared.argmin(axis=1)
+    index = np.flatnonzero(squared.argmin(axis=0)[nearest] == np.arange(len(a)))
+    nearest = nearest[index]
+    limit = np.minimum(_second(squared[index]), _second(squared[:, nearest].T)) * RATIO**2
+    clear = squared[index, nearest] < limit
+    return index[clear], nearest[clear]
+
+
+def _second(values: np.ndarray) -> np.ndarray:
+    """The second least of each row."""
+    return np.partition(values, 1, axis=1)[:, 1]
+
+
+def _rooted(descriptors: np.ndarray) -> np.ndarray:
+    """Square roots of shares: distances between them are Hellinger's (Arandjelovic & Zisserman, CVPR 2012)."""
+    total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
+    return np.sqrt(np.maximum(descriptors, 0) / total)
+
+
+@lru_cache(maxsize=4)
+def _views(size: int) -> tuple[PerspectiveGrid, ...]:
+    return tangent_views(size, FIELD)

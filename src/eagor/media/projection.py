@@ -1,0 +1,255 @@
+"""How a picture covers the sphere, as its file says it: projection, tilt, stereo, cropped area.
+
+Sources: Spherical Video V2 RFC (boxes ``st3d`` and ``sv3d``; Matroska's Projection), Spherical Video V1 RFC (XML in a
+``uuid`` box), Photo Sphere XMP Metadata (GPano).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eagor.errors import ImageError
+from eagor.media.boxes import Track, children, find
+from eagor.media.matroska import Head
+from eagor.media.xmp import GSPHERICAL, properties
+from eagor.sphere import world_R_body
+
+__all__ = ["Layout", "Projection", "of_head", "of_photograph", "of_track"]
+
+SPHERICAL = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")  # the uuid of Spherical Video V1
+EYES = {  # where in the picture the left eye's is: first row, first column, rows, columns, as shares
+    "mono": (0.0, 0.0, 1.0, 1.0),
+    "top-bottom": (0.0, 0.0, 0.5, 1.0),
+    "bottom-top": (0.5, 0.0, 0.5, 1.0),
+    "left-right": (0.0, 0.0, 1.0, 0.5),
+    "right-left": (0.0, 0.5, 1.0, 0.5),
+}
+ST3D = {0: "mono", 1: "top-bottom", 2: "left-right", 3: "custom", 4: "right-left"}
+MATROSKA_STEREO = {0: "mono", 1: "left-right", 2: "bottom-top", 3: "top-bottom", 11: "right-left"}
+MATROSKA_KINDS = {0: "rectangular", 1: "equirectangular", 2: "cubemap", 3: "mesh"}
+EXPORT = (
+    "Export it as an equirectangular video, twice as wide as high: in the camera's own app choose '360 video', or use "
+    "FFmpeg's filter v360"
+)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """What a file says; angles in radians.
+
+    `source`: who says so, for texts. `kind`: "equirectangular", "cubemap", ... `stereo`: how two eyes share the
+    picture. `yaw` (left), `pitch` (nose DOWN) and `roll` of the camera, as in `eagor.sphere.world_R_body`. `cropped`:
+    shares of the whole sphere's rows and columns that the picture lacks at the top, bottom, left and right.
+    """
+
+    source: str
+    kind: str = "equirectangular"
+    stereo: str = "mono"
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    cropped: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def world_R_body(self) -> np.ndarray:
+        """The rotation ``(3, 3)`` from the picture's axes to a level frame; heading 0 is the file's (GPano: north)."""
+        return world_R_body(self.yaw, self.pitch, self.roll)
+
+    @property
+    def level_R_body(self) -> np.ndarray:
+        """As `world_R_body`, without the heading: forward stays the picture's centre."""
+        return world_R_body(0.0, self.pitch, self.roll)
+
+    def check(self, name: str) -> None:
+        """Raise `ImageError`, about the file `name`, unless it is an equirectangular panorama."""
+        if self.kind not in ("equirectangular", "rectangular"):
+            raise ImageError(f"{name} is a {self.kind} picture, as {self.source} says, not equirectangular. {EXPORT}")
+        if self.stereo not in EYES:
+            raise ImageError(f"{name} holds two eyes in a way ({self.stereo}) that is not read. {EXPORT}, for one eye")
+        top, bottom, left, right = self.cropped
+        if not (top + bottom < 1 and left + right < 1):
+            raise ImageError(f"{name} is damaged: {self.source} says that nothing is left of the picture")
+
+    def facts(self) -> tuple[str, ...]:
+        """Sentences for the user."""
+        said = [f"{self.source} says: {self.kind}"]
+        if self.stereo != "mono":
+            said.append(f"it holds two eyes ({self.stereo}); the left one is taken")
+        if any((self.yaw, self.pitch, self.roll)):
+            angles = [f"{math.degrees(a) + 0.0:+.1f}" for a in (self.yaw, -self.pitch, self.roll)]
+            said.append(
+                f"{self.source} says how the camera was held: yaw {angles[0]} (left), pitch {angles[1]} (up), roll "
+                f"{angles[2]} (right side down) degrees"
+            )
+        if any(self.cropped):
+            rows, columns = 180 * (1 - sum(self.cropped[:2])), 360 * (1 - sum(self.cropped[2:]))
+            said.append(f"it shows {columns:.0f} x {rows:.0f} degrees of the sphere; the rest counts as not seen")
+        return tuple(said)
+
+    def layout(self, height: int, width: int, rows: int | None = None) -> Layout:
+        """Where a picture of `height` and `width` pixels, all its eyes included, goes in a whole panorama.
+
+        With at most `rows` rows. A rectangular picture, or one of which nothing is known, keeps its shape.
+        """
+        eye = EYES[self.stereo]
+        high, wide = max(1, round(height * eye[2])), max(1, round(width * eye[3]))
+        top, bottom, left, right = self.cropped
+        whole = high / (1 - top - bottom)
+        count = max(1, round(whole if rows is None else min(rows, whole)))
+        columns = 2 * count if self.kind == "equirectangular" else max(1, round(wide * count / high))
+        first, last = round(top * count), max(round(top * count) + 1, round((1 - bottom) * count))
+        start, stop = round(left * columns), max(round(left * columns) + 1, round((1 - right) * columns))
+        return Layout((count, columns), slice(first, last), slice(start, stop), eye)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where a picture goes in a panorama of `shape`: to `rows` and `columns`. `eye`: the part of it to take."""
+
+    shape: tuple[int, int]
+    rows: slice
+    columns: slice
+    eye: tuple[float, float, float, float]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width to which the picture is scaled, all its eyes included."""
+        high, wide = self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
+        return round(high / self.eye[2]), round(wide / self.eye[3])
+
+    def place(self, scaled: np.ndarray) -> np.ndarray:
+        """The panorama ``(*shape, 3)``: the eye of a picture of `size`, at its place. Black where nothing is known."""
+        high, wide = self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
+        top, left = round(self.eye[0] * scaled.shape[0]), round(self.eye[1] * scaled.shape[1])
+        part = scaled[top : top + high, left : left + wide]
+        if part.shape[:2] == self.shape:
+            return np.ascontiguousarray(part)
+        panorama = np.zeros((*self.shape, *scaled.shape[2:]), dtype=scaled.dtype)
+        panorama[self.rows, self.columns] = part
+        return panorama
+
+    @property
+    def unseen(self) -> np.ndarray | None:
+        """The mask ``shape`` of what the picture does not show; None if it shows the whole sphere."""
+        mask = np.ones(self.shape, dtype=bool)
+        mask[self.rows, self.columns] = False
+        return mask if mask.any() else None
+
+
+def of_track(track: Track) -> Projection | None:
+    """What the boxes of an MP4 track say; None if nothing. V2 has priority over V1, as the V2 RFC wants."""
+    inner = find(track.extensions, "sv3d", "proj")
+    found = None if inner is None else _of_boxes(inner)
+    stereo = find(track.extensions, "st3d")
+    mode = ST3D.get(stereo[4], f"mode {stereo[4]}") if stereo is not None and len(stereo) > 4 else None
+    if found is None:
+        found = _of_xml(track)
+    if mode is not None:
+        found = Projection("its box st3d", "rectangular", mode) if found is None else replace(found, stereo=mode)
+    return found
+
+
+def _of_boxes(inner: memoryview) -> Projection | None:
+    """Of the content of ``proj``.
+
+    The signs are those of the V2 RFC as corrected in 2016: yaw to the left, pitch up, roll clockwise about the forward
+    vector for one who looks back along it, which is the left side down.
+    """
+    kinds = {"equi": "equirectangular", "cbmp": "cubemap", "mshp": "mesh"}
+    found = Projection("its box sv3d")
+    for kind, body in children(inner):
+        if kind == "prhd" and len(body) >= 16:
+            yaw, pitch, roll = (value / 65536 for value in struct.unpack_from(">iii", body, 4))
+            found = _posed(found, yaw, pitch, roll)
+        elif kind == "equi" and len(body) >= 20:
+            found = replace(found, kind="equirectangular", cropped=_bounds(bytes(body)))
+        elif kind in kinds:
+            found = replace(found, kind=kinds[kind])
+    return found
+
+
+def _posed(found: Projection, yaw: float, pitch: float, roll: float) -> Projection:
+    """With the pose of the V2 RFC (degrees)."""
+    if not all(math.isfinite(angle) for angle in (yaw, pitch, roll)):
+        return found
+    return replace(found, yaw=math.radians(yaw), pitch=-math.radians(pitch), roll=-math.radians(roll))
+
+
+def _bounds(equi: bytes) -> tuple[float, float, float, float]:
+    """The content of ``equi``: version and flags, then what is cropped, in 2 ** -32 of the whole."""
+    top, bottom, left, right = (value / 2**32 for value in struct.unpack_from(">IIII", equi, 4))
+    return top, bottom, left, right
+
+
+def _of_xml(track: Track) -> Projection | None:
+    """Spherical Video V1."""
+    for kind, body in children(track.body):
+        if kind == "uuid" and bytes(body[:16]) == SPHERICAL:
+            said = properties(bytes(body[16:]), GSPHERICAL)
+            if said.get("Spherical", "").lower() == "true":
+                return _with_area(
+                    Projection(
+                        "its XML of Spherical Video V1",
+                        said.get("ProjectionType", "equirectangular").lower(),
+                        said.get("StereoMode", "mono").lower(),
+                    ),
+                    said,
+                )
+    return None
+
+
+def _with_area(found: Projection, said: Mapping[str, str]) -> Projection:
+    """With the cropped area; one that is impossible is ignored."""
+    try:
+        full = [float(said[f"FullPano{side}Pixels"]) for side in ("Height", "Width")]
+        seen = [float(said[f"CroppedAreaImage{side}Pixels"]) for side in ("Height", "Width")]
+        start = [float(said.get(f"CroppedArea{side}Pixels", 0)) for side in ("Top", "Left")]
+    except (KeyError, ValueError):
+        return found
+    if not all(s >= 0 and n > 0 and s + n <= f < math.inf for s, n, f in zip(start, seen, full, strict=True)):
+        return found
+    before = [s / f for s, f in zip(start, full, strict=True)]
+    after = [1 - (s + n) / f for s, n, f in zip(start, seen, full, strict=True)]
+    return replace(found, cropped=(before[0], after[0], before[1], after[1]))
+
+
+def of_head(head: Head) -> Projection | None:
+    """What Matroska's elements say.
+
+    Angles are read as in MP4. RFC 9559 has other signs for yaw and roll, as had the V2 RFC before its correction, but
+    programs write the same numbers into both kinds of file.
+    """
+    stereo = MATROSKA_STEREO.get(head.stereo, f"StereoMode {head.stereo}")
+    if head.projection is None:
+        return Projection("its StereoMode", "rectangular", stereo) if head.stereo else None
+    kind = MATROSKA_KINDS.get(head.projection, f"kind {head.projection}")
+    found = _posed(Projection("its Projection element", kind, stereo), *head.pose)
+    if kind == "equirectangular" and len(head.private) >= 20:
+        found = replace(found, cropped=_bounds(head.private))
+    return found
+
+
+def of_photograph(said: Mapping[str, str]) -> Projection | None:
+    """What the GPano properties of a picture say; None if they name no projection.
+
+    The heading is clockwise from north, the pitch up; with the roll the horizon turns counterclockwise in the picture,
+    so the camera's right side is down. They are applied in this order.
+    """
+    if "ProjectionType" not in said:
+        return None
+
+    def angle(name: str) -> float:
+        try:
+            value = float(said.get(f"Pose{name}Degrees", 0))
+        except ValueError:
+            return 0.0
+        return math.radians(value) if math.isfinite(value) else 0.0
+
+    kind = said["ProjectionType"].lower()
+    found = Projection("its XMP (GPano)", kind, "mono", -angle("Heading"), -angle("Pitch"), angle("Roll"))
+    return _with_area(found, said)

@@ -1,0 +1,231 @@
+"""How a 360-degree camera turns, from its panoramas alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from eagor._lazy import lazy
+from eagor.media.features import SIZE, Features, Views, match
+from eagor.media.flow import corners_of, followed, steadied
+from eagor.media.two_views import Turn, turn_between
+
+__all__ = ["Turned", "VisualOdometer"]
+
+MOST_KEYS = 48  # key frames in memory, about 1 MB each
+THIN = 0.15  # share of a frame's points found again in a key frame; below it the frame becomes a key frame itself
+FOLLOWED = 0.4  # share of a frame's corners found again by optical flow; with fewer, features are matched anew
+NEAR = math.radians(2)  # of the guess: flow from farther away is repeated, since views change with the turn
+ROUNDS = 3  # of that, at most
+SMALLEST = 128  # pixels of a view, however small the pictures are
+FEWEST = 8  # points: so few that match cannot be told from chance, or hardly
+_CONSISTENT = 16.3  # chi-square with three degrees of freedom, exceeded once in 1000
+_UNKNOWN = math.sqrt(math.pi**2 / 9 + 2 / 3)  # radians per axis: a rotation of which nothing is known (uniform, SO(3))
+_UNKNOWN_YAW = math.pi / math.sqrt(3)  # radians: a heading of which nothing is known
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Where the camera points.
+
+    `world_R_body` ``(3, 3)``; the first picture's body frame is the world, or that of the last picture with `lost`.
+    `spread`: standard deviation of the error, radians per axis (of the heading, if level). `lost`: True if this picture
+    could not be related to those before it, so that the world starts anew. `matches`: points that agree; 0 for a
+    picture in which there is nothing to see: then the rotation is the last known one, and the spread grows.
+    """
+
+    world_R_body: np.ndarray
+    spread: float
+    lost: bool
+    matches: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Key:
+    """A frame to compare with: its views, its pose, the covariance ``(3, 3)`` of the pose (world axes)."""
+
+    views: Views
+    world_R_body: np.ndarray
+    covariance: np.ndarray
+
+    @lazy
+    def corners(self) -> tuple[np.ndarray, ...]:
+        """The corners of its views."""
+        return corners_of(self.views)
+
+
+class VisualOdometer:
+    """The rotation of a camera, panorama by panorama. `level`: the pictures stay level, and only the heading turns.
+
+    Corners are followed by optical flow from one frame, the anchor, to each picture, as long as many are found again.
+    Where they are not, the picture's features are matched with key frames: the one that fitted last, the first one, and
+    one of the others in turn, so that a camera that comes back loses its drift. The answer with the least uncertainty
+    counts, and the picture is the next anchor. A new key frame is made where few points are found again. The state
+    grows to at most `MOST_KEYS` key frames. Not for several threads.
+    """
+
+    def __init__(self, *, level: bool = False) -> None:
+        self.level = level
+        self._keys: list[_Key] = []
+        self._reference = 0  # the key frame that fitted last
+        self._turn = 0  # the key frame whose turn it is
+        self._anchor: _Key | None = None  # the frame from which corners are followed
+        self._previous: _Key | None = None  # the last picture that was found
+        self._step = np.zeros(3)  # the turn (rotation vector) from the picture before that one to it, and the seconds
+        self._lasted = 1.0
+        self._stamp = 0.0  # of that one
+        self._held = 0  # pictures without information since then
+        self._squares, self._steps = 0.0, 0  # of the turns from picture to picture (radians), and how many
+        self._shares = (1.0, 4.0)  # points found again and points there, in frames found (a guess to begin with)
+
+    def add(self, panorama: np.ndarray, stamp: float | None = None) -> Turned:
+        """The rotation at the next picture ``(H, W, 3)`` uint8; sizes may change from picture to picture.
+
+        `stamp`: seconds, rising; it helps where pictures are left out. Without stamps they count as evenly spaced.
+        Raises `ImageError` for another array, and `MissingExtraError` without OpenCV.
+        """
+        stamp = self._stamp + self._lasted if stamp is None else stamp
+        views, flown = self._flown(panorama, stamp)
+        if flown is not None:
+            return self._now(flown, stamp)
+        features = views.features
+        if not self._keys:
+            blind = self._previous is not None and len(features) < FEWEST
+            return self._hold() if blind else self._begin(views, stamp)
+        found = self._found(views)
+        if found is None:
+            expected = len(features) * self._shares[0] / self._shares[1]
+            return self._hold() if expected < FEWEST else self._begin(views, stamp)
+        now, turn, share = found
+        again, there = self._shares
+        self._shares = again + share, there + 1
+        if share < THIN:
+            self._add_key(now)
+        self._anchor = now
+        return self._now((now, turn), stamp)
+
+    def _now(self, found: tuple[_Key, Turn], stamp: float) -> Turned:
+        """What is said of a picture that was found."""
+        now, turn = found
+        self._learn(now, stamp)
+        self._previous, self._held = now, 0
+        return Turned(now.world_R_body, self._spread(now.covariance), False, int(turn.inliers.sum()))
+
+    def _flown(self, panorama: np.ndarray, stamp: float) -> tuple[Views, tuple[_Key, Turn] | None]:
+        """A picture's views, and where it points if enough of the anchor's corners are found again."""
+        anchor, previous = self._anchor, self._previous
+        if anchor is None or previous is None:
+            return Views.of(panorama, min(max(np.shape(panorama)[0], SMALLEST), SIZE)), None
+        step = Rotation.from_rotvec(self._step * (stamp - self._stamp) / self._lasted)
+        guess = anchor.world_R_body.T @ previous.world_R_body @ step.as_matrix()
+        guess = Rotation.from_matrix(guess).as_matrix()  # orthogonal: else rounding grows from picture to picture
+        enough = max(FEWEST, FOLLOWED * sum(map(len, anchor.corners)))
+        left = ROUNDS
+        while True:
+            left -= 1
+            views = steadied(panorama, anchor.views, guess)
+            old, new = followed(anchor.views, anchor.corners, views)
+            turn = turn_between(old, new, level=self.level) if len(old) >= enough else None
+            if turn is None or turn.inliers.sum() < enough:
+                return views, None
+            if _angle(guess, turn.old_R_new) < NEAR or not left:
+                return views, (_placed(anchor, views, turn), turn)
+            guess = turn.old_R_new
+
+    def _begin(self, views: Views, stamp: float) -> Turned:
+        """The world starts with this picture, unless there is nothing in it."""
+        anew = self._previous is not None
+        start = _Key(views, np.eye(3), np.zeros((3, 3)))
+        self._previous, self._held = start, 0
+        self._step, self._stamp = np.zeros(3), stamp
+        self._keys = [start] if len(views.features) >= FEWEST else []
+        self._anchor = start if self._keys else None
+        self._reference = self._turn = 0
+        return Turned(start.world_R_body, 0.0, anew, 0)
+
+    def _hold(self) -> Turned:
+        """The last known rotation; the camera may go on turning as fast as it did."""
+        assert self._previous is not None
+        self._held += 1
+        most = _UNKNOWN_YAW if self.level else _UNKNOWN
+        axes = 1 if self.level else 3
+        rate = math.sqrt(self._squares / self._steps / axes) if self._steps else most
+        spread = math.hypot(self._spread(self._previous.covariance), rate * self._held)
+        return Turned(self._previous.world_R_body, min(spread, most), False, 0)
+
+    def _found(self, views: Views) -> tuple[_Key, Turn, float] | None:
+        """This picture as a key frame, the turn that tells most about it, and the largest share of points found."""
+        self._turn = (self._turn + 1) % len(self._keys)
+        indices = dict.fromkeys((self._reference, 0, self._turn))
+        results = {index: self._compared(self._keys[index], views) for index in indices}
+        agreed = {index: result for index, result in results.items() if result is not None}
+        best, most = None, 0.0
+        if agreed:
+            surest = max(agreed.values(), key=lambda result: result[1].inliers.sum())
+            most = _share(surest[1], views.features)
+            alike = [index for index, result in agreed.items() if _alike(surest[0], result[0])]
+            self._reference = min(alike, key=lambda index: np.trace(agreed[index][0].covariance))
+            best = agreed[self._reference]
+        if best is None and self._previous is not None:
+            best = self._compared(self._previous, views)
+            if best is not None:  # no key frame shows enough; the previous picture does
+                self._add_key(self._previous)
+                most = _share(best[1], views.features)
+        if best is None:
+            for index in range(len(self._keys)):
+                best = self._compared(self._keys[index], views)
+                if best is not None:
+                    self._reference, most = index, _share(best[1], views.features)
+                    break
+        return None if best is None else (*best, most)
+
+    def _compared(self, key: _Key, views: Views) -> tuple[_Key, Turn] | None:
+        """This picture's pose by way of one key frame."""
+        here, there = key.views.features, views.features
+        old, new = match(here, there)
+        turn = turn_between(here.directions[old], there.directions[new], level=self.level)
+        return None if turn is None else (_placed(key, views, turn), turn)
+
+    def _add_key(self, key: _Key) -> None:
+        """Keep a key frame; beyond the limit the oldest but one goes."""
+        self._keys.append(key)
+        if len(self._keys) > MOST_KEYS:
+            del self._keys[1]
+        self._reference = len(self._keys) - 1
+
+    def _learn(self, now: _Key, stamp: float) -> None:
+        """How fast the camera turns."""
+        assert self._previous is not None
+        self._step = Rotation.from_matrix(self._previous.world_R_body.T @ now.world_R_body).as_rotvec()
+        self._lasted, self._stamp = max(stamp - self._stamp, 1e-6), stamp
+        if not self._held:
+            self._squares += float(self._step @ self._step)
+            self._steps += 1
+
+    def _spread(self, covariance: np.ndarray) -> float:
+        return math.sqrt(float(np.trace(covariance)) / (1 if self.level else 3))
+
+
+def _placed(key: _Key, views: Views, turn: Turn) -> _Key:
+    """A picture that has turned since a key frame."""
+    covariance = key.covariance + key.world_R_body @ turn.covariance @ key.world_R_body.T
+    return _Key(views, key.world_R_body @ turn.old_R_new, covariance)
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> float:
+    """Radians between two rotations ``(3, 3)``."""
+    return float(Rotation.from_matrix(a.T @ b).magnitude())
+
+
+def _share(turn: Turn, features: Features) -> float:
+    """The share of the picture's points that were found again."""
+    return float(turn.inliers.sum()) / max(len(features), 1)
+
+
+def _alike(a: _Key, b: _Key) -> bool:
+    """Whether two poses differ by no more than their uncertainties explain."""
+    gap = Rotation.from_matrix(a.world_R_body @ b.world_R_body.T).as_rotvec()
+    return float(gap @ np.linalg.pinv(a.covariance + b.covariance) @ gap) < _CONSISTENT

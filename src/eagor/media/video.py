@@ -1,0 +1,233 @@
+"""Pictures of a video file, with their times: MP4, MOV, Matroska, WebM, INSV, and what else FFmpeg reads."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eagor._checks import above, whole, within
+from eagor._extras import need
+from eagor.errors import ImageError, TimeError
+from eagor.media.decoding import Damage, First, first_picture, opened, pictures, sought, to_rgb
+from eagor.media.frames import Frame
+from eagor.media.projection import EXPORT, Projection
+from eagor.media.said import Said, read_said
+from eagor.media.suspect import fisheye_circles
+
+if TYPE_CHECKING:
+    from av.video.frame import VideoFrame
+
+__all__ = ["Video"]
+
+CLOCK = 5e-4  # seconds: half a unit of the coarsest common clock, Matroska's, to which stamps are rounded
+PLAIN = 25.0  # pictures per second where a file tells neither times nor rate; FFmpeg's own
+HDR = {16: "PQ", 18: "HLG"}  # transfer characteristics, ITU-T H.273
+CHECKED = (256, 512)  # size at which the first picture is looked at
+ROUNDING = 2  # columns by which a panorama may fail to be 2:1
+
+
+class Video:
+    """The pictures of a video file, to iterate over as often as wanted; each time yields `Frame` in order of time.
+
+    `rate`: pictures per second to take: of each tick `start`, `start` + 1 / `rate`, ... the first picture at or after
+    it, each picture once; None takes all. `start`, `end`: seconds of the file; the picture at `end` is not taken.
+    `rows`: the most rows of a picture; larger ones are shrunk by area while they are decoded. `lenses`: the pictures
+    are those of a camera's lenses, for `eagor.media.cameras` to stitch: fisheye circles are wanted, and what the file
+    says of its projection does not count. `track`: which of several tracks of pictures, from 0.
+
+    Stamps are the presentation times in seconds from the start of the file, and increase: a picture whose time is
+    missing, or not after that of the one before, gets that time plus the mean interval. If only some lack it, a
+    `UserWarning` at the end says how many. Pictures are turned upright. Where the file says that they show a part of
+    the sphere, they are put on a whole one that is black elsewhere.
+
+    `path`; `shape`: rows and columns of the pictures; `duration`: seconds, or None; `frame_rate`: mean, or None;
+    `count`: about how many pictures will come, or None; `facts`: sentences about what the file says of itself;
+    `motion`: None, or the rotations that its motion track tells (`eagor.media.motion.MotionTrack`); `level_R_body`:
+    None, or the rotation ``(3, 3)`` that makes its pictures level, as the file says; `unseen`: None, or the mask of
+    `shape` of what no picture shows.
+
+    Raises `ImageError` for a file that cannot be read as a panoramic video, `TimeError` for impossible times,
+    `MissingExtraError`. Iterating raises `ImageError` after the last picture if some could not be decoded, or if the
+    file is cut off: what could be read has been delivered by then.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        rate: float | None = None,
+        start: float = 0.0,
+        end: float | None = None,
+        rows: int | None = None,
+        lenses: bool = False,
+        track: int = 0,
+    ) -> None:
+        need("reading a video", "photos", "av")
+        _check(rate, start, end, rows)
+        self.path = os.fspath(path)
+        self.rate, self.start, self.end = rate, start, end
+        self._track = track
+        said = read_said(_checked_path(self.path), lenses)
+        projection = (None if lenses else said.projection) or Projection("nothing", "rectangular")
+        projection.check(self.path)  # before FFmpeg, which refuses some of them without a word
+        container, stream = opened(self.path, said.entry, track)
+        with container:
+            first, picture = first_picture(container, stream, self.path)
+            if said.raw and not lenses and fisheye_circles(to_rgb(picture, *CHECKED)):
+                raise ImageError(
+                    f"{self.path} shows the circles of a fisheye camera, not stitched yet. Give the lenses with --rig "
+                    f"FILE.yaml (eagor camera calibrate makes one). Or: {EXPORT}"
+                )
+        if first.duration is not None and start >= first.duration:
+            raise TimeError(f"start = {start:g} s is beyond the end of {self.path}, which lasts {first.duration:.2f} s")
+        self._first, self._missing = first, said.missing
+        self._layout = projection.layout(*first.shape, rows)
+        self._clock = min(CLOCK, first.clock / 2) + 1e-9
+        self._interval = 1 / (first.rate or PLAIN)
+        self.shape, self.unseen = self._layout.shape, self._layout.unseen
+        self.duration, self.frame_rate = first.duration, first.rate
+        self.level_R_body = projection.level_R_body if projection.pitch or projection.roll else None
+        self.motion = said.motion
+        self.facts = tuple(_facts(said, first, lenses))
+        self.count = self._count()
+
+    def __iter__(self) -> Iterator[Frame]:
+        run, name = _Run(), os.path.basename(self.path)
+        next_tick = 0
+        for stamp, picture in self._decoded(run):
+            if self.end is not None and stamp >= self.end - self._clock:
+                run.stopped = True
+                break
+            if stamp < self.start - self._clock:
+                continue
+            if self.rate is not None:
+                tick = math.floor((stamp - self.start + self._clock) * self.rate)
+                if tick < next_tick:
+                    continue
+                next_tick = tick + 1
+            run.taken += 1
+            yield Frame(stamp, self._panorama(picture), f"{name} at {stamp:.2f} s")
+        self._close(run)
+
+    def _decoded(self, run: _Run) -> Iterator[tuple[float, VideoFrame]]:
+        """Stamp and picture of all that can be decoded, from the key picture before `start` on."""
+        container, stream = opened(self.path, track=self._track)
+        try:
+            if self.start > 0 and self._first.timed and not sought(container, stream, self.start + self._first.zero):
+                container.close()
+                container, stream = opened(self.path, track=self._track)
+            for picture in pictures(container, stream, run.damage):
+                stamp = None if picture.time is None else picture.time - self._first.zero
+                if stamp is None or (run.last is not None and stamp <= run.last):
+                    run.repaired += 1
+                    stamp = 0.0 if run.last is None else run.last + self._interval
+                run.seen, run.last = run.seen + 1, stamp
+                yield stamp, picture
+        finally:
+            container.close()
+
+    def _panorama(self, picture: VideoFrame) -> np.ndarray:
+        """The whole panorama ``(*shape, 3)`` of a decoded picture."""
+        high, wide = self._layout.size
+        turns = self._first.turns
+        rgb = to_rgb(picture, *((wide, high) if turns % 2 else (high, wide)))
+        return self._layout.place(np.rot90(rgb, turns) if turns else rgb)
+
+    def _count(self) -> int | None:
+        if self.duration is None or not (self.rate or self.frame_rate):
+            return None
+        seconds = min(self.duration, math.inf if self.end is None else self.end) - self.start
+        return max(1, math.ceil(seconds * min(rate for rate in (self.rate, self.frame_rate) if rate) - 1e-6))
+
+    def _close(self, run: _Run) -> None:
+        """At the end: warn of repaired stamps; raise for what is missing."""
+        if run.repaired and self._first.timed:
+            warnings.warn(
+                f"{self.path}: the times of {run.repaired} of {run.seen} pictures are missing or do not increase; each "
+                f"follows the picture before by {self._interval:.4f} s",
+                UserWarning,
+                stacklevel=3,
+            )
+        reached = "none of its pictures could be read" if run.last is None else f"it was read up to {run.last:.2f} s"
+        if self._missing and not run.stopped:
+            raise ImageError(
+                f"{self.path} is cut off: {self._missing} bytes are missing at its end; {reached}, and {run.taken} "
+                "pictures were taken. Copy it again from the camera for the rest"
+            )
+        if run.damage.packets:
+            raise ImageError(
+                f"{self.path} is damaged: {run.damage.packets} of its packets could not be decoded, the first near "
+                f"{run.damage.first - self._first.zero:.2f} s; {reached}, and {run.taken} pictures were taken. Copy it "
+                "again from the camera"
+            )
+        if not run.taken:
+            end = "its end" if self.end is None else f"end = {self.end:g} s"
+            raise TimeError(
+                f"{self.path} has no picture from start = {self.start:g} s to {end}; {reached}. Choose other times"
+            )
+
+
+@dataclass
+class _Run:
+    """What has happened so far: pictures `seen`, `taken`, stamps `repaired`, the `last` stamp, `stopped` at `end`."""
+
+    damage: Damage = field(default_factory=Damage)
+    seen: int = 0
+    taken: int = 0
+    repaired: int = 0
+    last: float | None = None
+    stopped: bool = False
+
+
+def _check(rate: float | None, start: float, end: float | None, rows: int | None) -> None:
+    if rate is not None and not above(rate, 0):
+        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0, or None for all pictures")
+    if not within(start, 0):
+        raise TimeError(f"start = {start!r}; wanted seconds from the start of the file, 0 or more")
+    if end is not None and not above(end, start):
+        raise TimeError(f"end = {end!r}; wanted seconds of the file after start = {start:g}, or None for its end")
+    if rows is not None and not whole(rows, 1):
+        raise ImageError(f"rows = {rows!r}; wanted a whole number of at least 1, or None for the rows of the video")
+
+
+def _checked_path(path: str) -> str:
+    """`path` of a file that can be read. Raises `ImageError`."""
+    if not os.path.exists(path):
+        raise ImageError(f"there is no file {path!r}; give the path of a video (MP4, MOV, MKV, WebM, INSV)")
+    if os.path.isdir(path):
+        raise ImageError(f"{path!r} is a folder; give one video file in it")
+    if not os.path.isfile(path):
+        raise ImageError(f"{path!r} is a pipe or a device; give a video file")
+    if os.path.getsize(path) == 0:
+        raise ImageError(f"{path!r} is empty (0 bytes); an interrupted copy? Copy it again from the camera")
+    if not os.access(path, os.R_OK):
+        raise ImageError(f"{path!r} cannot be read; make it readable (chmod +r), or copy it")
+    return path
+
+
+def _facts(said: Said, first: First, lenses: bool) -> Iterator[str]:
+    high, wide = first.shape
+    yield f"{first.codec}, {first.size[1]} x {first.size[0]} pixels"
+    if first.camera:
+        yield f"the camera is {first.camera}"
+    if first.turns:
+        yield f"its pictures are turned by {90 * first.turns} degrees counterclockwise, as it wants to be shown"
+    if first.mirrored:
+        yield "it wants to be shown mirrored, which is not done"
+    if first.transfer in HDR:
+        yield f"its colours are HDR ({HDR[first.transfer]}) and taken as they are: they look pale"
+    if not first.timed:
+        yield f"its pictures have no times; {first.rate or PLAIN:g} a second are assumed"
+    if lenses:
+        yield "its pictures are those of lenses, and are stitched"
+    elif said.projection is not None:
+        yield from said.projection.facts()
+    elif abs(wide - 2 * high) > ROUNDING:
+        yield f"it is {wide} x {high}, not 2:1, and says nothing of its projection"
+    yield from said.facts

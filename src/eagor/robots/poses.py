@@ -1,0 +1,54 @@
+"""Live sources of poses by their names: odometry on a ROS topic, or of a Go2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+from eagor.errors import DeviceError
+from eagor.media.frames import Pose, PoseSource
+
+__all__ = ["GO2", "ROS", "open_poses"]
+
+ROS, GO2 = "ros:", "go2"
+
+
+class _Go2Poses:
+    """The odometry of a Go2, with the link that it comes over."""
+
+    def __init__(self, source: str, domain: int, interface: str | None) -> None:
+        from eagor.robots.dds import Link
+        from eagor.robots.go2.state import Go2State
+
+        with ExitStack() as stack:
+            link: Any = stack.enter_context(Link(domain, interface))
+            self._state = Go2State(link, source) if source else Go2State(link)
+            self._held = stack.pop_all()
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._state)
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._state.close()
+        self._held.close()
+
+
+def open_poses(
+    text: str, *, domain: int | None = None, interface: str | None = None, camera: str | None = None
+) -> PoseSource:
+    """The live source of poses that `text` names: "ros:/odom", "go2", or "go2:lidar" (`eagor.robots.go2.state`).
+
+    `domain`, `interface`: of DDS. `camera`: the frame of a ROS camera, whose poses are wanted. Raises `DeviceError` for
+    another text, or if the network cannot be used; `MissingExtraError`.
+    """
+    if text.startswith(ROS):
+        from eagor.robots.ros.sources import RosPoses
+
+        return RosPoses(text.removeprefix(ROS) or None, domain=domain, interface=interface, camera=camera)
+    if text.partition(":")[0] == GO2:
+        from eagor.robots.ros.graph import default_domain
+
+        return _Go2Poses(text.partition(":")[2], default_domain() if domain is None else domain, interface)
+    raise DeviceError(f"no poses are called {text!r}; wanted ros:/TOPIC or go2")
