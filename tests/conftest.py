@@ -1,7 +1,10 @@
-"""Fixtures that several test files use, and how long the fuzzed readers are tried.
+"""Fixtures that several test files use, and how many cases hypothesis draws.
+
+By default 25 of each law, the same on every run; ``--hypothesis-profile=ci`` (`make test-slow`): 100. Readers of hostile
+input say their own number.
 
 ``pytest tests/robustness --hypothesis-profile=long`` draws other cases each time, many of them; what fails is kept in
-.hypothesis and tried first the next time. Without it: hypothesis' own profile `ci`, the same cases each time.
+.hypothesis and tried first the next time.
 """
 
 import signal
@@ -13,6 +16,7 @@ from hypothesis import HealthCheck, settings
 from eagor.errors import MissingExtraError, ServerError, StorageError
 from eagor.perception.coco.store import COCO, install
 
+settings.register_profile("quick", settings.get_profile("ci"), max_examples=25)
 settings.register_profile(
     "long", max_examples=2000, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
 )

@@ -3,9 +3,13 @@
 import math
 
 import numpy as np
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from eagor.sphere import rotation
+
+# Readers of hostile input are tried with a hundred cases in every run, whatever laws are tried with.
+HOSTILE = settings(max_examples=max(100, settings.default.max_examples))
 
 _ANGLES = st.one_of(
     st.floats(-math.pi, math.pi),

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
+from strategies import HOSTILE
 
 from eagor._json import parsed
 from eagor.evaluation import ledger
@@ -103,6 +104,7 @@ def new_archive(data, content):
     return path
 
 
+@HOSTILE
 @given(json_of(ANNOTATION))
 @example(json.dumps([ANNOTATION[0] | {"level": -1}]).encode())
 @example(json.dumps([ANNOTATION[0] | {"yaw": "12"}]).encode())
@@ -120,6 +122,7 @@ def test_annotations(data, blob):
             submit_succeeds(episode.item, 3, 4)
 
 
+@HOSTILE
 @given(json_of(ANNOTATION))
 def test_annotations_in_an_archive(data, blob):
     packed = io.BytesIO()
@@ -134,6 +137,7 @@ def test_annotations_in_an_archive(data, blob):
     assert whole is None or [scene.items for scene in whole] == [scene.items for scene in outside]
 
 
+@HOSTILE
 @given(st.data())
 def test_damaged_archives(data, draw):
     packed = io.BytesIO()
@@ -144,6 +148,7 @@ def test_damaged_archives(data, draw):
     reads(lambda: read_scenes(archive), archive.name)
 
 
+@HOSTILE
 @given(json_of(QUESTIONS))
 def test_questions(data, blob):
     path = data / "scene" / "scene_qa.json"
@@ -160,6 +165,7 @@ def test_questions(data, blob):
                 reads(lambda layout=layout, question=question: distance_label(layout, "sofa", question.names))
 
 
+@HOSTILE
 @given(damaged([b"image_id,turn_id,question,answer,skills_tested\ndata/scene/rgb.png,1,How many chair(s) are in this "
                 b"room?,2,\ndata/scene/rgb.png,2,Draw,\"[[['sofa']], [[]]]\",cognitive_map\n"]))  # fmt: skip
 def test_tables_of_questions(data, blob):
@@ -169,6 +175,7 @@ def test_tables_of_questions(data, blob):
     reads(lambda: load(folder, "qa"), "tables")
 
 
+@HOSTILE
 @given(json_of(ROOM))
 def test_rooms(data, blob):
     (data / "scene" / "physical_truth.json").write_bytes(blob)
@@ -193,6 +200,7 @@ def test_depth(data):
     tried()
 
 
+@HOSTILE
 @given(words)
 @example("1" * 5000)
 @example("<answer>submit(" + "1" * 4000 + ",0)</answer>")
@@ -222,6 +230,7 @@ def test_answers(text):
             assert 0 <= scored(skill, truth, text) <= 1
 
 
+@HOSTILE
 @given(
     st.one_of(
         trees([{"submit": [3, 4]}, {"yaw": 3, "pitch": 4}, {"replies": ANSWERS[4:6]}]).map(as_text),

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from strategies import HOSTILE
 
 from eagor.errors import DeviceError
 from eagor.robots.dds.settings import free_domain
@@ -33,6 +34,7 @@ def test_a_key_is_held_from_its_first_repeat_until_it_no_longer_comes():
     assert not key.held(1.5 + 29 / 30 + REPEAT + 0.01)
 
 
+@HOSTILE
 @given(st.lists(st.floats(0, 10), max_size=30), st.floats(0, 12))
 def test_nobody_holds_a_key_that_did_not_just_come_twice(presses, now):
     key = HeldKey()

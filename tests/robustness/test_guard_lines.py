@@ -6,6 +6,7 @@ import os
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from strategies import HOSTILE
 
 from eagor.robots.safety.lines import LONGEST, LineReader, as_line, cut, read_now, write_now
 
@@ -13,6 +14,7 @@ values = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) 
 messages = st.dictionaries(st.text(max_size=8), values | st.lists(values, max_size=3), max_size=6)
 
 
+@HOSTILE
 @given(st.lists(messages, max_size=6), st.lists(st.integers(1, 40), min_size=1))
 def test_messages_come_whole_however_the_bytes_are_cut(sent, cuts):
     data, reader, got = b"".join(map(as_line, sent)), LineReader(), []
@@ -24,6 +26,7 @@ def test_messages_come_whole_however_the_bytes_are_cut(sent, cuts):
     assert reader.damaged == 0
 
 
+@HOSTILE
 @given(messages, messages, st.data())
 def test_a_damaged_line_is_dropped_and_the_next_one_is_read(first, second, data):
     line = bytearray(as_line(first))
@@ -43,6 +46,7 @@ def test_a_damaged_line_is_dropped_and_the_next_one_is_read(first, second, data)
     assert all(message in (first, second, {"last": 1}) for message in got)
 
 
+@HOSTILE
 @given(st.text(max_size=400), st.integers(1, 150))
 def test_words_are_cut_to_bytes_and_ten_of_them_fit_into_a_line(text, most):
     short = cut(text, most)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 from PIL import Image
 from processes import limited
+from strategies import HOSTILE
 
 from eagor.media.panorama import read_panorama
 from eagor.tasks.hstar.data import Stored, open_panorama
@@ -62,6 +63,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("pictures")
 
 
+@HOSTILE
 @given(damaged(PICTURES))
 @example(png(0, 0))
 @example(png(2**31 - 1, 2**31 - 1))
@@ -199,6 +201,7 @@ def looked_at(path):
         assert scene.hash
 
 
+@HOSTILE
 @given(st.data())
 def test_worlds(folder, world, draw):
     blob, tree, binary, _ = world
@@ -209,6 +212,7 @@ def test_worlds(folder, world, draw):
     looked_at(path)
 
 
+@HOSTILE
 @given(st.data())
 def test_worlds_as_text(folder, world, draw):
     path = folder / "world.gltf"
@@ -225,6 +229,7 @@ def test_nodes_below_themselves_are_refused(folder, world):
     assert reads(lambda: import_glb(folder / "loop.glb"), "loop.glb", "are in a cycle") is None
 
 
+@HOSTILE
 @given(st.data())
 def test_semantics(folder, world, draw):
     path = folder / "told.glb"
@@ -258,6 +263,7 @@ EPISODES = {
 }  # fmt: skip
 
 
+@HOSTILE
 @given(st.data())
 def test_episodes(folder, draw):
     path = folder / "split.json.gz"

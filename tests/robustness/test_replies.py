@@ -4,6 +4,7 @@ import re
 
 from hypothesis import given
 from hypothesis import strategies as st
+from strategies import HOSTILE
 
 from eagor.tasks.hstar.rules import parse_action
 
@@ -37,6 +38,7 @@ def published(text, form):
     return parts.get("think") or "", actions[:1], kept is not None
 
 
+@HOSTILE
 @given(st.lists(st.sampled_from([*PIECES, GROUNDED]), max_size=14).map("".join), st.sampled_from(list(WHOLE)))
 def test_replies_are_read_as_by_the_published_patterns(text, form):
     reply = parse_action(text, form)

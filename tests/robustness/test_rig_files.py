@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from strategies import HOSTILE
 
 from eagor.errors import EagorError, FormatError
 from eagor.media.cameras import read_rig
@@ -83,6 +84,7 @@ def test_what_is_no_rig_is_refused(tmp_path, text, says):
         read_rig(tmp_path)
 
 
+@HOSTILE
 @given(
     st.integers(0, len(GOOD) - 1), st.sampled_from(["", "x", "-", ":", "[", "{", "\n", " ", "9" * 400, "\t", "#", "*a"])
 )

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
+from strategies import HOSTILE
 
 from eagor.cli.poses import read_poses
 from eagor.conventions import wxyz_from_rotation
@@ -89,6 +90,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("texts")
 
 
+@HOSTILE
 @given(damaged(POSES))
 @example(b"stamp,yaw_deg,pitch_deg,roll_deg\n1_0,0,0,0\n")
 def test_poses(folder, blob):
@@ -103,6 +105,7 @@ def test_poses(folder, blob):
     assert stamps == sorted(set(stamps))
 
 
+@HOSTILE
 @given(blobs(*RECORDS))
 def test_replays(folder, blob):
     path = folder / "looks.jsonl"
@@ -123,6 +126,7 @@ TRUTHS = [
 ]
 
 
+@HOSTILE
 @given(blobs(*TRUTHS))
 def test_true_directions(folder, blob):
     path = folder / "truth.jsonl"
@@ -132,6 +136,7 @@ def test_true_directions(folder, blob):
         assert np.linalg.norm(truth.targets, axis=1) == pytest.approx(1)
 
 
+@HOSTILE
 @given(objects(CALIBRATION))
 def test_calibrations(folder, blob):
     path = folder / "calibration.json"
@@ -144,6 +149,7 @@ def test_calibrations(folder, blob):
         assert read_calibrated(folder / "again.json") == found
 
 
+@HOSTILE
 @given(objects(HEADS))
 def test_heads(folder, blob):
     path = folder / "heads.json"
@@ -156,6 +162,7 @@ def test_heads(folder, blob):
         assert read_heads(folder / "again.json") == found
 
 
+@HOSTILE
 @given(blobs(*LABELS))
 def test_labels(folder, blob):
     path = folder / "labels.jsonl"
@@ -172,6 +179,7 @@ def test_labels(folder, blob):
         assert 0 < look.radius <= math.pi
 
 
+@HOSTILE
 @given(blobs(*KEPT))
 @example(lines([KEPT[0]]) + b"[" * 3000)  # a torn last line that json cannot even refuse in the usual way
 @example(lines([KEPT[0] | {"attempt": 0}]))
@@ -192,6 +200,7 @@ def test_ledgers(folder, blob):
         assert all(r["attempt"] >= 1 and r["status"] in ("ok", "failed") for r in after)
 
 
+@HOSTILE
 @given(objects(RUN))
 def test_descriptions_of_runs(folder, blob):
     (folder / "run.json").write_bytes(blob)
@@ -200,6 +209,7 @@ def test_descriptions_of_runs(folder, blob):
     reads(lambda: ledger.begin(folder, RUN), str(folder))
 
 
+@HOSTILE
 @given(blobs({"case": "a/0/0", "submit": [3, 4]}, {"doc_id": 1, "filtered_resps": [["<answer>x</answer>"]]}))
 def test_predictions(folder, blob):
     path = folder / "predictions.jsonl"

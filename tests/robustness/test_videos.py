@@ -14,6 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from mutations import damaged, reads
 from PIL import Image
+from strategies import HOSTILE
 
 from eagor.errors import ImageError, TimeError
 from eagor.grids import FisheyeGrid
@@ -256,6 +257,7 @@ def spoken():
 SPOKEN = spoken()
 
 
+@HOSTILE
 @given(damaged(SPOKEN))
 @example(b"")
 @example(clips.box(b"ftyp") + clips.box(b"moov", *[clips.box(b"trak")] * 3))
@@ -270,6 +272,7 @@ def test_what_files_say_of_themselves(folder, blob):
             reads(lambda reader=reader, file=file: reader(file))
 
 
+@HOSTILE
 @given(damaged(SPOKEN))
 def test_damaged_videos(folder, blob):
     path = folder / "b.mp4"
@@ -285,6 +288,7 @@ def test_damaged_videos(folder, blob):
     reads(look, "b.mp4")
 
 
+@HOSTILE
 @given(
     st.binary(max_size=200) | damaged([b'<x xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" GPano:Pose="1"/>'])
 )
