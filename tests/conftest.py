@@ -1,7 +1,7 @@
 """Fixtures that several test files use, and how many cases hypothesis draws.
 
-By default 25 of each law, the same on every run; ``--hypothesis-profile=ci`` (`make test-slow`): 100. Readers of hostile
-input say their own number.
+By default 25 of each law, the same on every run; ``--hypothesis-profile=ci`` (`make test-slow`): 100. Readers of
+hostile input say their own number.
 
 ``pytest tests/robustness --hypothesis-profile=long`` draws other cases each time, many of them; what fails is kept in
 .hypothesis and tried first the next time.
