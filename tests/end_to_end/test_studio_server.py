@@ -1,5 +1,6 @@
 """The studio's server from outside, without a browser: views, uploads, runs, export, and who is refused."""
 
+import hashlib
 import io
 import json
 import math
@@ -17,8 +18,8 @@ from studio_serving import ancestors, children, studio
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from eagor import studio as studio_server
 from eagor.cli import main
-from eagor.studio.export import built
 from eagor.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -267,9 +268,16 @@ def test_assets_lead_nowhere_else(served, path):
         assert b" 404 " in line.recv(4096).split(b"\r\n")[0]
 
 
+def test_the_page_in_the_package_is_that_of_its_sources():
+    studio = Path(__file__).parents[2] / "studio"
+    places = [studio / name for name in ("index.html", "package-lock.json", "tsconfig.json", "vite.config.ts")]
+    places += [place for place in (studio / "src").rglob("*") if place.is_file()]
+    sums = {place.relative_to(studio).as_posix(): hashlib.sha256(place.read_bytes()).hexdigest() for place in places}
+    told = (Path(studio_server.__file__).parent / "static/sources.sha256").read_text(encoding="utf-8").splitlines()
+    assert dict(reversed(line.split("  ")) for line in told) == sums, "make page builds it anew"
+
+
 def test_one_episode_is_one_file(served, runs, tmp_path, capsys):
-    if not built():
-        pytest.skip("the page has not been built (make page)")
     out = tmp_path / "page.html"
     assert main(["studio", "export", str(runs / "walk"), "--out", str(out), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
