@@ -222,6 +222,20 @@ def modules_of(room):
     return [room, *(path.stem for path in (SOURCE / room).glob("*.py") if path.stem != "__init__")]
 
 
+def test_the_charts_of_the_results_are_drawn_from_the_tables(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(DOCS / "figures"))
+    monkeypatch.setattr(sys, "argv", ["results.py", str(tmp_path)])
+    import results
+
+    for first in results.RUNS.values():
+        assert len(results.run(first)) == 10, "every method has a row"
+    yaw = (DOCS / "results/photographs.md").read_text(encoding="utf-8").split("yaw           eagor ")[1].splitlines()[0]
+    assert results.photographs()["yaw"]["eagor"] == [float(word) for word in re.sub(r"\[.*?\]", "", yaw).split()]
+    for draw in (results.right, results.honest, results.searches, results.cost):
+        draw()
+    assert {path.name for path in tmp_path.iterdir()} <= {path.name for path in (DOCS / "images").iterdir()}
+
+
 def test_the_page_of_the_architecture_agrees_with_the_source(monkeypatch):
     """If this fails after a change: `python docs/figures/architecture.py` draws and prints what belongs there."""
     monkeypatch.syspath_prepend(str(DOCS / "figures"))
