@@ -14,7 +14,8 @@ photograph is turned by known rotations, 40 frames a second apart:
 
 The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over;
 --model gives one instead. What was seen is kept in the file of --looks, so that a second run only plays it (the looks
-take about 25 minutes). The tables are those of `photographs_tables`. Methods without a distribution have no coverage.
+take about 25 minutes). ByteTrack and BoT-SORT join where their package is installed (`box_trackers`). The tables are
+those of `photographs_tables`. Methods without a distribution have no coverage.
 
 The log score of a tracker: where the thing is there, the log of the probability that it is there and within 15 degrees
 of any instance; where it is not, the log of the probability that it is absent. It is the sum of both means.
@@ -33,6 +34,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import box_trackers
 import numpy as np
 from photographs_tables import LEAST, NEAR, SCORED, Run, all_tables, print_all
 from PIL import Image
@@ -221,7 +223,11 @@ def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
 def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:
     """One method on one case, told the poses `say`."""
     config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else 0.0)
-    method = make_method(name, np.random.default_rng(0), "coco", ours=config, detector=model)
+    method: Method = (
+        box_trackers.BoxTracker(name)
+        if name in box_trackers.NAMES
+        else make_method(name, np.random.default_rng(0), "coco", ours=config, detector=model)
+    )
     true = poses(case.condition)
     run = Run(
         case.photograph,
@@ -320,7 +326,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--only", help="conditions, with commas")
     parser.add_argument("--photographs", help="names of photographs, with commas")
-    parser.add_argument("--methods", default=",".join(NAMES), help="methods, with commas")
+    parser.add_argument("--methods", default=",".join((*box_trackers.NAMES, *NAMES)), help="methods, with commas")
     parser.add_argument("--model", help="read the detector so, without a fit, such as spread=3")
     parser.add_argument("--json", type=Path, help="a file for all figures")
     options = parser.parse_args()
