@@ -1,21 +1,22 @@
 /**
- * When to draw, and how finely: at most one drawing is under way; its time sets the resolution of the next ones.
+ * When to draw, and how finely: at most one drawing is under way; their times set the resolution of the next ones.
  *
- * Software rendering is bound by the number of pixels, so a quarter of them takes about a quarter of the time.
+ * Software rendering is bound by the number of pixels, so a quarter of them takes about a quarter of the time. What is
+ * at rest is drawn with all pixels, however long that takes.
  */
 
 const AIM = 55; // milliseconds for a drawing while things move
-const PATIENCE = 700; // milliseconds for the fine drawing after things came to rest
+const REMEMBERED = 5; // drawings: one that the machine was too busy for says nothing
 const REST = 350; // milliseconds without a change
 const GIVEN_UP = 5000; // milliseconds after which a drawing counts as finished: its end may never be told
 const HELD_BACK = 500; // milliseconds
-const SCALES = [0.2, 0.27, 0.35, 0.5, 0.7, 1];
+const SCALES = [0.25, 0.35, 0.5, 0.7, 1];
 
 export class Pace {
   private wanted = false;
   private resting = 0;
   private scale = 0.5;
-  private cost = 0; // milliseconds at scale 1, by the newest drawings
+  private readonly costs: number[] = []; // milliseconds at scale 1, of the newest drawings
   private underWay = 0;
   private begun = 0;
   private newest = 0;
@@ -70,8 +71,7 @@ export class Pace {
       this.start(this.scale);
     } else if (!this.sharp && performance.now() > this.resting) {
       this.sharp = true;
-      const finest = [...SCALES].reverse().find((scale) => this.cost * scale ** 2 < PATIENCE) ?? this.scale;
-      if (finest > this.scale) this.start(finest);
+      if (this.newest < 1) this.start(1);
     }
   }
 
@@ -82,8 +82,9 @@ export class Pace {
   }
 
   private learn(took: number, scale: number): void {
-    const cost = took / scale ** 2;
-    this.cost = this.cost === 0 || cost > this.cost ? cost : 0.8 * this.cost + 0.2 * cost; // up at once, down slowly
-    this.scale = [...SCALES].reverse().find((one) => this.cost * one ** 2 < AIM) ?? SCALES[0];
+    this.costs.push(took / scale ** 2);
+    if (this.costs.length > REMEMBERED) this.costs.shift();
+    const usual = [...this.costs].sort((a, b) => a - b)[Math.floor(this.costs.length / 2)];
+    this.scale = [...SCALES].reverse().find((one) => usual * one ** 2 < AIM) ?? SCALES[0];
   }
 }

@@ -17,13 +17,21 @@ export function walk(page: Page): ViewHandler {
     drive = by;
     stick.stop();
     session.send({ type: "drive", by });
+    if (paused) hold(false); // who takes over wants to go
     mark();
   });
-  const pause = h("button", { type: "button", onclick: () => {
-    paused = !paused;
-    session.send({ type: "pause", on: paused });
-    pause.textContent = paused ? words.walk.go : words.walk.pause;
-  } }, words.walk.pause);
+  // After a click the arrow keys steer at once; who chose by keys stays where the keys choose.
+  steering.addEventListener("click", (event) => {
+    if (drive === "person" && event.detail > 0) shell.look.focus({ preventScroll: true });
+  });
+  const pause = h("button", { type: "button", onclick: () => hold(!paused) }, words.walk.pause);
+
+  function hold(on: boolean): void {
+    paused = on;
+    session.send({ type: "pause", on });
+    pause.textContent = on ? words.walk.go : words.walk.pause;
+  }
+
   const again = h("button", { type: "button", onclick: () => {
     paused = false;
     pause.textContent = words.walk.pause;
