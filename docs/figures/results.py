@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 from common import INK, OURS, QUIET, TARGET, THEIRS, THIRD, figure, keep, lines, titled
+from matplotlib.lines import Line2D
 
 PAGES = Path(__file__).parents[1] / "results"
 SHOWN = {
     "eagor": (OURS, "eagor"),
     "best_detection": (THEIRS, "the best box so far, turned with the camera"),
     "last_detection": ("#e69f00", "the last box, turned with the camera"),
+    "bot_sort": ("#7b5ea7", "BoT-SORT, boxes turned with the camera"),
     "vmf": (TARGET, "von Mises-Fisher filter"),
     "grid_filter": (THIRD, "grid filter"),
     "eagor_paper": (QUIET, "eagor as published"),
@@ -73,22 +75,23 @@ def right() -> None:
     seen, methods = photographs(), [name for name in SHOWN if name != "eagor_paper"]
     for number, method in enumerate(methods):
         colour, label = SHOWN[method]
-        places = np.arange(len(seen)) + 0.16 * (number - 2)
-        left.bar(places, [table[method][2] for table in seen.values()], 0.15, color=colour, label=label)
+        places = np.arange(len(seen)) + 0.14 * (number - 2.5)
+        left.bar(places, [table[method][2] for table in seen.values()], 0.13, color=colour, label=label)
     left.set_xticks(range(len(seen)), list(seen))
     left.set_ylim(0, 1)
     titled(left, "Real photographs, a small real detector", "share of answers within 15 degrees, after 30 to 40 looks")
     legs = run(RUNS["walks, scout"])
-    for method, (colour, label) in SHOWN.items():
-        walk.plot(range(1, 5), legs[method][:4], "o-", color=colour, label=label)
+    for method, (colour, _) in SHOWN.items():
+        if method in legs:
+            walk.plot(range(1, 5), legs[method][:4], "o-", color=colour)
     walk.set_xticks(range(1, 5), [f"leg {number}" for number in range(1, 5)])
     walk.set_ylim(0, 50)
     titled(walk, "Walks in built-in apartments, scout", "mean error, degrees; the first leg is the search")
     for axes in (left, walk):
         lines(axes)
-    handles, labels = walk.get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="lower center", ncols=3, frameon=False, fontsize=9, labelcolor=INK)
-    drawn.subplots_adjust(left=0.05, right=0.99, top=0.87, bottom=0.2, wspace=0.1)
+    marks = [Line2D([], [], color=colour, marker="o", label=label) for colour, label in SHOWN.values()]
+    drawn.legend(handles=marks, loc="lower center", ncols=3, frameon=False, fontsize=9, labelcolor=INK)
+    drawn.subplots_adjust(left=0.05, right=0.99, top=0.87, bottom=0.22, wspace=0.1)
     keep(drawn, "results-right.png")
 
 
