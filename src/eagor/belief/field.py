@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor.belief.splines import interpolated
 from eagor.grids import ErpGrid, ErpWindow
 
 MARGIN = 4  # cells of padding that interpolation needs
@@ -82,10 +83,17 @@ class Patch(Nodes):
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
-        from scipy.ndimage import map_coordinates
+        return interpolated(self.values, (places + 1) * ((self.values.shape[0] - 1) / 2))
 
-        count = self.values.shape[0]
-        return map_coordinates(self.values, (places + 1) * ((count - 1) / 2), order=3, mode="mirror")
+    def finer(self, times: int) -> np.ndarray:
+        """Values ``(m, m)`` at nodes `times` as dense, m = (n - 1) times + 1, by the same spline."""
+        table = _refining(len(self.values), times)
+        return table @ self.values @ table.T
+
+    def fine_nodes(self, grid: ErpGrid, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Directions ``(m m, 3)`` and solid angles ``(m m,)`` of these nodes, and the cell of a grid that each is in."""
+        count = (len(self.values) - 1) * times + 1
+        return _fine_nodes(grid, count, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
     @property
     def least_ahead(self) -> float:
@@ -99,6 +107,28 @@ def _cells(grid: ErpGrid, frame: bytes, half: bytes, bend: bytes) -> np.ndarray:
     directions = grid.directions.reshape(-1, 3)
     near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
     return near[patch.places(directions.take(near, axis=0))[1]]
+
+
+@lru_cache(maxsize=16)
+def _fine_nodes(
+    grid: ErpGrid, count: int, frame: bytes, half: bytes, bend: bytes
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    plane = np.frombuffer(half), np.frombuffer(bend)
+    directions = plane_directions(count, np.frombuffer(frame).reshape(3, 3), *plane).reshape(-1, 3)
+    return directions, plane_weights(count, *plane).reshape(-1), cells_of(grid, directions)
+
+
+@lru_cache(maxsize=16)
+def _refining(count: int, times: int) -> np.ndarray:
+    """From values at `count` nodes along an axis to those at nodes `times` as dense ``((count - 1) times + 1, count)``."""
+    fine = np.linspace(0, count - 1, (count - 1) * times + 1)
+    return interpolated(np.eye(count), fine[None]).T
+
+
+def cells_of(grid: ErpGrid, directions: np.ndarray) -> np.ndarray:
+    """The flat index ``(...)`` of the cell of a grid that each direction ``(..., 3)`` lies in."""
+    x, y, _ = grid.project(directions)
+    return np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
 
 
 def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,8 +181,11 @@ class SphereField:
         if not self.patches:
             return found
         directions = where if isinstance(where, np.ndarray) else where.directions
-        shape = found.shape
-        found, directions = np.array(found).reshape(-1), directions.reshape(-1, 3)
+        return self.with_patches(found.reshape(-1), directions.reshape(-1, 3)).reshape(found.shape)
+
+    def with_patches(self, values: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """`values` ``(n,)`` at directions ``(n, 3)``, replaced by those of the patches where they lie."""
+        found = values.copy()
         nearest = np.full(found.shape, np.inf)
         for patch in self.patches:
             near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
@@ -163,7 +196,7 @@ class SphereField:
             inside &= depth < nearest[near]
             found[near[inside]] = patch.at(places[:, inside])
             nearest[near[inside]] = depth[inside]
-        return found.reshape(shape)
+        return found
 
     def smooth(self, where: ErpGrid | ErpWindow | np.ndarray, order: int = 3) -> np.ndarray:
         """The values of the grid alone, by splines of this order (1: linear, which is several times as fast)."""
@@ -204,14 +237,14 @@ class SphereField:
         return free
 
     @lazy
-    def _free(self) -> np.ndarray:
+    def free(self) -> np.ndarray:
         """The flat indices ``(m,)`` of the cells outside of all patches."""
         return np.flatnonzero(self.outside)
 
     @lazy
     def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Values and solid angles of the cells in no patch, and of the nodes of each patch."""
-        cells = self.values.reshape(-1)[self._free], self.grid.weights[:, 0][self._free // self.grid.width]
+        cells = self.values.reshape(-1)[self.free], self.grid.weights[:, 0][self.free // self.grid.width]
         nodes = [(p.values.reshape(-1), s.reshape(-1)) for p, s in zip(self.patches, self.shares, strict=True)]
         return [cells, *nodes]
 
@@ -240,7 +273,7 @@ class SphereField:
             return self.values.reshape(-1), self.grid.weights.reshape(-1), self.grid.directions.reshape(-1, 3)
         values = [part for part, _ in self._parts]
         weights = [part for _, part in self._parts]
-        directions = [self.grid.directions.reshape(-1, 3).take(self._free, axis=0)]
+        directions = [self.grid.directions.reshape(-1, 3).take(self.free, axis=0)]
         directions += [patch.directions.reshape(-1, 3) for patch in self.patches]
         return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor.belief.basins import climbed
-from eagor.belief.field import LARGEST, SphereField
+from eagor.belief.field import LARGEST, SphereField, cells_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,7 @@ class Places:
         """With the `labels` of the cells."""
         grid, (count, cells) = field.grid, labels
         tops = [patch.directions.reshape(-1, 3)[int(patch.values.argmax())] for patch in field.patches]
-        x, y, _ = grid.project(np.array(tops).reshape(-1, 3))
-        return cls(count, cells, cells[np.minimum(y.astype(np.intp), grid.height - 1), x.astype(np.intp) % grid.width])
+        return cls(count, cells, cells.reshape(-1)[cells_of(grid, np.array(tops).reshape(-1, 3))])
 
 
 def labelled(values: np.ndarray) -> tuple[int, np.ndarray]:
@@ -41,14 +40,9 @@ def labelled(values: np.ndarray) -> tuple[int, np.ndarray]:
 
 def log_sums(field: SphereField, places: Places) -> np.ndarray:
     """log of the integral ``(m,)`` of exp(field) over each of the places."""
-    free = field.outside
-    logs, homes = [field.values[free]], [places.cells[free]]
-    weights = [np.broadcast_to(field.grid.weights, free.shape)[free]]
-    for patch, home, share in zip(field.patches, places.patches, field.shares, strict=True):
-        logs.append(patch.values.reshape(-1))
-        homes.append(np.full(patch.values.size, home))
-        weights.append(share.reshape(-1))
-    log, home, weight = (np.concatenate(parts) for parts in (logs, homes, weights))
+    log, weight, _ = field.nodes
+    of_patches = [np.full(patch.values.size, home) for patch, home in zip(field.patches, places.patches, strict=True)]
+    home = np.concatenate([places.cells.reshape(-1)[field.free], *of_patches])
     top = np.full(places.count, -np.inf)
     np.maximum.at(top, home, log)
     top = np.clip(top, -LARGEST, None)  # a place may lie under patches of other places

@@ -27,7 +27,7 @@ def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = No
         coefficients = np.swapaxes(np.swapaxes(coefficients, axis, -1) @ _coefficients(count), axis, -1)
         first = first * (count + 3) + lower[axis]
     near = coefficients.reshape(-1, coefficients[(0,) * (values.ndim - len(shape))].size)
-    near = near.take(first + _neighbours(shape), axis=1).reshape(-1, *[4] * len(shape), len(first))
+    near = near.take(first + _neighbours(shape), axis=1).reshape(len(near), *[4] * len(shape), len(first))
     for weight in weights[::-1]:
         near = np.einsum("...an,an->...n", near, weight)
     if over is not None:

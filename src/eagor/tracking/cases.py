@@ -289,7 +289,8 @@ class Cases:
         if not len(found) or not moving.sum():
             return np.zeros(len(found))
         shares, spread, least = moving / moving.sum(), self.standing.spread, resolved(sight.degree)
-        world = found.turned(sight.world_R_body)
+        world = sight.world
+        assert world is not None
         near = _near(self.grid, world, float(spread.scales.max()), least)
         directions = self.grid.directions.reshape(-1, 3)[near]
         density = np.zeros(len(near))
@@ -330,7 +331,8 @@ class Cases:
         known = found.model.false_alarms_per_look is not None
         if not len(found) or (known and not habits.look_alikes):
             return none, none
-        world = found.turned(sight.world_R_body)
+        world = sight.world
+        assert world is not None
         if bank is None or not habits.same(bank.habits):  # nothing is known: alike likely everywhere
             alike = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
             return none + alike, none + self.presence * habits.mean

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor._checks import require, within
+from eagor._lazy import lazy
 
 __all__ = ["MotionModel"]
 
@@ -50,11 +52,11 @@ class MotionModel:
         """Targets that appear and disappear, but never move."""
         return cls(wander=(), turn=(), start=0.0, stop=0.0, jump=0.0, birth=0.0, death=0.0)
 
-    @property
+    @lazy
     def kinds(self) -> np.ndarray:
         """The shares of the kinds among moving targets: each of `wander`, then all of `turn` as one."""
         count = len(self.wander) + len(self.turn)
-        return np.array([1.0] * len(self.wander) + [len(self.turn)] * bool(self.turn)) / max(count, 1)
+        return frozen(np.array([1.0] * len(self.wander) + [len(self.turn)] * bool(self.turn)) / max(count, 1))
 
     @property
     def moving(self) -> float:

@@ -445,7 +445,7 @@ class Standing:
 
     def size(self, about: np.ndarray) -> float:
         """Half the angular size (radians) of what was detected in a direction ``(3,)``; 0 if that is not known."""
-        if self.bank is None:
+        if self.bank is None or not self.bank.sized:
             return 0.0
         for window in self.windows:
             places, inside = window.places(about)

@@ -114,18 +114,22 @@ class Turning:
 
     def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> Turning:
         """New components, of which only the direction is known."""
-        joint = np.zeros((len(directions), 6, 6))
-        joint[:, :3, :3] = covariances
+        rates, count, bends = np.array(self.rates), len(directions), len(BENDS)
         along = directions[:, :, None] * directions[:, None, :]
-        parts = []
-        for rate in self.rates:
-            # The bend of a path shows late, and then no single Gaussian fits: start with three.
-            joint[:, 3:, 3:] = rate**2 * (np.eye(3) - (1 - BEND_VARIANCE) * along)
-            for bend, share in zip(BENDS, BEND_SHARES, strict=True):
-                parts.append((weights * (share / len(self.rates)), directions, bend * rate * directions, joint.copy()))
-        found = (np.concatenate(column) for column in zip(*parts, strict=True))
-        names = ("weights", "directions", "turns", "covariances")
-        return replace(self, **dict(zip(names, found, strict=True)))
+        # The bend of a path shows late, and then no single Gaussian fits: start with three for each rate.
+        joint = np.zeros((len(rates), bends, count, 6, 6))
+        joint[..., :3, :3] = covariances
+        across = np.eye(3) - (1 - BEND_VARIANCE) * along
+        joint[..., 3:, 3:] = (rates**2)[:, None, None, None, None] * across
+        shares = np.tile(np.array(BEND_SHARES) / len(rates), len(rates))
+        bent = np.outer(rates, BENDS).reshape(-1, 1, 1) * directions
+        return replace(
+            self,
+            weights=np.outer(shares, weights).reshape(-1),
+            directions=np.tile(directions, (len(shares), 1)),
+            turns=bent.reshape(-1, 3),
+            covariances=joint.reshape(-1, 6, 6),
+        )
 
     def _detected(self, seen: Sightings) -> tuple[Turning, np.ndarray]:
         """A Kalman update of each component by each detection, and its likelihood for each scale ``(S,)``."""
@@ -192,42 +196,40 @@ class Turning:
         Nearby components of similar width are merged.
         """
         frames, _, own = self._across
-        across = own.copy()
-        weights, covariances = self.weights.copy(), np.einsum("nai,nab,nbj->nij", frames, across, frames)
-        traces = np.trace(covariances, axis1=1, axis2=2)
+        covariances = np.swapaxes(frames, 1, 2) @ own @ frames
+        traces = np.trace(own, axis1=1, axis2=2)
         apart = 1 - self.directions @ self.directions.T
         alike = (apart < ALIKE * traces) & (np.abs(np.log(traces[:, None] / traces)) < 0.5)
         np.fill_diagonal(alike, True)  # also where rounding leaves a direction a little shorter than 1
-        kept = []
-        for index in range(len(weights)):  # the heaviest first
-            if weights[index] <= LIGHT * (1 - self.unseen):
-                continue
-            group = alike[index] & (weights > 0)
-            share = weights[group] / weights[group].sum()
-            across[index] = frames[index] @ (share @ covariances[group].reshape(-1, 9)).reshape(3, 3) @ frames[index].T
-            total = float(weights[group].sum())
-            weights[group] = 0.0
-            kept.append((index, total))
-        order = np.array([index for index, _ in kept], dtype=np.intp)
-        found = np.array([total for _, total in kept])
+        free = np.ones(len(self.weights), dtype=bool)
+        places, groups = [], []
+        for index in np.flatnonzero(self.weights > LIGHT * (1 - self.unseen)).tolist():  # the heaviest first
+            if free[index]:
+                places.append(index)
+                groups.append(alike[index] & free)
+                free &= ~alike[index]
+        shares = np.array(groups, dtype=bool).reshape(len(groups), len(free)) * self.weights
+        found, order = shares.sum(axis=1), np.array(places, dtype=np.intp)
+        merged = ((shares / found[:, None]) @ covariances.reshape(-1, 9)).reshape(-1, 3, 3)
+        frames = frames[order]
         found *= (1 - self.unseen) / max(float(found.sum()), 1e-300)
-        return found, self.directions[order], scaled_frames(frames[order], across[order])
+        return found, self.directions[order], scaled_frames(frames, frames @ merged @ np.swapaxes(frames, 1, 2))
 
     def density(self, where: np.ndarray) -> np.ndarray:
         """Density over a uniform one ``(...)``, at unit vectors ``(..., 3)``."""
         weights, centres, axes = self.places
-        found = np.full(where.shape[:-1], self.unseen if len(weights) else 1.0)
+        if not len(weights):
+            return np.ones(where.shape[:-1])
         lengths = np.linalg.norm(axes, axis=-1)
         heights = weights * bump_norms(lengths) * 4 * math.pi
         reach = np.cos(np.minimum(FAR / lengths.min(axis=-1), math.pi))
-        points, flat = where.reshape(-1, 3), found.reshape(-1)
-        for height, centre, pair, least in zip(heights, centres, axes, reach, strict=True):
-            ahead = points @ centre
-            near = np.flatnonzero(ahead > least)
-            along = points[near] @ pair.T
-            along *= along
-            flat[near] += height * np.exp(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead[near], 1e-9))
-        return found
+        points = where.reshape(-1, 3).T
+        ahead = centres @ points
+        along = (axes.reshape(-1, 3) @ points).reshape(len(weights), 2, -1)
+        along *= along
+        falls = np.exp(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead, 1e-9))
+        falls[ahead <= reach[:, None]] = 0.0
+        return (self.unseen + heights @ falls).reshape(where.shape[:-1])
 
     def patches(self, narrow: float, least: float) -> tuple[Patch, ...]:
         """Patches (values 0) about components narrower than `narrow` radians that hold at least `least`."""

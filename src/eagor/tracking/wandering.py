@@ -37,7 +37,9 @@ class Wandering:
 
     def mixed(self, weights: np.ndarray) -> np.ndarray:
         """The sum of the densities with `weights` ``(M,)``: ``(H, W)``."""
-        return np.tensordot(weights, self.densities, axes=1)
+        return (weights @ self.densities.reshape(len(self), self.grid.height * self.grid.width)).reshape(
+            self.grid.shape
+        )
 
     def after(
         self, elapsed: float, motion: MotionModel, drift: float, flows: np.ndarray, stands: np.ndarray | float
