@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.evidence.habits import Habits
+from eagor.evidence.detector import Habits
 from eagor.grids import ErpGrid
 
 # Maps beside the posteriors of the two habits, counted from the end: see the properties of `Bank`.

@@ -1,4 +1,10 @@
-"""A field on the sphere: a coarse grid of the whole sphere, and fine patches about its peaks."""
+"""A field on the sphere: a coarse grid of the whole sphere, and fine patches about its peaks.
+
+Between the nodes of a patch values are cubic splines, mirrored at the borders: the same as
+``scipy.ndimage.map_coordinates(..., order=3, mode="mirror")``, but vectorised over points, and with weights shared by
+fields on the same nodes: under half of SciPy's time for one field, under a third for three. Beside a steep flank of
+hundreds of nats a spline swings by many, which `over` limits.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +17,70 @@ from typing import Self
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.belief.splines import interpolated
 from eagor.grids import ErpGrid, ErpWindow
+
+
+def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = None) -> np.ndarray:
+    """Fields ``(..., n_1, ..., n_d)`` at `places` ``(d, m...)``, counted in nodes from 0 to n - 1: ``(..., m...)``.
+
+    By at most `over` they exceed the nodes around a place.
+    """
+    shape = values.shape[-len(places) :]
+    lower = places.astype(np.intp).reshape(len(places), -1)
+    weights = _weights(places.reshape(lower.shape) - lower)
+    first = np.zeros(lower.shape[1], dtype=np.intp)
+    coefficients = values
+    for axis, count in enumerate(shape, start=-len(shape)):
+        coefficients = np.swapaxes(np.swapaxes(coefficients, axis, -1) @ _coefficients(count), axis, -1)
+        first = first * (count + 3) + lower[axis]
+    near = coefficients.reshape(-1, coefficients[(0,) * (values.ndim - len(shape))].size)
+    near = near.take(first + _neighbours(shape), axis=1).reshape(len(near), *[4] * len(shape), len(first))
+    for weight in weights[::-1]:
+        near = np.einsum("...an,an->...n", near, weight)
+    if over is not None:
+        corners = values.reshape(-1, math.prod(shape)).take(_first(lower, shape) + _corners(shape), axis=1)
+        near = np.clip(near, corners.min(axis=1) - over, corners.max(axis=1) + over)
+    return near.reshape(*values.shape[: -len(shape)], *places.shape[1:])
+
+
+def _first(lower: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The flat index ``(m,)`` of the node below each of m places, the last but one at the upper border."""
+    highest = np.array(shape)[:, None] - 2
+    return np.asarray(np.ravel_multi_index(tuple(np.minimum(lower, highest)), shape))
+
+
+@lru_cache(maxsize=16)
+def _corners(shape: tuple[int, ...]) -> np.ndarray:
+    """How far behind the node below a place each of the nodes around it lies ``(2^d, 1)``."""
+    return np.ravel_multi_index(np.ix_(*[np.arange(2)] * len(shape)), shape).reshape(-1, 1)
+
+
+def _weights(beyond: np.ndarray) -> np.ndarray:
+    """Of the four nodes around points ``(d, 4, m)`` that lie `beyond` ``(d, m)`` the second: the cubic B-spline."""
+    short = 1 - beyond
+    squared, rest = beyond * beyond, short * short
+    found = [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
+    return np.stack(found, axis=1)
+
+
+@lru_cache(maxsize=16)
+def _coefficients(count: int) -> np.ndarray:
+    """From `count` values to the coefficients of the spline through them ``(count, count + 3)``.
+
+    One before and two beyond the nodes are mirrored.
+    """
+    at = np.abs(np.arange(-1, count + 2))
+    mirrored = np.eye(count)[np.where(at >= count, 2 * count - 2 - at, at)]
+    sampled = (mirrored[:-3] + 4 * mirrored[1:-2] + mirrored[2:-1]) / 6  # the spline at its nodes
+    return np.linalg.solve(sampled.T, mirrored.T)
+
+
+@lru_cache(maxsize=16)
+def _neighbours(shape: tuple[int, ...]) -> np.ndarray:
+    """How far behind the first of the 4^d coefficients around a point each of them lies ``(4^d, 1)``."""
+    places = np.ix_(*[np.arange(4)] * len(shape))
+    return np.ravel_multi_index(places, [count + 3 for count in shape]).reshape(-1, 1)
+
 
 MARGIN = 4  # cells of padding that interpolation needs
 LARGEST = 700.0  # nats: the exponential still fits a float64
@@ -91,7 +159,7 @@ class Patch(Nodes):
         return table @ self.values @ table.T
 
     def fine_nodes(self, grid: ErpGrid, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Directions ``(m m, 3)`` and solid angles ``(m m,)`` of these nodes, and the cell of a grid that each is in."""
+        """Directions ``(m m, 3)`` and solid angles ``(m m,)`` of these nodes, and the cell of a grid around each."""
         count = (len(self.values) - 1) * times + 1
         return _fine_nodes(grid, count, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
@@ -120,7 +188,7 @@ def _fine_nodes(
 
 @lru_cache(maxsize=16)
 def _refining(count: int, times: int) -> np.ndarray:
-    """From values at `count` nodes along an axis to those at nodes `times` as dense ``((count - 1) times + 1, count)``."""
+    """From values at `count` nodes along an axis to those at nodes `times` as dense, a matrix ``(m, count)``."""
     fine = np.linspace(0, count - 1, (count - 1) * times + 1)
     return interpolated(np.eye(count), fine[None]).T
 

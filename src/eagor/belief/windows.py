@@ -18,8 +18,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.belief.bank import Bank
-from eagor.belief.field import EVEN, Nodes, Patch, bent
-from eagor.belief.splines import interpolated
+from eagor.belief.field import EVEN, Nodes, Patch, bent, interpolated
 from eagor.evidence.detections import resolved, tangent_frame
 from eagor.sphere import cross
 

@@ -15,9 +15,8 @@ gives them in spherical harmonics, in the body frame at capture. `habits` says w
 
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import Detections, View
-from eagor.evidence.detector import Alarms, DetectorModel, Spread, model_as_json, parse_model
+from eagor.evidence.detector import Alarms, DetectorModel, Habits, Spread, model_as_json, parse_model
 from eagor.evidence.evidence import Evidence
-from eagor.evidence.habits import Habits
 from eagor.evidence.masking import BodyMask
 
 __all__ = [

@@ -5,7 +5,7 @@ One look of one target takes this way:
 1. `tracker`: `DirectionTracker.observe` files the evidence under its target, `tracks` puts it where its time of capture
    belongs, and `poses` says where the camera was then.
 2. `look`: all evidence of one moment, turned into world axes.
-3. `cases`: is the target absent, does it stand (`standing`), wander (`wandering`), or turn (`turning`)? Each case
+3. `hypotheses`: is the target absent, does it stand (`standing`), wander (`wandering`), or turn (`turning`)? Each case
    predicts the look, and is weighed by how well it did. `motion` has the rates at which targets change from case to
    case.
 4. `state`: what is believed after the look; it carries itself to another time and place.
@@ -14,9 +14,8 @@ One look of one target takes this way:
 `config` has the settings.
 """
 
-from eagor.tracking.config import AnswerSettings, TrackerConfig
+from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import Estimate, Mode, Status
-from eagor.tracking.motion import MotionModel
 from eagor.tracking.poses import PoseHistory
 from eagor.tracking.tracker import DirectionTracker
 

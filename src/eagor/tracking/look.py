@@ -14,8 +14,7 @@ from eagor.belief.field import SphereField
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import confine
 from eagor.evidence.detections import Detections, resolved
-from eagor.evidence.detector import STATED, Alarms, Spread
-from eagor.evidence.habits import Habits
+from eagor.evidence.detector import STATED, Alarms, Habits, Spread
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid, neighbours, refine
