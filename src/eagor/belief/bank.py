@@ -26,6 +26,7 @@ since either the target was detected, and no look-alike is there, or a look-alik
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -260,7 +261,7 @@ def _log_sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def mixed(weights: np.ndarray, maps: np.ndarray) -> np.ndarray:
     """The sum ``(...)`` of maps ``(P, ...)`` with `weights` ``(P,)``: as `np.tensordot`, at less overhead."""
-    return (weights @ maps.reshape(len(weights), -1)).reshape(maps.shape[1:])
+    return (weights @ maps.reshape(len(weights), math.prod(maps.shape[1:]))).reshape(maps.shape[1:])
 
 
 def _column(values: np.ndarray, dimensions: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Self
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import inherited, lazy
 from eagor.grids import ErpGrid, ErpWindow
 
 
@@ -103,11 +103,7 @@ class Nodes:
 
     def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; cached geometry is kept."""
-        found = replace(self, values=values)
-        for name in ("directions", "weights"):
-            if name in self.__dict__:
-                found.__dict__[name] = self.__dict__[name]
-        return found
+        return inherited(replace(self, values=values), self, "directions", "weights")
 
     @lazy
     def directions(self) -> np.ndarray:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor.belief.bank import mixed
 from eagor.belief.field import Patch, SphereField
 from eagor.evidence.detections import bump_norms, scaled_frames, tangent_frames
 from eagor.grids import ErpGrid
@@ -49,8 +50,7 @@ class WanderingTarget:
 
     def mixed(self, weights: np.ndarray) -> np.ndarray:
         """The sum of the densities with `weights` ``(M,)``: ``(H, W)``."""
-        flat = self.densities.reshape(len(self), self.grid.height * self.grid.width)
-        return (weights @ flat).reshape(self.grid.shape)
+        return mixed(weights, self.densities)
 
     def after(
         self, elapsed: float, motion: MotionModel, drift: float, flows: np.ndarray, stands: np.ndarray | float

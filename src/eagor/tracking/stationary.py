@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._lazy import given, lazy
+from eagor._lazy import given, inherited, known, lazy
 from eagor.belief.bank import Bank, log_detected, log_over
 from eagor.belief.basins import Places, labelled, log_sums
 from eagor.belief.direction import Belief
@@ -34,10 +34,10 @@ from eagor.harmonics.peaks import decoding_grid, neighbours, refine
 from eagor.tracking.look import Look
 
 MOST = 4  # windows
-WORTH = 0.02  # of the belief: peaks that hold less get no window,
-LEAST = 0.002  # ... and windows that hold less are closed;
-LEAST_OF_MANY = 0.01  # with look-alikes, where what was detected once goes on to hold some
-MOST_OF_IT = 0.5  # of the belief: with capped shells, a window that holds more is kept, wherever its peak lies
+WORTH = 0.02  # share of the belief: a peak that holds less gets no window
+LEAST = 0.002  # share of the belief: a window that holds less is closed
+LEAST_OF_MANY = 0.01  # the same with look-alikes, where each place with a detection keeps a small share for long
+MOST_OF_IT = 0.5  # share of the belief: with capped shells, a window that holds more is kept, wherever its peak lies
 SPILL = 0.02  # of a window's mass: skirts around it that hold less are left out
 NOTHING = 12.0  # nats below a peak: if a window's border is lower, there is nothing beyond it
 HIGHEST = 12.0  # nats over a target that was never detected: as high as coarse shells get, if there are look-alikes
@@ -195,9 +195,7 @@ class StationaryTarget:
             found = replace(self, coarse=self.coarse.plus(share * coefficients), windows=tuple(windows))
             # What is said of all ranges alike adds as much to the field over directions.
             drawn = tuple(w.patch(self._prior(w)) if p is None else p for w, p in zip(windows, patches, strict=True))
-            support = SphereField(self.grid, self.support.values + share * look.values, drawn)
-            found.__dict__["support"] = support
-            return found
+            return known(found, support=SphereField(self.grid, self.support.values + share * look.values, drawn))
         ranges = self.coarse.ranges
         alike = np.broadcast_to(share * coefficients, (len(ranges), len(coefficients)))
         carried = RangedBelief(alike, ranges).predict(np.eye(3), since).shells
@@ -233,9 +231,7 @@ class StationaryTarget:
             else:
                 patches.append(windows[-1].patch(self._prior(window)))
         found = replace(self, coarse=self.coarse.plus(added), windows=tuple(windows), bank=bank)
-        support = SphereField(self.grid, self.support.values + values, tuple(patches))
-        found.__dict__["support"] = support
-        return found
+        return known(found, support=SphereField(self.grid, self.support.values + values, tuple(patches)))
 
     def _ready(self, look: Look) -> Bank:
         """The habits of the cells, for the detector of this look."""
@@ -252,22 +248,13 @@ class StationaryTarget:
 
     def _alike(self, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `field`."""
-        found = replace(self, **changes)
-        for name in ("support", "labels", "places", "explained", "field", "log_mean"):
-            if name in self.__dict__:
-                found.__dict__[name] = self.__dict__[name]
-        return found
+        names = "support", "labels", "places", "explained", "field", "log_mean"
+        return inherited(replace(self, **changes), self, *names)
 
     def _with(self, patches: tuple[Patch, ...] | None = None, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `coarse`; `patches` of the `support`, if they differ."""
-        found = replace(self, **changes)
-        if "labels" in self.__dict__:
-            found.__dict__["labels"] = self.labels
-        if patches is not None:
-            found.__dict__["support"] = replace(self.support, patches=patches)
-        elif "support" in self.__dict__:
-            found.__dict__["support"] = self.support
-        return found
+        found = inherited(replace(self, **changes), self, "labels", "support")
+        return found if patches is None else known(found, support=replace(self.support, patches=patches))
 
     def scaled(self, factor: float) -> StationaryTarget:
         """With all log ratios scaled by `factor` in [0, 1]: the covariance of each peak grows by 1 / factor."""

@@ -61,9 +61,8 @@ class State:
         """The hypotheses at a later time, seen from another place."""
         hypotheses, height = self.hypotheses, config.above_floor(position)
         ranges = config.shells(position)
-        if ranges is not None and not isinstance(
-            hypotheses.standing.coarse, RangedBelief
-        ):  # positions known from here on
+        if ranges is not None and not isinstance(hypotheses.standing.coarse, RangedBelief):
+            # Positions are known from here on.
             hypotheses = replace(hypotheses, standing=hypotheses.standing.ranged(ranges, height))
         step = None if position is None or self.position is None else position - self.position
         return hypotheses.after(now - self.stamp, config.target_motion, config.drift, step, height)
