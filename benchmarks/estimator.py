@@ -181,7 +181,7 @@ class Told(TrackerMethod):
         told = (self.ranges or {}).get(float(evidence.stamp or 0.0))
         track = self.tracker._tracks["target"]
         state, moment = self.tracker._take_in(track), track.moments[-1]
-        still = state.cases.standing
+        still = state.hypotheses.standing
         if told is None or moment.stamp != evidence.stamp or not isinstance(still.coarse, RangedBelief):
             return
         direction, distance = told
@@ -201,8 +201,8 @@ class Told(TrackerMethod):
             )
             for window in still.windows
         )
-        cases = replace(state.cases, standing=replace(still, coarse=coarse, windows=windows))
-        moment.state = replace(state, cases=cases)
+        hypotheses = replace(state.hypotheses, standing=replace(still, coarse=coarse, windows=windows))
+        moment.state = replace(state, hypotheses=hypotheses)
 
 
 def _likely(logs: np.ndarray, distance: float) -> np.ndarray:

@@ -14,7 +14,6 @@ number of threads before NumPy is loaded.
 
 from __future__ import annotations
 
-import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -89,23 +88,11 @@ _MODULES = (
     "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics", "tasks", "tracking",
     "worlds",
 )  # fmt: skip
-_MOVED = {  # old names, which still work as attributes of `eagor`
-    **dict.fromkeys(
-        ("Centroid", "CircularCentroid", "GridFilter", "HistogramFilter", "ParticleFilter", "Published",
-         "VonMisesFisherFilter"), "baselines"),
-    **dict.fromkeys(("calibration", "detector"), "evidence"),
-    "ranged": "belief",
-    **dict.fromkeys(("estimate", "motion", "poses", "tracker"), "tracking"),
-}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f"eagor.{name}")
-    if name in _MOVED:
-        home = f"eagor.{_MOVED[name]}"
-        warnings.warn(f"eagor.{name} is now {home}.{name}", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(home), name)
     for module, names in _HOME.items():
         if name in names:
             value = getattr(import_module(f"eagor.{module}"), name)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar, overload
 
 Value = TypeVar("Value")
+Owner = TypeVar("Owner")
 
 
 class lazy(Generic[Value]):
@@ -39,7 +40,18 @@ class lazy(Generic[Value]):
 
 
 class given(lazy[Value]):
-    """A lazy value that may also be set from outside. Pickles and copies keep it."""
+    """A lazy value that may also be known when the object is made (see `known`). Pickles and copies keep it."""
+
+
+def known(made: Owner, **values: Any) -> Owner:
+    """`made`, a new object, with these lazy `values`, which its maker knows already."""
+    made.__dict__.update(values)
+    return made
+
+
+def inherited(made: Owner, source: Any, *names: str) -> Owner:
+    """`made`, a new object, with those of these lazy values that `source` has computed: they are the same for both."""
+    return known(made, **{name: source.__dict__[name] for name in names if name in source.__dict__})
 
 
 def state_of(owner: Any) -> dict[str, Any]:

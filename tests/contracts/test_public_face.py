@@ -14,8 +14,6 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src"
 PACKAGES = sorted(".".join(path.parent.relative_to(SOURCE).parts) for path in SOURCE.glob("eagor/**/__init__.py"))
 PUBLIC = sorted({f"eagor.{module}" for module in (*eagor._MODULES, *eagor._HOME)} - {*PACKAGES})
-RIVALS = ["Centroid", "CircularCentroid", "GridFilter", "HistogramFilter", "ParticleFilter", "Published",
-          "VonMisesFisherFilter"]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", eagor.__all__)
@@ -44,21 +42,6 @@ def test_a_documented_module_is_there_after_import_eagor():
     code = "import eagor; print(*(getattr(eagor, module).__name__ for module in eagor._MODULES))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert loaded == [f"eagor.{module}" for module in eagor._MODULES]
-
-
-@pytest.mark.parametrize("name", RIVALS)
-def test_a_rival_lives_in_baselines_and_its_old_name_warns(name):
-    with pytest.warns(DeprecationWarning, match=rf"eagor\.baselines\.{name}") as caught:
-        assert getattr(eagor, name) is getattr(eagor.baselines, name)
-    assert caught[0].filename == __file__, "the warning points to the line that has to change"
-
-
-@pytest.mark.parametrize(
-    ("old", "new"), [("tracker", "tracking"), ("poses", "tracking"), ("ranged", "belief"), ("detector", "evidence")]
-)
-def test_a_module_that_has_moved_into_a_package_is_found_by_its_old_name_with_a_warning(old, new):
-    with pytest.warns(DeprecationWarning, match=rf"eagor\.{new}\.{old}"):
-        assert getattr(eagor, old).__name__ == f"eagor.{new}.{old}"
 
 
 def test_the_model_of_a_detector_and_of_motion_are_public():

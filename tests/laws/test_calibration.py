@@ -30,8 +30,7 @@ from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Moment, Recording
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 
 GRID = PatchGrid(16, 32)
 SMALL = TrackerConfig(degree=7, ranges=None)

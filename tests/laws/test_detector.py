@@ -17,8 +17,7 @@ from eagor.evidence.detector import ALARMS as NUMBERS
 from eagor.evidence.detector import Alarms, DetectorModel, Spread, model_as_json, parse_model
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 PD, ALARMS = 0.7, 0.2
@@ -225,7 +224,7 @@ def test_place_and_spread_are_believed_in_jointly(stated):
             expected = joint.sum(axis=(1, 2)) / joint.sum()
             density = joint[:, int(y), int(x)].sum() / joint.sum() / grid.weights[int(y), int(x)]
             behind.append(math.log(density) - float(estimate.log_density(pose.T @ near)))
-        spread = estimate.cases.standing.spread
+        spread = estimate.hypotheses.standing.spread
         told = [float(spread.weights[spread.scales == scale].sum()) for scale in unsure.scales]
         assert np.allclose(told, expected, atol=0.05)
     assert abs(np.mean(behind)) < 0.05
@@ -250,7 +249,7 @@ def test_a_detector_with_a_poor_recall_does_not_erase_what_it_found(alikes):
         estimate, share, truth = with_a_poor_recall(seed, DetectorModel(look_alikes=alikes, kept_for=None))
         presences.append(estimate.presence)
         assert np.degrees(angular_distance(estimate.direction, truth)) < 6
-        peak = max(estimate.cases.standing.windows, key=lambda window: window.values.max())
+        peak = max(estimate.hypotheses.standing.windows, key=lambda window: window.values.max())
         top = np.unravel_index(peak.values[0, 0].argmax(), peak.values.shape[-2:])
         assert peak.bank.recall[top] == pytest.approx(share, abs=0.15)
     if alikes:

@@ -7,8 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from eagor import ErpGrid
-from eagor.belief.field import Patch, SphereField
-from eagor.belief.splines import interpolated
+from eagor.belief.field import Patch, SphereField, interpolated
 
 
 @pytest.mark.parametrize("shape", [(11, 9), (12, 11, 7)])

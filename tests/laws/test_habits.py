@@ -18,8 +18,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.detector import Alarms, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import direction, unit, world_R_body
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 STILL = MotionModel.still()
@@ -45,7 +44,7 @@ def after(looks, config=FLAT):
 
 def odds(estimate):
     """log odds of presence, which were 0 before any look."""
-    absent, *present = estimate.cases.weights
+    absent, *present = estimate.hypotheses.weights
     return math.log(sum(present) / absent)
 
 
@@ -293,8 +292,8 @@ def test_what_was_never_looked_at_gains_nothing(model):
     for seen in ([], [direction(0.1, 0.0)]):
         view = PerspectiveGrid(40, 60, 1.2)
         estimate = after([look(seen, t, model, grid=view) for t in range(8)])
-        assert estimate.cases.standing.field(behind) == pytest.approx(np.zeros(len(behind)), abs=0.1)
-        bank = estimate.cases.standing.bank.at_cells(estimate.cases.standing.grid, behind)
+        assert estimate.hypotheses.standing.field(behind) == pytest.approx(np.zeros(len(behind)), abs=0.1)
+        bank = estimate.hypotheses.standing.bank.at_cells(estimate.hypotheses.standing.grid, behind)
         assert bank.recall == pytest.approx(np.full(len(behind), model.habits.mean), abs=0.01)
 
 

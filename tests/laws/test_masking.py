@@ -17,8 +17,7 @@ from eagor.perception.colour import ColourPerception
 from eagor.perception.masked import Masked, read_mask
 from eagor.perception.views import Views
 from eagor.sphere import direction, world_R_body
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 
 DOWN = np.array([0.0, 0.0, -1.0])
 RADIUS = math.radians(30)

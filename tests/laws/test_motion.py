@@ -14,11 +14,10 @@ from eagor.evidence import Evidence
 from eagor.evidence.detector import DetectorModel
 from eagor.harmonics.peaks import decoding_grid
 from eagor.sphere import angular_distance, direction, unit
-from eagor.tracking.cases import Cases
-from eagor.tracking.config import TrackerConfig
+from eagor.tracking.config import MotionModel, TrackerConfig
+from eagor.tracking.hypotheses import TargetHypotheses
 from eagor.tracking.look import Sight
-from eagor.tracking.motion import MotionModel
-from eagor.tracking.standing import Standing
+from eagor.tracking.stationary import StationaryTarget
 from eagor.tracking.tracker import DirectionTracker
 
 DEGREE = 11
@@ -34,17 +33,17 @@ def look(towards, stamp=None, model=MODEL):
     return Evidence.from_points(points, detector=model, stamp=stamp)
 
 
-def seen(cases, towards):
+def seen(hypotheses, towards):
     sight = Sight.of([look(towards)], DEGREE, 0.0, np.eye(3), np.zeros(3))
-    return cases.updated(sight, None, None, None)[0]
+    return hypotheses.updated(sight, None, None, None)[0]
 
 
 def prior(motion=ONE, ranged=False):
-    return Cases.prior(motion, Standing.uniform(DEGREE, RANGES if ranged else None))
+    return TargetHypotheses.prior(motion, StationaryTarget.uniform(DEGREE, RANGES if ranged else None))
 
 
-def passed(cases, elapsed, motion=ONE, drift=0.0, step=None):
-    return cases.after(elapsed, motion, drift, step, None)
+def passed(hypotheses, elapsed, motion=ONE, drift=0.0, step=None):
+    return hypotheses.after(elapsed, motion, drift, step, None)
 
 
 def resultant(density):
@@ -52,10 +51,10 @@ def resultant(density):
 
 
 def told(motion, towards, steps, ranged=False, every=0.5):
-    cases = prior(motion, ranged)
+    hypotheses = prior(motion, ranged)
     for step in range(steps):
-        cases = seen(passed(cases, every, motion), towards(step))
-    return cases
+        hypotheses = seen(passed(hypotheses, every, motion), towards(step))
+    return hypotheses
 
 
 # --- how time passes --------------------------------------------------------------------------------------------------
@@ -104,12 +103,12 @@ def test_time_may_pass_in_pieces():
 
 def test_after_long_enough_all_is_as_at_the_start():
     motion = MotionModel(birth=0.01, death=0.03)
-    cases = told(motion, lambda step: direction(0.4, 0.1), 6)
-    assert cases.presence > 0.95
-    waited = passed(cases, 1e5, motion)
+    hypotheses = told(motion, lambda step: direction(0.4, 0.1), 6)
+    assert hypotheses.presence > 0.95
+    waited = passed(hypotheses, 1e5, motion)
     assert waited.presence == pytest.approx(0.25, abs=1e-3)
     assert waited.moving == pytest.approx(motion.moving, abs=1e-3)
-    assert passed(cases, 0.0, motion) is cases
+    assert passed(hypotheses, 0.0, motion) is hypotheses
 
 
 @given(
@@ -118,14 +117,14 @@ def test_after_long_enough_all_is_as_at_the_start():
 @settings(max_examples=15)
 def test_weights_and_densities_stay_probabilities(looks):
     motion = MotionModel()
-    cases = prior(motion)
+    hypotheses = prior(motion)
     for azimuth, elevation, elapsed in looks:
         towards = direction(azimuth, elevation) if elapsed < 4 else None
-        cases = seen(passed(cases, elapsed, motion), towards)
-        assert cases.weights.sum() == pytest.approx(1)
-        assert (cases.weights >= 0).all()
-        assert (cases.wandering.densities > 0).all()
-        means = np.einsum("mij,ij->m", cases.wandering.densities, GRID.weights) / (4 * math.pi)
+        hypotheses = seen(passed(hypotheses, elapsed, motion), towards)
+        assert hypotheses.weights.sum() == pytest.approx(1)
+        assert (hypotheses.weights >= 0).all()
+        assert (hypotheses.wandering.densities > 0).all()
+        means = np.einsum("mij,ij->m", hypotheses.wandering.densities, GRID.weights) / (4 * math.pi)
         assert np.allclose(means, 1)
 
 
@@ -134,26 +133,26 @@ def test_weights_and_densities_stay_probabilities(looks):
 
 @pytest.mark.parametrize("ranged", [False, True])
 def test_the_belief_is_the_mixture_of_the_cases(ranged):
-    cases = told(ONE, lambda step: direction(0.1 * step, 0.0), 6, ranged)
+    hypotheses = told(ONE, lambda step: direction(0.1 * step, 0.0), 6, ranged)
     where = unit(np.random.default_rng(0).normal(size=(60, 3)))
-    shares = cases.weights[1:] / cases.weights[1:].sum()
-    stands = np.exp(cases.standing.field(where) - cases.standing.log_mean)
-    roams = np.exp(replace(cases.field, values=np.log(cases.wandering.densities[0]), patches=())(where))
+    shares = hypotheses.weights[1:] / hypotheses.weights[1:].sum()
+    stands = np.exp(hypotheses.standing.field(where) - hypotheses.standing.log_mean)
+    roams = np.exp(replace(hypotheses.field, values=np.log(hypotheses.wandering.densities[0]), patches=())(where))
     expected = shares[0] * stands + shares[1] * roams
-    assert np.allclose(np.exp(cases.field(where)), expected, rtol=0.08, atol=0.01)
-    assert cases.field.log_mean == pytest.approx(0, abs=0.04), "a density over a uniform one"
+    assert np.allclose(np.exp(hypotheses.field(where)), expected, rtol=0.08, atol=0.01)
+    assert hypotheses.field.log_mean == pytest.approx(0, abs=0.04), "a density over a uniform one"
 
 
 def test_each_case_is_weighed_by_what_it_foretold():
     """Bayes' rule: of two cases that foretold a detection with densities a and b, the odds change by their ratio."""
-    cases = passed(told(ONE, lambda step: direction(0.3, 0.0), 5), 0.5)
+    hypotheses = passed(told(ONE, lambda step: direction(0.3, 0.0), 5), 0.5)
     towards = direction(0.5, 0.1)
-    after = seen(cases, towards)
+    after = seen(hypotheses, towards)
     ratio = look(towards).detections.ratio(GRID.directions)
-    stood = np.exp(cases.standing.field(GRID) - cases.standing.log_mean)
-    densities = (stood, cases.wandering.densities[0])
+    stood = np.exp(hypotheses.standing.field(GRID) - hypotheses.standing.log_mean)
+    densities = (stood, hypotheses.wandering.densities[0])
     means = [float(np.sum(ratio * density * GRID.weights)) / (4 * math.pi) for density in densities]
-    expected = cases.weights * np.array([1.0, *means])
+    expected = hypotheses.weights * np.array([1.0, *means])
     assert np.allclose(after.weights, expected / expected.sum(), atol=0.03)
 
 
@@ -176,13 +175,13 @@ def test_a_standing_target_is_taken_for_one_and_a_wandering_one_for_one():
 
 
 def test_where_nothing_moves_there_is_only_standing():
-    cases = told(STILL, lambda step: direction(0.3, 0.0), 4)
-    assert cases.wandering.densities.shape[0] == 0
-    assert cases.moving == 0
-    assert len(cases.weights) == 2
-    plain = passed(cases, 100.0, STILL)
-    assert np.allclose(plain.weights, cases.weights)
-    assert np.array_equal(plain.standing.field.values, cases.standing.field.values)
+    hypotheses = told(STILL, lambda step: direction(0.3, 0.0), 4)
+    assert hypotheses.wandering.densities.shape[0] == 0
+    assert hypotheses.moving == 0
+    assert len(hypotheses.weights) == 2
+    plain = passed(hypotheses, 100.0, STILL)
+    assert np.allclose(plain.weights, hypotheses.weights)
+    assert np.array_equal(plain.standing.field.values, hypotheses.standing.field.values)
 
 
 @pytest.mark.parametrize("alikes", [0.0, 0.7])

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from strategies import rotations
 
 from eagor.belief import Belief
-from eagor.belief.heights import height_prior
-from eagor.belief.ranged import RangedBelief, log_ranges
+from eagor.belief.ranged import RangedBelief, height_prior, log_ranges
 from eagor.errors import EagorError, PoseError, RotationError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration

@@ -17,9 +17,8 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
-from eagor.tracking.config import AnswerSettings, TrackerConfig
+from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import RIVAL, SURE
-from eagor.tracking.motion import MotionModel
 from eagor.tracking.tracker import DirectionTracker
 
 GRID = PatchGrid(12, 24)
@@ -84,7 +83,7 @@ def test_the_published_profile_is_the_published_recursion_step_for_step(turns):
         tracker.add_pose(float(step), world_R_now)
         tracker.observe(Evidence.from_response(response, GRID, stamp=float(step)))
         estimate = tracker.estimate(float(step))
-        held = Belief(estimate.cases.standing.coarse.coefficients).predict(world_R_now.T)
+        held = Belief(estimate.hypotheses.standing.coarse.coefficients).predict(world_R_now.T)
         assert np.allclose(held.coefficients, coefficients, atol=1e-9)
         assert np.allclose(estimate.direction, Belief(coefficients).mean_direction(), atol=1e-9)
 
@@ -97,7 +96,7 @@ def test_looks_that_repeat_each_other_add_up_in_part(count):
     for t in range(count):
         tracker.observe(Evidence.from_response(response, GRID, calibration, float(t)))
     one = Evidence.from_response(response, GRID, calibration).coefficients(15)
-    held = tracker.estimate(count - 1.0).cases.standing.coarse.coefficients
+    held = tracker.estimate(count - 1.0).hypotheses.standing.coarse.coefficients
     assert np.allclose(held, (0.4 * count + 0.6) * one, atol=1e-9)
 
 
@@ -361,7 +360,7 @@ def test_a_camera_that_is_not_above_the_floor_is_refused_and_leaves_the_tracker_
     assert np.array_equal(said(tracker.estimate(0.0)), before)
     tracker.observe(look(FORWARD, 1.0))
     tracker.add_pose(1.0, np.eye(3), np.array([0.1, 0.0, 1.2]))
-    assert tracker.estimate(1.0).presence > tracker.estimate(1.0).cases.weights[0]
+    assert tracker.estimate(1.0).presence > tracker.estimate(1.0).hypotheses.weights[0]
 
 
 # --- targets ----------------------------------------------------------------------------------------------------------
@@ -733,36 +732,3 @@ def test_a_configuration_without_a_meaning_is_refused(name, value):
 def test_answers_without_a_meaning_are_refused(name, value):
     with pytest.raises(EagorError, match=f"AnswerSettings: {name} = .*; wanted"):
         AnswerSettings(**{name: value})
-
-
-@pytest.mark.parametrize(
-    ("old", "value", "new"),
-    [
-        ("floor", 0.5, TrackerConfig(floor_height=0.5)),
-        ("motion", MotionModel.still(), TrackerConfig(target_motion=MotionModel.still())),
-        ("decode", "mean", TrackerConfig(answers=AnswerSettings(decode="mean"))),
-        ("stale_after", 2.0, TrackerConfig(answers=AnswerSettings(stale_after=2.0))),
-    ],
-)
-def test_old_names_of_settings_work_and_warn(old, value, new):
-    with pytest.warns(DeprecationWarning, match=rf"TrackerConfig\.{old} is now") as caught:
-        config = TrackerConfig(**{old: value})
-    assert caught[0].filename == __file__, "the warning points to the line that has to change"
-    assert config == new
-    with pytest.warns(DeprecationWarning, match=rf"TrackerConfig\.{old} is now") as caught:
-        assert getattr(config, old) == value
-    assert caught[0].filename == __file__
-
-
-def test_old_names_of_several_nested_settings_work_together():
-    with pytest.warns(DeprecationWarning, match="is now"):
-        config = TrackerConfig(decode="mean", stale_after=2.0)
-    assert config == TrackerConfig(answers=AnswerSettings("mean", 2.0))
-
-
-def test_the_old_name_of_add_pose_works_and_warns():
-    tracker = DirectionTracker()
-    with pytest.warns(DeprecationWarning, match="add_pose"):
-        tracker.rotate(0.0, np.eye(3), [0.0, 0.0, 1.0])
-    assert tracker.estimate(0.0).direction is None
-    assert "1 poses" in repr(tracker)

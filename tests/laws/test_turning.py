@@ -13,7 +13,7 @@ from eagor.evidence.detector import Alarms, Spread
 from eagor.grids import ErpGrid
 from eagor.sphere import angular_distance, rotation, unit
 from eagor.tracking.look import Look, Sight
-from eagor.tracking.turning import Turning
+from eagor.tracking.moving import TurningTarget
 
 GRID = ErpGrid(96, 192)
 PD = 0.7
@@ -38,7 +38,7 @@ def circling(step):
 
 def followed(steps=20, noise=0.0, seed=0):
     """After looks of one second each at what circles."""
-    rng, turning = np.random.default_rng(seed), Turning.prior(RATES)
+    rng, turning = np.random.default_rng(seed), TurningTarget.prior(RATES)
     for step in range(steps):
         if step:
             turning = turning.after(1.0, 0.0, 0.0)
@@ -53,7 +53,7 @@ def mean(turning):
 
 
 def test_nothing_is_known_before_a_look():
-    assert np.allclose(Turning.prior(RATES).density(GRID.directions), 1)
+    assert np.allclose(TurningTarget.prior(RATES).density(GRID.directions), 1)
 
 
 def test_a_steady_turn_is_learnt():
@@ -104,7 +104,7 @@ def test_what_is_foretold_for_each_scale_of_the_spread_is_the_mean_of_its_ratio(
 
 def test_turning_the_world_turns_the_belief():
     turn = rotation(unit(np.array([1.0, 2.0, -0.5])), 1.1)
-    ours = theirs = Turning.prior(RATES)
+    ours = theirs = TurningTarget.prior(RATES)
     rng = np.random.default_rng(3)
     for step in range(8):
         place = unit(circling(step) + 0.1 * rng.normal(size=3))
@@ -163,6 +163,6 @@ def test_a_turn_is_not_taken_for_a_wide_spread(stated, scale, speed):
         found = [unit(place + MODEL.spread * rng.normal(size=3))] if rng.random() < 0.7 else np.zeros((0, 3))
         tracker.observe(Evidence.from_points(found, detector=model, stamp=float(step)))
     estimate = tracker.estimate(39.0)
-    spread = estimate.cases.standing.spread
+    spread = estimate.hypotheses.standing.spread
     assert estimate.moving > 0.8
     assert float(spread.otherwise[spread.scales == scale].sum()) > 0.9

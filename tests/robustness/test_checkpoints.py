@@ -17,8 +17,7 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
 from eagor.sphere import world_R_body
 from eagor.tracking.checkpoint import VERSION
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 CONFIGS = {

@@ -8,8 +8,7 @@ import pytest
 
 from eagor._lazy import lazy
 from eagor.evidence import Evidence
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
 THREADS = 8

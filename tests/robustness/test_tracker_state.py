@@ -10,8 +10,7 @@ import pytest
 from eagor.errors import EagorError, PoseError, TimeError
 from eagor.evidence import Evidence
 from eagor.sphere import world_R_body
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.poses import POSES
 from eagor.tracking.tracker import TARGETS, DirectionTracker
 from eagor.tracking.tracks import APART, MOMENTS, NEWEST, VIEWS

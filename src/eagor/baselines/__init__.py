@@ -24,10 +24,9 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eagor.baselines.detected import BestDetection, LastDetection
 from eagor.baselines.filters import GridFilter, HistogramFilter, ParticleFilter, Published, VonMisesFisherFilter
 from eagor.baselines.maps import GRID
-from eagor.baselines.per_frame import Centroid, CircularCentroid, Plain
+from eagor.baselines.one_look import BestDetection, Centroid, CircularCentroid, LastDetection, Plain
 from eagor.evidence import Evidence
 
 __all__ = [

@@ -18,8 +18,7 @@ from eagor.baselines import maps
 from eagor.baselines.maps import GRID
 from eagor.belief import Belief
 from eagor.evidence import Evidence
-from eagor.evidence.calibration import Calibration
-from eagor.evidence.response import SILENT
+from eagor.evidence.calibration import SILENT, Calibration
 from eagor.harmonics.peaks import peak_on_grid
 from eagor.sphere import FORWARD, check_rotation, unit
 

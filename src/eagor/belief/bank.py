@@ -26,11 +26,13 @@ since either the target was detected, and no look-alike is there, or a look-alik
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eagor.evidence.habits import Habits
+from eagor._lazy import lazy
+from eagor.evidence.detector import Habits
 from eagor.grids import ErpGrid
 
 # Maps beside the posteriors of the two habits, counted from the end: see the properties of `Bank`.
@@ -103,7 +105,7 @@ class Bank:
         if explained is None:
             return found
         left = np.minimum(self.excused - explained, 0.0)
-        return np.logaddexp(found + left, self.missed + _log_rest(left))
+        return _log_sum(found + left, self.missed + _log_rest(left))
 
     @property
     def silent(self) -> np.ndarray:
@@ -136,29 +138,35 @@ class Bank:
         return bool(self.maps[SCORED].any())
 
     @property
+    def sized(self) -> bool:
+        """Whether any size was told."""
+        return bool(self.maps[SIZED].any())
+
+    @lazy
     def recall(self) -> np.ndarray:
         """m ``(...)``: the probability that a target there is detected by the next look."""
-        return np.tensordot(self.habits.levels, self.target, axes=1)
+        return mixed(self.habits.levels, self.target)
 
-    @property
+    @lazy
     def alike_recall(self) -> np.ndarray:
         """The same for a look-alike; 0 if there are none."""
-        return np.tensordot(self.habits.alike_levels, self.alike, axes=1)
+        return mixed(self.habits.alike_levels, self.alike)
 
     def after(self, shown: Shown, weights: np.ndarray, taken: np.ndarray | float = 1.0) -> Bank:
         """After one more look; `weights` ``(S,)`` of the scales of the spread.
 
         `taken` ``(...)``: the share of what the look said that log T took in; log T' takes in as much.
         """
-        ratio = _mixed(shown.ratio, weights)
+        ratio = shown.ratio[0] if len(weights) == 1 else mixed(weights, shown.ratio)
         said = shown.share * (ratio - 1)
         own, other = self.habits.levels, self.habits.alike_levels
         maps = np.empty(self.maps.shape)
         count, middle = len(own), len(self.maps) - EXTRAS
-        total = _learnt(self.maps[:count], own, said, maps[:count])
+        total = _learnt(self.target, own, self.recall, said, maps[:count])
         maps[-EXTRAS:] = self.maps[-EXTRAS:]
         if len(other):
-            maps[LEAD] += taken * np.log(_learnt(self.maps[count:middle], other, said, maps[count:middle]) / total)
+            total = _learnt(self.alike, other, self.alike_recall, said, maps[count:middle]) / total
+            maps[LEAD] += taken * np.log(total)
         hit = shown.share * np.maximum(1 - 1 / np.maximum(ratio, 1.0), 0.0)
         maps[SILENT] += np.log1p(-np.minimum(hit, 1 - 1e-12))
         maps[HITS] += hit
@@ -171,16 +179,19 @@ class Bank:
         silence = silence.reshape((1,) * (maps.ndim - 1)) if silence.ndim == 0 else silence
         shape = np.broadcast_shapes(self.never.shape[1:], silence.shape)
         never = np.empty((count + 1, *shape))
-        never[-1] = self.never[-1] + np.log(_learnt(self.never[:-1], own, silence, never[:-1]))
+        unseen = self.never[:-1]
+        never[-1] = self.never[-1] + np.log(_learnt(unseen, own, mixed(own, unseen), silence, never[:-1]))
         return replace(self, maps=maps, never=never)
 
     def renewed(self, share: float) -> Bank:
         """After a `share` of the places has drawn its habit anew."""
         if share <= 0 or len(self.maps) == 1 + EXTRAS:
             return self
-        maps, never = self.maps.copy(), self.never.copy()
+        maps, never = np.empty(self.maps.shape), self.never.copy()
         prior = np.concatenate([self.habits.shares, self.habits.alike_shares])
-        maps[:-EXTRAS] += share * (_column(prior, maps.ndim - 1) - maps[:-EXTRAS])
+        np.multiply(self.maps[:-EXTRAS], 1 - share, out=maps[:-EXTRAS])
+        maps[:-EXTRAS] += _column(share * prior, maps.ndim - 1)
+        maps[-EXTRAS:] = self.maps[-EXTRAS:]
         never[:-1] += share * (_column(self.habits.shares, maps.ndim - 1) - never[:-1])
         return replace(self, maps=maps, never=never)
 
@@ -243,28 +254,35 @@ def _log_rest(log: np.ndarray) -> np.ndarray:
     return np.log(-np.expm1(np.minimum(log, -1e-300)))
 
 
-def _mixed(ratio: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The mean ``(...)`` of ratios ``(S, ...)``."""
-    return ratio[0] if len(weights) == 1 else np.tensordot(weights, ratio, axes=1)
+def _log_sum(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """log(exp(one) + exp(other)) ``(...)`` of finite values: as `np.logaddexp`, a fifth of its time."""
+    return np.maximum(one, other) + np.log1p(np.exp(-np.abs(one - other)))
+
+
+def mixed(weights: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    """The sum ``(...)`` of maps ``(P, ...)`` with `weights` ``(P,)``: as `np.tensordot`, at less overhead."""
+    return (weights @ maps.reshape(len(weights), math.prod(maps.shape[1:]))).reshape(maps.shape[1:])
 
 
 def _column(values: np.ndarray, dimensions: int) -> np.ndarray:
     return values.reshape(-1, *[1] * dimensions)
 
 
-def _learnt(prior: np.ndarray, levels: np.ndarray, said: np.ndarray, into: np.ndarray) -> np.ndarray:
+def _learnt(
+    prior: np.ndarray, levels: np.ndarray, recall: np.ndarray, said: np.ndarray, into: np.ndarray
+) -> np.ndarray:
     """The posterior of a habit ``(P, ...)`` after a look, written to `into`, and the look's mean ratio ``(...)``.
 
-    `said` ``(...)``: v (S - 1).
+    `recall` ``(...)``: the mean of the `levels` over the `prior`; `said` ``(...)``: v (S - 1).
     """
     if len(levels) == 1:  # nothing to learn
         into[...] = prior
         return 1 + levels[0] * said
-    np.multiply(_column(levels, said.ndim), said, out=into)
-    into += 1
+    # The prior sums to 1 but for rounding. Taken for 1, its error would grow from look to look.
+    total = prior.sum(axis=0) + recall * said
+    np.multiply(_column(levels, said.ndim), said / total, out=into)
+    into += 1 / total
     into *= prior
-    total = into.sum(axis=0)
-    into /= total
     return total
 
 

@@ -1,11 +1,14 @@
-"""The basins of a field on the sphere: which peak each cell belongs to."""
+"""The basins of a field on the sphere, and its places: which part of it belongs to which of its peaks."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+
+from eagor.belief.field import LARGEST, SphereField, cells_of
 
 # Nats from a peak down to the saddle at which it counts as one of its own. It is Rayleigh's criterion, by which the eye
 # sees two points of light apart: the light between them falls to 0.735 of that of the points.
@@ -27,34 +30,58 @@ def _neighbours(values: np.ndarray) -> list[np.ndarray]:
     around = np.empty((height + 2, width + 2), values.dtype)
     around[1:-1, 1:-1] = values
     for row, edge in ((0, values[0]), (-1, values[-1])):  # beyond a pole: the opposite meridian
-        around[row, 1:-1] = np.roll(edge, width // 2)
+        around[row, 1:-1] = _opposite(edge)
     around[:, 0], around[:, -1] = around[:, -2], around[:, 1]
     places = [(1, 2), (2, 0), (2, 1), (2, 2), (1, 0), (0, 2), (0, 1), (0, 0)]
     return [around[row : row + height, column : column + width] for row, column in places]
 
 
 @lru_cache(maxsize=4)
-def _indices(shape: tuple[int, int]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """The index of each cell ``(H, W)``, and those of its neighbours."""
-    index = np.arange(shape[0] * shape[1]).reshape(shape)
-    return index, tuple(_neighbours(index))
+def _indices(shape: tuple[int, int]) -> np.ndarray:
+    """The index of each cell ``(H, W + 2)``, `_wrapped`."""
+    return _wrapped(np.arange(shape[0] * shape[1]).reshape(shape))
 
 
 def climbed(field: np.ndarray) -> np.ndarray:
     """For each cell, the index of the peak that steepest ascent leads to ``(H, W)``."""
-    index, around = _indices(field.shape)  # type: ignore[arg-type]
-    best, target = field.copy(), index.copy()
-    for value, where in zip(_neighbours(field), around, strict=True):
-        # Equal values lead to the larger index, so that plateaus have one peak and no cycles.
-        better = (value > best) | ((value == best) & (where > target))
-        np.copyto(best, value, where=better)
-        np.copyto(target, where, where=better)
-    target = target.reshape(-1)
+    height, width = field.shape
+    # The highest of a cell and its eight neighbours: first along the rows, then, of those, along the columns.
+    best, target = np.empty((height + 2, width)), np.empty((height + 2, width), dtype=np.intp)
+    wide, index = _wrapped(field), _indices((height, width))
+    sides = slice(None, -2), slice(1, -1), slice(2, None)
+    best[1:-1], target[1:-1] = _highest([wide[:, side] for side in sides], [index[:, side] for side in sides])
+    for beyond, edge in ((0, 1), (-1, -2)):  # beyond a pole: the opposite meridian
+        best[beyond], target[beyond] = _opposite(best[edge]), _opposite(target[edge])
+    target = _highest([best[side] for side in sides], [target[side] for side in sides])[1].reshape(-1)
     while True:
-        further = target[target]
+        further = target.take(target)
         if np.array_equal(further, target):
             return target.reshape(field.shape)
         target = further
+
+
+def _opposite(row: np.ndarray) -> np.ndarray:
+    """A row ``(W,)`` half a turn further."""
+    half = len(row) // 2
+    return np.concatenate([row[-half:], row[:-half]])
+
+
+def _wrapped(values: np.ndarray) -> np.ndarray:
+    """`values` ``(H, W)`` with one more column at both sides, across the seam."""
+    return np.concatenate([values[:, -1:], values, values[:, :1]], axis=1)
+
+
+def _highest(values: list[np.ndarray], indices: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The highest of three `values` ``(H, W)`` each, and its index of `indices` ``(H, W)``.
+
+    Equal values lead to the larger index, so that plateaus have one peak and no cycles.
+    """
+    best, target = values[1].copy(), indices[1].copy()
+    for value, where in ((values[0], indices[0]), (values[2], indices[2])):
+        better = (value > best) | ((value == best) & (where > target))
+        np.copyto(best, value, where=better)
+        np.copyto(target, where, where=better)
+    return best, target
 
 
 def _saddles(field: np.ndarray, label: np.ndarray) -> list[tuple[tuple[int, int], float]]:
@@ -78,7 +105,9 @@ def _saddles(field: np.ndarray, label: np.ndarray) -> list[tuple[tuple[int, int]
 def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarray:
     """Labels after merging shallow basins into a higher neighbour (persistence, highest saddle first)."""
     flat = field.reshape(-1)
-    parent = {int(peak): int(peak) for peak in np.unique(label)}
+    there = np.zeros(flat.size, dtype=bool)
+    there[label] = True
+    parent = {peak: peak for peak in np.flatnonzero(there).tolist()}
 
     def root(peak: int) -> int:
         while parent[peak] != peak:
@@ -93,3 +122,42 @@ def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarra
     for peak in parent:
         table[peak] = root(peak)
     return table[label]
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """The basins of a field, numbered from 0 to `count` - 1.
+
+    Of its `cells` ``(H, W)``, and of its `patches` ``(n,)``: each is one place, that of the cell below its peak.
+    """
+
+    count: int
+    cells: np.ndarray
+    patches: np.ndarray
+
+    @classmethod
+    def of(cls, field: SphereField, labels: tuple[int, np.ndarray]) -> Places:
+        """With the `labels` of the cells."""
+        grid, (count, cells) = field.grid, labels
+        tops = [patch.directions.reshape(-1, 3)[int(patch.values.argmax())] for patch in field.patches]
+        return cls(count, cells, cells.reshape(-1)[cells_of(grid, np.array(tops).reshape(-1, 3))])
+
+
+def labelled(values: np.ndarray) -> tuple[int, np.ndarray]:
+    """The number of basins of a field ``(H, W)``, and that of each cell ``(H, W)``: each climbs to its peak."""
+    label = climbed(values).reshape(-1)
+    there = np.zeros(len(label), dtype=bool)
+    there[label] = True
+    return int(there.sum()), (np.cumsum(there) - 1)[label].reshape(values.shape)
+
+
+def log_sums(field: SphereField, places: Places) -> np.ndarray:
+    """log of the integral ``(m,)`` of exp(field) over each of the places."""
+    log, weight, _ = field.nodes
+    of_patches = [np.full(patch.values.size, home) for patch, home in zip(field.patches, places.patches, strict=True)]
+    home = np.concatenate([places.cells.reshape(-1)[field.free], *of_patches])
+    top = np.full(places.count, -np.inf)
+    np.maximum.at(top, home, log)
+    top = np.clip(top, -LARGEST, None)  # a place may lie under patches of other places
+    sums = np.bincount(home, np.exp(log - top[home]) * weight, minlength=places.count)
+    return np.log(np.maximum(sums, math.exp(-LARGEST))) + top

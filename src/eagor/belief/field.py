@@ -1,4 +1,10 @@
-"""A field on the sphere: a coarse grid of the whole sphere, and fine patches about its peaks."""
+"""A field on the sphere: a coarse grid of the whole sphere, and fine patches about its peaks.
+
+Between the nodes of a patch values are cubic splines, mirrored at the borders: the same as
+``scipy.ndimage.map_coordinates(..., order=3, mode="mirror")``, but vectorised over points, and with weights shared by
+fields on the same nodes: under half of SciPy's time for one field, under a third for three. Beside a steep flank of
+hundreds of nats a spline swings by many, which `over` limits.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +16,71 @@ from typing import Self
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import inherited, lazy
 from eagor.grids import ErpGrid, ErpWindow
+
+
+def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = None) -> np.ndarray:
+    """Fields ``(..., n_1, ..., n_d)`` at `places` ``(d, m...)``, counted in nodes from 0 to n - 1: ``(..., m...)``.
+
+    By at most `over` they exceed the nodes around a place.
+    """
+    shape = values.shape[-len(places) :]
+    lower = places.astype(np.intp).reshape(len(places), -1)
+    weights = _weights(places.reshape(lower.shape) - lower)
+    first = np.zeros(lower.shape[1], dtype=np.intp)
+    coefficients = values
+    for axis, count in enumerate(shape, start=-len(shape)):
+        coefficients = np.swapaxes(np.swapaxes(coefficients, axis, -1) @ _coefficients(count), axis, -1)
+        first = first * (count + 3) + lower[axis]
+    near = coefficients.reshape(-1, coefficients[(0,) * (values.ndim - len(shape))].size)
+    near = near.take(first + _neighbours(shape), axis=1).reshape(len(near), *[4] * len(shape), len(first))
+    for weight in weights[::-1]:
+        near = np.einsum("...an,an->...n", near, weight)
+    if over is not None:
+        corners = values.reshape(-1, math.prod(shape)).take(_first(lower, shape) + _corners(shape), axis=1)
+        near = np.clip(near, corners.min(axis=1) - over, corners.max(axis=1) + over)
+    return near.reshape(*values.shape[: -len(shape)], *places.shape[1:])
+
+
+def _first(lower: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The flat index ``(m,)`` of the node below each of m places, the last but one at the upper border."""
+    highest = np.array(shape)[:, None] - 2
+    return np.asarray(np.ravel_multi_index(tuple(np.minimum(lower, highest)), shape))
+
+
+@lru_cache(maxsize=16)
+def _corners(shape: tuple[int, ...]) -> np.ndarray:
+    """How far behind the node below a place each of the nodes around it lies ``(2^d, 1)``."""
+    return np.ravel_multi_index(np.ix_(*[np.arange(2)] * len(shape)), shape).reshape(-1, 1)
+
+
+def _weights(beyond: np.ndarray) -> np.ndarray:
+    """Of the four nodes around points ``(d, 4, m)`` that lie `beyond` ``(d, m)`` the second: the cubic B-spline."""
+    short = 1 - beyond
+    squared, rest = beyond * beyond, short * short
+    found = [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
+    return np.stack(found, axis=1)
+
+
+@lru_cache(maxsize=16)
+def _coefficients(count: int) -> np.ndarray:
+    """From `count` values to the coefficients of the spline through them ``(count, count + 3)``.
+
+    One before and two beyond the nodes are mirrored.
+    """
+    at = np.abs(np.arange(-1, count + 2))
+    mirrored = np.eye(count)[np.where(at >= count, 2 * count - 2 - at, at)]
+    sampled = (mirrored[:-3] + 4 * mirrored[1:-2] + mirrored[2:-1]) / 6  # the spline at its nodes
+    return np.linalg.solve(sampled.T, mirrored.T)
+
+
+@lru_cache(maxsize=16)
+def _neighbours(shape: tuple[int, ...]) -> np.ndarray:
+    """How far behind the first of the 4^d coefficients around a point each of them lies ``(4^d, 1)``."""
+    places = np.ix_(*[np.arange(4)] * len(shape))
+    return np.ravel_multi_index(places, [count + 3 for count in shape]).reshape(-1, 1)
+
 
 MARGIN = 4  # cells of padding that interpolation needs
 LARGEST = 700.0  # nats: the exponential still fits a float64
@@ -34,11 +103,7 @@ class Nodes:
 
     def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; cached geometry is kept."""
-        found = replace(self, values=values)
-        for name in ("directions", "weights"):
-            if name in self.__dict__:
-                found.__dict__[name] = self.__dict__[name]
-        return found
+        return inherited(replace(self, values=values), self, "directions", "weights")
 
     @lazy
     def directions(self) -> np.ndarray:
@@ -82,10 +147,17 @@ class Patch(Nodes):
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
-        from scipy.ndimage import map_coordinates
+        return interpolated(self.values, (places + 1) * ((self.values.shape[0] - 1) / 2))
 
-        count = self.values.shape[0]
-        return map_coordinates(self.values, (places + 1) * ((count - 1) / 2), order=3, mode="mirror")
+    def finer(self, times: int) -> np.ndarray:
+        """Values ``(m, m)`` at nodes `times` as dense, m = (n - 1) times + 1, by the same spline."""
+        table = _refining(len(self.values), times)
+        return table @ self.values @ table.T
+
+    def fine_nodes(self, grid: ErpGrid, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Directions ``(m m, 3)`` and solid angles ``(m m,)`` of these nodes, and the cell of a grid around each."""
+        count = (len(self.values) - 1) * times + 1
+        return _fine_nodes(grid, count, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
     @property
     def least_ahead(self) -> float:
@@ -99,6 +171,28 @@ def _cells(grid: ErpGrid, frame: bytes, half: bytes, bend: bytes) -> np.ndarray:
     directions = grid.directions.reshape(-1, 3)
     near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
     return near[patch.places(directions.take(near, axis=0))[1]]
+
+
+@lru_cache(maxsize=16)
+def _fine_nodes(
+    grid: ErpGrid, count: int, frame: bytes, half: bytes, bend: bytes
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    plane = np.frombuffer(half), np.frombuffer(bend)
+    directions = plane_directions(count, np.frombuffer(frame).reshape(3, 3), *plane).reshape(-1, 3)
+    return directions, plane_weights(count, *plane).reshape(-1), cells_of(grid, directions)
+
+
+@lru_cache(maxsize=16)
+def _refining(count: int, times: int) -> np.ndarray:
+    """From values at `count` nodes along an axis to those at nodes `times` as dense, a matrix ``(m, count)``."""
+    fine = np.linspace(0, count - 1, (count - 1) * times + 1)
+    return interpolated(np.eye(count), fine[None]).T
+
+
+def cells_of(grid: ErpGrid, directions: np.ndarray) -> np.ndarray:
+    """The flat index ``(...)`` of the cell of a grid that each direction ``(..., 3)`` lies in."""
+    x, y, _ = grid.project(directions)
+    return np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
 
 
 def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,8 +245,11 @@ class SphereField:
         if not self.patches:
             return found
         directions = where if isinstance(where, np.ndarray) else where.directions
-        shape = found.shape
-        found, directions = np.array(found).reshape(-1), directions.reshape(-1, 3)
+        return self.with_patches(found.reshape(-1), directions.reshape(-1, 3)).reshape(found.shape)
+
+    def with_patches(self, values: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """`values` ``(n,)`` at directions ``(n, 3)``, replaced by those of the patches where they lie."""
+        found = values.copy()
         nearest = np.full(found.shape, np.inf)
         for patch in self.patches:
             near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
@@ -163,7 +260,7 @@ class SphereField:
             inside &= depth < nearest[near]
             found[near[inside]] = patch.at(places[:, inside])
             nearest[near[inside]] = depth[inside]
-        return found.reshape(shape)
+        return found
 
     def smooth(self, where: ErpGrid | ErpWindow | np.ndarray, order: int = 3) -> np.ndarray:
         """The values of the grid alone, by splines of this order (1: linear, which is several times as fast)."""
@@ -204,14 +301,14 @@ class SphereField:
         return free
 
     @lazy
-    def _free(self) -> np.ndarray:
+    def free(self) -> np.ndarray:
         """The flat indices ``(m,)`` of the cells outside of all patches."""
         return np.flatnonzero(self.outside)
 
     @lazy
     def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Values and solid angles of the cells in no patch, and of the nodes of each patch."""
-        cells = self.values.reshape(-1)[self._free], self.grid.weights[:, 0][self._free // self.grid.width]
+        cells = self.values.reshape(-1)[self.free], self.grid.weights[:, 0][self.free // self.grid.width]
         nodes = [(p.values.reshape(-1), s.reshape(-1)) for p, s in zip(self.patches, self.shares, strict=True)]
         return [cells, *nodes]
 
@@ -240,7 +337,7 @@ class SphereField:
             return self.values.reshape(-1), self.grid.weights.reshape(-1), self.grid.directions.reshape(-1, 3)
         values = [part for part, _ in self._parts]
         weights = [part for _, part in self._parts]
-        directions = [self.grid.directions.reshape(-1, 3).take(self._free, axis=0)]
+        directions = [self.grid.directions.reshape(-1, 3).take(self.free, axis=0)]
         directions += [patch.directions.reshape(-1, 3) for patch in self.patches]
         return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
 

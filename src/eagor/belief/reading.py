@@ -9,7 +9,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.belief.basins import PROMINENCE, basins
-from eagor.belief.field import Patch, SphereField, bent, plane_directions, plane_weights
+from eagor.belief.field import Patch, SphereField, bent, cells_of
 from eagor.harmonics.peaks import refine
 from eagor.sphere import unit
 
@@ -29,35 +29,44 @@ class Reading:
     field: SphereField
     least: float = -math.inf
 
-    @lazy
+    @property
     def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values ``(n,)``, solid angles ``(n,)`` and directions ``(n, 3)`` of small cells that cover the sphere."""
+        return self._parts[:3]
+
+    @lazy
+    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The `parts`, and the cell of the grid ``(n,)`` that each lies in; first the cells that are not refined."""
         field, grid = self.field, self.field.grid
-        free = field.outside
-        values, weights, directions = field.values[free], grid.weights[free], grid.directions[free]
-        mass = np.exp(values - field.log_mean) * weights / (4 * math.pi)
-        heavy = mass > HEAVY
-        found = [(values[~heavy], weights[~heavy], directions[~heavy])]
+        row_weights = grid.weights[:, 0]
+
+        def of_cells(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return field.values.reshape(-1)[cells], row_weights[cells // grid.width]
+
+        values, weights = of_cells(field.free)
+        heavy = np.exp(values - field.log_mean) * weights / (4 * math.pi) > HEAVY
+        light = field.free[~heavy]
+        found = [(*of_cells(light), grid.directions.reshape(-1, 3).take(light, axis=0), light)]
         if heavy.any():
-            rows, columns = np.nonzero(free)
-            rows, columns = rows[heavy], columns[heavy]
+            home = field.free[heavy]
+            rows, columns = np.divmod(home, grid.width)
             at = (np.arange(FINER) + 0.5) / FINER
             y = (rows[:, None, None] + at[None, :, None]) + np.zeros((1, 1, FINER))
             x = (columns[:, None, None] + at[None, None, :]) + np.zeros((1, FINER, 1))
             cells = grid.unproject(x, y).reshape(-1, 3)
             cosine = np.cos(math.pi / 2 - math.pi * y / grid.height)
             shares = cosine / cosine.sum(axis=(1, 2), keepdims=True) * weights[heavy][:, None, None]
-            found.append((field.smooth(cells), shares.reshape(-1), cells))
+            found.append((field.smooth(cells), shares.reshape(-1), cells, np.repeat(home, FINER * FINER)))
         for index, patch in enumerate(field.patches):
-            count = (patch.values.shape[0] - 1) * FINER + 1
-            side = np.linspace(-1, 1, count)
-            places = np.stack(np.meshgrid(side, side, indexing="ij")).reshape(2, -1)
-            cells = plane_directions(count, patch.frame, patch.half, patch.bend).reshape(-1, 3)
-            shares = field.owned(index, cells, plane_weights(count, patch.half, patch.bend).reshape(-1))
-            counts = shares > 0
-            found.append((patch.at(places)[counts], shares[counts], cells[counts]))
-        values, weights, directions = zip(*found, strict=True)
-        return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
+            cells, shares, home = patch.fine_nodes(grid, FINER)
+            values, shares = patch.finer(FINER).reshape(-1), field.owned(index, cells, shares)
+            if len(field.patches) > 1:
+                counts = np.flatnonzero(shares)
+                values, shares, home = values[counts], shares[counts], home[counts]
+                cells = cells.take(counts, axis=0)
+            found.append((values, shares, cells, home))
+        values, weights, directions, homes = (np.concatenate(column) for column in zip(*found, strict=True))
+        return values, weights, directions, homes
 
     @lazy
     def log_total(self) -> float:
@@ -135,9 +144,7 @@ class Reading:
             if inside:
                 return _top_of_patch(patch, places)
         grid = self.field.grid
-        x, y, _ = grid.project(direction)
-        cell = min(int(y), grid.height - 1) * grid.width + int(x) % grid.width
-        found, _ = refine(grid, self.field.values.reshape(-1), cell)
+        found, _ = refine(grid, self.field.values.reshape(-1), int(cells_of(grid, direction)))
         near = found @ direction > math.cos(2 * math.pi / grid.height)
         return found if near else direction
 
@@ -147,16 +154,16 @@ class Reading:
 
         Parts further from their top than `NEAR` belong to no basin: a slope all around the sphere is not a place.
         """
-        values, _, directions = self.parts
+        values, _, directions, home = self._parts
         grid = self.field.grid
-        x, y, _ = grid.project(directions)
-        home = np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
         tops = self.field.values.reshape(-1).copy()
         if self.field.patches:
             tops[~self.field.outside.reshape(-1)] = -np.inf
             np.maximum.at(tops, home, values)
-            lost = ~np.isfinite(tops)  # cells without own nodes
-            tops[lost] = self.field(grid.directions.reshape(-1, 3)[lost])
+            lost = np.flatnonzero(~np.isfinite(tops))  # cells without own nodes
+            if len(lost):
+                cells = self.field.values.reshape(-1)[lost]
+                tops[lost] = self.field.with_patches(cells, grid.directions.reshape(-1, 3).take(lost, axis=0))
         tops = np.maximum(tops, max(tops.max() - DEEP, min(self.least, tops.max() - 1)))
         label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
         there = np.zeros(len(label), dtype=bool)
@@ -168,7 +175,7 @@ class Reading:
         tied = np.flatnonzero(values == highest[of_part])
         top = np.zeros(count, dtype=np.intp)
         top[of_part[tied]] = tied  # of equal ones the last
-        near = np.einsum("ij,ij->i", directions, directions[top[of_part]]) > math.cos(NEAR)
+        near = np.einsum("ij,ij->i", directions, directions[top].take(of_part, axis=0)) > math.cos(NEAR)
         masses = np.bincount(of_part, self.mass * near, minlength=count)
         order = np.argsort(-masses, kind="stable")
         rank = np.empty_like(order)

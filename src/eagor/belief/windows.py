@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import known, lazy
 from eagor.belief.bank import Bank
-from eagor.belief.field import EVEN, Nodes, Patch, bent
-from eagor.belief.splines import interpolated
+from eagor.belief.field import EVEN, Nodes, Patch, bent, interpolated
 from eagor.evidence.detections import resolved, tangent_frame
 from eagor.sphere import cross
 
@@ -104,8 +103,7 @@ class Window(Nodes):
     def patch(self, prior: np.ndarray | None = None) -> Patch:
         """The window as a part of a field over directions."""
         found = Patch(self.frame, self.half, self.marginal(prior), self.bend)
-        found.__dict__["directions"], found.__dict__["weights"] = self.directions, self.weights
-        return found
+        return known(found, directions=self.directions, weights=self.weights)
 
     def finest(self, directions: np.ndarray) -> np.ndarray:
         """Spacing of the nodes (radians, ``(n,)``) at directions ``(n, 3)``: narrower detections are widened to it."""

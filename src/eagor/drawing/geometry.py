@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.belief.readable import Readable
+from eagor.belief.posterior import Readable
 from eagor.errors import EagorError
 from eagor.grids import PatchGrid
 from eagor.sphere import azimuth_elevation, unit

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor.belief.readable import Readable
+from eagor.belief.posterior import Readable
 from eagor.drawing.geometry import MASS, Heat, arrow, backdrop, heat_of, places, worth_an_arrow
 from eagor.drawing.sheet import INK, figure, image, plain
 from eagor.tracking.estimate import Estimate

@@ -35,8 +35,7 @@ from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 from eagor.worlds.ball import PAINTS
 

@@ -26,8 +26,7 @@ from eagor.evaluation.detector_places import (
 )
 from eagor.evaluation.labelled_looks import Assigned, Rows, sums
 from eagor.evaluation.score_curve import ScoreCurve, fitted_curve, knots_of
-from eagor.evidence.detector import DetectorModel
-from eagor.evidence.habits import LOOK_ALIKES
+from eagor.evidence.detector import LOOK_ALIKES, DetectorModel
 
 __all__ = ["Estimate", "Fitting", "doubt", "expected_look_alikes", "likeliest_errors", "short"]
 

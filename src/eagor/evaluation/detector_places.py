@@ -1,10 +1,11 @@
 """Places where detections come again and again, told from detections that do not.
 
 A place is detected in h of the n looks that had it in view; h is beta-binomial, since its habit is drawn once
-(`eagor.evidence.habits`). Detections that lie near each other in the world may be such a place, of one of several kinds
-(things, look-alikes), or transient false alarms that met by chance. With the expected number of places of each kind and
-their habits, this is a Poisson process of places among Poisson false alarms; `split` finds its likeliest numbers by
-expectation-maximisation. Places that were never detected count as well: they are what truncates the distribution.
+(`eagor.evidence.detector`). Detections that lie near each other in the world may be such a place, of one of several
+kinds (things, look-alikes), or transient false alarms that met by chance. With the expected number of places of each
+kind and their habits, this is a Poisson process of places among Poisson false alarms; `split` finds its likeliest
+numbers by expectation-maximisation. Places that were never detected count as well: they are what truncates the
+distribution.
 """
 
 from __future__ import annotations

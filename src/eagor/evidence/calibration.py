@@ -3,6 +3,8 @@
     r = temperature * log((l + floor) / (neutral + floor))
 
 for a response l in [0, 1]: positive above `neutral`, and bounded from below.
+
+`log_ratios` applies it to whole maps, after their checks.
 """
 
 from __future__ import annotations
@@ -12,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._arrays import Array, namespace
+from eagor._arrays import Array, namespace, table_like, to_numpy
 from eagor._checks import above, require, within
 from eagor._reprs import changed
 from eagor.errors import ResponseError
-from eagor.evidence.habits import RESPONSES, Habits
+from eagor.evidence.detector import RESPONSES, Habits
+from eagor.grids import Grid
 
 __all__ = ["Calibration"]
 
@@ -92,3 +95,112 @@ class Calibration:
     def full(self) -> float:
         """r of a response of 1: the highest value there is."""
         return float(self.log_ratio(np.array(1.0)))
+
+
+SILENT = 1e-6  # a smaller response is rounded zero, and must not be scaled up to a detection
+_LEAST_PEAK = 1e-30  # dividing by a smaller maximum overflows float32
+_BLOCK = 1 << 16  # values at a time, so that they stay in the cache
+
+
+def checked_response(response: Array, grid: Grid) -> Array:
+    """`response` as a floating array, once its shape fits `grid`."""
+    if not hasattr(response, "shape"):
+        response = np.asarray(response)
+    if tuple(response.shape[-2:]) != tuple(grid.shape) or 0 in tuple(response.shape):
+        raise ResponseError(
+            f"response has shape {tuple(response.shape)}; the grid wants (..., {grid.shape[0]}, {grid.shape[1]}) "
+            "and at least one value. Pass the grid that the response was computed on"
+        )
+    if isinstance(response, np.ndarray):
+        return response.astype(_working(response), copy=False)
+    xp = namespace(response)
+    if xp.isdtype(response.dtype, "complex floating"):
+        raise ResponseError(_NO_NUMBERS.format(response.dtype))
+    return response if xp.isdtype(response.dtype, "real floating") else xp.astype(response, xp.float32)
+
+
+def _working(response: np.ndarray) -> np.dtype:
+    """The type to compute in: float32 or float64, in this machine's order of bytes (`log_ratios` reads the bits)."""
+    if response.dtype.kind not in "fiub" or isinstance(response, np.ma.MaskedArray):
+        kind = "a masked array" if isinstance(response, np.ma.MaskedArray) else response.dtype
+        raise ResponseError(_NO_NUMBERS.format(kind))
+    return np.dtype(np.float64 if response.dtype.kind == "f" and response.dtype.itemsize > 4 else np.float32)
+
+
+_NO_NUMBERS = (
+    "response is {}; wanted an array of real numbers in [0, 1] (any float type). What is masked goes into coverage, a "
+    "complex response wants its magnitude"
+)
+
+
+def where_covered(response: Array, mask: np.ndarray) -> Array:
+    """`response` ``(..., H, W)`` with zeros where `mask` ``(H, W)`` says that nothing was covered."""
+    xp = namespace(response)
+    return xp.where(table_like(mask, response), response, xp.zeros_like(response))
+
+
+def log_ratios(response: Array, calibration: Calibration, peak: float) -> Array:
+    """The checked log ratio of ``response / peak``.
+
+    NumPy arrays are processed in blocks, and the division is folded into the gain: a second full map would cost more
+    than all the rest.
+    """
+    offset = calibration.floor / (calibration.neutral + calibration.floor)
+    gain = 1 / (calibration.neutral + calibration.floor) / peak
+    if not isinstance(response, np.ndarray):
+        xp = namespace(response)
+        if not (float(xp.min(response)) >= 0 and float(xp.max(response)) <= 1):
+            raise ResponseError(_what_is_wrong(to_numpy(response)))
+        return calibration.temperature * xp.log(response * gain + offset)
+    flat = np.ascontiguousarray(response).reshape(-1)
+    # Read as unsigned integers, floats in [0, 1] are the smallest: negative numbers have the sign bit set, NaN and
+    # infinity the largest exponents. So one maximum checks range and finiteness.
+    bits = flat.view(np.uint32 if flat.dtype.char == "f" else np.uint64)
+    one = 0x3F800000 if flat.dtype.char == "f" else 0x3FF0000000000000
+    out = np.empty_like(flat)
+    for start in range(0, flat.size, _BLOCK):
+        part = slice(start, start + _BLOCK)
+        if bits[part].max() > one:
+            _fail_unless_valid(response)
+        block = out[part]
+        np.multiply(flat[part], gain, out=block)
+        np.add(block, offset, out=block)
+        np.log(block, out=block)
+        if calibration.temperature != 1.0:
+            np.multiply(block, calibration.temperature, out=block)
+    return out.reshape(response.shape)
+
+
+def _fail_unless_valid(response: np.ndarray) -> None:
+    """The slow, exact check after the fast one, which also rejects -0.0."""
+    if not (response.min() >= 0 and response.max() <= 1):
+        raise ResponseError(_what_is_wrong(response))
+
+
+def _what_is_wrong(response: np.ndarray) -> str:
+    if not np.isfinite(response).all():
+        count = int((~np.isfinite(response)).sum())
+        return (
+            f"response has {count} values that are NaN or infinite; wanted numbers in [0, 1]. Give coverage (H, W) "
+            "that is 0 where they stand: what was not covered is not looked at"
+        )
+    return (
+        f"response runs from {response.min():g} to {response.max():g}; wanted [0, 1]. Logits want a sigmoid, "
+        "attention wants a fixed scale (not the frame's own maximum)"
+    )
+
+
+def peak_of(response: Array) -> float:
+    """What a single response is divided by, in the published scaling: its maximum, or 1 where that is 0."""
+    if len(response.shape) != 2:
+        raise ResponseError("scale_to_max reads one response (H, W) at a time; loop over the batch")
+    peak = float(namespace(response).max(response))
+    return peak if peak >= _LEAST_PEAK else 1.0
+
+
+def checked_coverage(coverage: np.ndarray, grid: Grid) -> np.ndarray:
+    """A copy of `coverage` ``(H, W)``, once its values are in [0, 1]."""
+    coverage = np.array(to_numpy(coverage), dtype=np.float64)
+    if coverage.shape != tuple(grid.shape) or not (coverage.min() >= 0 and coverage.max() <= 1):
+        raise ResponseError(f"coverage must have the grid's shape {tuple(grid.shape)} and values in [0, 1]")
+    return coverage

@@ -161,7 +161,7 @@ class Detections:
         `rows` ``(k, n)``: the weights of the detections in each sum. Detections are widened by each of `scales`
         ``(S,)``, and to at least `least` radians (or ``(n,)``); their mass is kept.
         """
-        lengths = np.sqrt(np.einsum("nij,nij->ni", self.axes, self.axes))
+        lengths = self._lengths
         exponents = self._exponents(directions)
         found = np.empty((len(scales), len(rows), exponents.shape[-1]))
         least = np.reshape(least, (-1, 1))
@@ -171,6 +171,11 @@ class Detections:
             falls = np.exp(-np.einsum("nix,ni->nx", exponents, factors**2))
             np.matmul(rows / self.clutter * norms, falls, out=sums)
         return found.reshape(len(scales), len(rows), *directions.shape[:-1])
+
+    @lazy
+    def _lengths(self) -> np.ndarray:
+        """1 over the standard deviation ``(n, 2)`` along each axis."""
+        return np.sqrt(np.einsum("nij,nij->ni", self.axes, self.axes))
 
     def _exponents(self, directions: np.ndarray) -> np.ndarray:
         """-log of g over its maximum, along each axis of each detection ``(n, 2, N)`` at N directions ``(..., 3)``.
@@ -204,22 +209,29 @@ class Detections:
         alarms: Alarms,
         least: np.ndarray | float = 0.0,
         told: np.ndarray | float = 1.0,
-    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        otherwise: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, np.ndarray]:
         """S ``(S, ...)``: the sum of g(z_i | w) / lambda(z_i) at directions ``(..., 3)``, at each of `scales` ``(S,)``.
 
         Also, of the detections that speak for each direction, the mean log score ratio ``(...)``, None without scores,
-        and the mean of `sizes` ``(...)``, None for points. `told` ``(n,)``: factors on the terms of the sum.
+        and the mean of `sizes` ``(...)``, None for points. `told` ``(n,)``: factors on the terms of the sum. Last, S
+        with the factors `otherwise` ``(n,)`` instead; None: the same.
         """
         if not len(self):
-            return np.zeros((len(scales), *directions.shape[:-1])), None, None
+            nothing = np.zeros((len(scales), *directions.shape[:-1]))
+            return nothing, None, None, nothing
         scored, sized = bool((self.ratios != 1).any()), bool(self.sizes.any())
         rows = [np.ones(len(self))]
         rows += [self.log_ratios] if scored else []
         rows += [self.sizes] if sized else []
-        found = self.densities(directions, scales, np.array(rows) * told, least)
-        means = list(found[:, 1:].sum(axis=0) / np.maximum(found[:, 0].sum(axis=0), 1e-300))
+        factors = [row * told for row in rows] + ([] if otherwise is None else [otherwise])
+        found = self.densities(directions, scales, np.array(factors), least)
+        means = list(found[:, 1 : len(rows)].sum(axis=0) / np.maximum(found[:, 0].sum(axis=0), 1e-300))
         scores = means.pop(0) if scored else None
-        return (alarms.inverse * self.area) * found[:, 0], scores, means.pop(0) if sized else None
+        sizes = means.pop(0) if sized else None
+        share = alarms.inverse * self.area
+        ratio = share * found[:, 0]
+        return ratio, scores, sizes, ratio if otherwise is None else share * found[:, -1]
 
 
 def bump_norms(lengths: np.ndarray) -> np.ndarray:

@@ -21,13 +21,19 @@ from eagor._checks import checked_stamp
 from eagor._reprs import changed
 from eagor.errors import ResponseError
 from eagor.evidence.averaging import averaged
-from eagor.evidence.calibration import Calibration
+from eagor.evidence.calibration import (
+    SILENT,
+    Calibration,
+    checked_coverage,
+    checked_response,
+    log_ratios,
+    peak_of,
+    where_covered,
+)
 from eagor.evidence.coverage import Region, confine, region, taper
 from eagor.evidence.detections import Detections, View, anisotropic, isotropic
-from eagor.evidence.detector import DetectorModel
-from eagor.evidence.habits import Habits
+from eagor.evidence.detector import DetectorModel, Habits
 from eagor.evidence.masking import BodyMask
-from eagor.evidence.response import SILENT, checked_coverage, checked_response, log_ratios, peak_of, where_covered
 from eagor.evidence.shapes import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics

@@ -1,6 +1,6 @@
 """The maximum of a field: one synthesis, one argmax, one quadratic fit to nine values, in any array library.
 
-The same fit gives the gradients and Hessians that `eagor.belief.diffusion` needs.
+The same fit gives the gradients and Hessians that `eagor.belief.direction` needs.
 """
 
 from __future__ import annotations

@@ -7,13 +7,17 @@
   computed in the view's frame and rotated into the body's.
 
 The first two are separable: one matrix product over longitude, one small one per order over latitude.
+
+The latitude part of all orders together has (2 degree + 1) (degree + 1) rows numbers: gigabytes from degree 200 on.
+Where it is too large, it is computed for a few orders at a time, used, and dropped.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -30,9 +34,8 @@ from eagor.grids import (
     forward_view,
     lens_of,
 )
-from eagor.harmonics.legendre import degrees, evaluate, latitude_table, longitude_table, orders
+from eagor.harmonics.legendre import degrees, evaluate, latitude_functions_of, latitude_table, longitude_table, orders
 from eagor.harmonics.rotation import rotate
-from eagor.harmonics.streamed import analysed, synthesised
 from eagor.sphere import check_directions
 
 BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1) ...
@@ -262,3 +265,47 @@ def pool(values: Array, edges: tuple[int, ...], axis: int) -> Array:
     first = xp.zeros_like(xp.take(last, table_like(np.asarray([0]), values), axis=axis))
     kept = xp.take(last, table_like(np.arange(len(edges) - 2), values), axis=axis)
     return last - xp.concat([first, kept], axis=axis)
+
+
+_BLOCK_BYTES = 1 << 25
+
+Made = Callable[[np.ndarray], np.ndarray]
+
+
+def analysed(degree: int, rings: Array, sines: np.ndarray, made: Made) -> Array:
+    """Coefficients by signed order and degree ``(2 degree + 1, degree + 1, B)`` of `rings` ``(2 degree + 1, H, B)``.
+
+    `made` turns latitude functions ``(..., n)`` at `sines` ``(n,)`` into their integrals over the rows ``(..., H)``.
+    """
+    xp = namespace(rings)
+    sine, cosine = [], []
+    for first, last, table in _blocks(degree, sines):
+        table = table_like(made(table), rings)
+        cosine.append(table @ rings[degree + first : degree + last, ...])
+        sine.append(table @ xp.flip(rings[degree - last + 1 : degree - first + 1, ...], axis=0))
+    return _signed(xp, sine, cosine)
+
+
+def synthesised(degree: int, packed: Array, sines: np.ndarray) -> Array:
+    """The rings ``(2 degree + 1, B, H)`` at `sines` ``(H,)`` of coefficients ``(2 degree + 1, B, degree + 1)``."""
+    xp = namespace(packed)
+    sine, cosine = [], []
+    for first, last, table in _blocks(degree, sines):
+        table = table_like(table, packed)
+        cosine.append(packed[degree + first : degree + last, ...] @ table)
+        sine.append(xp.flip(packed[degree - last + 1 : degree - first + 1, ...], axis=0) @ table)
+    return _signed(xp, sine, cosine)
+
+
+def _blocks(degree: int, sines: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+    """First and last order (exclusive) of each block, with its latitude functions ``(orders, degree + 1, n)``."""
+    most = max(1, math.floor(_BLOCK_BYTES / (8 * (degree + 1) * sines.size)))
+    for first in range(0, degree + 1, most):
+        last = min(first + most, degree + 1)
+        yield first, last, latitude_functions_of(degree, sines, first, last)
+
+
+def _signed(xp: Any, sine: list[Array], cosine: list[Array]) -> Array:
+    """Both by signed order, from -degree to degree."""
+    below = xp.flip(xp.concat(sine), axis=0)
+    return xp.concat([below[:-1, ...], *cosine])

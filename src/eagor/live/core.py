@@ -299,10 +299,10 @@ class LiveCore:
 
     def _unknown(self, now: float) -> Estimate:
         """The estimate of a target without evidence."""
-        from eagor.tracking.state import State
+        from eagor.tracking.tracks import State
 
         pose, position = self._tracker.pose_at(now)
-        return Estimate(now, math.inf, State.blank(self.config, now, position).cases, pose, self.config)
+        return Estimate(now, math.inf, State.blank(self.config, now, position).hypotheses, pose, self.config)
 
     def _wrong(self, now: float) -> list[Fault]:
         """What is wrong at this time: what was reported, what is overdue, what has just happened."""

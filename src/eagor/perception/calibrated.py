@@ -15,7 +15,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel, model_as_json
 from eagor.perception import short_name
-from eagor.tracking.motion import MotionModel
+from eagor.tracking.config import MotionModel
 
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
 # What older versions wrote of response maps, and of detectors, whose places have habits now.

@@ -77,8 +77,8 @@ class Shown:
         header["look"] = {"age": rounded(answer.look_age, 3), "fresh": self._fresh}
         self._fresh = False
         blobs: dict[str, Blob] = {}
-        if estimate.cases is not self._shown:  # computed anew, not only turned
-            self._shown = estimate.cases
+        if estimate.hypotheses is not self._shown:  # computed anew, not only turned
+            self._shown = estimate.hypotheses
             header["belief"], coefficients = belief_of(estimate, answer.stamp, estimate.config.degree)
             blobs["belief"] = Blob(FLOATS, coefficients)
         picture = self._picture

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.evidence.habits import Habits
+from eagor.evidence.detector import Habits
 from eagor.sphere import wrap
 
 LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says

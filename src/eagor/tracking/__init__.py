@@ -5,18 +5,16 @@ One look of one target takes this way:
 1. `tracker`: `DirectionTracker.observe` files the evidence under its target, `tracks` puts it where its time of capture
    belongs, and `poses` says where the camera was then.
 2. `look`: all evidence of one moment, turned into world axes.
-3. `cases`: is the target absent, does it stand (`standing`), wander (`wandering`), or turn (`turning`)? Each case
-   predicts the look, and is weighed by how well it did. `motion` has the rates at which targets change from case to
-   case.
-4. `state`: what is believed after the look; it carries itself to another time and place.
+3. `hypotheses`: is the target absent, does it stand (`stationary`), or wander or turn (`moving`)? Each hypothesis
+   predicts the look, and is weighed by how well it did.
+4. `tracks`: `State` is what is believed after the look; it carries itself to another time and place.
 5. `estimate`: the answer in the body frame of now, with its candidates, cone, presence and status.
 
-`config` has the settings.
+`config` has the settings, among them the rates at which targets begin and cease to move.
 """
 
-from eagor.tracking.config import AnswerSettings, TrackerConfig
+from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import Estimate, Mode, Status
-from eagor.tracking.motion import MotionModel
 from eagor.tracking.poses import PoseHistory
 from eagor.tracking.tracker import DirectionTracker
 

@@ -16,8 +16,8 @@ from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
 from eagor.sphere import azimuth_elevation, check_directions
-from eagor.tracking.cases import Cases
 from eagor.tracking.config import TrackerConfig
+from eagor.tracking.hypotheses import TargetHypotheses
 
 __all__ = ["Estimate", "Mode", "Status"]
 
@@ -49,14 +49,15 @@ class Mode:
 class Estimate:
     """The answer at one time, in the body frame of that time. All of it is read from one posterior.
 
-    `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any); `cases`:
-    the posterior, in WORLD axes; `world_R_body`: the pose at that time; `alarms`: the number of false alarms in a look,
-    where it is learnt. `spread`: radians per axis by which that pose may be off; regions are as much wider.
+    `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any);
+    `hypotheses`: the posterior, in WORLD axes; `world_R_body`: the pose at that time; `alarms`: the number of false
+    alarms in a look, where it is learnt. `spread`: radians per axis by which that pose may be off; regions are as much
+    wider.
     """
 
     stamp: float
     age: float
-    cases: Cases
+    hypotheses: TargetHypotheses
     world_R_body: np.ndarray
     config: TrackerConfig
     alarms: Alarms | None = None
@@ -73,7 +74,7 @@ class Estimate:
     @property
     def posterior(self) -> Reading:
         """The posterior over directions, given that the target is present; world axes."""
-        return self.cases.widened(self.spread)
+        return self.hypotheses.widened(self.spread)
 
     @lazy
     def direction(self) -> np.ndarray | None:
@@ -88,7 +89,7 @@ class Estimate:
         if math.isinf(self.age):
             return None
         if self.config.answers.decode == "mean":
-            return to_numpy(self.cases.standing.coarse.direction_belief().mean_direction())
+            return to_numpy(self.hypotheses.standing.coarse.direction_belief().mean_direction())
         field = self.posterior.field
         if float(np.ptp(field.values)) < FLAT and not field.patches:
             return None
@@ -134,7 +135,7 @@ class Estimate:
         """
         if self.of is not None:
             return self.of.size
-        return 0.0 if self._answer is None else 2 * self.cases.standing.size(self._answer)
+        return 0.0 if self._answer is None else 2 * self.hypotheses.standing.size(self._answer)
 
     @property
     def progress(self) -> float:
@@ -189,12 +190,12 @@ class Estimate:
     @property
     def presence(self) -> float:
         """Probability that the target is present."""
-        return self.cases.presence
+        return self.hypotheses.presence
 
     @property
     def moving(self) -> float | None:
         """Probability that the target moves, if it is present; None if the motion model has no motion."""
-        return self.cases.moving if len(self.config.target_motion.kinds) else None
+        return self.hypotheses.moving if len(self.config.target_motion.kinds) else None
 
     @property
     def distance(self) -> float | None:
@@ -211,7 +212,7 @@ class Estimate:
         """Distance and its spread, from one (slow) computation of the range probabilities."""
         if self.of is not None:
             return self.of._range
-        return None if math.isinf(self.age) else self.cases.standing.distance(self._about)
+        return None if math.isinf(self.age) else self.hypotheses.standing.distance(self._about)
 
     @lazy
     def status(self) -> Status:

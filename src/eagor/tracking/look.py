@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
-from eagor.belief.bank import Bank, Shown, linear
+from eagor.belief.bank import Bank, Shown, linear, mixed
 from eagor.belief.field import SphereField
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import confine
 from eagor.evidence.detections import Detections, resolved
-from eagor.evidence.detector import STATED, Alarms, Spread
-from eagor.evidence.habits import Habits
+from eagor.evidence.detector import STATED, Alarms, Habits, Spread
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid, neighbours, refine
@@ -62,13 +61,17 @@ class Sight:
         offset = max(look.read_with.offset for look in looks)
         return cls(stamp, position, world_R_body, degree, joint, mapped, habits, repeats, offset)
 
+    @lazy
+    def world(self) -> Detections | None:
+        """The `detections` in world axes."""
+        return None if self.detections is None else self.detections.turned(self.world_R_body)
+
     def read(self, alarms: Alarms | None, spread: Spread = STATED, shares: Shares | None = None) -> Look:
         """The look as likelihood ratios; `alarms` and `spread` are the detector's, with this look counted.
 
         `shares`: None where nothing is known that may have caused its detections.
         """
-        world = None if self.detections is None else self.detections.turned(self.world_R_body)
-        return Look(self, world, alarms, spread, shares)
+        return Look(self, self.world, alarms, spread, shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,28 +148,39 @@ class Look:
         share: np.ndarray | float = 1.0
         if self.world.views:
             share = self.world.share(directions @ self.sight.world_R_body)
-        return Shown(share, *self.world.speaks(directions, scales, self.alarms, least, self._told))
+        return Shown(share, *self.world.speaks(directions, scales, self.alarms, least, self._told)[:3])
 
     @property
     def _told(self) -> np.ndarray | float:
         """The shares of what stands; 1 if nothing else is known."""
         return 1.0 if self.shares is None else self.shares.standing
 
-    @lazy
+    @property
     def shown(self) -> Shown:
         """What the detections say of the cells of the grid ``(H, W)``, at the width that the degree can hold."""
-        return self.at(self.grid.directions, resolved(self.sight.degree), self.spread.scales)
+        return self._drawn[0]
 
-    @lazy
+    @property
     def fresh(self) -> Shown:
         """The same of a moving target."""
+        return self._drawn[1]
+
+    @lazy
+    def _drawn(self) -> tuple[Shown, Shown]:
+        """What the detections say of the cells for a target that stands, and for one that moves."""
         assert self.world is not None
         assert self.alarms is not None
-        if self.shares is None or not len(self.world):
-            return self.shown
+        share: np.ndarray | float = 1.0
+        directions = self.grid.directions
+        if self.world.views:
+            share = self.world.share(directions @ self.sight.world_R_body)
+        moving = None if self.shares is None else self.shares.moving
         least = resolved(self.sight.degree)
-        found = self.world.densities(self.grid.directions, self.spread.scales, self.shares.moving[None], least)[:, 0]
-        return replace(self.shown, ratio=self.alarms.inverse * self.world.area * found)
+        ratio, score, size, fresh = self.world.speaks(
+            directions, self.spread.scales, self.alarms, least, self._told, moving
+        )
+        shown = Shown(share, ratio, score, size)
+        return shown, shown if moving is None else Shown(share, fresh, score, size)
 
     def added(self, bank: Bank) -> tuple[np.ndarray, np.ndarray]:
         """The detections' log ratio for a standing target with these habits ``(C, H, W)``: coefficients, and values."""
@@ -174,7 +188,7 @@ class Look:
         assert self.alarms is not None
         recall, basis, degree = bank.recall, RealHarmonics(self.sight.degree), self.sight.degree
         if not self.sight.detections.views:
-            drawn = np.log(np.tensordot(self.spread.weights, self.shown.gains(recall), axes=1))
+            drawn = np.log(mixed(self.spread.weights, self.shown.gains(recall)))
             return basis.analyse(drawn, self.grid), drawn
         # What a view shows fades to 0 inside its border, in the axes of the camera.
         turn = self.sight.world_R_body
@@ -183,7 +197,7 @@ class Look:
         ratio = self.sight.detections.speaks(
             self.grid.directions, self.spread.scales, self.alarms, resolved(degree), self._told
         )[0]
-        drawn = np.log(np.tensordot(self.spread.weights, Shown(share, ratio).gains(there), axes=1))
+        drawn = np.log(mixed(self.spread.weights, Shown(share, ratio).gains(there)))
         found = basis.analyse(drawn, self.grid)
         found = basis.rotate(found if where is None else confine(degree, found, where), turn)
         return found, basis.synthesise(found, self.grid)
@@ -199,7 +213,7 @@ class Look:
     def _fresh_ratio(self) -> np.ndarray:
         """S of a moving target ``(H, W)``."""
         ratio = self.fresh.ratio
-        return ratio[0] if len(ratio) == 1 else np.tensordot(self.spread.otherwise, ratio, axes=1)
+        return mixed(self.spread.otherwise, ratio)
 
     def heard(self, told: float, recall: float) -> Shown:
         """What the detections say of a moving target, wherever it is.

@@ -22,8 +22,7 @@ from eagor.tracking import checkpoint
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.estimate import Estimate
 from eagor.tracking.poses import HELD, PoseHistory
-from eagor.tracking.state import State
-from eagor.tracking.tracks import PENDING, Moment, Track
+from eagor.tracking.tracks import PENDING, Moment, State, Track
 
 __all__ = ["DirectionTracker"]
 
@@ -101,11 +100,6 @@ class DirectionTracker:
         with self._turn:
             return self._poses.at(stamp)
 
-    def rotate(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
-        """The old name of `add_pose`."""
-        warnings.warn("DirectionTracker.rotate is now DirectionTracker.add_pose", DeprecationWarning, stacklevel=2)
-        self.add_pose(stamp, world_R_body, position)
-
     def observe(self, evidence: Evidence, target: str = "target") -> None:
         """Add evidence about `target`, placed by its time of capture; it may be late and out of order.
 
@@ -163,7 +157,7 @@ class DirectionTracker:
                 self._use(track)
             if track is None or track.newest is None:
                 blank = State.blank(self.config, now, position)
-                return Estimate(now, math.inf, blank.cases, pose, self.config)
+                return Estimate(now, math.inf, blank.hypotheses, pose, self.config)
             if now < track.newest:
                 raise TimeError(
                     f"asked for t = {now:.6f} s, but evidence up to {track.newest:.6f} s is already in; ask for that "
@@ -172,7 +166,7 @@ class DirectionTracker:
             state = track.state(self.config)
             assert state is not None
             state = state.at(now, position, self.config)
-            return Estimate(now, now - state.stamp, state.cases, pose, self.config, state.alarms)
+            return Estimate(now, now - state.stamp, state.hypotheses, pose, self.config, state.alarms)
 
     def save(self, path: str | Path) -> Path:
         """Write the whole state to a file, atomically, and return its path; `load` continues from it.

@@ -13,12 +13,60 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eagor.belief.ranged import RangedBelief
 from eagor.errors import TimeError
+from eagor.evidence.detector import Alarms
 from eagor.evidence.evidence import Evidence
 from eagor.tracking.config import TrackerConfig
-from eagor.tracking.look import Sight
+from eagor.tracking.hypotheses import TargetHypotheses
+from eagor.tracking.look import Look, Sight
 from eagor.tracking.poses import HELD
-from eagor.tracking.state import State
+from eagor.tracking.stationary import StationaryTarget
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is believed of a target right after the look at `stamp`, seen from `position` ``(3,)``; world axes.
+
+    `look`: that look, of which the next one may repeat a part; `alarms`: the number of false alarms, where it is
+    learnt.
+    """
+
+    stamp: float
+    position: np.ndarray | None
+    hypotheses: TargetHypotheses
+    look: Look | None = None
+    alarms: Alarms | None = None
+
+    @classmethod
+    def blank(cls, config: TrackerConfig, stamp: float, position: np.ndarray | None) -> State:
+        """Before any look."""
+        standing = StationaryTarget.uniform(config.degree, config.shells(position), config.above_floor(position))
+        return cls(stamp, position, TargetHypotheses.prior(config.target_motion, standing))
+
+    def at(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> State:
+        """Carried to a later time and another place; `stamp` is still the look's."""
+        return replace(self, hypotheses=self._carried(now, position, config))
+
+    def after(self, sight: Sight, config: TrackerConfig) -> State:
+        """After one more look."""
+        hypotheses, since = self._carried(sight.stamp, sight.position, config), None
+        if self.look is not None and sight.position is not None and self.position is not None:
+            since = sight.position - self.position
+        hypotheses, look, alarms = hypotheses.updated(sight, self.alarms, self.look, since)
+        position = self.position if sight.position is None else sight.position
+        return State(sight.stamp, position, hypotheses, look, alarms)
+
+    def _carried(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> TargetHypotheses:
+        """The hypotheses at a later time, seen from another place."""
+        hypotheses, height = self.hypotheses, config.above_floor(position)
+        ranges = config.shells(position)
+        if ranges is not None and not isinstance(hypotheses.standing.coarse, RangedBelief):
+            # Positions are known from here on.
+            hypotheses = replace(hypotheses, standing=hypotheses.standing.ranged(ranges, height))
+        step = None if position is None or self.position is None else position - self.position
+        return hypotheses.after(now - self.stamp, config.target_motion, config.drift, step, height)
+
 
 SAME_MOMENT = 1e-3  # seconds: stamps this close are one moment
 PENDING = 64  # looks that may wait for the next answer; with more, all are processed at once

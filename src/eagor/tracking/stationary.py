@@ -20,13 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from eagor._lazy import given, lazy
+from eagor._lazy import given, inherited, known, lazy
 from eagor.belief.bank import Bank, log_detected, log_over
+from eagor.belief.basins import Places, labelled, log_sums
 from eagor.belief.direction import Belief
 from eagor.belief.field import Patch, SphereField
-from eagor.belief.heights import log_heights, with_heights
-from eagor.belief.places import Places, labelled, log_sums
-from eagor.belief.ranged import NEAR, RangedBelief, mean_range, range_spread
+from eagor.belief.ranged import NEAR, RangedBelief, log_heights, mean_range, range_spread, with_heights
 from eagor.belief.windows import RANGES, REACH, Window, skirts, with_own_peaks
 from eagor.evidence.detector import STATED, UNLIKELY, Spread
 from eagor.grids import ErpGrid
@@ -35,10 +34,10 @@ from eagor.harmonics.peaks import decoding_grid, neighbours, refine
 from eagor.tracking.look import Look
 
 MOST = 4  # windows
-WORTH = 0.02  # of the belief: peaks that hold less get no window,
-LEAST = 0.002  # ... and windows that hold less are closed;
-LEAST_OF_MANY = 0.01  # with look-alikes, where what was detected once goes on to hold some
-MOST_OF_IT = 0.5  # of the belief: with capped shells, a window that holds more is kept, wherever its peak lies
+WORTH = 0.02  # share of the belief: a peak that holds less gets no window
+LEAST = 0.002  # share of the belief: a window that holds less is closed
+LEAST_OF_MANY = 0.01  # the same with look-alikes, where each place with a detection keeps a small share for long
+MOST_OF_IT = 0.5  # share of the belief: with capped shells, a window that holds more is kept, wherever its peak lies
 SPILL = 0.02  # of a window's mass: skirts around it that hold less are left out
 NOTHING = 12.0  # nats below a peak: if a window's border is lower, there is nothing beyond it
 HIGHEST = 12.0  # nats over a target that was never detected: as high as coarse shells get, if there are look-alikes
@@ -46,7 +45,7 @@ WIDE = math.radians(14)  # the coarse field represents wider peaks well
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class StationaryTarget:
     """log T, against "not here": `coarse` over the whole sphere, and `windows` about its peaks; world axes.
 
     `bank`: the habits of the cells of the decoding grid; None before any look. `height`: of the camera above the floor,
@@ -60,19 +59,19 @@ class Standing:
     bank: Bank | None = None
 
     @classmethod
-    def uniform(cls, degree: int, ranges: np.ndarray | None, height: float | None = None) -> Standing:
+    def uniform(cls, degree: int, ranges: np.ndarray | None, height: float | None = None) -> StationaryTarget:
         """A uniform belief."""
         if ranges is None:
             return cls(Belief.uniform(degree))
         return cls(with_heights(RangedBelief.uniform(degree, ranges), height), (), height)
 
-    def restarted(self, density: np.ndarray) -> Standing:
+    def restarted(self, density: np.ndarray) -> StationaryTarget:
         """A target that has just come to stand, with this density over a uniform one ``(H, W)``.
 
         What is known of look-alikes stays, and what they explained until now says nothing of the target.
         """
         ranges = self.coarse.ranges if isinstance(self.coarse, RangedBelief) else None
-        blank, values, bank = Standing.uniform(self.degree, ranges, self.height), np.log(density), self.bank
+        blank, values, bank = StationaryTarget.uniform(self.degree, ranges, self.height), np.log(density), self.bank
         if bank is not None:
             alike = self.support.plus(bank.lead, [window.habits.lead for window in self.windows])
             level = alike.log_mean
@@ -156,7 +155,7 @@ class Standing:
         """log of the mean likelihood ratio over all directions and ranges."""
         return self.field.log_mean
 
-    def moved(self, step: np.ndarray, height: float | None = None) -> Standing:
+    def moved(self, step: np.ndarray, height: float | None = None) -> StationaryTarget:
         """After the body has moved by `step` ``(3,)`` metres, world axes."""
         if not isinstance(self.coarse, RangedBelief):
             return self
@@ -167,7 +166,7 @@ class Standing:
             found, windows=tuple(found._filled(*w.moved(step, self._prior(w), border)) for w, border in pairs)
         )
 
-    def ranged(self, ranges: np.ndarray, height: float | None) -> Standing:
+    def ranged(self, ranges: np.ndarray, height: float | None) -> StationaryTarget:
         """The same belief over direction and range: what is known so far holds for all ranges."""
         found = RangedBelief.uniform(self.degree, ranges).plus(self.coarse.coefficients)  # type: ignore[union-attr]
         logs = np.log(ranges)
@@ -178,12 +177,12 @@ class Standing:
         )
         return replace(self, coarse=with_heights(found, height), windows=windows, height=height)
 
-    def plus(self, look: Look) -> Standing:
+    def plus(self, look: Look) -> StationaryTarget:
         """With one more look."""
         found = self if look.sight.mapped is None else self.mapped(look)
         return found if look.world is None else found._detected(look)
 
-    def mapped(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> Standing:
+    def mapped(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> StationaryTarget:
         """With `share` of a look's response maps; the body has moved by `since` ``(3,)`` from where it was taken."""
         coefficients = look.sight.mapped
         assert coefficients is not None
@@ -196,9 +195,7 @@ class Standing:
             found = replace(self, coarse=self.coarse.plus(share * coefficients), windows=tuple(windows))
             # What is said of all ranges alike adds as much to the field over directions.
             drawn = tuple(w.patch(self._prior(w)) if p is None else p for w, p in zip(windows, patches, strict=True))
-            support = SphereField(self.grid, self.support.values + share * look.values, drawn)
-            found.__dict__["support"] = support
-            return found
+            return known(found, support=SphereField(self.grid, self.support.values + share * look.values, drawn))
         ranges = self.coarse.ranges
         alike = np.broadcast_to(share * coefficients, (len(ranges), len(coefficients)))
         carried = RangedBelief(alike, ranges).predict(np.eye(3), since).shells
@@ -209,7 +206,7 @@ class Standing:
             windows.append(window.plus(share * look.mapped(points)[None]))
         return replace(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
 
-    def _detected(self, look: Look) -> Standing:
+    def _detected(self, look: Look) -> StationaryTarget:
         """With the detections of a look."""
         habits = look.sight.habits
         assert habits is not None
@@ -234,9 +231,7 @@ class Standing:
             else:
                 patches.append(windows[-1].patch(self._prior(window)))
         found = replace(self, coarse=self.coarse.plus(added), windows=tuple(windows), bank=bank)
-        support = SphereField(self.grid, self.support.values + values, tuple(patches))
-        found.__dict__["support"] = support
-        return found
+        return known(found, support=SphereField(self.grid, self.support.values + values, tuple(patches)))
 
     def _ready(self, look: Look) -> Bank:
         """The habits of the cells, for the detector of this look."""
@@ -244,39 +239,30 @@ class Standing:
         assert habits is not None
         return Bank.blank(habits, self.grid.shape) if self.bank is None else self.bank.read_with(habits)
 
-    def renewed(self, share: float) -> Standing:
+    def renewed(self, share: float) -> StationaryTarget:
         """After a `share` of the places has drawn its habit anew."""
         if self.bank is None or share <= 0:
             return self
         windows = tuple(replace(window, bank=window.habits.renewed(share)) for window in self.windows)
         return self._alike(bank=self.bank.renewed(share), windows=windows)
 
-    def _alike(self, **changes: Any) -> Standing:
+    def _alike(self, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `field`."""
-        found = replace(self, **changes)
-        for name in ("support", "labels", "places", "explained", "field", "log_mean"):
-            if name in self.__dict__:
-                found.__dict__[name] = self.__dict__[name]
-        return found
+        names = "support", "labels", "places", "explained", "field", "log_mean"
+        return inherited(replace(self, **changes), self, *names)
 
-    def _with(self, patches: tuple[Patch, ...] | None = None, **changes: Any) -> Standing:
+    def _with(self, patches: tuple[Patch, ...] | None = None, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `coarse`; `patches` of the `support`, if they differ."""
-        found = replace(self, **changes)
-        if "labels" in self.__dict__:
-            found.__dict__["labels"] = self.labels
-        if patches is not None:
-            found.__dict__["support"] = replace(self.support, patches=patches)
-        elif "support" in self.__dict__:
-            found.__dict__["support"] = self.support
-        return found
+        found = inherited(replace(self, **changes), self, "labels", "support")
+        return found if patches is None else known(found, support=replace(self.support, patches=patches))
 
-    def scaled(self, factor: float) -> Standing:
+    def scaled(self, factor: float) -> StationaryTarget:
         """With all log ratios scaled by `factor` in [0, 1]: the covariance of each peak grows by 1 / factor."""
         kept = (1 - factor) * self.spread.logs  # what is known of the spread
         windows = tuple(window.like(window.values * factor + kept) for window in self.windows)
         return replace(self, coarse=self.coarse.forget(factor), windows=windows)
 
-    def detecting(self) -> Standing:
+    def detecting(self) -> StationaryTarget:
         """With a spread that is learnt, from the first detections on."""
         if self.spread.doubted:
             return self
@@ -284,11 +270,11 @@ class Standing:
         windows = tuple(window.like(window.values + spread.logs) for window in self.windows)
         return replace(self, windows=windows, spread=spread)
 
-    def spreading(self, spread: Spread) -> Standing:
+    def spreading(self, spread: Spread) -> StationaryTarget:
         """With other weights of the scales."""
         return self._alike(spread=spread) if self.spread.doubted else self
 
-    def judged(self, stands: float, otherwise: np.ndarray) -> Standing:
+    def judged(self, stands: float, otherwise: np.ndarray) -> StationaryTarget:
         """With the spread as learnt from the windows.
 
         `stands`: probability that the target stands; `otherwise` ``(S,)``: weights of the scales if it does not.
@@ -311,7 +297,7 @@ class Standing:
             self, windows=tuple(window.like(window.values[likely]) for window in self.windows), spread=spread
         )
 
-    def opened(self, look: Look) -> Standing:
+    def opened(self, look: Look) -> StationaryTarget:
         """With windows at the detections of a look that is about to be added, where there are none yet."""
         found = self
         centres, widths = look.centres
@@ -332,7 +318,7 @@ class Standing:
             found = found._with_window(centre, width, look)
         return found
 
-    def focused(self, fresh: bool = False) -> Standing:
+    def focused(self, fresh: bool = False) -> StationaryTarget:
         """With windows refined to the width of their peaks; `fresh` windows are fine enough already."""
         found, windows = self, self.windows
         if not fresh:
@@ -378,11 +364,11 @@ class Standing:
         found = [np.sum(np.exp(patch.values - self.log_mean) * share) for patch, share in pairs]
         return np.array(found) / (4 * math.pi)
 
-    def _kept(self, places: list[int]) -> Standing:
+    def _kept(self, places: list[int]) -> StationaryTarget:
         patches = tuple(self.support.patches[i] for i in places)
         return self._with(patches, windows=tuple(self.windows[i] for i in places))
 
-    def _searched(self) -> Standing:
+    def _searched(self) -> StationaryTarget:
         """With a window about the highest peak without one, if it holds enough of the belief."""
         if len(self.windows) >= MOST:
             return self
@@ -397,7 +383,7 @@ class Standing:
             return self
         return self._with_window(peak, sigma)
 
-    def _with_window(self, centre: np.ndarray, width: float, look: Look | None = None) -> Standing:
+    def _with_window(self, centre: np.ndarray, width: float, look: Look | None = None) -> StationaryTarget:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), before a `look`.
 
         Its values come from an existing window there, or from the coarse field.
@@ -445,7 +431,7 @@ class Standing:
 
     def size(self, about: np.ndarray) -> float:
         """Half the angular size (radians) of what was detected in a direction ``(3,)``; 0 if that is not known."""
-        if self.bank is None:
+        if self.bank is None or not self.bank.sized:
             return 0.0
         for window in self.windows:
             places, inside = window.places(about)

@@ -1,9 +1,12 @@
-"""A target that turns at a steady rate: a Gaussian mixture over direction and angular velocity.
+"""Targets that move: one that wanders, and one that turns at a steady rate.
 
-This constant-turn model on the sphere covers what walks past, what circles, and standing things while the odometry's
-heading drifts. Each detection may be the target and makes a Kalman update of each component; the likeliest are kept (a
-Bernoulli Gaussian-mixture filter; Ristic et al., IEEE Transactions on Signal Processing 61(13), 2013; the mixture: Vo
-and Ma, ibid. 54(11), 2006).
+A wandering target is a random walk on the sphere, one density for each pace. A density on a grid is diffused exactly,
+by one product: the heat kernel multiplies the coefficients of degree l by exp(-l (l + 1) sigma^2 / 2).
+
+A target that turns is a Gaussian mixture over direction and angular velocity. This constant-turn model on the sphere
+covers what walks past, what circles, and standing things while the odometry's heading drifts. Each detection may be the
+target and makes a Kalman update of each component; the likeliest are kept (a Bernoulli Gaussian-mixture filter; Ristic
+et al., IEEE Transactions on Signal Processing 61(13), 2013; the mixture: Vo and Ma, ibid. 54(11), 2006).
 
 The error of a component is a small rotation phi and an error of the angular velocity, in world axes: the
 direction is exp(phi) d, and after t seconds phi becomes R phi + t (error of the velocity) with R = exp(velocity t).
@@ -17,9 +20,73 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor.belief.bank import mixed
 from eagor.belief.field import Patch, SphereField
 from eagor.evidence.detections import bump_norms, scaled_frames, tangent_frames
+from eagor.grids import ErpGrid
+from eagor.harmonics import RealHarmonics
+from eagor.harmonics.peaks import decoding_grid
+from eagor.tracking.config import MotionModel
 from eagor.tracking.look import Sightings
+
+FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series
+
+
+@dataclass(frozen=True, eq=False)
+class WanderingTarget:
+    """The belief about a wandering target: `densities` ``(M, H, W)`` over a uniform one, on `grid`; world axes."""
+
+    grid: ErpGrid
+    densities: np.ndarray
+
+    @classmethod
+    def prior(cls, motion: MotionModel, degree: int) -> WanderingTarget:
+        """Before any look."""
+        grid = decoding_grid(degree)
+        return cls(grid, np.ones((len(motion.wander), *grid.shape)))
+
+    def __len__(self) -> int:
+        return len(self.densities)
+
+    def mixed(self, weights: np.ndarray) -> np.ndarray:
+        """The sum of the densities with `weights` ``(M,)``: ``(H, W)``."""
+        return mixed(weights, self.densities)
+
+    def after(
+        self, elapsed: float, motion: MotionModel, drift: float, flows: np.ndarray, stands: np.ndarray | float
+    ) -> WanderingTarget:
+        """After `elapsed` seconds, with the inflow from the other hypotheses.
+
+        `flows`: probabilities of the transitions between the hypotheses; `stands`: density of the standing target ``(H,
+        W)``; `drift`: of the odometry.
+        """
+        grid = self.grid
+        if not len(self):
+            return self
+        basis = RealHarmonics(grid.height // 2 - 1)  # the grid's: a density is narrower than its logarithm
+        jumped = motion.jumped(elapsed)
+        sigmas = np.hypot(motion.wander, drift) * math.sqrt(elapsed)
+        spread = basis.synthesise(basis.smooth(basis.analyse(self.densities, grid), sigmas[:, None]), grid)
+        roamed = (1 - jumped) * np.maximum(spread, FAINTEST) + jumped
+        wander = slice(2, 2 + len(sigmas))
+        born, begun, kept = (flow[wander, None, None] for flow in (flows[0], flows[1], np.diagonal(flows)))
+        mixed = kept * roamed + begun * stands + born
+        means = np.einsum("mij,ij->m", mixed, grid.weights) / (4 * math.pi)
+        return replace(self, densities=mixed / means[:, None, None])
+
+    def updated(self, ratio: np.ndarray, new: np.ndarray) -> tuple[WanderingTarget, np.ndarray]:
+        """After one more look of this likelihood `ratio` ``(H, W)``, and its logarithm for each pace ``(M,)``.
+
+        `new` ``(H, W)``: the part of the ratio that does not repeat the look before.
+        """
+        if not len(self):
+            return self, np.zeros(0)
+        shares = self.grid.weights / (4 * math.pi)
+        gains = np.log(np.einsum("mij,ij->m", self.densities, new * shares))
+        densities = self.densities * ratio
+        densities /= np.einsum("mij,ij->m", densities, shares)[:, None, None]
+        return replace(self, densities=densities), gains
+
 
 MOST = 24  # components
 FAINT = 1e-4  # of the heaviest: lighter components are dropped
@@ -34,7 +101,7 @@ NODES, REACH = 11, 4.0  # of a patch about a component
 
 
 @dataclass(frozen=True, eq=False)
-class Turning:
+class TurningTarget:
     """The belief about a turning target; world axes.
 
     `rates` ``(K,)``: radians per second, the prior standard deviations of each component of the angular velocity.
@@ -51,11 +118,11 @@ class Turning:
     covariances: np.ndarray
 
     @classmethod
-    def prior(cls, rates: tuple[float, ...]) -> Turning:
+    def prior(cls, rates: tuple[float, ...]) -> TurningTarget:
         """Before any look."""
         return cls(rates, 1.0, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 6, 6)))
 
-    def after(self, elapsed: float, jumped: float, drift: float) -> Turning:
+    def after(self, elapsed: float, jumped: float, drift: float) -> TurningTarget:
         """After `elapsed` seconds, in which a share `jumped` has jumped anywhere; `drift`: of the odometry."""
         kept = replace(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
         if not len(self.weights):
@@ -76,7 +143,7 @@ class Turning:
         directions = np.einsum("nij,nj->ni", turned, self.directions)
         return replace(kept, directions=directions, covariances=covariances)
 
-    def mixed(self, share: float, directions: np.ndarray, shares: np.ndarray, covariances: np.ndarray) -> Turning:
+    def mixed(self, share: float, directions: np.ndarray, shares: np.ndarray, covariances: np.ndarray) -> TurningTarget:
         """With a `share` of targets that begin to turn now, at `directions` ``(n, 3)`` with covariances ``(n, 3, 3)``.
 
         `shares` ``(n,)``: how they are distributed over these; the rest to 1 may be anywhere.
@@ -88,7 +155,7 @@ class Turning:
 
     def updated(
         self, sightings: Sightings, before: SphereField | None = None, repeated: float = 0.0
-    ) -> tuple[Turning, float, np.ndarray]:
+    ) -> tuple[TurningTarget, float, np.ndarray]:
         """After one more look, and the look's log likelihood ratio.
 
         Also its likelihood for each scale of the spread ``(S,)``, if there are several. `repeated`: share of the log
@@ -112,22 +179,26 @@ class Turning:
             gain -= repeated * float(joined.weights @ before.smooth(joined.directions, 1))
         return joined, gain, foretold
 
-    def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> Turning:
+    def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> TurningTarget:
         """New components, of which only the direction is known."""
-        joint = np.zeros((len(directions), 6, 6))
-        joint[:, :3, :3] = covariances
+        rates, count, bends = np.array(self.rates), len(directions), len(BENDS)
         along = directions[:, :, None] * directions[:, None, :]
-        parts = []
-        for rate in self.rates:
-            # The bend of a path shows late, and then no single Gaussian fits: start with three.
-            joint[:, 3:, 3:] = rate**2 * (np.eye(3) - (1 - BEND_VARIANCE) * along)
-            for bend, share in zip(BENDS, BEND_SHARES, strict=True):
-                parts.append((weights * (share / len(self.rates)), directions, bend * rate * directions, joint.copy()))
-        found = (np.concatenate(column) for column in zip(*parts, strict=True))
-        names = ("weights", "directions", "turns", "covariances")
-        return replace(self, **dict(zip(names, found, strict=True)))
+        # The bend of a path shows late, and then no single Gaussian fits: start with three for each rate.
+        joint = np.zeros((len(rates), bends, count, 6, 6))
+        joint[..., :3, :3] = covariances
+        across = np.eye(3) - (1 - BEND_VARIANCE) * along
+        joint[..., 3:, 3:] = (rates**2)[:, None, None, None, None] * across
+        shares = np.tile(np.array(BEND_SHARES) / len(rates), len(rates))
+        bent = np.outer(rates, BENDS).reshape(-1, 1, 1) * directions
+        return replace(
+            self,
+            weights=np.outer(shares, weights).reshape(-1),
+            directions=np.tile(directions, (len(shares), 1)),
+            turns=bent.reshape(-1, 3),
+            covariances=joint.reshape(-1, 6, 6),
+        )
 
-    def _detected(self, seen: Sightings) -> tuple[Turning, np.ndarray]:
+    def _detected(self, seen: Sightings) -> tuple[TurningTarget, np.ndarray]:
         """A Kalman update of each component by each detection, and its likelihood for each scale ``(S,)``."""
         count, amplitudes = len(seen.directions), seen.amplitudes
         spreads = np.concatenate([seen.covariances[None], seen.scaled]).reshape(-1, 3, 3)
@@ -192,42 +263,40 @@ class Turning:
         Nearby components of similar width are merged.
         """
         frames, _, own = self._across
-        across = own.copy()
-        weights, covariances = self.weights.copy(), np.einsum("nai,nab,nbj->nij", frames, across, frames)
-        traces = np.trace(covariances, axis1=1, axis2=2)
+        covariances = np.swapaxes(frames, 1, 2) @ own @ frames
+        traces = np.trace(own, axis1=1, axis2=2)
         apart = 1 - self.directions @ self.directions.T
         alike = (apart < ALIKE * traces) & (np.abs(np.log(traces[:, None] / traces)) < 0.5)
         np.fill_diagonal(alike, True)  # also where rounding leaves a direction a little shorter than 1
-        kept = []
-        for index in range(len(weights)):  # the heaviest first
-            if weights[index] <= LIGHT * (1 - self.unseen):
-                continue
-            group = alike[index] & (weights > 0)
-            share = weights[group] / weights[group].sum()
-            across[index] = frames[index] @ (share @ covariances[group].reshape(-1, 9)).reshape(3, 3) @ frames[index].T
-            total = float(weights[group].sum())
-            weights[group] = 0.0
-            kept.append((index, total))
-        order = np.array([index for index, _ in kept], dtype=np.intp)
-        found = np.array([total for _, total in kept])
+        free = np.ones(len(self.weights), dtype=bool)
+        places, groups = [], []
+        for index in np.flatnonzero(self.weights > LIGHT * (1 - self.unseen)).tolist():  # the heaviest first
+            if free[index]:
+                places.append(index)
+                groups.append(alike[index] & free)
+                free &= ~alike[index]
+        shares = np.array(groups, dtype=bool).reshape(len(groups), len(free)) * self.weights
+        found, order = shares.sum(axis=1), np.array(places, dtype=np.intp)
+        merged = ((shares / found[:, None]) @ covariances.reshape(-1, 9)).reshape(-1, 3, 3)
+        frames = frames[order]
         found *= (1 - self.unseen) / max(float(found.sum()), 1e-300)
-        return found, self.directions[order], scaled_frames(frames[order], across[order])
+        return found, self.directions[order], scaled_frames(frames, frames @ merged @ np.swapaxes(frames, 1, 2))
 
     def density(self, where: np.ndarray) -> np.ndarray:
         """Density over a uniform one ``(...)``, at unit vectors ``(..., 3)``."""
         weights, centres, axes = self.places
-        found = np.full(where.shape[:-1], self.unseen if len(weights) else 1.0)
+        if not len(weights):
+            return np.ones(where.shape[:-1])
         lengths = np.linalg.norm(axes, axis=-1)
         heights = weights * bump_norms(lengths) * 4 * math.pi
         reach = np.cos(np.minimum(FAR / lengths.min(axis=-1), math.pi))
-        points, flat = where.reshape(-1, 3), found.reshape(-1)
-        for height, centre, pair, least in zip(heights, centres, axes, reach, strict=True):
-            ahead = points @ centre
-            near = np.flatnonzero(ahead > least)
-            along = points[near] @ pair.T
-            along *= along
-            flat[near] += height * np.exp(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead[near], 1e-9))
-        return found
+        points = where.reshape(-1, 3).T
+        ahead = centres @ points
+        along = (axes.reshape(-1, 3) @ points).reshape(len(weights), 2, -1)
+        along *= along
+        falls = np.exp(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead, 1e-9))
+        falls[ahead <= reach[:, None]] = 0.0
+        return (self.unseen + heights @ falls).reshape(where.shape[:-1])
 
     def patches(self, narrow: float, least: float) -> tuple[Patch, ...]:
         """Patches (values 0) about components narrower than `narrow` radians that hold at least `least`."""
@@ -244,7 +313,7 @@ class Turning:
         return tuple(found)
 
 
-def _joined(*parts: Turning, unseen: float) -> Turning:
+def _joined(*parts: TurningTarget, unseen: float) -> TurningTarget:
     """The likeliest components of all, weights that sum to 1 with `unseen`."""
     weights = np.concatenate([part.weights for part in parts])
     order = np.argsort(-weights, kind="stable")[:MOST]

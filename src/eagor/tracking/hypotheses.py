@@ -1,10 +1,10 @@
-"""Absent, standing, wandering or turning: one filter over these cases.
+"""Absent, standing, wandering or turning: one filter over these hypotheses.
 
 The target is absent, stands still, wanders (a random walk of so many degrees per root second), or turns at a steady
 rate (`turning`). Each case with a target holds a belief over directions and is weighted by how well it predicted the
-looks; a Markov chain links the cases. This is a Bernoulli filter (Ristic et al., IEEE Transactions on Signal
+looks; a Markov chain links the hypotheses. This is a Bernoulli filter (Ristic et al., IEEE Transactions on Signal
 Processing 61(13), 2013) with interacting multiple models (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
-33(8), 1988). The presence is the sum of the weights of the cases with a target.
+33(8), 1988). The presence is the sum of the weights of the hypotheses with a target.
 
 A wandering target is a density on a grid (`wandering`). A standing target is the sum of all looks since it came to
 stand (`standing`). Such a sum cannot absorb a target that stops only now, so the likelier of the two is kept.
@@ -28,11 +28,10 @@ from eagor.evidence.detections import Detections, resolved
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
+from eagor.tracking.config import MotionModel
 from eagor.tracking.look import Look, Shares, Sight
-from eagor.tracking.motion import MotionModel
-from eagor.tracking.standing import Standing
-from eagor.tracking.turning import Turning
-from eagor.tracking.wandering import FAINTEST, Wandering
+from eagor.tracking.moving import FAINTEST, TurningTarget, WanderingTarget
+from eagor.tracking.stationary import StationaryTarget
 
 _RISE = 0.35  # nats over the typical place: less is no peak, where most of the sphere was never detected
 _FAR = 4.0  # standard deviations from a detection: cells beyond do not count when movers are judged
@@ -42,8 +41,10 @@ _UNLIKELY = 0.05  # if turning is less likely than this, it counts as standing
 
 
 @dataclass(frozen=True, eq=False)
-class Cases:
-    """The cases and their probabilities: absent, standing, wandering in one of several ways, turning. World axes.
+class TargetHypotheses:
+    """The hypotheses about a target and their probabilities, in world axes.
+
+    It is absent, stands, wanders in one of several ways, or turns.
 
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `moves`:
     the habits of a moving target, and of a look-alike that moves as it does, which explains as well what the target
@@ -51,20 +52,20 @@ class Cases:
     """
 
     weights: np.ndarray
-    standing: Standing
-    wandering: Wandering
-    turning: Turning | None = None
+    standing: StationaryTarget
+    wandering: WanderingTarget
+    turning: TurningTarget | None = None
     moves: Bank | None = None
     alike: float = 0.0
     offset: float = 0.0
 
     @classmethod
-    def prior(cls, motion: MotionModel, standing: Standing, presence: float = 0.5) -> Cases:
+    def prior(cls, motion: MotionModel, standing: StationaryTarget, presence: float = 0.5) -> TargetHypotheses:
         """Before any look; `standing` is a uniform belief."""
         moving = motion.moving
         weights = np.array([1 - presence, presence * (1 - moving), *(presence * moving * motion.kinds)])
-        turning = Turning.prior(motion.turn) if motion.turn else None
-        return cls(weights, standing, Wandering.prior(motion, standing.degree), turning)
+        turning = TurningTarget.prior(motion.turn) if motion.turn else None
+        return cls(weights, standing, WanderingTarget.prior(motion, standing.degree), turning)
 
     @property
     def grid(self) -> ErpGrid:
@@ -141,7 +142,7 @@ class Cases:
 
     def after(
         self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
-    ) -> Cases:
+    ) -> TargetHypotheses:
         """After `elapsed` seconds, in which the body has moved by `step` ``(3,)`` metres; `drift`: of the odometry."""
         standing, moves = self.standing, self.moves
         if step is not None and step.any():
@@ -178,8 +179,8 @@ class Cases:
         weights = weights / weights.sum()
         return replace(kept, weights=weights, standing=standing, wandering=wandering, turning=turning)
 
-    def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> Turning | None:
-        """The turning target after `elapsed` seconds, with the inflow from the other cases."""
+    def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> TurningTarget | None:
+        """The turning target after `elapsed` seconds, with the inflow from the other hypotheses."""
         if self.turning is None:
             return None
         turned = self.turning.after(elapsed, motion.jumped(elapsed), drift)
@@ -200,7 +201,7 @@ class Cases:
         """The standing target's density over a uniform one, on the grid ``(H, W)``."""
         return self.standing.field.averaged(self.standing.log_mean)
 
-    def _restarted(self, standing: Standing, newly: np.ndarray) -> Standing:
+    def _restarted(self, standing: StationaryTarget, newly: np.ndarray) -> StationaryTarget:
         """A target that has just come to stand, where it was wandering, or anywhere.
 
         `newly`: what flows in from the absent target, and from each wanderer.
@@ -213,7 +214,7 @@ class Cases:
 
     def updated(
         self, sight: Sight, alarms: Alarms | None, passing: Look | None, since: np.ndarray | None
-    ) -> tuple[Cases, Look, Alarms | None]:
+    ) -> tuple[TargetHypotheses, Look, Alarms | None]:
         """After one more look; also returns the look, and the number of false alarms after it.
 
         `passing`: the look before it, of whose response maps this one repeats a share; the body has moved by `since`
@@ -246,7 +247,7 @@ class Cases:
         spread = self._otherwise(look, foretold, recall)
         weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
-        return Cases(weights, standing, wandering, turning, moves, alike, sight.offset), look, alarms
+        return TargetHypotheses(weights, standing, wandering, turning, moves, alike, sight.offset), look, alarms
 
     def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None]:
         """A look as likelihood ratios, and the number of false alarms after it."""
@@ -263,7 +264,7 @@ class Cases:
         return sight.read(given, self.standing.detecting().spread, shares), before.after(alike + target)
 
     def _weighed(self, gains: np.ndarray, look: Look, moves: Bank | None) -> tuple[np.ndarray, Bank | None, float]:
-        """The weights of the cases after these `gains` in log likelihood; habits and `alike` of what moves."""
+        """The weights of the hypotheses after these `gains` in log likelihood; habits and `alike` of what moves."""
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         alike = 0.0
         moving = self.weights[2:]
@@ -289,7 +290,8 @@ class Cases:
         if not len(found) or not moving.sum():
             return np.zeros(len(found))
         shares, spread, least = moving / moving.sum(), self.standing.spread, resolved(sight.degree)
-        world = found.turned(sight.world_R_body)
+        world = sight.world
+        assert world is not None
         near = _near(self.grid, world, float(spread.scales.max()), least)
         directions = self.grid.directions.reshape(-1, 3)[near]
         density = np.zeros(len(near))
@@ -330,7 +332,8 @@ class Cases:
         known = found.model.false_alarms_per_look is not None
         if not len(found) or (known and not habits.look_alikes):
             return none, none
-        world = found.turned(sight.world_R_body)
+        world = sight.world
+        assert world is not None
         if bank is None or not habits.same(bank.habits):  # nothing is known: alike likely everywhere
             alike = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
             return none + alike, none + self.presence * habits.mean
@@ -401,7 +404,7 @@ def _widened(field: SphereField, spread: float) -> SphereField:
     return SphereField(field.grid, np.log(np.maximum(basis.synthesise(wide, field.grid), FAINTEST)))
 
 
-def _drifted(standing: Standing, drift: float, elapsed: float) -> Standing:
+def _drifted(standing: StationaryTarget, drift: float, elapsed: float) -> StationaryTarget:
     """With peaks widened by `elapsed` seconds of odometry drift (`drift` radians per root second).
 
     Scaling a log-likelihood by s scales the variance of its peak by 1 / s: P + q = P / s.
