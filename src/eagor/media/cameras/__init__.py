@@ -7,8 +7,8 @@ entry points ``eagor.cameras``; `check_camera` tests one.
 
 from __future__ import annotations
 
+from eagor.lenses import FisheyeLens, PinholeLens
 from eagor.media.cameras.checking import check_camera
-from eagor.media.cameras.lenses import FisheyeLens, PinholeLens
 from eagor.media.cameras.newest import Newest
 from eagor.media.cameras.opening import open_camera
 from eagor.media.cameras.rig import Rig, dual_fisheye

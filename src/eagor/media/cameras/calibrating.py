@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor.errors import ImageError
+from eagor.lenses import FisheyeLens
 from eagor.media.cameras.circles import first_rig
 from eagor.media.cameras.fitting import gaps_of, solve
-from eagor.media.cameras.lenses import FisheyeLens
 from eagor.media.cameras.rig import Rig
 from eagor.media.cameras.sightings import Pairs, Points, pairs_of, points_of, turns_of
 from eagor.media.consensus import agreeing_rotation

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eagor.errors import ImageError
-from eagor.media.cameras.lenses import FisheyeLens
+from eagor.lenses import FisheyeLens
 from eagor.media.cameras.rig import Rig
 from eagor.media.images import checked_picture
 from eagor.media.suspect import BLACK

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eagor.media.cameras.lenses import FisheyeLens, inverted
+from eagor.lenses import FisheyeLens, inverted
 from eagor.media.cameras.rig import Rig
 from eagor.media.cameras.sightings import Pairs
 from eagor.media.consensus import part_of_sphere

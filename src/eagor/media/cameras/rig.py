@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor.errors import GridError, ImageError
-from eagor.media.cameras.lenses import FisheyeLens, Lens
+from eagor.lenses import FisheyeLens, Lens
 from eagor.sphere import world_R_body
 
 __all__ = ["Rig", "dual_fisheye"]
@@ -38,7 +38,7 @@ class Rig:
     @property
     def rows(self) -> int:
         """Rows of a panorama that is as fine as the pictures, an even number."""
-        return max(2, 2 * round(math.pi * max(lens.density for lens in self.lenses) / 2))
+        return max(2, 2 * round(math.pi * max(lens.pixels_per_radian for lens in self.lenses) / 2))
 
     def scaled(self, factor: float) -> Rig:
         """The same for pictures that are `factor` times as large."""

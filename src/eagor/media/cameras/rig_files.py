@@ -36,7 +36,7 @@ from eagor._extras import need
 from eagor._files import read_file, written
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError
-from eagor.media.cameras.lenses import FisheyeLens, Lens, PinholeLens
+from eagor.lenses import FisheyeLens, Lens, PinholeLens
 from eagor.media.cameras.rig import Rig
 from eagor.sphere import world_R_body
 

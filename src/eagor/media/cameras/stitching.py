@@ -67,7 +67,7 @@ class Stitcher:
         """Place on the canvas, and depth, ``(n,)`` each, of the panorama's pixels in one lens."""
         lens = self.rig.lenses[index]
         x, y, depth = lens.project(self.grid.directions.reshape(-1, 3))
-        return x + self._offsets[lens.picture] - 0.5, y - 0.5, depth - RIM / lens.density
+        return x + self._offsets[lens.picture] - 0.5, y - 0.5, depth - RIM / lens.pixels_per_radian
 
     @property
     def unseen(self) -> np.ndarray | None:
