@@ -14,7 +14,7 @@ import numpy as np
 from eagor._extras import need
 from eagor.errors import GridError
 from eagor.grids import PerspectiveGrid, ViewKey, forward_view, view_key
-from eagor.media.images import checked_picture
+from eagor.media.panorama import checked_picture
 from eagor.sphere import direction, world_R_body
 
 OVERLAP = math.radians(10)

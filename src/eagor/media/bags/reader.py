@@ -7,9 +7,10 @@ would need more is refused.
 
 from __future__ import annotations
 
+import os
 import struct
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from errno import EINVAL
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,15 @@ from eagor._extras import need
 from eagor.errors import EagorError, FormatError
 from eagor.media.bags import db3, mcap
 from eagor.media.bags.messages import NANO
-from eagor.media.bags.paths import SUFFIXES, is_bag, listed
 from eagor.media.bags.ros_types import store
 from eagor.media.bags.writer import BagWriter
 
-__all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "read_bag"]
+__all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "listed", "read_bag", "split_bag"]
 
 ROS_1 = b"#ROSBAG V"
+
+SUFFIXES = (".mcap", ".db3")
+ROS_1_SUFFIX = ".bag"
 
 
 def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
@@ -196,3 +199,28 @@ def _decoder(path: Path, stream: mcap.Channel) -> Any:
         return own.deserialize_cdr
     except TypesysError as error:
         raise FormatError(f"{path}: the definition of {stream.kind} cannot be read ({error})") from error
+
+
+# --- paths ---
+
+
+def is_bag(path: str | os.PathLike[str]) -> bool:
+    """Whether `path` looks like a bag: a file by its name, a folder by what is in it."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return (path / "metadata.yaml").is_file() or any(file.suffix in SUFFIXES for file in path.iterdir())
+        return path.suffix.lower() in (*SUFFIXES, ROS_1_SUFFIX)
+    except OSError:
+        return False
+
+
+def split_bag(text: str) -> tuple[str, str | None]:
+    """Path and topic of ``BAG`` or ``BAG?topic=/image``."""
+    place, found, topic = text.partition("?topic=")
+    return (place, topic) if found and not os.path.exists(text) else (text, None)
+
+
+def listed(topics: Mapping[str, str]) -> str:
+    """Topics and their types in words."""
+    return ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "none"
