@@ -61,15 +61,12 @@ class FisheyeLens:
                 "factors of angle^3, angle^5, angle^7, angle^9 (radians)"
             )
         if not self.reach > 0:
+            widest = WIDEST if any(self.polynomial) else 2 * math.pi
             raise GridError(
                 f"the lens {self.name!r} never reaches the radius of {self.radius:g} pixels within "
-                f"{math.degrees(self._widest) / 2:g} degrees of its axis: its curve is too flat, or turns back. Give "
+                f"{math.degrees(widest) / 2:g} degrees of its axis: its curve is too flat, or turns back. Give "
                 "another polynomial, a larger focal, or a smaller radius"
             )
-
-    @property
-    def _widest(self) -> float:
-        return WIDEST if any(self.polynomial) else 2 * math.pi
 
     @lazy
     def reach(self) -> float:

@@ -27,9 +27,8 @@ from eagor.media.bags.reader import is_bag, split_bag
 from eagor.media.frames import CameraSource, Frame
 from eagor.media.live_camera import LiveCamera
 from eagor.media.metadata import read_metadata
-from eagor.media.motion import MotionTrack
 from eagor.media.panorama import pictures_in, read_panorama, read_photograph
-from eagor.media.rigs import Rig, read_rig
+from eagor.media.rigs import Rig, read_rig, sizes_of
 from eagor.media.stitching import Panoramas
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
 from eagor.media.video import Video
@@ -95,7 +94,8 @@ def open_camera(
     if kinds[0] == "bag":
         return plugins.bring(plugins.known(GROUP, BUILT_IN)["bag"], "camera")(text, **settings)
     if kinds[0] == "plugin":
-        return _plugin(text, settings)
+        name, _, rest = text.partition(":")
+        return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     return LiveCamera([_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)], **settings)
 
 
@@ -140,14 +140,6 @@ _STREAMS: dict[str, Callable[[str], Any]] = {
     "device": _device,
     "stream": network,
 }
-
-
-def _plugin(text: str, settings: dict[str, Any]) -> CameraSource:
-    """The camera of another package, or that of ROS."""
-    name, _, rest = text.partition(":")
-    point = plugins.known(GROUP, BUILT_IN)[name]
-    make = plugins.bring(point, "camera")
-    return make(rest, **settings)
 
 
 # --- videos and folders; with a rig, those of lenses ---
@@ -257,28 +249,23 @@ class VideoCamera:
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed = False
-        self.motion: MotionTrack | None = None
+        self._panoramas: Panoramas | None = None  # of a video without a rig: checks its pictures
         if rig is not None:
             self.video: StitchedVideo | Video = StitchedVideo(paths, rig, rate=rate, rows=rows)
         else:
             if len(paths) > 1:
                 raise ImageError(f"{len(paths)} files are given, and no rig says how they belong together: --rig FILE")
             self.video = Video(paths[0], rate=rate, rows=rows)
-        self._panoramas = (
-            None
-            if rig is not None
-            else Panoramas(((self.video.shape[1], self.video.shape[0]),), None, rows, self.video.path)
-        )
+            height, width = self.video.shape
+            self._panoramas = Panoramas(((width, height),), None, rows, self.video.path)
         self.grid, self.unseen, self.motion = ErpGrid(*self.video.shape), self.video.unseen, self.video.motion
 
     def __iter__(self) -> Iterator[Frame]:
-        first = True
-        for frame in self.video:
+        for number, frame in enumerate(self.video):
             if self._closed:
                 return
-            if first and self._panoramas is not None:
+            if number == 0 and self._panoramas is not None:
                 self._panoramas.check(frame.panorama)
-            first = False
             yield Frame(frame.stamp - self.latency, frame.panorama, frame.name)
 
     def close(self) -> None:
@@ -312,8 +299,7 @@ class FolderCamera:
         self._moments = list(zip(*lists, strict=True))
         self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
         first = self._read(self._moments[0])
-        sizes = tuple((picture.shape[1], picture.shape[0]) for picture in first)
-        self._panoramas = Panoramas(sizes, rig, rows, str(folders[0]))
+        self._panoramas = Panoramas(sizes_of(first), rig, rows, str(folders[0]))
         self._panoramas.check(*first)
         self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
 
@@ -323,8 +309,8 @@ class FolderCamera:
                 return
             try:
                 pictures = self._read(moment)
-                sizes = tuple((picture.shape[1], picture.shape[0]) for picture in pictures)
-                Panoramas(sizes, None, None, str(moment[0])) if self._rig is None else None
+                if self._rig is None:  # raises for another shape
+                    Panoramas(sizes_of(pictures), None, None, str(moment[0]))
                 panorama = self._panoramas.make(*pictures)
             except EagorError as error:
                 if not self.dropped:

@@ -46,6 +46,10 @@ class Features:
     def __len__(self) -> int:
         return len(self.directions)
 
+    def __getitem__(self, chosen: slice | np.ndarray) -> Features:
+        """Some of the points, by a slice, a mask or indices."""
+        return Features(self.directions[chosen], self.descriptors[chosen])
+
 
 @dataclass(frozen=True, eq=False)
 class Views:

@@ -24,7 +24,7 @@ from eagor.media.defects import BLACK
 from eagor.media.features import Features, match
 from eagor.media.lens_fitting import Pairs, Points, gaps_of, pairs_of, points_of, solve, turns_of
 from eagor.media.panorama import checked_picture
-from eagor.media.rigs import Rig
+from eagor.media.rigs import Rig, sizes_of
 from eagor.media.stitching import Stitcher
 from eagor.media.two_views import Turn, turn_between
 from eagor.sphere import world_R_body
@@ -37,9 +37,7 @@ GATES = (math.radians(6.0), math.radians(1.5))  # between the rays of a pair, in
 FEWEST = 20  # pairs between the lenses, in all; less are no basis
 
 RAYS = 256  # directions from the middle in which the rim is looked for
-FEWEST_RAYS = (
-    24  # of them that have to meet a rim within the picture; with fewer, the circle is taken to fill the picture
-)
+FEWEST_RAYS = 24  # of them that have to meet a rim within the picture; with fewer, the circle fills the picture
 AWAY = 2.0  # pixels from the picture's border at which a rim counts
 OFF = 0.02  # share of the radius by which a point of the rim may be off the circle: dark places touch the rim
 
@@ -91,8 +89,7 @@ def calibrate(
         raise ImageError(f"{len(moments)} picture; wanted two or more, with things in the overlap of the lenses")
     given = rig is not None
     rig = rig or first_rig(moments, fov or math.radians(200))
-    sizes = tuple((picture.shape[1], picture.shape[0]) for picture in moments[0])
-    rig = rig.scaled(rig.factor_of(sizes, "the first picture"))
+    rig = rig.scaled(rig.factor_of(sizes_of(moments[0]), "the first picture"))
     if not all(isinstance(lens, FisheyeLens) for lens in rig.lenses) or len(rig.lenses) != 2:
         raise ImageError("the rig has other lenses than two fisheyes; this fits dual fisheye cameras")
     current, solution, before = rig, None, 0.0
@@ -344,8 +341,7 @@ def _apart(
     rig: Rig, pictures: Sequence[np.ndarray], rows: int | None
 ) -> tuple[Rig, Stitcher, list[tuple[np.ndarray, np.ndarray]]]:
     """The rig in the size of the pictures, its stitcher, and what each lens sees of a panorama, and where."""
-    sizes = tuple((picture.shape[1], picture.shape[0]) for picture in pictures)
-    rig = rig.scaled(rig.factor_of(sizes, "the picture"))
+    rig = rig.scaled(rig.factor_of(sizes_of(pictures), "the picture"))
     stitcher = Stitcher(rig, rows)
     return rig, stitcher, [stitcher.alone(index, *pictures) for index in range(len(rig.lenses))]
 

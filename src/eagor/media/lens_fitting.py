@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from eagor.lenses import FisheyeLens, inverted
 from eagor.media.consensus import part_of_sphere
@@ -108,10 +109,11 @@ def points_of(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Callab
 def turns_of(rig: Rig, points: Sequence[Points]) -> dict[tuple[int, int], Turn]:
     """How the camera turned between any two moments, where their points tell."""
     moments = sorted({each.moment for each in points})
-    seen = {moment: _thinned(_joined(rig, points, moment)) for moment in moments}
+    joined = {moment: _joined(rig, points, moment).features for moment in moments}
+    thinned = {moment: all_[:: max(1, math.ceil(len(all_) / FOR_TURNS))] for moment, all_ in joined.items()}
     turns = {}
     for i, j in combinations(moments, 2):
-        here, there = seen[i].features, seen[j].features
+        here, there = thinned[i], thinned[j]
         first, second = match(here, there)
         step = max(1, math.ceil(len(first) / SHORT))
         first, second = first[::step], second[::step]
@@ -167,17 +169,11 @@ def _joined(rig: Rig, points: Sequence[Points], moment: int) -> _Seen:
     parts = []
     for each in (_only(rig, each) for each in points if each.moment == moment):
         depth = np.stack([lens.project(each.features.directions)[2] for lens in rig.lenses])
-        parts.append((each, np.flatnonzero(depth.argmax(axis=0) == each.lenses)))
-    directions = np.concatenate([each.features.directions[own] for each, own in parts])
-    descriptors = np.concatenate([each.features.descriptors[own] for each, own in parts])
-    lenses = np.concatenate([each.lenses[own] for each, own in parts])
-    return _Seen(Features(directions, descriptors), lenses, np.concatenate([each.pixels[own] for each, own in parts]))
-
-
-def _thinned(seen: _Seen) -> _Seen:
-    step = max(1, math.ceil(len(seen.features) / FOR_TURNS))
-    features = Features(seen.features.directions[::step], seen.features.descriptors[::step])
-    return _Seen(features, seen.lenses[::step], seen.pixels[::step])
+        own = depth.argmax(axis=0) == each.lenses
+        parts.append((each.features[own], each.lenses[own], each.pixels[own]))
+    features, lenses, pixels = zip(*parts, strict=True)
+    joined = Features(*(np.concatenate([getattr(f, name) for f in features]) for name in ("directions", "descriptors")))
+    return _Seen(joined, np.concatenate(lenses), np.concatenate(pixels))
 
 
 # --- the fit ---
@@ -314,17 +310,11 @@ class _Problem:
         return lenses, self._turned(x)
 
     def _turned(self, x: np.ndarray) -> np.ndarray:
-        from scipy.spatial.transform import Rotation
-
         turns = x[PER_LENS * len(self.lenses) :].reshape(-1, 3)
         if not self.turned:
             return self.turns
-        by = (
-            np.concatenate([np.eye(3)[None], Rotation.from_rotvec(turns).as_matrix()])
-            if len(turns)
-            else np.eye(3)[None]
-        )
-        return self.turns @ by
+        by = Rotation.from_rotvec(turns).as_matrix() if len(turns) else np.empty((0, 3, 3))
+        return self.turns @ np.concatenate([np.eye(3)[None], by])
 
     def gaps(self, x: np.ndarray) -> np.ndarray:
         """Between the two rays of each pair, ``(n, 3)``."""
@@ -419,8 +409,6 @@ def _rings(lens: FisheyeLens, angles: np.ndarray) -> np.ndarray:
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_rotvec(vector).as_matrix()
 
 

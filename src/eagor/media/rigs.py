@@ -23,15 +23,17 @@ Files are read with errors that name the line. The format::
 
 from __future__ import annotations
 
+import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from eagor._extras import need
 from eagor._files import read_file, written
@@ -40,10 +42,7 @@ from eagor.errors import EagorError, FormatError, GridError, ImageError
 from eagor.lenses import FisheyeLens, Lens, PinholeLens
 from eagor.sphere import world_R_body
 
-if TYPE_CHECKING:
-    from yaml.nodes import Node
-
-__all__ = ["Rig", "dual_fisheye", "read_rig", "write_rig"]
+__all__ = ["Rig", "dual_fisheye", "read_rig", "sizes_of", "write_rig"]
 
 SHAPE = 0.01  # by which the ratio of a picture's sides may differ from the rig's: rounding to even numbers
 
@@ -112,6 +111,11 @@ class Rig:
         return factors[0]
 
 
+def sizes_of(pictures: Iterable[np.ndarray]) -> tuple[tuple[int, int], ...]:
+    """Width and height of each picture ``(H, W, ...)``, as rigs count them."""
+    return tuple((picture.shape[1], picture.shape[0]) for picture in pictures)
+
+
 def dual_fisheye(width: int, height: int, fov: float = math.radians(200)) -> Rig:
     """Two ideal lenses back to back, their circles side by side in one picture, the front one on the left.
 
@@ -156,9 +160,9 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 class _Place:
-    """A node of the file: reads it as what is wanted, or raises `FormatError` with its line."""
+    """A node of the file, of PyYAML: reads it as what is wanted, or raises `FormatError` with its line."""
 
-    def __init__(self, node: Node, path: str) -> None:
+    def __init__(self, node: Any, path: str) -> None:
         self.node, self.path = node, path
 
     def wrong(self, wanted: str) -> FormatError:
@@ -166,9 +170,7 @@ class _Place:
 
     def mapping(self, keys: Sequence[str] | None = None) -> dict[str, _Place]:
         """The entries; only `keys` are allowed."""
-        import yaml
-
-        if not isinstance(self.node, yaml.MappingNode):
+        if self.node.id != "mapping":
             raise self.wrong(f"is {self._what()}; wanted names with values" + (f": {', '.join(keys)}" if keys else ""))
         found: dict[str, _Place] = {}
         for key, value in self.node.value:
@@ -186,17 +188,13 @@ class _Place:
 
     def items(self, wanted: str) -> list[_Place]:
         """The members of a list."""
-        import yaml
-
-        if not isinstance(self.node, yaml.SequenceNode):
+        if self.node.id != "sequence":
             raise self.wrong(f"is {self._what()}; wanted {wanted}")
         return [_Place(each, f"{self.path}[{index}]") for index, each in enumerate(self.node.value)]
 
     def number(self, wanted: str = "a number", whole: bool = False) -> float:
-        import yaml
-
         try:
-            if not isinstance(self.node, yaml.ScalarNode) or "_" in self.node.value:
+            if self.node.id != "scalar" or "_" in self.node.value:
                 raise ValueError
             value = float(self.node.value)
         except ValueError:
@@ -212,9 +210,7 @@ class _Place:
         return tuple(each.number() for each in found)
 
     def text(self) -> str:
-        import yaml
-
-        if not isinstance(self.node, yaml.ScalarNode):
+        if self.node.id != "scalar":
             raise self.wrong(f"is {self._what()}; wanted a text")
         return str(self.node.value)
 
@@ -324,12 +320,11 @@ def write_rig(rig: Rig, path: str | os.PathLike[str], notes: Sequence[str] = ())
 
 
 def _fields(lens: Lens) -> Mapping[str, str]:
-    from scipy.spatial.transform import Rotation
-
     yaw, pitch, roll = Rotation.from_matrix(lens.body_R_lens).as_euler("ZYX", degrees=True)
     angles = ", ".join(f"{key}: {value:.6f}" for key, value in zip(ANGLES, (yaw, pitch, roll), strict=True))
     common = {"picture": str(lens.picture), "centre": _list(lens.centre), "rotation": f"{{{angles}}}"}
-    head = {"name": _quoted(lens.name)}
+    # JSON's strings are YAML's.
+    head = {"name": json.dumps(lens.name, ensure_ascii=False)}
     if isinstance(lens, PinholeLens):
         own = {"focal": _list(lens.focal), "distortion": _list(lens.distortion)}
         return head | {"kind": "pinhole"} | common | own
@@ -340,10 +335,3 @@ def _fields(lens: Lens) -> Mapping[str, str]:
 
 def _list(values: Sequence[float]) -> str:
     return f"[{', '.join(f'{value:.9g}' for value in values)}]"
-
-
-def _quoted(text: str) -> str:
-    """A text as YAML: JSON's strings are."""
-    import json
-
-    return json.dumps(text, ensure_ascii=False)

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, Protocol, cast
 
 import numpy as np
 
@@ -67,10 +67,7 @@ class Stream:
     options: Mapping[str, str] = field(default_factory=dict)
     again: bool = True
     size: tuple[int, int] | None = None
-
-    @property
-    def stamped(self) -> bool:
-        return False
+    stamped: ClassVar[bool] = False
 
     def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
         """As `eagor.media.live_camera.PictureStream` says."""
@@ -81,9 +78,8 @@ class Stream:
         try:
             streams = container.streams.video
             if not streams:
-                raise DeviceError(
-                    f"{self.name} has no pictures, but: {_others(container)}. Give the address of a video"
-                )
+                others = ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
+                raise DeviceError(f"{self.name} has no pictures, but: {others}. Give the address of a video")
             stream = streams[0]
             context = stream.codec_context
             if context is None:
@@ -191,10 +187,6 @@ def network(address: str) -> Stream:
 def standard_input() -> Stream:
     """Encoded pictures on standard input: MPEG-TS, Matroska, MJPEG, ..."""
     return Stream("pipe:0", "standard input", "", {**LOW_LATENCY, "protocol_whitelist": "pipe"}, again=False)
-
-
-def _others(container: InputContainer) -> str:
-    return ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
 
 
 def _why(error: Exception) -> str:

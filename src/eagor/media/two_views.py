@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import expit, log_expit, log_ndtr
 
 from eagor.media.consensus import Agreement, Parts, agreeing_motion, agreeing_rotation
@@ -66,7 +66,7 @@ def turn_between(old: np.ndarray, new: np.ndarray, *, level: bool = False, moves
         return None
     axes = np.array([[0.0, 0.0, 1.0]]) if level else np.eye(3)
     parts = Parts(old)
-    found: list[tuple[float, Standing | Moving, np.ndarray]] = []
+    found: list[tuple[float, Model, np.ndarray]] = []
     found.append(_fitted(Standing(old, new, still.rotation, axes, parts), still))
     if moved is not None:
         assert moved.direction is not None
@@ -82,7 +82,7 @@ def turn_between(old: np.ndarray, new: np.ndarray, *, level: bool = False, moves
     return Turn(model.rotation, axes.T @ spread @ axes, direction, inliers, math.exp(parameters[d]))
 
 
-def _fitted(model: Standing | Moving, agreement: Agreement) -> tuple[float, Standing | Moving, np.ndarray]:
+def _fitted(model: Model, agreement: Agreement) -> tuple[float, Model, np.ndarray]:
     """Evidence for the model, the model about its most likely pose, its parameters."""
     parameters = maximise(model, model.start(agreement.inliers))
     centred, left = model.at(parameters)
@@ -97,24 +97,6 @@ def _yaw_of(rotation: np.ndarray) -> np.ndarray:
 
 
 # --- how likely a motion of the camera is ---
-
-
-class Model(Protocol):
-    """A log-density of each pair under parameters; the first ones turn the rotation about `axes` ``(d, 3)``."""
-
-    @property
-    def axes(self) -> np.ndarray: ...
-
-    @property
-    def parts(self) -> Parts: ...
-
-    def log_inlier(self, parameters: np.ndarray) -> np.ndarray:
-        """Log-density ``(p, n)`` of right pairs under parameters ``(p, k)``."""
-        ...
-
-    def log_prior(self, parameters: np.ndarray) -> np.ndarray:
-        """Logarithm ``(p,)`` of the weak priors."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +119,7 @@ class Standing:
         return np.concatenate([np.zeros(len(self.axes)), [math.log(sigma), _logit(inliers)]])
 
     def log_inlier(self, parameters: np.ndarray) -> np.ndarray:
+        """Log-density ``(p, n)`` of right pairs under parameters ``(p, k)``."""
         d = len(self.axes)
         turned = _turned(self.there, self.rotation, parameters[:, :d] @ self.axes)
         log_sigma = parameters[:, d, None]
@@ -145,6 +128,7 @@ class Standing:
         return -squared / (2 * variance) - np.log(variance) - math.log(2 * math.pi)
 
     def log_prior(self, parameters: np.ndarray) -> np.ndarray:
+        """Logarithm ``(p,)`` of the weak priors."""
         return _log_prior(parameters[:, len(self.axes) :])
 
     def at(self, parameters: np.ndarray) -> tuple[Standing, np.ndarray]:
@@ -178,6 +162,7 @@ class Moving:
         return np.concatenate([np.zeros(len(self.axes)), rest])
 
     def log_inlier(self, parameters: np.ndarray) -> np.ndarray:
+        """Log-density ``(p, n)`` of right pairs under parameters ``(p, k)``."""
         d = len(self.axes)
         turned = _turned(self.there, self.rotation, parameters[:, :d] @ self.axes)
         log_sigma, log_mean = parameters[:, d, None], parameters[:, d + 2, None]
@@ -189,6 +174,7 @@ class Moving:
         return shift - (across / sigma) ** 2 / 2 - np.log(sigma) - math.log(2 * math.pi) / 2
 
     def log_prior(self, parameters: np.ndarray) -> np.ndarray:
+        """Logarithm ``(p,)`` of the weak priors."""
         d = len(self.axes)
         return _log_prior(parameters[:, d:]) - ((parameters[:, d + 2] - math.log(_USUAL_SHIFT)) / 3) ** 2 / 2
 
@@ -205,6 +191,9 @@ class Moving:
         tangent = np.linalg.svd(self.direction[None])[2][1:]
         tilted = self.direction + tilts @ tangent
         return tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
+
+
+Model = Standing | Moving  # of both, the first parameters turn the rotation about `axes` ``(d, 3)``
 
 
 def evidence(model: Model, parameters: np.ndarray) -> float:
@@ -320,8 +309,6 @@ def _turned(there: np.ndarray, rotation: np.ndarray, turns: np.ndarray) -> np.nd
 
 def _rotations(vectors: np.ndarray) -> np.ndarray:
     """Matrices ``(p, 3, 3)`` of rotation vectors ``(p, 3)``."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_rotvec(vectors).as_matrix()
 
 
