@@ -30,9 +30,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from rigs import distorted_rig, off
 
 from eagor.grids import ErpGrid
-from eagor.media.cameras import Stitcher, dual_fisheye, seen_by
-from eagor.media.cameras.calibrating import calibrate
+from eagor.media.lens_calibration import calibrate
 from eagor.media.panorama import read_panorama, turn
+from eagor.media.rigs import dual_fisheye
+from eagor.media.stitching import Stitcher, seen_by
 from eagor.sphere import world_R_body
 
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor.media.cameras import FisheyeLens, Rig
+from eagor.lenses import FisheyeLens
+from eagor.media.rigs import Rig
 from eagor.sphere import world_R_body
 
 

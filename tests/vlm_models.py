@@ -12,7 +12,7 @@ import transformers
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors
 
 from eagor.grids import ErpGrid
-from eagor.media.images import resized
+from eagor.media.panorama import resized
 from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.transformers.layout import Layout
 from eagor.perception.transformers.loading import load_model

@@ -40,7 +40,7 @@ FLOORS = {
     "belief": ("belief",),
     "evidence": ("evidence",),
     "harmonics": ("harmonics", "conventions", "thumbnail"),
-    "sphere": ("grids", "sphere"),
+    "sphere": ("grids", "lenses", "sphere"),
     "helpers": ("plugins", "queries", "errors"),
 }
 SAID = {

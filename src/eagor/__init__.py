@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from eagor import evidence as evidence
     from eagor import grids as grids
     from eagor import harmonics as harmonics
+    from eagor import lenses as lenses
     from eagor import live as live
     from eagor import media as media
     from eagor import metrics as metrics
@@ -84,9 +85,9 @@ _HOME = {
 
 # The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
-    "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics", "live",
-    "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics", "tasks", "tracking",
-    "worlds",
+    "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics",
+    "lenses", "live", "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics", "tasks",
+    "tracking", "worlds",
 )  # fmt: skip
 
 

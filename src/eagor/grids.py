@@ -21,11 +21,15 @@ import numpy as np
 from eagor._lazy import lazy
 from eagor._reprs import changed
 from eagor.errors import GridError
+from eagor.lenses import FisheyeLens, PinholeLens
 from eagor.sphere import azimuth_elevation, check_rotation, direction
 
 __all__ = [
-    "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "Lens", "PatchGrid", "PerspectiveGrid", "forward_view", "lens_of",
+    "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "PatchGrid", "PerspectiveGrid", "ViewKey", "forward_view",
+    "view_key",
 ]  # fmt: skip
+
+_EDGE = 1e-12  # radians by which rounding may put what lies on the edge of a view outside
 
 
 @lru_cache(maxsize=64)
@@ -188,8 +192,36 @@ class ErpWindow:
         return _frozen(np.broadcast_to(row[:, None], self.shape))
 
 
-@dataclass(frozen=True, eq=False)
-class PerspectiveGrid:
+class _Sampled:
+    """What `PerspectiveGrid` and `FisheyeGrid` share: the pixels of a lens without distortion."""
+
+    body_R_view: np.ndarray
+    shape: tuple[int, int]
+    lens: PinholeLens | FisheyeLens
+
+    __repr__ = changed
+
+    @lazy
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame; those beyond a fisheye's rim are meaningless."""
+        return _frozen(self.unproject(*_centres(*self.shape)))
+
+    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Directions at continuous pixel coordinates."""
+        return self.lens.unproject(x, y)
+
+    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixel coordinates (x, y) of directions ``(..., 3)`` and a mask of those that the lens sees."""
+        x, y, depth = self.lens.project(directions)
+        return x, y, depth >= -_EDGE
+
+    def _keep_pose(self) -> None:
+        pose = np.array(check_rotation(np.asarray(self.body_R_view, dtype=np.float64), "body_R_view"))
+        object.__setattr__(self, "body_R_view", _frozen(pose))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PerspectiveGrid(_Sampled):
     """A pinhole view: rows, columns, horizontal field of view (radians, below pi) and its pose in the body.
 
     The view frame is x forward, y left, z up like the body's, so that the identity looks forward:
@@ -201,18 +233,16 @@ class PerspectiveGrid:
     hfov: float
     body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
 
-    __repr__ = changed
-
     def __post_init__(self) -> None:
         _check_size(self.height, self.width)
         if not 0 < self.hfov < math.pi:
             raise GridError(
                 f"hfov = {self.hfov:g} rad; a perspective view needs 0 < hfov < pi. Given in degrees? Use math.radians"
             )
-        object.__setattr__(self, "body_R_view", _pose(self.body_R_view))
+        self._keep_pose()
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> tuple[int, int]:  # type: ignore[override]
         """(rows, columns)."""
         return self.height, self.width
 
@@ -222,44 +252,26 @@ class PerspectiveGrid:
         return self.width / 2 / math.tan(self.hfov / 2)
 
     @lazy
-    def directions(self) -> np.ndarray:
-        """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame."""
-        return _frozen(self.unproject(*_centres(*self.shape)))
+    def lens(self) -> PinholeLens:  # type: ignore[override]
+        """The lens whose pixels these are."""
+        size, focal, centre = (self.width, self.height), (self.focal, self.focal), (self.width / 2, self.height / 2)
+        return PinholeLens("view", size, focal, centre, (), self.body_R_view)
 
     @lazy
     def weights(self) -> np.ndarray:
         """Exact solid angles ``(H, W)`` of the pixels: differences of atan(x y / sqrt(1 + x^2 + y^2)) over corners."""
-        x, y = self._plane(np.arange(self.width + 1), np.arange(self.height + 1)[:, None])
+        x, y = self.lens.plane(np.arange(self.width + 1), np.arange(self.height + 1)[:, None])
         corner = np.arctan2(x * y, np.sqrt(1 + x * x + y * y))
         return _frozen(np.diff(np.diff(corner, axis=0), axis=1))
 
-    def _plane(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixel coordinates to the image plane at distance 1 (right, down)."""
-        return (np.asarray(x) - self.width / 2) / self.focal, (np.asarray(y) - self.height / 2) / self.focal
-
-    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Directions at continuous pixel coordinates."""
-        right, down = np.broadcast_arrays(*self._plane(x, y))
-        rays = np.stack([np.ones_like(right), -right, -down], axis=-1)
-        return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)) @ self.body_R_view.T
-
-    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixel coordinates (x, y) of directions ``(..., 3)`` and a mask of those inside the view."""
-        rays = np.asarray(directions) @ self.body_R_view
-        ahead = rays[..., 0] > 1e-9
-        depth = np.where(ahead, rays[..., 0], 1.0)
-        x = self.width / 2 - self.focal * rays[..., 1] / depth
-        y = self.height / 2 - self.focal * rays[..., 2] / depth
-        return x, y, ahead & (x >= 0) & (x <= self.width) & (y >= 0) & (y <= self.height)
-
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Steradians per square pixel: cos^3 of the angle off the axis, over the focal length squared."""
-        right, down = self._plane(x, y)
+        right, down = self.lens.plane(x, y)
         return (1 + right**2 + down**2) ** -1.5 / self.focal**2
 
     def depth_inside(self) -> np.ndarray:
         """Angle (radians, ``(H, W)``) from each pixel to the border: image edges are great circles."""
-        right, down = self._plane(*_centres(*self.shape))
+        right, down = self.lens.plane(*_centres(*self.shape))
         half_width, half_height = self.width / 2 / self.focal, self.height / 2 / self.focal
         length = np.sqrt(1 + right**2 + down**2)
         to_sides = (half_width - np.abs(right)) / math.hypot(1, half_width)
@@ -267,8 +279,8 @@ class PerspectiveGrid:
         return np.arcsin(np.minimum(to_sides, to_ends) / length)
 
 
-@dataclass(frozen=True, eq=False)
-class FisheyeGrid:
+@dataclass(frozen=True, eq=False, repr=False)
+class FisheyeGrid(_Sampled):
     """An equidistant fisheye image: a circle that fills a square of `size` pixels and spans `fov` (up to 2 pi).
 
     The angle off the axis grows linearly with the distance from the image's centre. The corners see nothing: their
@@ -279,92 +291,68 @@ class FisheyeGrid:
     fov: float
     body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
 
-    __repr__ = changed
-
     def __post_init__(self) -> None:
         if self.size < 1 or not 0 < self.fov <= 2 * math.pi:
             raise GridError(
                 f"fisheye of size {self.size}, fov {self.fov:g} rad; wanted size >= 1 and 0 < fov <= 2 pi (radians)"
             )
-        object.__setattr__(self, "body_R_view", _pose(self.body_R_view))
+        self._keep_pose()
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> tuple[int, int]:  # type: ignore[override]
         """(rows, columns)."""
         return self.size, self.size
 
     @lazy
-    def directions(self) -> np.ndarray:
-        """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame (the corners are meaningless)."""
-        return _frozen(self.unproject(*_centres(*self.shape)))
+    def lens(self) -> FisheyeLens:  # type: ignore[override]
+        """The lens whose pixels these are."""
+        half = self.size / 2
+        return FisheyeLens("view", (half, half), self.size / self.fov, half, (), self.body_R_view)
 
     @lazy
     def weights(self) -> np.ndarray:
         """Solid angles ``(H, W)`` of the pixels, zero outside the circle (4 x 4 points each: the rim is shared)."""
         fine = (np.arange(4 * self.size) + 0.5) / 4
         x, y = fine, fine[:, None]
-        seen = np.where(self._angle(x, y)[0] <= self.fov / 2, self.density(x, y), 0.0) / 16
+        seen = np.where(self._angle(x, y) <= self.fov / 2, self.density(x, y), 0.0) / 16
         return _frozen(seen.reshape(self.size, 4, self.size, 4).sum(axis=(1, 3)))
 
-    def _angle(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angle off the axis and the offsets (right, down) from the centre, all in radians."""
-        scale = self.fov / self.size
-        right, down = np.broadcast_arrays((np.asarray(x) - self.size / 2) * scale, (y - self.size / 2) * scale)
-        return np.hypot(right, down), right, down
-
-    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Directions at continuous pixel coordinates."""
-        angle, right, down = self._angle(x, y)
-        sinc = np.sinc(angle / math.pi)
-        return np.stack([np.cos(angle), -right * sinc, -down * sinc], axis=-1) @ self.body_R_view.T
-
-    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixel coordinates (x, y) of directions ``(..., 3)`` and a mask of those inside the circle."""
-        rays = np.asarray(directions) @ self.body_R_view
-        off_axis = np.hypot(rays[..., 1], rays[..., 2])
-        angle = np.arctan2(off_axis, rays[..., 0])
-        radius = angle * (self.size / self.fov) / np.maximum(off_axis, 1e-12)
-        x, y = self.size / 2 - rays[..., 1] * radius, self.size / 2 - rays[..., 2] * radius
-        return x, y, angle <= self.fov / 2
+    def _angle(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Angle off the axis, radians."""
+        return self.lens.angle_at(np.hypot(np.asarray(x) - self.size / 2, np.asarray(y) - self.size / 2))
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Steradians per square pixel: sin(angle) / angle times the squared angular size of a pixel."""
-        angle, _, _ = self._angle(x, y)
-        return np.sinc(np.minimum(angle, math.pi) / math.pi) * (self.fov / self.size) ** 2
+        return np.sinc(np.minimum(self._angle(x, y), math.pi) / math.pi) / self.lens.focal**2
 
     def depth_inside(self) -> np.ndarray | None:
         """Angle (radians, ``(H, W)``) from each pixel to the rim; None where the lens sees the whole sphere."""
         if self.fov >= 2 * math.pi - 1e-9:
             return None
-        return np.maximum(self.fov / 2 - self._angle(*_centres(*self.shape))[0], 0.0)
+        return np.maximum(self.fov / 2 - self._angle(*_centres(*self.shape)), 0.0)
 
 
 Grid = ErpGrid | PatchGrid | PerspectiveGrid | FisheyeGrid
-Lens = tuple[str, int, int, float]
+ViewKey = tuple[str, int, int, float]
 
 
-def lens_of(grid: PerspectiveGrid | FisheyeGrid) -> Lens:
-    """A view without its pose: hashable, so that plans can be cached per lens."""
+def view_key(grid: PerspectiveGrid | FisheyeGrid) -> ViewKey:
+    """A view without its pose: hashable, so that plans can be cached."""
     if isinstance(grid, PerspectiveGrid):
         return "perspective", grid.height, grid.width, grid.hfov
     return "fisheye", grid.size, grid.size, grid.fov
 
 
 @lru_cache(maxsize=16)
-def forward_view(lens: Lens) -> PerspectiveGrid | FisheyeGrid:
-    """The view with this lens that looks forward."""
-    kind, height, width, fov = lens
+def forward_view(key: ViewKey) -> PerspectiveGrid | FisheyeGrid:
+    """The view with this key that looks forward."""
+    kind, height, width, fov = key
     return PerspectiveGrid(height, width, fov) if kind == "perspective" else FisheyeGrid(height, fov)
 
 
 def _check_size(height: int, width: int) -> None:
     if min(height, width) < 1:
         raise GridError(f"a grid needs at least one row and one column; got {height} x {width}")
-
-
-def _pose(matrix: np.ndarray) -> np.ndarray:
-    """A read-only copy of `matrix`, checked to be a rotation."""
-    return _frozen(np.array(check_rotation(np.asarray(matrix, dtype=np.float64), "body_R_view")))
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 A package adds its own under an entry-point group in its ``pyproject.toml``; they are known wherever it is installed:
 
 - ``eagor.perceptions``: a class or function that makes a perception (`eagor.perception`);
-- ``eagor.cameras``: a function that makes a source of pictures (`eagor.media.cameras`);
+- ``eagor.cameras``: a function that makes a source of pictures (`eagor.media.camera_sources`);
 - ``eagor.worlds``: a world, a function from a seed to a scene (`eagor.worlds`);
 - ``eagor.tasks``: a simulated task, an `eagor.tasks.task.Task`;
 - ``eagor.benchmarks``: a benchmark with published data, or a function that makes it (`eagor.tasks.benchmark`).

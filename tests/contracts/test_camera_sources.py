@@ -18,13 +18,13 @@ import pytest
 from PIL import Image
 
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
-from eagor.media.cameras import Newest, check_camera, dual_fisheye, open_camera, seen_by, write_rig
-from eagor.media.cameras.clock import PROBATION, StreamClock
-from eagor.media.cameras.feeds import Feed
-from eagor.media.cameras.live import LiveCamera
-from eagor.media.cameras.pipes import raw_pipe
-from eagor.media.cameras.streams import Stream, device
-from eagor.media.frames import Frame
+from eagor.media.camera_sources import Newest, open_camera
+from eagor.media.clocks import PROBATION, StreamClock
+from eagor.media.frames import Frame, check_camera
+from eagor.media.live_camera import Feed, LiveCamera
+from eagor.media.rigs import dual_fisheye, write_rig
+from eagor.media.stitching import seen_by
+from eagor.media.streams import Stream, device, raw_pipe
 from eagor.worlds.painted import painted_room
 
 av = pytest.importorskip("av")
@@ -369,7 +369,7 @@ def test_stamps_of_a_pipe_are_kept_and_a_cut_picture_is_said():
 
 READER = """
 import sys
-from eagor.media.cameras import open_camera
+from eagor.media.camera_sources import open_camera
 
 camera = open_camera(sys.argv[1])
 frame = next(iter(camera))
@@ -589,9 +589,9 @@ def test_the_test_of_cameras_finds_faults():
 
 
 def test_a_plugin_is_opened_by_its_name(monkeypatch):
-    from eagor.media.cameras import opening
+    from eagor.media import camera_sources
 
-    monkeypatch.setitem(opening.BUILT_IN, "fake", f"{__name__}:fake_camera")
+    monkeypatch.setitem(camera_sources.BUILT_IN, "fake", f"{__name__}:fake_camera")
     monkeypatch.setitem(sys.modules, __name__, sys.modules[fake_camera.__module__])
     rest, settings = open_camera("fake:left/eye", latency=0.25, rows=64)
     assert rest == "left/eye"

@@ -10,7 +10,7 @@ import vlm_models
 from transformers.models.qwen2_vl.image_processing_pil_qwen2_vl import smart_resize
 
 from eagor.errors import EagorError, ImageError
-from eagor.media.images import resized
+from eagor.media.panorama import resized
 from eagor.perception.transformers import inputs
 from eagor.perception.transformers.chat import LocalChat, conversation
 from eagor.perception.vlm.families import FAMILIES

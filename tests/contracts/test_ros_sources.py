@@ -14,8 +14,8 @@ import pytest
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
 from eagor.media.bags import messages as m
 from eagor.media.bags.reader import BagWriter
-from eagor.media.cameras import check_camera, open_camera
-from eagor.media.frames import Pose
+from eagor.media.camera_sources import open_camera
+from eagor.media.frames import Pose, check_camera
 from eagor.robots.dds import Link
 from eagor.robots.dds.settings import free_domain
 from eagor.robots.ros.graph import DdsGraph

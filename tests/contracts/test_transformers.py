@@ -20,7 +20,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
-from eagor.media.images import resized
+from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix
 from eagor.perception.transformers.attention import densities, relative, saturated

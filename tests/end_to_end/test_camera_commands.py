@@ -11,8 +11,9 @@ from moving_rooms import PatternRoom
 from PIL import Image
 
 from eagor.cli import main
-from eagor.media.cameras import dual_fisheye, read_rig, seen_by, write_rig
 from eagor.media.panorama import turn
+from eagor.media.rigs import dual_fisheye, read_rig, write_rig
+from eagor.media.stitching import seen_by
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
 

@@ -18,7 +18,7 @@ import yaml
 from PIL import Image
 
 from eagor import __version__, perception, worlds
-from eagor.media.cameras import opening as cameras
+from eagor.media import camera_sources as cameras
 from eagor.tasks import benchmark, task
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 

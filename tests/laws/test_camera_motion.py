@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.errors import PoseError
-from eagor.media.insta360 import read_trailer
-from eagor.media.motion import MotionTrack, complementary, integrate
+from eagor.media.motion import MotionTrack, complementary, integrate, read_insta360
 from eagor.media.video import Video
 from eagor.sphere import world_R_body
 
@@ -171,7 +170,7 @@ def test_the_trailer_of_insta360(tmp_path, raw):
     path = clips.clip(tmp_path / "a.mp4")
     path.write_bytes(path.read_bytes() + clips.trailer(samples, camera="Insta360 X9", first=5000, raw=raw))
     with path.open("rb") as file:
-        read = read_trailer(file)
+        read = read_insta360(file)
     assert read.camera == "Insta360 X9"
     assert read.gyro[:, 0] == pytest.approx(times, abs=2e-3)
     assert np.degrees(np.abs(read.gyro[:, 1:] - rates @ BODY_R_IMU)).max() < 0.1

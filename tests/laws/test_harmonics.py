@@ -191,8 +191,8 @@ def test_a_large_view_is_gathered_into_wider_blocks_so_that_its_plan_is_kept(mon
     assert np.array_equal(RealHarmonics(degree).analyse(values, view), first)
     assert len(made) == once if most > 1e6 else len(made) == 2 * once
     assert np.abs(first - exact).max() < 2e-3 * np.abs(exact).max()
-    rows, _ = projection._block_edges(projection.lens_of(view), degree)
-    assert max(np.diff(rows)) * projection.largest_cell(projection.lens_of(view)) <= 0.5 / (degree + 1)
+    rows, _ = projection._block_edges(projection.view_key(view), degree)
+    assert max(np.diff(rows)) * projection.largest_cell(projection.view_key(view)) <= 0.5 / (degree + 1)
 
 
 @given(st.floats(0.01, 1.0), st.floats(0.01, 1.0), SEEDS)

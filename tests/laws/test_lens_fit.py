@@ -9,14 +9,12 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import ImageError, PoseError
-from eagor.media.cameras import dual_fisheye, seen_by
-from eagor.media.cameras.calibrating import calibrate
-from eagor.media.cameras.circles import first_rig
-from eagor.media.cameras.fitting import solve
-from eagor.media.cameras.latency import Steps, latency_between
-from eagor.media.cameras.overlap import overlap_of, with_seam
-from eagor.media.cameras.sightings import Pairs
 from eagor.media.frames import Pose
+from eagor.media.latency import Steps, latency_between
+from eagor.media.lens_calibration import calibrate, first_rig, overlap_of, with_seam
+from eagor.media.lens_fitting import Pairs, solve
+from eagor.media.rigs import dual_fisheye
+from eagor.media.stitching import seen_by
 from eagor.sphere import world_R_body
 
 cv2 = pytest.importorskip("cv2")

@@ -6,8 +6,7 @@ from PIL import Image, PngImagePlugin
 
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid
-from eagor.media.panorama import turn
-from eagor.media.pictures import read_photograph
+from eagor.media.panorama import read_photograph, turn
 from eagor.sphere import angular_distance, direction
 from eagor.worlds.painted import painted_room
 

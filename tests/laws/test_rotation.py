@@ -11,8 +11,7 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from eagor.media.features import Views, features_of, match
-from eagor.media.flow import corners_of, followed, steadied
+from eagor.media.features import Views, corners_of, features_of, followed, match, steadied
 from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
 from eagor.media.two_views import turn_between

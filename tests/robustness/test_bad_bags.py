@@ -19,8 +19,8 @@ from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
 from eagor.media.bags import messages as m
-from eagor.media.bags.mcap import MAGIC, MOST
 from eagor.media.bags.reader import Bag, BagWriter, is_bag, read_bag
+from eagor.media.bags.storage import MAGIC, MOST
 
 
 def small(path, count=20):

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from strategies import HOSTILE
 
 from eagor.errors import EagorError, FormatError
-from eagor.media.cameras import read_rig
+from eagor.media.rigs import read_rig
 
 pytest.importorskip("yaml")
 GOOD = """pictures:

@@ -18,13 +18,11 @@ from strategies import HOSTILE
 
 from eagor.errors import ImageError, TimeError
 from eagor.grids import FisheyeGrid
-from eagor.media.boxes import read_movie
-from eagor.media.insta360 import read_trailer
-from eagor.media.matroska import read_head
+from eagor.media.containers import read_head, read_movie
+from eagor.media.metadata import GPANO, properties, read_metadata
+from eagor.media.motion import read_insta360
 from eagor.media.panorama import view
-from eagor.media.said import read_said
 from eagor.media.video import Video
-from eagor.media.xmp import GPANO, properties
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
 
@@ -125,7 +123,7 @@ def test_no_pictures(tmp_path):
 
 
 def test_pictures_too_large(tmp_path, monkeypatch):
-    monkeypatch.setattr("eagor.media.decoding.LARGEST", 8000)
+    monkeypatch.setattr("eagor.media.video.LARGEST", 8000)
     with pytest.raises(ImageError, match="pictures of 128 x 64 pixels; wanted at most 8000"):
         Video(clips.clip(tmp_path / "a.mp4"))
 
@@ -266,8 +264,8 @@ SPOKEN = spoken()
 def test_what_files_say_of_themselves(folder, blob):
     path = folder / "a.insv"
     path.write_bytes(blob)
-    reads(lambda: read_said(str(path)), "a.insv")
-    for reader in (read_movie, read_head, read_trailer):
+    reads(lambda: read_metadata(str(path)), "a.insv")
+    for reader in (read_movie, read_head, read_insta360):
         with path.open("rb") as file:
             reads(lambda reader=reader, file=file: reader(file))
 

@@ -21,7 +21,7 @@ from eagor.cli.terminal import log, warning
 from eagor.errors import PoseError
 from eagor.media.bags.reader import Bag
 from eagor.media.frames import Pose as GivenPose
-from eagor.media.pictures import PanoramaFile
+from eagor.media.panorama import PanoramaFile
 from eagor.robots.ros.playing import BagCamera, BagPoses
 from eagor.robots.ros.topics import MOTION, TF_STATIC
 

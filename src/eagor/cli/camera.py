@@ -17,8 +17,8 @@ from eagor.cli.steps import VIDEOS
 from eagor.errors import DeviceError, ImageError
 
 if TYPE_CHECKING:
-    from eagor.media.cameras.rig import Rig
     from eagor.media.frames import Frame, Pose
+    from eagor.media.rigs import Rig
 
 WANTED = 0.3  # degrees: a lens that is known so well everywhere needs no more pictures
 APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit
@@ -36,9 +36,9 @@ def camera(options: Camera) -> int:
 
 def calibrate(options: CameraCalibrate) -> int:
     """``eagor camera calibrate``."""
-    from eagor.media.cameras.calibrating import ROUNDS
-    from eagor.media.cameras.calibrating import calibrate as fit
-    from eagor.media.cameras.rig_files import read_rig, write_rig
+    from eagor.media.lens_calibration import ROUNDS
+    from eagor.media.lens_calibration import calibrate as fit
+    from eagor.media.rigs import read_rig, write_rig
 
     if options.field is not None and not 100 <= options.field <= 280:
         raise terminal.UsageError(f"--field {options.field:g}; wanted degrees from rim to rim, 100 to 280")
@@ -94,10 +94,9 @@ def view(options: CameraView) -> int:
     """``eagor camera view``."""
     from PIL import Image
 
-    from eagor.media.cameras.overlap import overlap_of, with_seam
-    from eagor.media.cameras.rig import dual_fisheye
-    from eagor.media.cameras.rig_files import read_rig
-    from eagor.media.cameras.stitching import Stitcher
+    from eagor.media.lens_calibration import overlap_of, with_seam
+    from eagor.media.rigs import dual_fisheye, read_rig
+    from eagor.media.stitching import Stitcher
 
     inputs = [Path(part) for part in options.picture.split(",")]
     for option, path in (("--out", options.out), ("--stitched", options.stitched)):
@@ -146,8 +145,8 @@ def view(options: CameraView) -> int:
 
 def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
-    from eagor.media.cameras.latency import check_turning, latency_between, steps_of
-    from eagor.media.cameras.opening import open_camera
+    from eagor.media.camera_sources import open_camera
+    from eagor.media.latency import check_turning, latency_between, steps_of
 
     for name in ("rate", "seconds", "most"):
         if not (math.isfinite(value := getattr(options, name)) and value > 0):
@@ -225,7 +224,7 @@ def _film(
     paths: Sequence[Path], rig: Rig | None, start: float, rate: float | None = None
 ) -> Iterator[tuple[np.ndarray, ...]]:
     """The lenses' pictures of a video, from `start` on."""
-    from eagor.media.cameras.files import lens_videos
+    from eagor.media.camera_sources import lens_videos
 
     count = 0
     for frames in lens_videos(paths, None if rig is None else len(rig.sizes), rate=rate, start=start):

@@ -35,7 +35,7 @@ from eagor.live.answers import Answer
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.live.news import News
 from eagor.live.sources import GivenPoses, MotionPoses
-from eagor.media.cameras import open_camera
+from eagor.media.camera_sources import open_camera
 from eagor.media.frames import CameraSource, Pose
 from eagor.perception import is_model, rows_of
 from eagor.robots.poses import GO2, ROS, open_poses
@@ -114,7 +114,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
     opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
-        from eagor.media.cameras import read_rig
+        from eagor.media.rigs import read_rig
         from eagor.robots.ros.sources import RosCamera
 
         topic = source.removeprefix(ROS)

@@ -34,7 +34,7 @@ from eagor.cli.tables import table
 from eagor.cli.unseen import Unseen
 from eagor.drawing.words import STATUS, answer_in_words, distance_in_words, in_words, signed
 from eagor.evidence import Evidence
-from eagor.media.pictures import PanoramaFile
+from eagor.media.panorama import PanoramaFile
 from eagor.perception import Perception, rows_of, short_name
 from eagor.perception.looks import look
 from eagor.sphere import azimuth_elevation

@@ -26,7 +26,7 @@ from eagor.perception.replay import ReplayPerception
 from eagor.tracking.config import TrackerConfig
 
 if TYPE_CHECKING:
-    from eagor.media.pictures import PanoramaFile
+    from eagor.media.panorama import PanoramaFile
 
 MAX_DEGREE = 63
 LEAST_ROWS = 8
@@ -172,7 +172,7 @@ def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
 
 def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
     """The images in `places` (one folder, or image files), sorted by name; numbers in names sort by value."""
-    from eagor.media.pictures import in_order, pictures_in
+    from eagor.media.panorama import in_order, pictures_in
 
     if len(places) == 1 and os.path.isdir(places[0]):
         return pictures_in(places[0])
@@ -198,7 +198,7 @@ class ShapeError(ImageError):
 
 def read_frame(path: Path, force: bool = False, said: set[str] | None = None) -> PanoramaFile:
     """The panorama in a file, and what the file says of it; `force` and `said` as for `checked_frame`."""
-    from eagor.media.pictures import read_photograph
+    from eagor.media.panorama import read_photograph
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -217,7 +217,7 @@ def checked_frame(frame: PanoramaFile, name: str, force: bool = False, said: set
     checked_shape(frame.panorama, name, force, said)
     if "pixels" in said:
         return frame
-    from eagor.media.suspect import fisheye_circles, problems
+    from eagor.media.defects import fisheye_circles, problems
 
     found = problems(frame.panorama)
     if not force and fisheye_circles(frame.panorama):
@@ -232,7 +232,7 @@ def checked_frame(frame: PanoramaFile, name: str, force: bool = False, said: set
 
 def checked_shape(panorama: np.ndarray, name: str, force: bool, said: set[str]) -> np.ndarray:
     """`panorama`, if it is 2:1; else raises `ShapeError`, or with `force` warns (unless it is in `said`)."""
-    from eagor.media.pictures import is_whole
+    from eagor.media.panorama import is_whole
 
     if is_whole(panorama):
         return panorama

@@ -28,7 +28,7 @@ from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.steps import LEAST_ROWS
 from eagor.errors import DeviceError
 from eagor.live.loop import LiveLoop
-from eagor.media.cameras import open_camera
+from eagor.media.camera_sources import open_camera
 from eagor.media.frames import CameraSource, Pose
 from eagor.perception import is_model, rows_of
 from eagor.robots.dds import Link
@@ -151,7 +151,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
     def camera() -> CameraSource:
         if source.startswith(ROS):  # on the robot's network, not on that of the environment
-            from eagor.media.cameras.rig_files import read_rig
+            from eagor.media.rigs import read_rig
             from eagor.robots.ros.sources import RosCamera
 
             rig = None if options.rig is None else read_rig(options.rig)

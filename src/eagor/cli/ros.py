@@ -45,7 +45,7 @@ def ros(options: Ros) -> int:
         )
     rig = None
     if options.rig is not None:
-        from eagor.media.cameras import read_rig
+        from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
     spec = chosen(queries, options.perception) if queries else options.perception or "colour"

@@ -20,7 +20,7 @@ from eagor.cli.poses import Pose, interpolated, pair, usable
 from eagor.cli.stitched import LensPictures
 from eagor.cli.terminal import UsageError
 from eagor.errors import EagorError, PoseError
-from eagor.media.pictures import PanoramaFile
+from eagor.media.panorama import PanoramaFile
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory

@@ -11,9 +11,9 @@ from eagor.cli.terminal import UsageError
 from eagor.errors import ImageError
 
 if TYPE_CHECKING:
-    from eagor.media.cameras.files import Film
-    from eagor.media.cameras.making import Panoramas
-    from eagor.media.pictures import PanoramaFile
+    from eagor.media.camera_sources import StitchedVideo
+    from eagor.media.panorama import PanoramaFile
+    from eagor.media.stitching import Panoramas
 
 __all__ = ["LensPictures", "film_of"]
 
@@ -22,7 +22,7 @@ class LensPictures:
     """Reads pictures of lenses as panoramas, with the lenses of the YAML file `rig`; `rows`: the most of them."""
 
     def __init__(self, rig: Path, rows: int | None = None) -> None:
-        from eagor.media.cameras.rig_files import read_rig
+        from eagor.media.rigs import read_rig
 
         self.path, self.rig, self.rows = rig, read_rig(rig), rows
         self._sizes: tuple[tuple[int, int], ...] = ()
@@ -35,9 +35,8 @@ class LensPictures:
 
     def read(self, path: Path) -> PanoramaFile:
         """The panorama of the picture at `path`. Raises `ImageError`."""
-        from eagor.media.cameras.making import Panoramas
-        from eagor.media.panorama import read_panorama
-        from eagor.media.pictures import PanoramaFile
+        from eagor.media.panorama import PanoramaFile, read_panorama
+        from eagor.media.stitching import Panoramas
 
         with warnings.catch_warnings():  # of its shape: it is no panorama
             warnings.simplefilter("ignore")
@@ -56,12 +55,12 @@ def film_of(
     start: float = 0.0,
     end: float | None = None,
     rows: int | None = None,
-) -> Film:
+) -> StitchedVideo:
     """The video of lenses in one file, or in one for each picture of the rig. Raises `ImageError`, `FormatError`."""
-    from eagor.media.cameras.files import Film
-    from eagor.media.cameras.rig_files import read_rig
+    from eagor.media.camera_sources import StitchedVideo
+    from eagor.media.rigs import read_rig
 
     lenses = read_rig(rig)
     if len(paths) > len(lenses.sizes):
         raise ImageError(f"{len(paths)} videos are given, and {rig} is for {len(lenses.sizes)}; give one per lens")
-    return Film(paths, lenses, rate=rate, start=start, end=end, rows=rows)
+    return StitchedVideo(paths, lenses, rate=rate, start=start, end=end, rows=rows)

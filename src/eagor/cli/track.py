@@ -106,7 +106,7 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
     for name in ("rate", "fps"):
         if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
-    from eagor.media.bags.paths import is_bag
+    from eagor.media.bags.reader import is_bag
 
     if len(places) == 1 and is_bag(places[0]):
         return _recorded(options, places[0], poses, perception)
@@ -167,7 +167,7 @@ def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Pe
     shown = looks if options.video is None else max(looks, options.fps or FPS)
     rig = None
     if options.rig is not None:
-        from eagor.media.cameras import read_rig
+        from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS), rig=rig)

@@ -8,8 +8,8 @@ import numpy as np
 
 from eagor.cli import terminal
 from eagor.evidence import BodyMask, Evidence
-from eagor.media.pictures import PanoramaFile
-from eagor.media.suspect import NeverSeen
+from eagor.media.defects import NeverSeen
+from eagor.media.panorama import PanoramaFile
 
 SAID = 0.002  # share of the sphere from which on a black region is worth a sentence
 

@@ -26,7 +26,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import Array, constant, namespace, recent
-from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, forward_view, lens_of
+from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, ViewKey, forward_view, view_key
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.projection import largest_cell, pool
 
@@ -53,7 +53,7 @@ def _gain(basis: RealHarmonics, log_ratio: Array, grid: Grid) -> Array:
     values = namespace(log_ratio).expm1(log_ratio)
     if isinstance(grid, ErpGrid | PatchGrid):  # a coarse picture has no samples for so high a degree
         return basis.analyse(values, PatchGrid(*grid.shape))
-    found = basis.analyse(_laid_out(values, lens_of(grid), basis.degree), _panorama(basis.degree))
+    found = basis.analyse(_laid_out(values, view_key(grid), basis.degree), _panorama(basis.degree))
     ahead = np.array_equal(grid.body_R_view, np.eye(3))
     return found if ahead else basis.rotate(found, grid.body_R_view)
 
@@ -63,7 +63,7 @@ def _panorama(degree: int) -> ErpGrid:
     return RealHarmonics(degree).quadrature(2)
 
 
-def _laid_out(values: Array, lens: Lens, degree: int) -> Array:
+def _laid_out(values: Array, lens: ViewKey, degree: int) -> Array:
     """`values` ``(..., h, w)`` of a view that looks forward as a density on `_panorama` ``(..., H, W)``, else 0."""
     xp = namespace(values)
     rows, columns = _blocks(lens, degree)
@@ -91,7 +91,7 @@ class _Plan:
 
 
 @lru_cache(maxsize=4)
-def _plan(lens: Lens, degree: int) -> _Plan:
+def _plan(lens: ViewKey, degree: int) -> _Plan:
     from scipy.sparse import csr_array
 
     panorama, view = _panorama(degree), forward_view(lens)
@@ -125,7 +125,7 @@ def _four(panorama: ErpGrid, u: np.ndarray, v: np.ndarray) -> Iterator[tuple[np.
             yield (inside * panorama.width + along).astype(np.intp), share * part
 
 
-def _nodes(lens: Lens, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _nodes(lens: ViewKey, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Sample points of a view: x and y ``(n,)`` in its pixels, the block that each is in, and its share of it."""
     view = forward_view(lens)
     rows, columns = (np.asarray(edges) for edges in _blocks(lens, degree))
@@ -153,7 +153,7 @@ def _fine(edges: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @lru_cache(maxsize=64)
-def _blocks(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _blocks(lens: ViewKey, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """First row and column of each block of pixels, and one past the last: at most half a cell of the panorama wide."""
     pixels = max(1, int(_half_cell(degree) / largest_cell(lens)))
     return tuple(tuple([*range(0, n, pixels), n]) for n in lens[1:3])  # type: ignore[return-value]
@@ -163,17 +163,17 @@ def _half_cell(degree: int) -> float:
     return math.pi / _panorama(degree).height / 2
 
 
-def _weights(lens: Lens) -> np.ndarray:
+def _weights(lens: ViewKey) -> np.ndarray:
     return forward_view(lens).weights
 
 
-def _block_of(lens: Lens, degree: int) -> np.ndarray:
+def _block_of(lens: ViewKey, degree: int) -> np.ndarray:
     return _plan(lens, degree).block_of
 
 
-def _share(lens: Lens, degree: int) -> np.ndarray:
+def _share(lens: ViewKey, degree: int) -> np.ndarray:
     return _plan(lens, degree).share
 
 
-def _place(lens: Lens, degree: int) -> np.ndarray:
+def _place(lens: ViewKey, degree: int) -> np.ndarray:
     return _plan(lens, degree).place

@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import Array, frozen, recent
-from eagor.grids import ErpGrid, FisheyeGrid, Grid, Lens, PatchGrid, PerspectiveGrid, forward_view, lens_of
+from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.harmonics import RealHarmonics
 
 PENALTY = 1000.0
@@ -36,7 +36,7 @@ def region(grid: Grid, mask: np.ndarray | None) -> Region | None:
     if isinstance(grid, PerspectiveGrid | FisheyeGrid):
         if grid.depth_inside() is None and not packed:
             return None
-        return *lens_of(grid), packed
+        return *view_key(grid), packed
     if not packed:
         return None
     return "pixels" if isinstance(grid, ErpGrid) else "patches", *grid.shape, 0.0, packed
@@ -65,7 +65,7 @@ def _forward_grid(where: Region) -> PerspectiveGrid | FisheyeGrid | ErpGrid | Pa
         return ErpGrid(height, width)
     if kind == "patches":
         return PatchGrid(height, width)
-    lens: Lens = (kind, height, width, fov)
+    lens: ViewKey = (kind, height, width, fov)
     return forward_view(lens)
 
 

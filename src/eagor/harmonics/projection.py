@@ -27,12 +27,12 @@ from eagor.grids import (
     ErpWindow,
     FisheyeGrid,
     Grid,
-    Lens,
     PatchGrid,
     PerspectiveGrid,
+    ViewKey,
     fejer_weights,
     forward_view,
-    lens_of,
+    view_key,
 )
 from eagor.harmonics.legendre import degrees, evaluate, latitude_functions_of, latitude_table, longitude_table, orders
 from eagor.harmonics.rotation import rotate
@@ -175,7 +175,7 @@ def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
     if not isinstance(grid, PerspectiveGrid | FisheyeGrid):
         raise TypeError(f"cannot analyse values on a {type(grid).__name__}; wanted one of the grids of eagor.grids")
     xp = namespace(values)
-    lens = lens_of(grid)
+    lens = view_key(grid)
     rows, columns = _block_edges(lens, degree)
     weights = constant(_lens_weights, lens, like=values)
     area = constant(_block_areas, lens, degree, like=values)
@@ -190,12 +190,12 @@ def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:
     return rotate(degree, found, grid.body_R_view)
 
 
-def _lens_weights(lens: Lens) -> np.ndarray:
+def _lens_weights(lens: ViewKey) -> np.ndarray:
     return forward_view(lens).weights
 
 
 @lru_cache(maxsize=64)
-def _block_edges(lens: Lens, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _block_edges(lens: ViewKey, degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """First row and column of each block, and one past the last: whole cells, at most BLOCK / (degree + 1) wide.
 
     At most WIDEST / (degree + 1) if the plan is too large to cache.
@@ -215,24 +215,24 @@ def _plan_bytes(rows: tuple[int, ...], columns: tuple[int, ...], degree: int) ->
     return 8 * (len(rows) - 1) * (len(columns) - 1) * (degree + 1) ** 2
 
 
-def largest_cell(lens: Lens) -> float:
+def largest_cell(lens: ViewKey) -> float:
     """The side (radians) of the cell in the middle of the view, where cells are largest."""
     _, height, width, _ = lens
     return math.sqrt(float(forward_view(lens).density(np.array(width / 2), np.array(height / 2))))
 
 
-def _block_areas(lens: Lens, degree: int) -> np.ndarray:
+def _block_areas(lens: ViewKey, degree: int) -> np.ndarray:
     rows, columns = _block_edges(lens, degree)
     return pool(pool(forward_view(lens).weights, rows, -2), columns, -1)
 
 
-def _block_plan(lens: Lens, degree: int) -> np.ndarray:
+def _block_plan(lens: ViewKey, degree: int) -> np.ndarray:
     """Integrals of the basis over every block ``(blocks, (degree + 1)^2)``."""
     rows, _ = _block_edges(lens, degree)
     return np.concatenate([_block_row(lens, degree, i) for i in range(len(rows) - 1)])
 
 
-def _block_row(lens: Lens, degree: int, row: int) -> np.ndarray:
+def _block_row(lens: ViewKey, degree: int, row: int) -> np.ndarray:
     """The same for one row of blocks: Gauss points in pixel coordinates, scaled to the block's exact solid angle."""
     grid = forward_view(lens)
     rows, columns = (np.asarray(edges) for edges in _block_edges(lens, degree))

@@ -24,7 +24,7 @@ import numpy as np
 from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import BodyMask, Evidence
-from eagor.media.suspect import NeverSeen
+from eagor.media.defects import NeverSeen
 from eagor.perception import Perception, load
 from eagor.perception.looks import look_if_recorded
 from eagor.tracking.checkpoint import packed

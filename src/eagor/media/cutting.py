@@ -13,8 +13,8 @@ import numpy as np
 
 from eagor._extras import need
 from eagor.errors import GridError
-from eagor.grids import Lens, PerspectiveGrid, forward_view, lens_of
-from eagor.media.images import checked_picture
+from eagor.grids import PerspectiveGrid, ViewKey, forward_view, view_key
+from eagor.media.panorama import checked_picture
 from eagor.sphere import direction, world_R_body
 
 OVERLAP = math.radians(10)
@@ -120,7 +120,7 @@ def cut(panorama: np.ndarray, *views: PerspectiveGrid) -> list[np.ndarray]:
     canvas = np.concatenate([np.roll(image[:1], width // 2, axis=1), image, np.roll(image[-1:], width // 2, axis=1)])
     pictures = []
     for view in views:
-        x, y, z = np.tensordot(view.body_R_view.astype(np.float32), _rays(lens_of(view)), axes=1)
+        x, y, z = np.tensordot(view.body_R_view.astype(np.float32), _rays(view_key(view)), axes=1)
         column = (0.5 - np.arctan2(y, x) / np.float32(2 * math.pi)) * np.float32(width) - np.float32(0.5)
         row = (0.5 - np.arctan2(z, np.hypot(x, y)) / np.float32(math.pi)) * np.float32(height) + np.float32(0.5)
         pictures.append(cv2.remap(canvas, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
@@ -128,7 +128,7 @@ def cut(panorama: np.ndarray, *views: PerspectiveGrid) -> list[np.ndarray]:
 
 
 @lru_cache(maxsize=4)
-def _rays(lens: Lens) -> np.ndarray:
+def _rays(lens: ViewKey) -> np.ndarray:
     """Directions ``(3, h, w)`` of a view that looks forward."""
     return np.ascontiguousarray(np.moveaxis(forward_view(lens).directions, -1, 0).astype(np.float32))
 

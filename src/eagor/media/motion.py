@@ -4,20 +4,38 @@ A gyroscope alone drifts. Gravity, as the accelerometer feels it, corrects roll 
 reference and drifts with the gyroscope's bias. The whole track is known, so the correction looks both ways in time:
 `complementary` is the complementary filter (W. T. Higgins, IEEE Trans. AES 11, 1975; R. Mahony et al., IEEE Trans.
 Automatic Control 53, 2008) without its delay.
+
+Two kinds of tracks are read, both with little-endian numbers.
+
+``camm`` (Google, Camera Motion Metadata Spec): each sample has two bytes reserved, two for its type, then its values.
+The camera's axes are x right, y down, z forward; those of the world are right-handed with y down along gravity.
+
+The trailer that Insta360 cameras append to their videos. Its format is not published by its maker; what is read here
+follows public descriptions (ExifTool's tag tables and the project telemetry-parser): the file's last 72 bytes are 32 of
+padding, the trailer's length, its version and a magic text; before them lie records, each followed by its format, id
+and length. (The package telemetry-parser itself takes 2 GB for ten minutes at 1 kHz, and a damaged file ends the
+process.)
 """
 
 from __future__ import annotations
 
+import os
+import struct
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import BinaryIO
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor._lazy import lazy
+from eagor.conventions import OPTICAL_R_BODY
 from eagor.errors import FormatError, PoseError
+from eagor.media.containers import Movie, samples
 from eagor.sphere import interpolate_rotation
 
-__all__ = ["MotionTrack", "complementary", "integrate"]
+__all__ = ["MotionTrack", "Trailer", "complementary", "integrate", "read_camm", "read_insta360"]
 
 MARGIN = 0.1  # seconds beyond the ends of the track in which its first or last orientation holds
 # Seconds over which accelerations are averaged: longer than a step or a swing of the arm (1 to 2 s), so that they
@@ -26,6 +44,18 @@ SMOOTHING = 5.0
 GRAVITY = (4.9, 14.7)  # m/s^2: half to one and a half of gravity; outside, the camera is shaken, falls, or is no camera
 FASTEST = 100.0  # radians per second: 5700 degrees; gyroscopes in cameras measure up to 4000
 LONGEST = 4_000_000  # samples: an hour at 1 kHz
+
+# Types of camm; of `VECTORS`, three floats are read.
+ANGLE_AXIS, EXPOSURE, GYRO, ACCELERATION, POSITION, GPS, FULL_GPS, MAGNETIC = range(8)
+VECTORS = (ANGLE_AXIS, GYRO, ACCELERATION)
+
+MAGIC = b"8db42d694ccc418790edff439fe026bf"
+ENDING = 72  # bytes: padding, length, version, magic
+ABOUT, IMU = 1, 3  # ids of records; ExifTool writes 0x101 and 0x300, with the format as one of the two bytes
+LARGEST = 1 << 28  # bytes of one record: a gyroscope at 1 kHz for an hour has 2e8
+CAMERA_NAME, FIRST, LATER, HAS_LATER, RAW, RANGES = 2, 24, 28, 29, 62, 65  # fields of the record ABOUT
+G = 9.80665  # m/s^2
+ABSURD = 1e5  # a value as large as that is no measurement: raw ones have 16 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,3 +180,169 @@ def _in_order(samples: np.ndarray) -> np.ndarray:
     samples = np.asarray(samples, dtype=np.float64).reshape(-1, 4)
     samples = samples[np.isfinite(samples).all(axis=1)]
     return samples[np.unique(samples[:, 0], return_index=True)[1]]
+
+
+# --- camm ---
+
+
+def read_camm(movie: Movie, file: BinaryIO) -> tuple[MotionTrack | None, tuple[str, ...]]:
+    """The motion that the ``camm`` track of `file` tells, and sentences about it. None if there is none.
+
+    Orientations (type 0) have priority over the gyroscope (type 2) and the accelerometer (type 3). Raises
+    `FormatError` if the track is damaged.
+    """
+    track = next((track for track in movie.tracks if track.entry == "camm"), None)
+    if track is None:
+        return None, ()
+    rows, kinds = {kind: array("d") for kind in VECTORS}, set()
+    for time, data in samples(track, file):
+        kind = struct.unpack_from("<H", data, 2)[0] if len(data) >= 4 else None
+        kinds.add(kind)
+        if kind in VECTORS and len(data) >= 16:
+            rows[kind].extend((time, *struct.unpack_from("<3f", data, 4)))
+    tables = {kind: np.frombuffer(rows[kind], dtype=np.float64).reshape(-1, 4) for kind in VECTORS}
+    tables = {kind: table[np.isfinite(table).all(axis=1)] for kind, table in tables.items()}
+    said = ["it has a motion track (camm)"]
+    if kinds & {POSITION, GPS, FULL_GPS}:
+        said.append("the motion track also tells positions, which are not used")
+    if len(tables[ANGLE_AXIS]):
+        # y is down in both the camera and the world: the axes of both are mapped, and with them the turn's axis.
+        turns = _in_body(tables[ANGLE_AXIS])
+        turned = Rotation.from_rotvec(turns[:, 1:])
+        return MotionTrack.of_orientations(turns[:, 0], turned, "camm, orientations"), tuple(said)
+    if len(tables[GYRO]) < 2:
+        return None, (*said, "the motion track tells no rotations")
+    gyro, felt = (_in_body(tables[kind]) for kind in (GYRO, ACCELERATION))
+    if not len(felt):
+        said.append("the motion track has no accelerometer: its first orientation is taken for level")
+    return MotionTrack.of_imu(gyro, felt, "camm, gyroscope"), tuple(said)
+
+
+def _in_body(table: np.ndarray) -> np.ndarray:
+    """Rows of time and vector ``(N, 4)``, from the camera's optical axes to ours."""
+    return np.concatenate([table[:, :1], table[:, 1:] @ OPTICAL_R_BODY], axis=1)
+
+
+# --- Insta360 ---
+
+
+@dataclass(frozen=True, eq=False)
+class Trailer:
+    """What a trailer says: the `camera` ("" if unknown) and its IMU, rows of seconds, x, y, z in the IMU's own axes.
+
+    `gyro` ``(N, 4)``: radians per second. `acceleration` ``(N, 4)``: m/s^2.
+    """
+
+    camera: str
+    gyro: np.ndarray
+    acceleration: np.ndarray
+
+    def motion(self) -> MotionTrack | None:
+        """The camera's rotation; None without a gyroscope.
+
+        The IMU's axes are not documented, and differ between cameras. The axis that feels gravity most, over the whole
+        recording, is taken for the camera's up, and the next one (x, y, z, x) for its forward. So turns of the heading
+        are right for a camera that was held upright or upside down; tilts may be about another axis.
+        """
+        if len(self.gyro) < 2:
+            return None
+        imu_R_body = _upright(np.sum(self.acceleration[:, 1:], axis=0))
+        gyro, felt = (
+            np.concatenate([table[:, :1], table[:, 1:] @ imu_R_body], axis=1)
+            for table in (self.gyro, self.acceleration)
+        )
+        return MotionTrack.of_imu(gyro, felt, "Insta360 gyroscope")
+
+
+def _upright(up: np.ndarray) -> np.ndarray:
+    """imu_R_body ``(3, 3)``: z is the IMU's axis nearest to `up`, with its sign; x is the axis after it."""
+    axis = int(np.abs(up).argmax())
+    z = np.eye(3)[axis] * np.sign(up[axis] or 1.0)
+    x = np.eye(3)[(axis + 1) % 3]
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def read_insta360(file: BinaryIO) -> Trailer | None:
+    """The trailer of `file`; None if it has none. Raises `FormatError` if it is damaged."""
+    size = file.seek(0, os.SEEK_END)
+    if size < ENDING:
+        return None
+    file.seek(size - ENDING)
+    ending = file.read(ENDING)
+    if not ending.endswith(MAGIC):
+        return None
+    length = struct.unpack_from("<I", ending, 32)[0]
+    if not ENDING <= length <= size:
+        raise FormatError(f"has a damaged Insta360 trailer: it claims {length} bytes, in a file of {size}")
+    records = {}
+    for kind, start, count in _records(file, size, size - length):
+        if kind in (ABOUT, IMU) and kind not in records and count <= LARGEST:
+            file.seek(start)
+            records[kind] = file.read(count)
+    about = dict(_fields(records.get(ABOUT, b"")))
+    camera = about.get(CAMERA_NAME, b"")
+    name = camera.decode("utf-8", "replace") if isinstance(camera, bytes) else ""
+    return Trailer(name, *_imu(records.get(IMU, b""), about))
+
+
+def _records(file: BinaryIO, size: int, begin: int) -> Iterator[tuple[int, int, int]]:
+    """Id, start and length of each record, the last one first."""
+    at = size - ENDING
+    while at - 6 >= begin:
+        file.seek(at - 6)
+        _, kind, length = struct.unpack("<BBI", file.read(6))
+        start = at - 6 - length
+        if start < begin:
+            return
+        yield kind, start, length
+        at = start
+
+
+def _imu(data: bytes, about: dict[int, int | bytes]) -> tuple[np.ndarray, np.ndarray]:
+    """Gyroscope and accelerometer, ``(N, 4)`` each, with times from the first picture."""
+    raw = about.get(RAW, 0) == 1
+    kind = np.dtype([("t", "<u8"), ("v", "<u2" if raw else "<f8", 6)])
+    table = np.frombuffer(data, kind, len(data) // kind.itemsize)
+    table = table[(np.abs(table["v"].astype(np.float64)) < ABSURD).all(axis=1)]  # NaN fails the comparison
+    values = table["v"].astype(np.float64)
+    g, turn = G, 1.0
+    if raw:  # 16 bits for the whole range
+        ranges = dict(_fields(about.get(RANGES, b"")))
+        most = [ranges.get(field) for field in (1, 2)]
+        acceleration, rate = (m if isinstance(m, int) and m else n for m, n in zip(most, (16, 2000), strict=True))
+        values, g, turn = (values - 32768) / 32768, G * acceleration, np.radians(rate)
+    first = about.get(FIRST, 0)
+    later = about.get(LATER) if about.get(HAS_LATER) == 1 else None  # milliseconds from the pictures to the IMU
+    shift = struct.unpack("<d", later)[0] if isinstance(later, bytes) and len(later) == 8 else 0.0
+    times = (table["t"].astype(np.float64) - (first if isinstance(first, int) else 0)) / (1e6 if raw else 1e3)
+    times = (times - (shift / 1e3 if np.isfinite(shift) else 0.0))[:, None]
+    return np.concatenate([times, values[:, 3:] * turn], axis=1), np.concatenate([times, values[:, :3] * g], axis=1)
+
+
+def _fields(data: int | bytes) -> Iterator[tuple[int, int | bytes]]:
+    """The fields of a message (Protocol Buffers, "Encoding"): numbers as int, all else as bytes. Ends where damaged."""
+    data = data if isinstance(data, bytes) else b""
+    at = 0
+    while at < len(data):
+        tag, at = _varint(data, at)
+        kind = tag & 7
+        if kind == 0:
+            value, at = _varint(data, at)
+            yield tag >> 3, value
+            continue
+        length, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}.get(kind, len(data) + 1), at)
+        if at + length > len(data):
+            return
+        yield tag >> 3, data[at : at + length]
+        at += length
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    """A number of variable length and its end; beyond the end of `data` if it is cut off."""
+    value = shift = 0
+    while at < len(data) and shift < 64:
+        value |= (data[at] & 127) << shift
+        shift, at = shift + 7, at + 1
+        if data[at - 1] < 128:
+            return value, at
+    return value, len(data) + 1

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor._lazy import lazy
-from eagor.media.features import SIZE, Features, Views, match
-from eagor.media.flow import corners_of, followed, steadied
+from eagor.media.features import SIZE, Features, Views, corners_of, followed, match, steadied
 from eagor.media.two_views import Turn, turn_between
 
 __all__ = ["Turned", "VisualOdometer"]

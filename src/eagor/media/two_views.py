@@ -1,16 +1,38 @@
-"""How the camera turned between two panoramas, from matched directions, and how sure that is."""
+"""How the camera turned between two panoramas, from matched directions, and how sure that is.
+
+A matched pair (u, v), unit vectors in the old and the new body frame, is right with probability w; then `old_R_new` v
+lies about u. Otherwise it is a mistake, and v can be anywhere (density 1 / 4 pi).
+
+- `Standing`: the error is Gaussian with deviation sigma on both axes of the tangent plane.
+- `Moving` along t: things shift away from t by an angle that depends on their distance. The shift is exponential with
+  mean lambda sin(angle between u and t); lambda is the baseline times the mean inverse distance. The Gaussian error is
+  added: the density is Gaussian across the shift and an exponentially modified Gaussian along it (Grushka, Analytical
+  Chemistry 44, 1972). For lambda = 0 it is the first model.
+
+Pairs in crowded parts of the sphere weigh less (`Parts.weights`). Weak priors, each worth about one pair, keep sigma, w
+and lambda finite.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import expit, log_expit, log_ndtr
 
 from eagor.media.consensus import Agreement, Parts, agreeing_motion, agreeing_rotation
-from eagor.media.likelihood import Moving, Standing, covariance, evidence, maximise, right
 
 FALSE_ALARM = 1e-5  # expected number of agreements among unrelated pairs; above it an agreement counts as chance
+
+_OUTLIER = -math.log(4 * math.pi)
+_STEP = 1e-5  # of numerical derivatives: radians, or in logarithms
+_ROUNDS = 60
+_ENOUGH = 1e-2  # nats: what a step gains when the rest moves a turn by a small part of its uncertainty
+_USUAL_NOISE = math.radians(0.2)  # of a SIFT point in a view of 320 pixels; half a pixel
+_LEAST_NOISE = math.radians(0.05)  # points that are drawn, or fixed to the camera, may seem exact
+_USUAL_SHIFT = 0.1  # radians: a step of 0.2 m, things at 2 m
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +66,7 @@ def turn_between(old: np.ndarray, new: np.ndarray, *, level: bool = False, moves
         return None
     axes = np.array([[0.0, 0.0, 1.0]]) if level else np.eye(3)
     parts = Parts(old)
-    found: list[tuple[float, Standing | Moving, np.ndarray]] = []
+    found: list[tuple[float, Model, np.ndarray]] = []
     found.append(_fitted(Standing(old, new, still.rotation, axes, parts), still))
     if moved is not None:
         assert moved.direction is not None
@@ -60,7 +82,7 @@ def turn_between(old: np.ndarray, new: np.ndarray, *, level: bool = False, moves
     return Turn(model.rotation, axes.T @ spread @ axes, direction, inliers, math.exp(parameters[d]))
 
 
-def _fitted(model: Standing | Moving, agreement: Agreement) -> tuple[float, Standing | Moving, np.ndarray]:
+def _fitted(model: Model, agreement: Agreement) -> tuple[float, Model, np.ndarray]:
     """Evidence for the model, the model about its most likely pose, its parameters."""
     parameters = maximise(model, model.start(agreement.inliers))
     centred, left = model.at(parameters)
@@ -72,3 +94,224 @@ def _yaw_of(rotation: np.ndarray) -> np.ndarray:
     yaw = math.atan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
     c, s = math.cos(yaw), math.sin(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+# --- how likely a motion of the camera is ---
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Unit vectors `here` and `there` ``(n, 3)``, seen by a camera that only turned, near `rotation`.
+
+    Parameters: turns about `axes` (radians), log sigma, logit w.
+    """
+
+    here: np.ndarray
+    there: np.ndarray
+    rotation: np.ndarray
+    axes: np.ndarray
+    parts: Parts
+
+    def start(self, inliers: np.ndarray) -> np.ndarray:
+        """First parameters ``(k,)``, from the pairs that agree."""
+        gaps = self.here[inliers] - self.there[inliers] @ self.rotation.T
+        sigma = math.sqrt(float(np.mean(gaps**2)) * 1.5) + 1e-5  # two of three components vary
+        return np.concatenate([np.zeros(len(self.axes)), [math.log(sigma), _logit(inliers)]])
+
+    def log_inlier(self, parameters: np.ndarray) -> np.ndarray:
+        """Log-density ``(p, n)`` of right pairs under parameters ``(p, k)``."""
+        d = len(self.axes)
+        turned = _turned(self.there, self.rotation, parameters[:, :d] @ self.axes)
+        log_sigma = parameters[:, d, None]
+        squared = np.sum((turned - self.here) ** 2, axis=-1)
+        variance = np.exp(2 * log_sigma) + _LEAST_NOISE**2
+        return -squared / (2 * variance) - np.log(variance) - math.log(2 * math.pi)
+
+    def log_prior(self, parameters: np.ndarray) -> np.ndarray:
+        """Logarithm ``(p,)`` of the weak priors."""
+        return _log_prior(parameters[:, len(self.axes) :])
+
+    def at(self, parameters: np.ndarray) -> tuple[Standing, np.ndarray]:
+        """The same model about the rotation of these parameters, and what becomes of them."""
+        d = len(self.axes)
+        rotation = _rotations(parameters[None, :d] @ self.axes)[0] @ self.rotation
+        return replace(self, rotation=rotation), np.append(np.zeros(d), parameters[d:])
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """The same seen by a camera that also moved, near `direction` ``(3,)`` in the old frame.
+
+    Parameters: turns about `axes` (radians), log sigma, logit w, log lambda, two tilts of the direction (radians).
+    """
+
+    here: np.ndarray
+    there: np.ndarray
+    rotation: np.ndarray
+    axes: np.ndarray
+    parts: Parts
+    direction: np.ndarray
+
+    def start(self, inliers: np.ndarray) -> np.ndarray:
+        """First parameters ``(k,)``, from the pairs that agree."""
+        turned = (self.there @ self.rotation.T)[None]
+        along, across, sine = _shifts(self.here, turned, self.direction[None])
+        sigma = 1.5 * float(np.median(np.abs(across[0, inliers]))) + 1e-5  # of a Gaussian
+        mean = 1.5 * float(np.median(np.abs(along / sine)[0, inliers])) + 1e-5  # of an exponential
+        rest = [math.log(sigma), _logit(inliers), math.log(mean), 0.0, 0.0]
+        return np.concatenate([np.zeros(len(self.axes)), rest])
+
+    def log_inlier(self, parameters: np.ndarray) -> np.ndarray:
+        """Log-density ``(p, n)`` of right pairs under parameters ``(p, k)``."""
+        d = len(self.axes)
+        turned = _turned(self.there, self.rotation, parameters[:, :d] @ self.axes)
+        log_sigma, log_mean = parameters[:, d, None], parameters[:, d + 2, None]
+        along, across, sine = _shifts(self.here, turned, self._directions(parameters[:, d + 3 :]))
+        sigma = np.sqrt(np.exp(2 * log_sigma) + _LEAST_NOISE**2)
+        mean = np.maximum(np.exp(log_mean) * sine, 1e-3 * sigma)  # smaller shifts make no difference
+        z = sigma / mean - along / sigma
+        shift = (z**2 - (along / sigma) ** 2) / 2 + log_ndtr(-z) - np.log(mean)
+        return shift - (across / sigma) ** 2 / 2 - np.log(sigma) - math.log(2 * math.pi) / 2
+
+    def log_prior(self, parameters: np.ndarray) -> np.ndarray:
+        """Logarithm ``(p,)`` of the weak priors."""
+        d = len(self.axes)
+        return _log_prior(parameters[:, d:]) - ((parameters[:, d + 2] - math.log(_USUAL_SHIFT)) / 3) ** 2 / 2
+
+    def at(self, parameters: np.ndarray) -> tuple[Moving, np.ndarray]:
+        """The same model about the pose of these parameters, and what becomes of them."""
+        d = len(self.axes)
+        rotation = _rotations(parameters[None, :d] @ self.axes)[0] @ self.rotation
+        direction = self._directions(parameters[None, d + 3 :])[0]
+        left = np.concatenate([np.zeros(d), parameters[d : d + 3], np.zeros(2)])
+        return replace(self, rotation=rotation, direction=direction), left
+
+    def _directions(self, tilts: np.ndarray) -> np.ndarray:
+        """Unit vectors ``(p, 3)`` of tilts ``(p, 2)``."""
+        tangent = np.linalg.svd(self.direction[None])[2][1:]
+        tilted = self.direction + tilts @ tangent
+        return tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
+
+
+Model = Standing | Moving  # of both, the first parameters turn the rotation about `axes` ``(d, 3)``
+
+
+def evidence(model: Model, parameters: np.ndarray) -> float:
+    """The Bayesian information criterion (Schwarz, Annals of Statistics 6, 1978), as a logarithm: more is better.
+
+    Each part of the sphere weighs the same. So a tripod with a pattern does not outvote a room with few points.
+    """
+    values = _log_likelihood(model, parameters[None])[0]
+    weights = np.append(model.parts.shares, 1.0)
+    return float(values @ weights) - len(parameters) / 2 * math.log(weights.sum())
+
+
+def maximise(model: Model, parameters: np.ndarray) -> np.ndarray:
+    """The most likely parameters ``(k,)`` from a start.
+
+    Scores of single pairs give both gradient and curvature (Berndt, Hall, Hall & Hausman 1974), damped as by
+    Levenberg and Marquardt.
+    """
+    weights = np.append(model.parts.weights, 1.0)
+    value, damping = float(_log_likelihood(model, parameters[None])[0] @ weights), 1e-3
+    for _ in range(_ROUNDS):
+        scores = _scores(model, parameters)
+        weighted = scores * weights[:, None]
+        gradient, curvature = weighted.sum(axis=0), weighted.T @ scores
+        scale = np.diag(curvature) + 1e-9
+        gain = 0.0
+        while damping < 1e9:
+            step = np.linalg.solve(curvature + damping * np.diag(scale), gradient)
+            trial = parameters + step / max(1.0, float(np.abs(step).max()))  # a radian or a factor of e at most
+            reached = float(_log_likelihood(model, trial[None])[0] @ weights)
+            gain = reached - value
+            if gain >= 0:  # NaN is not
+                parameters, value, damping = trial, reached, max(damping / 10, 1e-7)
+                break
+            damping *= 10
+        else:
+            break
+        if gain < _ENOUGH:
+            break
+    return parameters
+
+
+def covariance(model: Model, parameters: np.ndarray) -> np.ndarray | None:
+    """Covariance ``(d, d)`` of the fitted turns about the model's axes, radians squared; None from too few places.
+
+    The larger of the inverse curvature and the sandwich (Huber 1967), which survives a wrong model. Pairs in the same
+    part of the sphere may share their errors (a part of the picture is distorted or moves), so their scores are added
+    before they are squared (Liang & Zeger, Biometrika 73, 1986).
+    """
+    k, d = len(parameters), len(model.axes)
+    weights = np.append(model.parts.weights, 1.0)
+    curvature = np.empty((k, k))
+    for index, step in enumerate(np.eye(k) * _STEP):
+        up, down = (weights @ _scores(model, parameters + sign * step) for sign in (1, -1))
+        curvature[index] = (down - up) / (2 * _STEP)
+    bread = np.linalg.pinv((curvature + curvature.T) / 2, hermitian=True)
+    order, starts = model.parts.order, model.parts.starts
+    scores = (_scores(model, parameters) * weights[:, None])[:-1]
+    added = np.add.reduceat(scores[order], starts, axis=0)
+    good = right(model, parameters) > 0.5
+    places = int(np.logical_or.reduceat(good[order], starts).sum())
+    free = k - 2  # of the motion; the others are the noise and the share of mistakes
+    if places <= free:
+        return None
+    both = bread[:d, :d], (bread @ (added.T @ added) @ bread)[:d, :d]
+    return max(both, key=np.trace) * places / (places - free)
+
+
+def right(model: Model, parameters: np.ndarray) -> np.ndarray:
+    """The probability ``(n,)`` that each pair is no mistake."""
+    good = model.log_inlier(parameters[None])[0]
+    return expit(good - _OUTLIER + parameters[len(model.axes) + 1])
+
+
+def _log_likelihood(model: Model, parameters: np.ndarray) -> np.ndarray:
+    """Log-density ``(p, n + 1)`` of each pair under parameters ``(p, k)``; the priors come last."""
+    logit = parameters[:, len(model.axes) + 1, None]
+    pairs = np.logaddexp(model.log_inlier(parameters) + log_expit(logit), _OUTLIER + log_expit(-logit))
+    return np.concatenate([pairs, model.log_prior(parameters)[:, None]], axis=1)
+
+
+def _scores(model: Model, parameters: np.ndarray) -> np.ndarray:
+    """Derivatives ``(n + 1, k)`` of each log-density by each parameter."""
+    steps = np.eye(len(parameters)) * _STEP
+    values = _log_likelihood(model, np.concatenate([parameters + steps, parameters - steps]))
+    return (values[: len(steps)] - values[len(steps) :]).T / (2 * _STEP)
+
+
+def _shifts(here: np.ndarray, turned: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How far `turned` ``(p, n, 3)`` lie from `here` ``(n, 3)``: angles away from `directions` ``(p, 3)``, and across.
+
+    And the sine ``(p, n)`` of the angle between `here` and the direction.
+    """
+    cosine = directions @ here.T
+    sine = np.sqrt(np.maximum(1 - cosine**2, 1e-12))
+    near = np.einsum("pni,ni->pn", turned, here)
+    ahead = np.einsum("pni,pi->pn", turned, directions)
+    normals = np.cross(directions[:, None], here)
+    along = np.arctan2((cosine * near - ahead) / sine, near)
+    return along, np.arcsin(np.clip(np.einsum("pni,pni->pn", turned, normals) / sine, -1, 1)), sine
+
+
+def _log_prior(parameters: np.ndarray) -> np.ndarray:
+    """Priors of log sigma and logit w, the first two of parameters ``(p, k)``."""
+    noise = -(((parameters[:, 0] - math.log(_USUAL_NOISE)) / 2) ** 2) / 2
+    return noise + log_expit(parameters[:, 1]) + log_expit(-parameters[:, 1])
+
+
+def _turned(there: np.ndarray, rotation: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """`there` ``(n, 3)`` in the old frame ``(p, n, 3)``, for rotation vectors `turns` ``(p, 3)`` after `rotation`."""
+    return there @ (_rotations(turns) @ rotation).swapaxes(1, 2)
+
+
+def _rotations(vectors: np.ndarray) -> np.ndarray:
+    """Matrices ``(p, 3, 3)`` of rotation vectors ``(p, 3)``."""
+    return Rotation.from_rotvec(vectors).as_matrix()
+
+
+def _logit(inliers: np.ndarray) -> float:
+    """Log odds of an inlier, a little off certainty."""
+    return math.log((inliers.sum() + 1) / (len(inliers) - inliers.sum() + 1))

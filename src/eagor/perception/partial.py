@@ -18,7 +18,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import canvas_of
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.media.images import checked_picture
+from eagor.media.panorama import checked_picture
 from eagor.perception import Perception, rows_of
 from eagor.perception.vlm.views import bilinear
 from eagor.sphere import world_R_body

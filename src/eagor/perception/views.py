@@ -16,7 +16,7 @@ from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid
 from eagor.media.cutting import cut, tangent_views
-from eagor.media.images import checked_picture
+from eagor.media.panorama import checked_picture
 from eagor.perception.adapters import Boxes, boxes_of
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.pieces import Piece, Thing, things

@@ -23,7 +23,7 @@ import numpy as np
 from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
-from eagor.media.pictures import read_photograph
+from eagor.media.panorama import read_photograph
 from eagor.perception import load, rows_of
 from eagor.perception.looks import look_if_recorded
 from eagor.studio.houses import House, house_of, place_of

@@ -148,9 +148,8 @@ def _is_video(path: Path) -> bool:
 def _photo(path: Path, name: str) -> Upload:
     from PIL import Image
 
-    from eagor.media.panorama import FORMATS
-    from eagor.media.pictures import is_whole, read_photograph
-    from eagor.media.suspect import fisheye_circles, problems
+    from eagor.media.defects import fisheye_circles, problems
+    from eagor.media.panorama import FORMATS, is_whole, read_photograph
 
     try:
         with warnings.catch_warnings():

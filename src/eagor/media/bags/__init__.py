@@ -1,6 +1,6 @@
 """ROS 2 bags without ROS: recordings of topics, read (`reader`) and written (`writer`).
 
-`messages`: to and from our types. `mcap`, `db3`: the two kinds of files, read within bounds.
+`messages`: to and from our types. `storage`: the two kinds of files, read within bounds.
 """
 
 from __future__ import annotations

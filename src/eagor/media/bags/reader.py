@@ -1,30 +1,33 @@
 """ROS 2 bags: recordings of topics, in MCAP or SQLite, as a folder or as a single file.
 
 They are written as MCAP (`eagor.media.bags.writer`). A file without an end, as a crash leaves it, is read up to
-where it breaks off (`eagor.media.bags.mcap`). Reading takes about half a GiB at most, whatever a file asks for; what
+where it breaks off (`eagor.media.bags.storage`). Reading takes about half a GiB at most, whatever a file asks for; what
 would need more is refused.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from errno import EINVAL
 from pathlib import Path
 from typing import Any
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError
-from eagor.media.bags import db3, mcap
 from eagor.media.bags.messages import NANO
-from eagor.media.bags.paths import SUFFIXES, is_bag, listed
 from eagor.media.bags.ros_types import store
+from eagor.media.bags.storage import Channel, McapFile, SqliteFile, read_mcap, read_sqlite
 from eagor.media.bags.writer import BagWriter
 
-__all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "read_bag"]
+__all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "listed", "read_bag", "split_bag"]
 
 ROS_1 = b"#ROSBAG V"
+
+SUFFIXES = (".mcap", ".db3")
+ROS_1_SUFFIX = ".bag"
 
 
 def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
@@ -86,7 +89,7 @@ class Bag:
                 yield stamp, channel.topic, channel.kind, found
 
 
-def _told(file: mcap.Recorded | db3.Recorded, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+def _told(file: McapFile | SqliteFile, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
     """The messages of a file. Raises `FormatError` where it is damaged."""
     try:
         yield from file.messages(wanted)
@@ -94,10 +97,10 @@ def _told(file: mcap.Recorded | db3.Recorded, wanted: Collection[int]) -> Iterat
         raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
 
 
-def _recorded(path: Path) -> mcap.Recorded | db3.Recorded:
+def _recorded(path: Path) -> McapFile | SqliteFile:
     """What one file of a bag holds. Raises `FormatError`."""
     try:
-        found = (mcap if path.suffix == ".mcap" else db3).recorded(path)
+        found = (read_mcap if path.suffix == ".mcap" else read_sqlite)(path)
     except (OSError, ValueError) as error:
         if isinstance(error, EagorError):
             raise
@@ -168,7 +171,7 @@ def _numbered(path: Path) -> tuple[int, str]:
     return (int(last) if last.isdigit() else 0, path.name)
 
 
-def _decoder(path: Path, stream: mcap.Channel) -> Any:
+def _decoder(path: Path, stream: Channel) -> Any:
     """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -196,3 +199,28 @@ def _decoder(path: Path, stream: mcap.Channel) -> Any:
         return own.deserialize_cdr
     except TypesysError as error:
         raise FormatError(f"{path}: the definition of {stream.kind} cannot be read ({error})") from error
+
+
+# --- paths ---
+
+
+def is_bag(path: str | os.PathLike[str]) -> bool:
+    """Whether `path` looks like a bag: a file by its name, a folder by what is in it."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return (path / "metadata.yaml").is_file() or any(file.suffix in SUFFIXES for file in path.iterdir())
+        return path.suffix.lower() in (*SUFFIXES, ROS_1_SUFFIX)
+    except OSError:
+        return False
+
+
+def split_bag(text: str) -> tuple[str, str | None]:
+    """Path and topic of ``BAG`` or ``BAG?topic=/image``."""
+    place, found, topic = text.partition("?topic=")
+    return (place, topic) if found and not os.path.exists(text) else (text, None)
+
+
+def listed(topics: Mapping[str, str]) -> str:
+    """Topics and their types in words."""
+    return ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "none"

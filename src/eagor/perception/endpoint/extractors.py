@@ -15,7 +15,7 @@ import numpy as np
 from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PerspectiveGrid
 from eagor.media.cutting import cut
-from eagor.media.images import resized
+from eagor.media.panorama import resized
 from eagor.perception.endpoint.messages import Answer, Picture, Request, question
 from eagor.perception.vlm.boxes import Box, parse_boxes
 from eagor.perception.vlm.drawing import drawn

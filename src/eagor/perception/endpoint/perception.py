@@ -19,7 +19,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.media.cutting import check_fields, tangent_views
-from eagor.media.images import checked_picture
+from eagor.media.panorama import checked_picture
 from eagor.perception.endpoint.addresses import shown_address
 from eagor.perception.endpoint.extractors import GRID, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer

@@ -198,7 +198,7 @@ class TransformersPerception:
 
     def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
         """The pictures of a look at a panorama, and the time it began."""
-        from eagor.media.images import checked_picture
+        from eagor.media.panorama import checked_picture
 
         began = time.perf_counter()
         for query in queries:
@@ -208,7 +208,7 @@ class TransformersPerception:
 
     def _whole(self, image: np.ndarray) -> _Shots:
         """The panorama at the model's size; with `seam` also rolled by half a turn."""
-        from eagor.media.images import resized
+        from eagor.media.panorama import resized
         from eagor.perception.vlm.seam import merged
 
         aspect = image.shape[1] / image.shape[0]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.media.images import checked_picture, resized
+from eagor.media.panorama import checked_picture, resized
 from eagor.perception.vlm.families import Family
 from eagor.perception.vlm.talk import MAX_TOKENS, Message, Said
 

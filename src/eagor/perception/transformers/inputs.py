@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from eagor.errors import EagorError, ImageError
-from eagor.media.images import resized
+from eagor.media.panorama import resized
 from eagor.perception.transformers.layout import Block, Layout
 from eagor.perception.transformers.steps import Endless, limited_steps
 from eagor.perception.vlm.families import Family

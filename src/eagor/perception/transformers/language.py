@@ -13,7 +13,7 @@ import torch
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.cutting import cut
-from eagor.media.images import resized
+from eagor.media.panorama import resized
 from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
 from eagor.perception.transformers.capture import Capture, full_layers, prepare
 from eagor.perception.transformers.heads import Heads, Observed

@@ -13,7 +13,7 @@ import numpy as np
 from eagor.errors import ResponseError
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.media.cutting import OVERLAP, depth_inside
-from eagor.media.images import checked_picture, resized
+from eagor.media.panorama import checked_picture, resized
 
 _SAMPLES = 3  # along each side of a cell that responses are lifted to
 

@@ -71,7 +71,7 @@ class SimulatedCamera:
         self._renderer = Renderer(scene)
         self._rig = None
         if settings.kind == "fisheye":
-            from eagor.media.cameras.rig import dual_fisheye
+            from eagor.media.rigs import dual_fisheye
 
             self._rig = dual_fisheye(*settings.size, FIELD)
 
@@ -83,7 +83,7 @@ class SimulatedCamera:
         """What it sends ``(H, W, 3)`` uint8: the panorama, or both fisheye circles."""
         if self._rig is None:
             return self.panorama(camera, ball)
-        from eagor.media.cameras.stitching import seen_by
+        from eagor.media.stitching import seen_by
 
         (picture,) = seen_by(self._rig, self._rendered(camera, ball, self._rig.rows))
         return picture
@@ -94,7 +94,7 @@ class SimulatedCamera:
 
     @lazy
     def _stitcher(self):
-        from eagor.media.cameras.stitching import Stitcher
+        from eagor.media.stitching import Stitcher
 
         assert self._rig is not None
         return Stitcher(self._rig, self.settings.rows)

@@ -23,7 +23,7 @@ from eagor.live.answers import Answer, Fault, Part
 from eagor.live.loop import RATE, LiveLoop
 from eagor.live.news import News
 from eagor.media.bags.messages import TEXT
-from eagor.media.cameras.rig import Rig
+from eagor.media.rigs import Rig
 from eagor.perception import Perception
 from eagor.robots.node.answers import trouble
 from eagor.robots.node.clock import SimClock, Stamps

@@ -10,11 +10,10 @@ from typing import Any
 
 from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
 from eagor.media.bags.messages import TRANSFORMS, panorama_of, stamp_of
-from eagor.media.bags.paths import split_bag
-from eagor.media.bags.reader import Bag
-from eagor.media.cameras.making import Panoramas
-from eagor.media.cameras.rig import Rig
+from eagor.media.bags.reader import Bag, split_bag
 from eagor.media.frames import Frame, Pose
+from eagor.media.rigs import Rig
+from eagor.media.stitching import Panoramas
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, pick
 

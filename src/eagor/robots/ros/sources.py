@@ -14,9 +14,9 @@ import numpy as np
 
 from eagor.errors import DeviceError, EagorError, TimeError
 from eagor.media.bags.messages import TRANSFORMS, panorama_of, stamp_of
-from eagor.media.cameras.making import Panoramas
-from eagor.media.cameras.rig import Rig
 from eagor.media.frames import Frame, Pose
+from eagor.media.rigs import Rig
+from eagor.media.stitching import Panoramas
 from eagor.robots.ros.graph import DdsGraph, Graph, GraphReader
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.playing import apart

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from eagor.errors import DeviceError, EagorError, FormatError
 from eagor.media.bags.messages import COMPRESSED, IMAGE, IMU, ODOMETRY, POSE, TRANSFORMS
-from eagor.media.bags.paths import listed
+from eagor.media.bags.reader import listed
 from eagor.robots.ros.graph import Graph
 
 __all__ = ["MOTION", "PICTURES", "TF", "TF_STATIC", "find_topic", "pick"]

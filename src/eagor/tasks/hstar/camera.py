@@ -169,13 +169,8 @@ def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None, step
 @lru_cache(maxsize=8)
 def _rays(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
     """Longitude (right of the view's yaw) and latitude (DOWN) of each pixel's ray ``(rows, columns)``, degrees."""
-    focal = columns / (2 * math.tan(math.radians(HFOV_DEG) / 2))
-    x = (np.arange(columns) - columns / 2) / focal
-    y = ((np.arange(rows) - rows / 2) / focal)[:, None]
-    c, s = math.cos(math.radians(pitch)), math.sin(math.radians(pitch))
-    down, ahead = c * y - s, s * y + c
-    longitude = np.degrees(np.arctan2(x, ahead)).astype(np.float32)
-    latitude = np.degrees(np.arcsin(np.clip(down / np.sqrt(1 + x * x + y * y), -1, 1))).astype(np.float32)
+    rays = View(0.0, pitch).grid(rows, columns).unproject(np.arange(columns), np.arange(rows)[:, None])
+    longitude, latitude = (-np.degrees(angle).astype(np.float32) for angle in azimuth_elevation(rays))
     return longitude, latitude
 
 

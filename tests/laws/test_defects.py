@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, FisheyeGrid
+from eagor.media.defects import NeverSeen, fisheye_circles, never_seen, problems, seam_of
 from eagor.media.panorama import read_panorama, turn, view
-from eagor.media.suspect import NeverSeen, fisheye_circles, never_seen, problems, seam_of
 from eagor.sphere import world_R_body
 from eagor.worlds.apartment import generate
 from eagor.worlds.ground import Ground

@@ -1,26 +1,37 @@
-"""Streams that FFmpeg (PyAV) opens: V4L2 devices, network addresses, encoded pictures on standard input."""
+"""Streams of pictures: V4L2 devices, network addresses and encoded pictures (by PyAV), raw ones from a pipe.
+
+Raw pictures, ``pipe:rgb24:1920x960``, follow each other without anything between: for rgb24, height x width x 3 bytes,
+row by row from the top. With ``:stamped`` at the end (``pipe:rgb24:1920x960:stamped``), eight bytes stand before each:
+the time of capture as a little-endian IEEE double, seconds on the clock of ``time.time()``. Use it if you know when a
+picture was taken; without it, the arrival less the latency counts.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import stat
+import struct
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, ClassVar, Protocol, cast
+
+import numpy as np
 
 from eagor._checks import above
 from eagor._extras import need
 from eagor._secrets import redacted
 from eagor.errors import DeviceError
-from eagor.media.decoding import Damage, pictures
+from eagor.media.video import Damage, pictures
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
 
-__all__ = ["Stream", "device", "network", "standard_input"]
+__all__ = ["RawPipe", "Stream", "device", "network", "raw_pipe", "standard_input"]
 
 OPENING, READING = 10.0, 5.0  # seconds that a network stream may take to open; may be silent before it counts as broken
 PROTOCOLS = "rtsp,rtp,udp,tcp,tls,http,https,httpproxy,rtmp,rtmps,rtmpt,rtmpts,srtp,crypto,data,hls"
@@ -32,6 +43,15 @@ BRIEF = {
 }  # bytes and microseconds in which the stream is described
 FORMATS = ("mjpeg", "h264", "hevc", "yuyv422", "nv12", "yuv420p", "rgb24", "bgr24", "uyvy422")
 _SIZE = re.compile(r"(\d+)x(\d+)")
+
+# Format: numerator and denominator of bytes per pixel, and the shape of the array that PyAV takes.
+BYTES = {"rgb24": 3.0, "bgr24": 3.0, "rgba": 4.0, "bgra": 4.0, "gray": 1.0, "yuv420p": 1.5, "nv12": 1.5, "yuyv422": 2.0}
+LARGEST = 1 << 27  # pixels
+_SPEC = re.compile(r"pipe:(\w+):(\d+)x(\d+)(:stamped)?")
+STAMP = struct.Struct("<d")
+
+
+# --- encoded ---
 
 
 @dataclass(frozen=True)
@@ -47,13 +67,10 @@ class Stream:
     options: Mapping[str, str] = field(default_factory=dict)
     again: bool = True
     size: tuple[int, int] | None = None
-
-    @property
-    def stamped(self) -> bool:
-        return False
+    stamped: ClassVar[bool] = False
 
     def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
-        """As `eagor.media.cameras.feeds.Opening` says."""
+        """As `eagor.media.live_camera.PictureStream` says."""
         need(f"reading {self.name}", "photos", "av")
         from av.error import FFmpegError
 
@@ -61,9 +78,8 @@ class Stream:
         try:
             streams = container.streams.video
             if not streams:
-                raise DeviceError(
-                    f"{self.name} has no pictures, but: {_others(container)}. Give the address of a video"
-                )
+                others = ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
+                raise DeviceError(f"{self.name} has no pictures, but: {others}. Give the address of a video")
             stream = streams[0]
             context = stream.codec_context
             if context is None:
@@ -173,10 +189,92 @@ def standard_input() -> Stream:
     return Stream("pipe:0", "standard input", "", {**LOW_LATENCY, "protocol_whitelist": "pipe"}, again=False)
 
 
-def _others(container: InputContainer) -> str:
-    return ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
-
-
 def _why(error: Exception) -> str:
     said = getattr(error, "strerror", None) or str(error)
     return "it did not answer in time" if said.startswith("Immediate exit") else redacted(said)
+
+
+# --- raw ---
+
+
+class Readable(Protocol):
+    """Where the bytes come from: a file, a pipe."""
+
+    def read(self, size: int = -1, /) -> bytes | None:
+        """Up to `size` bytes; empty at the end."""
+        ...
+
+
+@dataclass(frozen=True)
+class RawPipe:
+    """Raw pictures of `kind` (a name of FFmpeg's) with `width` and `height` that `file` brings; see the module."""
+
+    file: Readable
+    kind: str
+    width: int
+    height: int
+    stamped: bool = False
+    name: str = "standard input"
+    again: bool = False
+
+    def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
+        """As `eagor.media.live_camera.PictureStream` says."""
+        need("reading raw pictures", "photos", "av")
+        import av
+
+        size = round(self.width * self.height * BYTES[self.kind])
+        head = STAMP.size if self.stamped else 0
+        while True:
+            data = self._exactly(head + size)
+            if len(data) < head + size:
+                if data:
+                    damaged()
+                    warnings.warn(
+                        f"{self.name} ended in the middle of a picture, after {len(data)} of {head + size} bytes. Are "
+                        f"its pictures {self.kind} of {self.width} x {self.height}?",
+                        UserWarning,
+                        stacklevel=2,
+                    )
+                return
+            told = STAMP.unpack_from(data)[0] if self.stamped else None
+            if told is not None and not (math.isfinite(told) and 0 < told < 1e11):
+                raise DeviceError(
+                    f"{self.name}: the time before a picture is {told:g}; wanted seconds since 1970 as a little-endian "
+                    f"double, then {size} bytes ({self.kind}, {self.width} x {self.height}). Pictures without times: "
+                    "leave out :stamped"
+                )
+            array = np.frombuffer(data, np.uint8, offset=head).reshape(self._shape())
+            yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=self.kind)
+
+    def _shape(self) -> tuple[int, ...]:
+        per = BYTES[self.kind]
+        if per == 1.5:
+            return self.height * 3 // 2, self.width
+        return (self.height, self.width) if per == 1.0 else (self.height, self.width, int(per))
+
+    def _exactly(self, count: int) -> bytes:
+        """`count` bytes, or fewer at the end."""
+        parts, left = [], count
+        while left:
+            part = self.file.read(left)
+            if not part:
+                break
+            parts.append(part)
+            left -= len(part)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def raw_pipe(text: str, file: Readable) -> RawPipe:
+    """The pipe that `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`."""
+    found = _SPEC.fullmatch(text)
+    if found is None or found[1] not in BYTES:
+        raise DeviceError(
+            f"{text}: wanted pipe:FORMAT:WIDTHxHEIGHT, such as pipe:rgb24:1920x960, with :stamped at the end if each "
+            f"picture's time comes before it. Formats: {', '.join(BYTES)}"
+        )
+    width, height = int(found[2]), int(found[3])
+    halved = BYTES[found[1]] in (1.5, 2.0)
+    if not 0 < width * height <= LARGEST or (halved and (width % 2 or height % 2)):
+        even = "even sides, " if halved else ""
+        raise DeviceError(f"{text}: wanted {even}at least 1 and at most {LARGEST} pixels")
+    return RawPipe(file, found[1], width, height, bool(found[4]))

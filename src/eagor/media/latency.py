@@ -12,16 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.errors import PoseError
 from eagor.media.frames import Frame, Pose
 from eagor.media.rotation import VisualOdometer
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Slerp
 
 __all__ = ["Latency", "Steps", "check_turning", "latency_between", "steps_of"]
 
@@ -64,7 +61,8 @@ def steps_of(frames: Iterable[Frame], *, level: bool = False) -> Steps:
     for frame in frames:
         turned = odometer.add(frame.panorama)
         if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:
-            rows.append((before[0], frame.stamp, _about_z(before[1].T @ turned.world_R_body)))
+            turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()
+            rows.append((before[0], frame.stamp, float(turn[2])))
         before = frame.stamp, turned.world_R_body
     start, end, angle = np.array(rows).reshape(-1, 3).T
     return Steps(start, end, angle)
@@ -116,7 +114,9 @@ def check_turning(poses: Sequence[Pose]) -> None:
     """Raise `PoseError` if these turn too evenly to tell a latency."""
     if len(poses) < 2:
         raise PoseError(f"odometry has {len(poses)} poses; wanted those of the time in which the pictures were taken")
-    change = float(np.std(_rates(_slerp(poses), poses[0].stamp, poses[-1].stamp)))
+    first, last = poses[0].stamp, poses[-1].stamp
+    ticks = np.linspace(first, last, max(2, math.ceil((last - first) / 0.1)))
+    change = float(np.std(_steps(_slerp(poses), ticks[:-1], ticks[1:]) / np.diff(ticks)))
     if change < LEAST_CHANGE:
         raise PoseError(
             f"the turning rate varies by {math.degrees(change):.1f} degrees per second (standard deviation); wanted "
@@ -126,27 +126,13 @@ def check_turning(poses: Sequence[Pose]) -> None:
 
 
 def _slerp(poses: Sequence[Pose]) -> Slerp:
-    from scipy.spatial.transform import Rotation, Slerp
-
     stamps = [pose.stamp for pose in poses]
     return Slerp(stamps, Rotation.from_matrix(np.stack([pose.world_R_body for pose in poses])))
-
-
-def _about_z(old_R_new: np.ndarray) -> float:
-    from scipy.spatial.transform import Rotation
-
-    return float(Rotation.from_matrix(old_R_new).as_rotvec()[2])
 
 
 def _steps(slerp: Slerp, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """How far odometry turned about body z between these times, radians ``(n,)``."""
     return (slerp(start).inv() * slerp(end)).as_rotvec()[:, 2]
-
-
-def _rates(slerp: Slerp, first: float, last: float) -> np.ndarray:
-    """Turning rates about body z every tenth of a second."""
-    ticks = np.linspace(first, last, max(2, math.ceil((last - first) / 0.1)))
-    return _steps(slerp, ticks[:-1], ticks[1:]) / np.diff(ticks)
 
 
 def _correlation(told: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Lenses: which pixel of a picture sees which direction.
+"""Lenses: which pixel of a picture sees which direction. `eagor.grids` samples them at the pixels' centres.
 
 The frame of a lens is FLU as everywhere: x along the optical axis, y to the left, z up in its picture. Pixel
 coordinates grow to the right and down; the centre of the first pixel is at (0.5, 0.5), as in `eagor.grids`. OpenCV
@@ -14,14 +14,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor._checks import above, within
+from eagor._lazy import lazy
 from eagor.errors import GridError
 from eagor.sphere import check_rotation
 
 __all__ = ["FisheyeLens", "Lens", "PinholeLens", "inverted"]
 
-WIDEST = math.radians(280)  # full field of a fisheye: beyond, there is no glass
+WIDEST = math.radians(280)  # full field of a fisheye: beyond, there is no glass; ideal ones may see all around
 NEWTON = 12  # rounds; each doubles the digits, and the start is within a few degrees
-FLAT = 89.0  # degrees off the axis that a plane can show at most
+FLAT = 89.0  # degrees off the axis that a plane with distortion can show at most
+AHEAD = 1e-9  # cosine off the axis below which an ideal pinhole sees nothing
 FINE = 1441  # angles at which it is looked whether a curve rises
 
 
@@ -59,15 +61,19 @@ class FisheyeLens:
                 "factors of angle^3, angle^5, angle^7, angle^9 (radians)"
             )
         if not self.reach > 0:
+            widest = WIDEST if any(self.polynomial) else 2 * math.pi
             raise GridError(
                 f"the lens {self.name!r} never reaches the radius of {self.radius:g} pixels within "
-                f"{math.degrees(WIDEST) / 2:g} degrees of its axis: its curve is too flat, or turns back. Give another "
-                "polynomial, a larger focal, or a smaller radius"
+                f"{math.degrees(widest) / 2:g} degrees of its axis: its curve is too flat, or turns back. Give "
+                "another polynomial, a larger focal, or a smaller radius"
             )
 
-    @property
+    @lazy
     def reach(self) -> float:
         """Angle (radians) off the axis at the rim; 0 if the curve does not rise up to there."""
+        if not any(self.polynomial):
+            angle = self.radius / self.focal
+            return angle if angle <= math.pi * (1 + 1e-9) else 0.0
         angles = np.linspace(0, WIDEST / 2, FINE)
         radii = self.focal * _odd(self.polynomial, angles)
         beyond = radii >= self.radius * (1 - 1e-9)
@@ -96,8 +102,9 @@ class FisheyeLens:
         rays = np.asarray(directions) @ self.body_R_lens
         off_axis = np.hypot(rays[..., 1], rays[..., 2])
         angle = np.arctan2(off_axis, rays[..., 0])
-        radius = self.focal * _odd(self.polynomial, np.minimum(angle, self.reach))
-        scale = radius / np.maximum(off_axis, 1e-12)
+        # Beyond the rim a polynomial may turn back.
+        shown = np.minimum(angle, self.reach) if any(self.polynomial) else angle
+        scale = self.focal * _odd(self.polynomial, shown) / np.maximum(off_axis, 1e-12)
         return self.centre[0] - rays[..., 1] * scale, self.centre[1] - rays[..., 2] * scale, self.reach - angle
 
     def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -110,13 +117,15 @@ class FisheyeLens:
 
     def angle_at(self, radius: np.ndarray) -> np.ndarray:
         """Angle off the axis (radians) at radii (pixels), by Newton's method; beyond the rim it goes on straight."""
+        if not any(self.polynomial):
+            return radius / self.focal
         angle = inverted(self.polynomial, np.minimum(radius, self.radius) / self.focal, self.reach * 1.001)
         slope = max(float(_slope(self.polynomial, np.array(self.reach))), 1e-3)
         return angle + np.maximum(radius - self.radius, 0) / (self.focal * slope)
 
     @property
-    def density(self) -> float:
-        """Pixels per radian, about the mean over the picture."""
+    def pixels_per_radian(self) -> float:
+        """About the mean over the picture."""
         return self.radius / self.reach
 
     def scaled(self, factor: float) -> FisheyeLens:
@@ -157,45 +166,41 @@ class PinholeLens:
                 "k2, p1, p2, k3, k4, k5, k6, as OpenCV orders them"
             )
 
-    @property
+    @lazy
     def reach(self) -> float:
-        """Angle (radians) off the axis of the corner that is farthest off."""
-        return self._border[1]
-
-    @property
-    def _border(self) -> tuple[float, float]:
-        """Least and largest angle off the axis along the border of the picture, undistorted."""
+        """Angle (radians) off the axis of the point of the border that is farthest off."""
         wide, high = self.size
         t = np.linspace(0, 1, 33)
         x = np.concatenate([t * wide, t * wide, 0 * t, 0 * t + wide])
         y = np.concatenate([0 * t, 0 * t + high, t * high, t * high])
-        off = np.hypot(*self._plane(x, y))
-        limit = math.tan(math.radians(FLAT))
-        return tuple(float(np.arctan(min(v, limit))) for v in (off.min(), off.max()))  # type: ignore[return-value]
+        off = float(np.hypot(*self.plane(x, y)).max())
+        return math.atan(min(off, math.tan(math.radians(FLAT))) if any(self.distortion) else off)
 
     def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As `FisheyeLens.project`; the depth is that to the nearest edge of the picture."""
         rays = np.asarray(directions) @ self.body_R_lens
-        ahead = rays[..., 0] > math.cos(math.radians(FLAT))
+        distorted = any(self.distortion)
+        ahead = rays[..., 0] > (math.cos(math.radians(FLAT)) if distorted else AHEAD)
         depth = np.where(ahead, rays[..., 0], 1.0)
-        u, v = -rays[..., 1] / depth, -rays[..., 2] / depth
-        # Beyond the corners the polynomials may come back into the picture: what is far outside is not distorted.
-        outside = ~ahead | (np.hypot(u, v) > math.tan(min(self.reach + math.radians(1), math.radians(FLAT))))
-        a, b = self._distorted(np.where(outside, 0.0, u), np.where(outside, 0.0, v))
+        a, b = -rays[..., 1] / depth, -rays[..., 2] / depth
+        if distorted:
+            # Beyond the corners the polynomials may come back into the picture: what is far outside is not distorted.
+            ahead &= np.hypot(a, b) <= math.tan(min(self.reach + math.radians(1), math.radians(FLAT)))
+            a, b = self._distorted(np.where(ahead, a, 0.0), np.where(ahead, b, 0.0))
         x, y = self.centre[0] + self.focal[0] * a, self.centre[1] + self.focal[1] * b
         wide, high = self.size
         sides = np.minimum(np.minimum(x, wide - x) / self.focal[0], np.minimum(y, high - y) / self.focal[1])
-        return x, y, np.where(outside, -1.0, np.arctan(sides))
+        return x, y, np.where(ahead, np.arctan(sides), -1.0)
 
     def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Body directions ``(..., 3)`` at pixel coordinates; the distortion is undone by fixed-point rounds."""
-        u, v = self._plane(np.asarray(x, float), np.asarray(y, float))
+        u, v = self.plane(np.asarray(x, float), np.asarray(y, float))
         rays = np.stack([np.ones_like(u), -u, -v], axis=-1)
         return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)) @ self.body_R_lens.T
 
     @property
-    def density(self) -> float:
-        """Pixels per radian at the centre."""
+    def pixels_per_radian(self) -> float:
+        """At the centre."""
         return math.sqrt(self.focal[0] * self.focal[1])
 
     def scaled(self, factor: float) -> PinholeLens:
@@ -204,14 +209,13 @@ class PinholeLens:
         focal, centre = (tuple(v * factor for v in pair) for pair in (self.focal, self.centre))
         return replace(self, size=(wide, high), focal=focal, centre=centre)
 
-    def _plane(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def plane(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The plane at distance 1 (right, down), without distortion, at pixel coordinates."""
         a, b = np.broadcast_arrays((x - self.centre[0]) / self.focal[0], (y - self.centre[1]) / self.focal[1])
         u, v = a, b
         for _ in range(40 if any(self.distortion) else 0):
             c, d = self._distorted(u, v)
-            u, v = u + a - c, v + b - d
-            u, v = (np.clip(each, -60.0, 60.0) for each in (u, v))
+            u, v = np.clip(u + a - c, -60.0, 60.0), np.clip(v + b - d, -60.0, 60.0)
         return u, v
 
     def _distorted(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -230,7 +234,7 @@ Lens = FisheyeLens | PinholeLens
 def inverted(polynomial: Sequence[float], values: np.ndarray, highest: float) -> np.ndarray:
     """The angles, 0 to `highest`, at which ``angle + k1 angle^3 + ...`` has these `values`: Newton's method."""
     angle = np.minimum(values, highest)
-    for _ in range(NEWTON if any(polynomial) else 1):
+    for _ in range(NEWTON):
         angle = angle - (_odd(polynomial, angle) - values) / np.maximum(_slope(polynomial, angle), 1e-3)
         angle = np.clip(angle, 0, highest)
     return angle

@@ -1,25 +1,34 @@
-"""How a picture covers the sphere, as its file says it: projection, tilt, stereo, cropped area.
+"""What a file says of itself beside its pictures: projection, tilt, cropped area, motion track, whether it is whole.
 
 Sources: Spherical Video V2 RFC (boxes ``st3d`` and ``sv3d``; Matroska's Projection), Spherical Video V1 RFC (XML in a
-``uuid`` box), Photo Sphere XMP Metadata (GPano).
+``uuid`` box), Photo Sphere XMP Metadata (GPano), XMP (ISO 16684-1). FFmpeg tells a part of it: through PyAV, nothing of
+meshes, of XML, of eyes from right to left, or of kinds that it does not know, and all that only once a picture is
+decoded.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import BinaryIO
+from xml.etree import ElementTree
 
 import numpy as np
 
-from eagor.errors import ImageError
-from eagor.media.boxes import Track, children, find
-from eagor.media.matroska import Head
-from eagor.media.xmp import GSPHERICAL, properties
+from eagor.errors import FormatError, ImageError
+from eagor.media.containers import Head, Movie, Track, children, find, read_head, read_movie
+from eagor.media.motion import MotionTrack, read_camm, read_insta360
 from eagor.sphere import world_R_body
 
-__all__ = ["Layout", "Projection", "of_head", "of_photograph", "of_track"]
+__all__ = [
+    "GPANO", "GSPHERICAL", "Layout", "Projection", "VideoMetadata", "of_head", "of_photograph", "of_track",
+    "properties", "read_metadata",
+]  # fmt: skip
+
+UNSTITCHED = (".insv", ".360")  # as Insta360 and GoPro name recordings whose lenses are not put together yet
 
 SPHERICAL = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")  # the uuid of Spherical Video V1
 EYES = {  # where in the picture the left eye's is: first row, first column, rows, columns, as shares
@@ -36,6 +45,85 @@ EXPORT = (
     "Export it as an equirectangular video, twice as wide as high: in the camera's own app choose '360 video', or use "
     "FFmpeg's filter v360"
 )
+
+GPANO = "http://ns.google.com/photos/1.0/panorama/"
+GSPHERICAL = "http://ns.google.com/videos/1.0/spherical/"
+LONGEST_XMP = 1 << 22  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class VideoMetadata:
+    """`projection`: None if the file names none. `motion`: None if it has no motion track that can be used.
+
+    `missing`: bytes that are cut off at the end of the file. `entry`: the codec's four letters, "" if unknown. `facts`:
+    sentences about these. `raw`: whether the camera may have left its lenses' circles as they are. `tracks`: how many
+    tracks of pictures it has, as far as its index tells.
+    """
+
+    projection: Projection | None = None
+    motion: MotionTrack | None = None
+    missing: int = 0
+    entry: str = ""
+    facts: tuple[str, ...] = ()
+    raw: bool = False
+    tracks: int = 1
+
+
+def read_metadata(path: str, lenses: bool = False) -> VideoMetadata:
+    """What the file at `path` says. Raises `ImageError` for one that is cut off before its index.
+
+    Also for one with a track for each lens, unless `lenses` are wanted.
+    """
+    with open(path, "rb") as file:
+        try:
+            movie = read_movie(file)
+        except FormatError as error:
+            raise ImageError(f"{path} {error}. Copy it again from the camera") from error
+        if movie is not None:
+            return _of_movie(path, movie, file, lenses)
+        head = read_head(file)
+    if head is None:
+        return VideoMetadata(raw=path.lower().endswith(UNSTITCHED))
+    crop = "its track is to be cropped by {} (top), {} (bottom), {} (left), {} (right) pixels, which is not done"
+    facts = (crop.format(*head.crop),) if any(head.crop) else ()
+    return VideoMetadata(of_head(head), missing=head.missing, facts=facts)
+
+
+def _of_movie(path: str, movie: Movie, file: BinaryIO, wanted: bool) -> VideoMetadata:
+    motion, facts = None, ()
+    raw = path.lower().endswith(UNSTITCHED)
+    try:
+        motion, facts = read_camm(movie, file)
+        trailer = read_insta360(file)
+        if trailer is not None:
+            raw = True
+            facts += (f"the camera is {trailer.camera or 'one of Insta360'}",)
+            if motion is None and (motion := trailer.motion()) is not None:
+                facts += (
+                    "its motion track (Insta360) has axes that are not documented: the one that feels gravity is taken "
+                    "for up, so turns of the heading are right, tilts may be about another axis",
+                )
+    except FormatError as error:
+        facts += (f"its motion track cannot be used: it {error}",)
+    if motion is not None:
+        facts += ("the motion track is the camera's: where its app steadied the pictures, they turn otherwise",)
+    lenses = len(movie.pictures)
+    if raw and lenses > 1 and not wanted:
+        raise ImageError(
+            f"{os.path.basename(path)} holds {lenses} tracks of pictures, one for each lens. Give the lenses with "
+            f"--rig FILE.yaml (eagor camera calibrate makes one). Or: {EXPORT}"
+        )
+    if lenses > 1 and not wanted:
+        facts += (f"it has {lenses} tracks of pictures, of which the first is taken",)
+    if not movie.pictures:
+        return VideoMetadata(None, motion, movie.missing, "", facts, raw)
+    picture = movie.pictures[0]
+    if find(picture.extensions, "clap") is not None:
+        facts += ("its pictures are to be cropped (box clap), which is not done",)
+    return VideoMetadata(of_track(picture), motion, movie.missing, picture.entry, facts, raw, lenses)
+
+
+# --- projection ---
 
 
 @dataclass(frozen=True)
@@ -253,3 +341,21 @@ def of_photograph(said: Mapping[str, str]) -> Projection | None:
     kind = said["ProjectionType"].lower()
     found = Projection("its XMP (GPano)", kind, "mono", -angle("Heading"), -angle("Pitch"), angle("Roll"))
     return _with_area(found, said)
+
+
+# --- XMP ---
+
+
+def properties(xmp: bytes, namespace: str) -> dict[str, str]:
+    """The simple properties of `namespace` in a packet, by name: attributes or elements. Empty if it is unreadable."""
+    if len(xmp) > LONGEST_XMP or b"<!DOCTYPE" in xmp or b"<!ENTITY" in xmp:  # no XMP needs these, and they can be bombs
+        return {}
+    try:
+        root = ElementTree.fromstring(xmp.strip(b"\0 \t\r\n"))
+    except (ElementTree.ParseError, ValueError, LookupError):  # LookupError: an encoding that is not known
+        return {}
+    found, prefix = {}, f"{{{namespace}}}"
+    for element in root.iter():
+        pairs = [*element.items(), (element.tag, element.text or "")]
+        found |= {name[len(prefix) :]: text.strip() for name, text in pairs if name.startswith(prefix)}
+    return found

@@ -1,6 +1,6 @@
-"""Rigs as YAML files: read with errors that name the line, and written.
+"""Cameras with lenses: all that is needed to make panoramas of their pictures, and their YAML files.
 
-::
+Files are read with errors that name the line. The format::
 
     pictures:                    # one, or one per lens
       - {width: 3840, height: 1920}
@@ -23,27 +23,28 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from eagor._extras import need
 from eagor._files import read_file, written
 from eagor.conventions import rotation_from_wxyz
-from eagor.errors import EagorError, FormatError
-from eagor.media.cameras.lenses import FisheyeLens, Lens, PinholeLens
-from eagor.media.cameras.rig import Rig
+from eagor.errors import EagorError, FormatError, GridError, ImageError
+from eagor.lenses import FisheyeLens, Lens, PinholeLens
 from eagor.sphere import world_R_body
 
-if TYPE_CHECKING:
-    from yaml.nodes import Node
+__all__ = ["Rig", "dual_fisheye", "read_rig", "sizes_of", "write_rig"]
 
-__all__ = ["read_rig", "write_rig"]
+SHAPE = 0.01  # by which the ratio of a picture's sides may differ from the rig's: rounding to even numbers
 
 LARGEST = 1 << 20  # bytes: a rig has a few hundred
 BOTH = ("name", "kind", "picture", "centre", "rotation")
@@ -53,6 +54,82 @@ KEYS = {
 }
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 UNIT = 0.01  # by which the length of a quaternion may differ from 1
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The `lenses` of a camera, in pixels of pictures of the `sizes` (width, height): one, or one per lens.
+
+    Raises `GridError` where there is no lens, or one refers to a picture that there is not.
+    """
+
+    sizes: tuple[tuple[int, int], ...]
+    lenses: tuple[Lens, ...]
+
+    def __post_init__(self) -> None:
+        if not self.lenses or not self.sizes:
+            raise GridError("a rig needs at least one lens and one picture")
+        for lens in self.lenses:
+            if not 0 <= lens.picture < len(self.sizes):
+                raise GridError(
+                    f"the lens {lens.name!r} is in picture {lens.picture}; wanted 0 to {len(self.sizes) - 1}"
+                )
+
+    @property
+    def rows(self) -> int:
+        """Rows of a panorama that is as fine as the pictures, an even number."""
+        return max(2, 2 * round(math.pi * max(lens.pixels_per_radian for lens in self.lenses) / 2))
+
+    def scaled(self, factor: float) -> Rig:
+        """The same for pictures that are `factor` times as large."""
+        sizes = tuple((max(1, round(w * factor)), max(1, round(h * factor))) for w, h in self.sizes)
+        return Rig(sizes, tuple(lens.scaled(factor) for lens in self.lenses))
+
+    def turned(self, new_R_old: np.ndarray) -> Rig:
+        """The same on a body with other axes: ``new_R_old @ direction_old = direction_new``."""
+        lenses = tuple(replace(lens, body_R_lens=new_R_old @ lens.body_R_lens) for lens in self.lenses)
+        return Rig(self.sizes, lenses)
+
+    def factor_of(self, sizes: tuple[tuple[int, int], ...], name: str) -> float:
+        """How much larger than the rig's own are pictures of these `sizes` (width, height).
+
+        Raises `ImageError`, about `name`, if they are others: another number, or another shape.
+        """
+        if len(sizes) != len(self.sizes):
+            raise ImageError(
+                f"{name} gives {len(sizes)} picture{'s' if len(sizes) > 1 else ''} at a time, and the rig is for "
+                f"{len(self.sizes)}; give as many files or streams as the rig lists pictures, with commas between"
+            )
+        factors = [width / own[0] for (width, _), own in zip(sizes, self.sizes, strict=True)]
+        for (width, height), own, factor in zip(sizes, self.sizes, factors, strict=True):
+            if abs(height / own[1] / factor - 1) > SHAPE or abs(factor / factors[0] - 1) > SHAPE:
+                raise ImageError(
+                    f"{name} is {width} x {height}, and the rig is for pictures of {own[0]} x {own[1]}, or the same "
+                    "shape in another size. Set the camera to that resolution, or calibrate the rig with pictures of "
+                    "this one (eagor camera calibrate)"
+                )
+        return factors[0]
+
+
+def sizes_of(pictures: Iterable[np.ndarray]) -> tuple[tuple[int, int], ...]:
+    """Width and height of each picture ``(H, W, ...)``, as rigs count them."""
+    return tuple((picture.shape[1], picture.shape[0]) for picture in pictures)
+
+
+def dual_fisheye(width: int, height: int, fov: float = math.radians(200)) -> Rig:
+    """Two ideal lenses back to back, their circles side by side in one picture, the front one on the left.
+
+    Each circle touches the top and the bottom of the picture; `fov`: the angle across it, radians.
+    """
+    places = (("front", width / 4, 0.0), ("back", 3 * width / 4, math.pi))
+    lenses = tuple(
+        FisheyeLens.of_field(name, (x, height / 2), min(height, width / 2) / 2, fov, body_R_lens=world_R_body(yaw))
+        for name, x, yaw in places
+    )
+    return Rig(((width, height),), lenses)
+
+
+# --- YAML files ---
 
 
 def read_rig(path: str | os.PathLike[str]) -> Rig:
@@ -83,9 +160,9 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 class _Place:
-    """A node of the file: reads it as what is wanted, or raises `FormatError` with its line."""
+    """A node of the file, of PyYAML: reads it as what is wanted, or raises `FormatError` with its line."""
 
-    def __init__(self, node: Node, path: str) -> None:
+    def __init__(self, node: Any, path: str) -> None:
         self.node, self.path = node, path
 
     def wrong(self, wanted: str) -> FormatError:
@@ -93,9 +170,7 @@ class _Place:
 
     def mapping(self, keys: Sequence[str] | None = None) -> dict[str, _Place]:
         """The entries; only `keys` are allowed."""
-        import yaml
-
-        if not isinstance(self.node, yaml.MappingNode):
+        if self.node.id != "mapping":
             raise self.wrong(f"is {self._what()}; wanted names with values" + (f": {', '.join(keys)}" if keys else ""))
         found: dict[str, _Place] = {}
         for key, value in self.node.value:
@@ -113,17 +188,13 @@ class _Place:
 
     def items(self, wanted: str) -> list[_Place]:
         """The members of a list."""
-        import yaml
-
-        if not isinstance(self.node, yaml.SequenceNode):
+        if self.node.id != "sequence":
             raise self.wrong(f"is {self._what()}; wanted {wanted}")
         return [_Place(each, f"{self.path}[{index}]") for index, each in enumerate(self.node.value)]
 
     def number(self, wanted: str = "a number", whole: bool = False) -> float:
-        import yaml
-
         try:
-            if not isinstance(self.node, yaml.ScalarNode) or "_" in self.node.value:
+            if self.node.id != "scalar" or "_" in self.node.value:
                 raise ValueError
             value = float(self.node.value)
         except ValueError:
@@ -139,9 +210,7 @@ class _Place:
         return tuple(each.number() for each in found)
 
     def text(self) -> str:
-        import yaml
-
-        if not isinstance(self.node, yaml.ScalarNode):
+        if self.node.id != "scalar":
             raise self.wrong(f"is {self._what()}; wanted a text")
         return str(self.node.value)
 
@@ -251,12 +320,11 @@ def write_rig(rig: Rig, path: str | os.PathLike[str], notes: Sequence[str] = ())
 
 
 def _fields(lens: Lens) -> Mapping[str, str]:
-    from scipy.spatial.transform import Rotation
-
     yaw, pitch, roll = Rotation.from_matrix(lens.body_R_lens).as_euler("ZYX", degrees=True)
     angles = ", ".join(f"{key}: {value:.6f}" for key, value in zip(ANGLES, (yaw, pitch, roll), strict=True))
     common = {"picture": str(lens.picture), "centre": _list(lens.centre), "rotation": f"{{{angles}}}"}
-    head = {"name": _quoted(lens.name)}
+    # JSON's strings are YAML's.
+    head = {"name": json.dumps(lens.name, ensure_ascii=False)}
     if isinstance(lens, PinholeLens):
         own = {"focal": _list(lens.focal), "distortion": _list(lens.distortion)}
         return head | {"kind": "pinhole"} | common | own
@@ -267,10 +335,3 @@ def _fields(lens: Lens) -> Mapping[str, str]:
 
 def _list(values: Sequence[float]) -> str:
     return f"[{', '.join(f'{value:.9g}' for value in values)}]"
-
-
-def _quoted(text: str) -> str:
-    """A text as YAML: JSON's strings are."""
-    import json
-
-    return json.dumps(text, ensure_ascii=False)

@@ -1,23 +1,27 @@
-"""MCAP files: by the index at their end, or, where a recorder was killed or wrote none, by going through them.
+"""The files of bags, read within bounds: MCAP, and SQLite (.db3), as `ros2 bag` has written them from Foxy on.
 
-Format: https://mcap.dev/spec. A file is a row of records (operation, length, content); messages lie in chunks, or bare.
-A file may ask for any room, so each record and each chunk may have `MOST` bytes, and twice as many wait to be sorted.
+MCAP (https://mcap.dev/spec) is read by the index at its end, or, where a recorder was killed or wrote none, by going
+through it. A file is a row of records (operation, length, content); messages lie in chunks, or bare. A file may ask for
+any room, so each record, each chunk and each row may have `MOST` bytes, and twice as many wait to be sorted. (The
+package `mcap` keeps no such bounds: it unpacks a chunk whatever its size, and gives nothing of one that is cut off.)
 """
 
 from __future__ import annotations
 
 import heapq
 import os
+import sqlite3
 import struct
 import zlib
 from collections.abc import Collection, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
 from eagor.errors import FormatError
 
-__all__ = ["MAGIC", "MOST", "Channel", "Recorded", "recorded"]
+__all__ = ["MAGIC", "MOST", "Channel", "McapFile", "SqliteFile", "read_mcap", "read_sqlite"]
 
 MAGIC = b"\x89MCAP0\r\n"
 MOST = 1 << 27  # bytes of a message, and of a chunk unpacked: a raw panorama of 8K has 0.7 of it
@@ -28,6 +32,11 @@ _DEFINITIONS = 1 << 24  # bytes of all types' texts and topics' names together
 _WAITING = 200  # bytes that a message takes beside its content until its turn comes
 _Waiting = tuple[int, int, int, int, bytes]  # time, place of the chunk, number in it, channel, content
 _FRAMES = 64  # compressed parts of one chunk; recorders write one
+
+_DEFINITION = 1 << 24  # bytes of one definition of a type
+
+
+# --- MCAP ---
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class Channel:
 
 
 @dataclass
-class Recorded:
+class McapFile:
     """What a file holds: channels by id, messages by channel, and why it ended before the end."""
 
     path: Path
@@ -101,7 +110,7 @@ class Recorded:
         return found
 
 
-def recorded(path: Path) -> Recorded:
+def read_mcap(path: Path) -> McapFile:
     """What the file's index says, else what is found by going through it, up to the first damage.
 
     Raises `FormatError` if it is no MCAP file, `OSError`.
@@ -118,7 +127,7 @@ def recorded(path: Path) -> Recorded:
         return _scanned(path, file)
 
 
-def _indexed(path: Path, file: IO[bytes]) -> Recorded | None:
+def _indexed(path: Path, file: IO[bytes]) -> McapFile | None:
     """What the index at the end says; None where there is none, or it leaves something out."""
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - 37))
@@ -128,7 +137,7 @@ def _indexed(path: Path, file: IO[bytes]) -> Recorded | None:
     (start,) = struct.unpack_from("<Q", end, 9)
     if not start:
         return None
-    found, counts, total = Recorded(path), {}, -1
+    found, counts, total = McapFile(path), {}, -1
     file.seek(start)
     while (record := _record(file))[0] not in (_FOOTER, _OFFSET):
         operation, body = record
@@ -145,9 +154,9 @@ def _indexed(path: Path, file: IO[bytes]) -> Recorded | None:
     return found if whole else None
 
 
-def _scanned(path: Path, file: IO[bytes]) -> Recorded:
+def _scanned(path: Path, file: IO[bytes]) -> McapFile:
     """Go through the whole file; what is damaged ends it."""
-    found = Recorded(path)
+    found = McapFile(path)
     try:
         while True:
             place = file.tell()
@@ -278,3 +287,65 @@ def _decompressed(packed: bytes, compression: str, size: int) -> bytes:
         if not frame.eof or not rest:
             break
     return found[0] if len(found) == 1 else b"".join(found)
+
+
+# --- SQLite ---
+
+
+@dataclass(frozen=True)
+class SqliteFile:
+    """What a file holds: channels by id, messages by channel. A database is whole, or no database (`broken`)."""
+
+    path: Path
+    channels: dict[int, Channel]
+    counts: dict[int, int]
+    broken: None = None
+
+    def messages(self, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+        """Channel, time (ns) and bytes of the messages of the `wanted` channels, in order of time.
+
+        Raises `ValueError` for damage, and for a message of more than `MOST` bytes.
+        """
+        numbers = ", ".join(map(str, wanted))
+        try:
+            with closing(_opened(self.path, MOST)) as database:
+                for channel, time, data in database.execute(
+                    f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({numbers}) ORDER BY timestamp"
+                ):
+                    if not isinstance(time, int) or not isinstance(data, bytes):
+                        raise ValueError("a row of its messages has no time or no content")
+                    yield channel, time, data
+        except sqlite3.DataError as error:
+            raise ValueError(f"a message of more than {MOST} bytes: {error}") from error
+        except sqlite3.Error as error:
+            raise ValueError(str(error)) from error
+
+
+def read_sqlite(path: Path) -> SqliteFile:
+    """The topics and the number of their messages. Raises `ValueError` for what is no such database."""
+    try:
+        with closing(_opened(path, _DEFINITION)) as database:
+            tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            if not {"topics", "messages"} <= tables:
+                raise ValueError("it has no tables of topics and messages")
+            texts: dict[str, tuple[str, str]] = {}
+            if "message_definitions" in tables:
+                rows = database.execute(
+                    "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+                )
+                texts = {kind: (encoding, text) for kind, encoding, text in rows}
+            rows = database.execute("SELECT id, name, type FROM topics ORDER BY id").fetchall()
+            if not all(isinstance(each, kind) for row in rows for each, kind in zip(row, (int, str, str), strict=True)):
+                raise ValueError("a row of its topics has no number, name or type")
+            channels = {number: Channel(name, kind, *texts.get(kind, ("", ""))) for number, name, kind in rows}
+            counts = dict(database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+    except sqlite3.Error as error:
+        raise ValueError(str(error)) from error
+    return SqliteFile(path, channels, {number: counts.get(number, 0) for number in channels})
+
+
+def _opened(path: Path, most: int) -> sqlite3.Connection:
+    """To be read only, by whatever thread; rows of more than `most` bytes are refused by SQLite itself."""
+    database = sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True, check_same_thread=False)
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, most)
+    return database

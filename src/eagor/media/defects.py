@@ -4,7 +4,7 @@
 and a painted room: no false alarm in 250 pictures (25 random rotations each, as they are and as JPEG of quality 50),
 none in 2050 with the seam at other columns. Of ten pictures each, a broken seam is seen in 10 where the brightness
 changes by 30 % around the picture, or a quarter of it is missing; in 9 for 10 %; in 8 where 5 % of the columns are
-missing, in 2 for 2 % or for halves that are shifted by 2 degrees, in none for 1 %. `tests/laws/test_suspect.py`
+missing, in 2 for 2 % or for halves that are shifted by 2 degrees, in none for 1 %. `tests/laws/test_defects.py`
 repeats a part of this.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from eagor.grids import ErpGrid
-from eagor.media.images import checked_picture
+from eagor.media.panorama import checked_picture
 
 __all__ = ["NeverSeen", "Seam", "fisheye_circles", "never_seen", "problems", "seam_of"]
 

@@ -1,24 +1,38 @@
-"""Fit lenses to pairs of sightings: robust least squares with weak priors, and what the pairs leave open.
+"""Fit lenses to things seen twice: robust least squares with weak priors, and what the pairs leave open.
 
-Unknown are, for each fisheye lens, its centre, focal length, polynomial and rotation, and for a camera that turned in
-place its rotation at each moment. A pair says that two rays meet: ``R_i B_a ray_a = R_j B_b ray_b``, with the rotations
-R of the camera and B of the lenses, and ray = unproject(pixel). Nothing tells how the rig as a whole sits on the body:
-the priors keep the lenses' rotations near the first ones.
+A thing is seen twice by two lenses of a camera at once, or by a camera that turned in place (`pairs_of`). Unknown are,
+for each fisheye lens, its centre, focal length, polynomial and rotation, and for a camera that turned in place its
+rotation at each moment. A pair says that two rays meet: ``R_i B_a ray_a = R_j B_b ray_b``, with the rotations R of the
+camera and B of the lenses, and ray = unproject(pixel). Nothing tells how the rig as a whole sits on the body: the
+priors keep the lenses' rotations near the first ones.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from eagor.media.cameras.lenses import FisheyeLens, inverted
-from eagor.media.cameras.rig import Rig
-from eagor.media.cameras.sightings import Pairs
+from eagor.lenses import FisheyeLens, inverted
 from eagor.media.consensus import part_of_sphere
+from eagor.media.features import FIELD, Features, features_of, match
+from eagor.media.rigs import Rig
+from eagor.media.stitching import Stitcher
+from eagor.media.two_views import Turn, turn_between
 
-__all__ = ["Solution", "gaps_of", "solve"]
+__all__ = ["Pairs", "Points", "Solution", "gaps_of", "pairs_of", "points_of", "solve", "turns_of"]
+
+RIM = math.radians(1.5)  # from the rim, where the border of the circle makes points of its own
+LEAST_PIXELS, MOST_PIXELS = 320, 1024  # pixels of a view in which points are looked for
+ROWS = 2048  # of the panorama that a lens is laid out on, at most
+FOR_TURNS = 1200  # points of a moment that are compared to find its turn
+SHORT = 400  # pairs that tell a turn; more only take longer
+EACH = 6  # up to so many moments are compared each with each; of more, each with the next ones
+NEXT = 3
 
 TERMS = 4  # of the polynomial
 OWN = 3 + TERMS  # centre x, y (in radii), logarithm of the focal length, polynomial
@@ -39,6 +53,130 @@ STEP = 1e-6  # of numerical derivatives: radii, shares, factors
 MOST = 4000  # pairs that are fitted; of more, every second, third, ...
 HIGHEST = 2.6  # radians: no lens sees farther off its axis
 SIDES = 8  # directions around the axis in which a lens is judged
+
+
+# --- things seen twice ---
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """What one lens sees of one moment: pixel coordinates ``(n, 2)``, descriptors ``(n, 128)``."""
+
+    moment: int
+    lens: int
+    pixels: np.ndarray
+    descriptors: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """`n` pairs of sightings of one thing, a and b: moments ``(n, 2)``, lenses ``(n, 2)``, pixels ``(n, 2, 2)``."""
+
+    moments: np.ndarray
+    lenses: np.ndarray
+    pixels: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.moments)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Points of a moment, in the body: features, lenses ``(n,)``, pixels ``(n, 2)``."""
+
+    features: Features
+    lenses: np.ndarray
+    pixels: np.ndarray
+
+
+def points_of(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Callable[[], None]) -> list[Points]:
+    """The points in each lens' picture of each moment, found on views that are straight as far as `rig` knows."""
+    stitcher = Stitcher(rig, min(ROWS, rig.rows))
+    size = max(LEAST_PIXELS, min(MOST_PIXELS, round(2 * math.tan(FIELD / 2) * stitcher.grid.height / math.pi)))
+    found = []
+    for moment, pictures in enumerate(moments):
+        for index, lens in enumerate(rig.lenses):
+            shown, _ = stitcher.alone(index, *pictures)
+            features = features_of(shown, size)
+            x, y, depth = lens.project(features.directions)
+            inside = depth > RIM
+            pixels = np.stack([x[inside], y[inside]], axis=1)
+            found.append(Points(moment, index, pixels, features.descriptors[inside]))
+        on_step()
+    return found
+
+
+def turns_of(rig: Rig, points: Sequence[Points]) -> dict[tuple[int, int], Turn]:
+    """How the camera turned between any two moments, where their points tell."""
+    moments = sorted({each.moment for each in points})
+    joined = {moment: _joined(rig, points, moment).features for moment in moments}
+    thinned = {moment: all_[:: max(1, math.ceil(len(all_) / FOR_TURNS))] for moment, all_ in joined.items()}
+    turns = {}
+    for i, j in combinations(moments, 2):
+        here, there = thinned[i], thinned[j]
+        first, second = match(here, there)
+        step = max(1, math.ceil(len(first) / SHORT))
+        first, second = first[::step], second[::step]
+        turn = turn_between(here.directions[first], there.directions[second], moves=False) if len(first) else None
+        if turn is not None:
+            turns[i, j] = turn
+    return turns
+
+
+def pairs_of(rig: Rig, points: Sequence[Points], world_R_body: np.ndarray, gate: float, turned: bool) -> Pairs:
+    """Pairs whose rays are less than `gate` (radians) apart, with the lenses of `rig` and rotations ``(m, 3, 3)``.
+
+    Between the lenses at each moment, and if the camera `turned` in place, between moments.
+    """
+    moments = sorted({each.moment for each in points})
+    parts: list[Pairs] = []
+    for moment in moments:
+        lenses = [_only(rig, each) for each in points if each.moment == moment]
+        parts += [_matched(a, b, (moment, moment), world_R_body, gate) for a, b in combinations(lenses, 2)]
+    if turned:
+        seen = [_joined(rig, points, moment) for moment in moments]
+        n = len(moments)
+        ahead = [(i, j) for i, j in combinations(range(n), 2) if n <= EACH or min(j - i, n - j + i) <= NEXT]
+        parts += [_matched(seen[i], seen[j], (moments[i], moments[j]), world_R_body, gate) for i, j in ahead]
+    return Pairs(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("moments", "lenses", "pixels")))
+
+
+def _matched(a: _Seen, b: _Seen, moments: tuple[int, int], world_R_body: np.ndarray, gate: float) -> Pairs:
+    first, second = match(a.features, b.features)
+    here = a.features.directions[first] @ world_R_body[moments[0]].T
+    there = b.features.directions[second] @ world_R_body[moments[1]].T
+    near = np.linalg.norm(here - there, axis=1) < gate
+    first, second = first[near], second[near]
+    return Pairs(
+        np.tile(moments, (len(first), 1)),
+        np.stack([a.lenses[first], b.lenses[second]], axis=1),
+        np.stack([a.pixels[first], b.pixels[second]], axis=1),
+    )
+
+
+def _only(rig: Rig, points: Points) -> _Seen:
+    """The points of one lens."""
+    directions = rig.lenses[points.lens].unproject(points.pixels[:, 0], points.pixels[:, 1])
+    return _Seen(Features(directions, points.descriptors), np.full(len(directions), points.lens), points.pixels)
+
+
+def _joined(rig: Rig, points: Sequence[Points], moment: int) -> _Seen:
+    """All points of a moment, each thing once.
+
+    Where two lenses see the same, only the points of the lens that sees it deeper are taken: twins would fail the
+    comparison of the best match with the second.
+    """
+    parts = []
+    for each in (_only(rig, each) for each in points if each.moment == moment):
+        depth = np.stack([lens.project(each.features.directions)[2] for lens in rig.lenses])
+        own = depth.argmax(axis=0) == each.lenses
+        parts.append((each.features[own], each.lenses[own], each.pixels[own]))
+    features, lenses, pixels = zip(*parts, strict=True)
+    joined = Features(*(np.concatenate([getattr(f, name) for f in features]) for name in ("directions", "descriptors")))
+    return _Seen(joined, np.concatenate(lenses), np.concatenate(pixels))
+
+
+# --- the fit ---
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,17 +310,11 @@ class _Problem:
         return lenses, self._turned(x)
 
     def _turned(self, x: np.ndarray) -> np.ndarray:
-        from scipy.spatial.transform import Rotation
-
         turns = x[PER_LENS * len(self.lenses) :].reshape(-1, 3)
         if not self.turned:
             return self.turns
-        by = (
-            np.concatenate([np.eye(3)[None], Rotation.from_rotvec(turns).as_matrix()])
-            if len(turns)
-            else np.eye(3)[None]
-        )
-        return self.turns @ by
+        by = Rotation.from_rotvec(turns).as_matrix() if len(turns) else np.empty((0, 3, 3))
+        return self.turns @ np.concatenate([np.eye(3)[None], by])
 
     def gaps(self, x: np.ndarray) -> np.ndarray:
         """Between the two rays of each pair, ``(n, 3)``."""
@@ -277,8 +409,6 @@ def _rings(lens: FisheyeLens, angles: np.ndarray) -> np.ndarray:
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_rotvec(vector).as_matrix()
 
 

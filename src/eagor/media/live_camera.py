@@ -1,0 +1,329 @@
+"""A camera that is there now: frames of one or several live streams, newest first, made to panoramas.
+
+A thread of its own decodes all that comes of a stream and keeps the newest picture. What nobody took in time is
+counted. A stream that breaks off is opened again after a pause that grows; meanwhile `problem` says what is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from eagor._secrets import redacted
+from eagor.errors import DeviceError, EagorError, ImageError, TimeError
+from eagor.media.clocks import StreamClock
+from eagor.media.frames import Frame
+from eagor.media.rigs import Rig
+from eagor.media.stitching import Panoramas
+from eagor.media.video import to_rgb
+
+if TYPE_CHECKING:
+    from av.video.frame import VideoFrame
+
+__all__ = ["Feed", "LiveCamera", "PictureStream", "Shot"]
+
+STALL = 2.0  # seconds without a picture that are worth a word
+FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0  # seconds before a broken stream is opened again; each time twice as long
+PATIENCE = 20.0  # seconds to wait for the first picture: an RTSP camera may take ten to its first key picture
+
+APART = 0.1  # seconds by which the newest pictures of two lenses may differ before it is said
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A decoded picture, its `stamp` (seconds, capture), and which one it is, from 1."""
+
+    stamp: float
+    picture: VideoFrame
+    number: int
+
+
+class PictureStream(Protocol):
+    """A device, an address, a pipe, to be opened. `name`: for texts. `again`: whether it can be opened once more."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def again(self) -> bool: ...
+
+    def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
+        """Time (seconds on the stream's own clock, or None) and picture, as they come, until the stream ends.
+
+        `damaged` is called for each picture that is lost. Raises `DeviceError` or `ImageError` in words.
+        """
+        ...
+
+    @property
+    def stamped(self) -> bool:
+        """Whether its times are those of capture, on this machine's clock (``time.time()``)."""
+        ...
+
+
+class Feed:
+    """The newest picture of a stream. `latency`: seconds; `rate`: the most pictures per second to keep, or None.
+
+    `problem`: what is wrong now, in words, or None. `dropped`: pictures that nobody took in time, that were damaged, or
+    that could not be put in order. Raises `DeviceError` if the stream cannot be opened or no picture comes.
+    """
+
+    def __init__(self, stream: PictureStream, *, latency: float = 0.0, rate: float | None = None) -> None:
+        self.stream, self.dropped = stream, 0
+        self._clock, self._rate = StreamClock(latency), rate
+        self._changed = threading.Condition()
+        self._shot: Shot | None = None
+        self._taken = 0  # the number of the shot that was taken last
+        self._count = 0
+        self._closed = self._ended = self._began = False
+        self._error: EagorError | None = None
+        self._trouble: str | None = None
+        self._since = time.monotonic()  # the last picture, or the beginning
+        self._thread = threading.Thread(target=self._run, name="eagor-camera", daemon=True)
+        self._thread.start()
+        self._wait_for_first()
+
+    @property
+    def problem(self) -> str | None:
+        with self._changed:
+            silent = time.monotonic() - self._since
+            if self._closed or self._ended:
+                return self._trouble
+            if self._trouble is not None:
+                return f"{self._trouble} (no picture for {silent:.0f} s)"
+            return f"{self.stream.name}: no picture for {silent:.0f} s" if silent > STALL else None
+
+    @property
+    def timeless(self) -> bool:
+        """Whether the stream's own times cannot be used, so that the time of arrival counts."""
+        return not self.stream.stamped and self._clock.timeless
+
+    @property
+    def seen(self) -> Shot | None:
+        """The newest picture, without taking it."""
+        with self._changed:
+            return self._shot
+
+    def newest(self) -> Shot | None:
+        """The newest picture, taken before or not; None before the first."""
+        with self._changed:
+            if self._shot is not None:
+                self._taken = self._shot.number
+            return self._shot
+
+    def take(self) -> Shot | None:
+        """The newest picture that was not taken yet; waits for one. None where no more can come, or after `close`."""
+        with self._changed:
+            while not self._closed:
+                if self._shot is not None and self._shot.number != self._taken:
+                    self._taken = self._shot.number
+                    return self._shot
+                if self._ended:
+                    break
+                self._changed.wait()
+            return None
+
+    @property
+    def error(self) -> EagorError | None:
+        """What ended the stream for good; None if it ended as such streams do, or has not."""
+        return self._error
+
+    def close(self) -> None:
+        """Let go. The thread ends as soon as what it waits for returns; nobody waits for that."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _wait_for_first(self) -> None:
+        try:
+            with self._changed:
+                end = time.monotonic() + PATIENCE
+                while self._shot is None and not self._ended and time.monotonic() < end:
+                    self._changed.wait(end - time.monotonic())
+                if self._shot is not None:
+                    return
+                error = self._error
+        except BaseException:  # interrupted
+            self.close()
+            raise
+        self.close()
+        if error is not None:
+            raise error
+        why = "it ended before the first picture" if self._ended else f"no picture came within {PATIENCE:.0f} s"
+        raise DeviceError(f"{self.stream.name}: {why}. Is something sending pictures there?")
+
+    def _run(self) -> None:
+        pause = FIRST_PAUSE
+        try:
+            while not self._closed:
+                before, why = self._count, f"{self.stream.name} ended"
+                self._clock.restart()
+                try:
+                    self._read()
+                except EagorError as error:
+                    why = redacted(str(error))
+                    if not self._began or not self.stream.again:
+                        self._error = error
+                if not self._began or not self.stream.again or self._closed:
+                    return
+                pause = FIRST_PAUSE if self._count > before else min(2 * pause, LONGEST_PAUSE)
+                with self._changed:
+                    self._trouble = f"{why}; trying again every {pause:g} s"
+                    self._changed.wait_for(lambda: self._closed, pause)
+        except Exception as error:  # a bug here or in a library: said, not hidden
+            self._error = DeviceError(f"{self.stream.name}: {type(error).__name__}: {error}")
+        finally:
+            with self._changed:
+                self._ended = True
+                if self._error is not None:
+                    self._trouble = redacted(str(self._error))
+                self._changed.notify_all()
+
+    def _read(self) -> None:
+        """All pictures of the stream, until it ends or `close`."""
+        kept = float("-inf")
+        pictures = self.stream.pictures(self._damaged)
+        try:
+            for told, picture in pictures:
+                arrival = self._clock.arrived()
+                if self._closed:
+                    return
+                stamp = told if self.stream.stamped else self._clock.stamp(told, arrival)
+                with self._changed:
+                    self._began, self._trouble, self._since = True, None, arrival
+                    if stamp is None:
+                        self.dropped += 1
+                        continue
+                    if self._rate is not None and stamp < kept + 0.9 / self._rate:
+                        continue
+                    kept = stamp
+                    self.dropped += self._shot is not None and self._shot.number != self._taken
+                    self._count += 1
+                    self._shot = Shot(stamp, picture, self._count)
+                    self._changed.notify_all()
+        finally:
+            pictures.close()  # type: ignore[attr-defined]
+
+    def _damaged(self) -> None:
+        with self._changed:
+            self.dropped += 1
+
+
+class LiveCamera:
+    """A `CameraSource` of one stream, or of one per picture of a `rig`.
+
+    Only the newest picture is kept (`keeps_newest`): it is made a panorama when it is asked for. `dropped` counts those
+    that nobody took in time and those that were damaged; `rate`: the most pictures per second to take, which are not
+    counted. Streams that break off are opened again. `problem`: what is wrong right now, in words, or None. Iterating
+    twice shares the frames.
+
+    Raises `DeviceError` if a stream cannot be opened, or nothing comes; `ImageError` for pictures that are no
+    panoramas, or do not fit the rig.
+    """
+
+    live = True
+    keeps_newest = True
+
+    def __init__(
+        self,
+        streams: Sequence[PictureStream],
+        *,
+        rig: Rig | None = None,
+        rows: int | None = None,
+        rate: float | None = None,
+        latency: float = 0.0,
+    ) -> None:
+        if not math.isfinite(latency):
+            raise TimeError(f"latency = {latency!r}; wanted seconds from capture to arrival, 0 or more")
+        if rate is not None and not (math.isfinite(rate) and rate > 0):
+            raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
+        if latency and any(stream.stamped for stream in streams):
+            raise TimeError(f"latency = {latency:g} s, but the pictures come with their times of capture; leave it out")
+        self.latency = latency
+        self._name = streams[0].name
+        self._broken: str | None = None
+        self._unfit = 0
+        self._warned: set[str] = set()
+        self._feeds: list[Feed] = []
+        try:
+            for stream in streams:
+                self._feeds.append(Feed(stream, latency=latency, rate=rate))
+            shots = [shot for feed in self._feeds if (shot := feed.seen) is not None]
+            sizes = tuple((shot.picture.width, shot.picture.height) for shot in shots)
+            self._sizes = sizes
+            self._panoramas = Panoramas(sizes, rig, rows, self._name)
+            self._panoramas.check(*self._pictures(shots))
+        except BaseException:
+            self.close()
+            raise
+        self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
+
+    @property
+    def dropped(self) -> int:
+        return sum(feed.dropped for feed in self._feeds[:1]) + self._unfit
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong right now, in words; None if nothing is."""
+        return next((said for feed in self._feeds if (said := feed.problem)), self._broken)
+
+    def __iter__(self) -> Iterator[Frame]:
+        first, *others = self._feeds
+        while (shot := first.take()) is not None:
+            shots = [shot, *(found for feed in others if (found := feed.newest()) is not None)]
+            try:
+                panorama = self._panorama(shots)
+            except EagorError as error:
+                self._unfit += 1
+                self._broken = f"{self._name}: a picture is left out: {error}"
+                self._warn(self._broken)
+                continue
+            if first.timeless:
+                self._warn(
+                    f"{self._name} tells no times, or not those of the pictures: each is stamped with its arrival less "
+                    f"the latency ({self.latency:g} s), and carries the jitter of its way"
+                )
+            yield Frame(shot.stamp, panorama, f"{self._name} {_clock(shot.stamp)}")
+        if first.error is not None:
+            raise first.error
+
+    def close(self) -> None:
+        for feed in self._feeds:
+            feed.close()
+
+    def _panorama(self, shots: Sequence[Shot]) -> np.ndarray:
+        sizes = tuple((shot.picture.width, shot.picture.height) for shot in shots)
+        if len(sizes) != len(self._sizes):
+            raise ImageError("one of the lenses' streams gave no picture")
+        for now, before in zip(sizes, self._sizes, strict=True):
+            if abs(now[0] * before[1] - now[1] * before[0]) > 0.02 * before[1] * now[0]:
+                raise ImageError(
+                    f"it is {now[0]} x {now[1]}, and the first was {before[0]} x {before[1]}: another camera or mode? "
+                    "Set it back, or start again"
+                )
+        apart = max(shot.stamp for shot in shots) - min(shot.stamp for shot in shots)
+        self._broken = None
+        if apart > APART:
+            self._broken = f"{self._name}: the pictures of its lenses are {apart:.2f} s apart"
+        return self._panoramas.make(*self._pictures(shots))
+
+    def _pictures(self, shots: Sequence[Shot]) -> list[np.ndarray]:
+        return [to_rgb(shot.picture, *size) for shot, size in zip(shots, self._panoramas.wanted, strict=True)]
+
+    def _warn(self, text: str) -> None:
+        """Once for each source and kind of trouble."""
+        kind = text[:60]
+        if kind not in self._warned:
+            self._warned.add(kind)
+            warnings.warn(text, UserWarning, stacklevel=3)
+
+
+def _clock(stamp: float) -> str:
+    """The time of day in UTC, such as 13:05:07.250."""
+    return time.strftime("%H:%M:%S", time.gmtime(stamp)) + f"{stamp % 1:.3f}"[1:]
