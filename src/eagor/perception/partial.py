@@ -20,7 +20,7 @@ from eagor.evidence.shapes import canvas_of
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.media.images import checked_picture
 from eagor.perception import Perception, rows_of
-from eagor.perception.vlm.views import bilinear
+from eagor.perception.vlm.projection import bilinear
 from eagor.sphere import world_R_body
 
 BORDER = 0.5  # share of a cell that the picture has to fill for the cell to count as looked at

@@ -14,7 +14,7 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.perception import local_model, parse_options
-from eagor.perception.vlm.talk import IMAGE, Chat, Message, Said
+from eagor.perception.vlm.prompts import IMAGE, Chat, Message, Said
 
 __all__ = ["IMAGE", "Chat", "Message", "Said", "digest", "load_chat", "shared_chat"]
 

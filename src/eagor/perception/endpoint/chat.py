@@ -12,7 +12,7 @@ from eagor._checks import require, whole, within
 from eagor.errors import AnswerError
 from eagor.perception.endpoint.messages import Picture, Request
 from eagor.perception.endpoint.server import Asker, named
-from eagor.perception.vlm.talk import IMAGE, MAX_TOKENS, Message, Said
+from eagor.perception.vlm.prompts import IMAGE, MAX_TOKENS, Message, Said
 
 QUALITY = 85  # of JPEG, as in H*Bench's runner
 _AT_ONCE = 1024  # requests at once: the number of workers is the limit
@@ -20,7 +20,7 @@ _AT_ONCE = 1024  # requests at once: the number of workers is the limit
 
 @dataclass(frozen=True, repr=False)
 class ServedChat(Asker):
-    """A `eagor.perception.vlm.talk.Chat` with a model on an OpenAI-compatible server.
+    """A `eagor.perception.vlm.prompts.Chat` with a model on an OpenAI-compatible server.
 
     Attributes, in addition to those of `eagor.perception.endpoint.server.Asker`:
         temperature, max_tokens: of a reply.

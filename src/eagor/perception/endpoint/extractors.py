@@ -17,14 +17,10 @@ from eagor.grids import Grid, PerspectiveGrid
 from eagor.media.cutting import cut
 from eagor.media.images import resized
 from eagor.perception.endpoint.messages import Answer, Picture, Request, question
-from eagor.perception.vlm.boxes import Box, parse_boxes
-from eagor.perception.vlm.drawing import drawn
-from eagor.perception.vlm.found import Thing, things, united
-from eagor.perception.vlm.presence import parse_presence
+from eagor.perception.vlm.answers import Box, parse_boxes, parse_presence
+from eagor.perception.vlm.families import Style
+from eagor.perception.vlm.projection import Thing, drawn, filled, framed, lift, merged, things, united
 from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema
-from eagor.perception.vlm.seam import merged
-from eagor.perception.vlm.styles import Style
-from eagor.perception.vlm.views import filled, framed, lift
 
 GRID = WHOLE_SPHERE  # the grid of all responses to panoramas
 Asked = Literal["boxes", "presence"]

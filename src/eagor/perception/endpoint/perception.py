@@ -24,11 +24,10 @@ from eagor.perception.endpoint.addresses import shown_address
 from eagor.perception.endpoint.extractors import GRID, Plan, boxes_plan, view_plan, views_plan
 from eagor.perception.endpoint.messages import Answer
 from eagor.perception.endpoint.server import Asker, Server, named
-from eagor.perception.vlm.boxes import Frame, Order
-from eagor.perception.vlm.found import Thing, detected
+from eagor.perception.vlm.answers import Frame, Order
+from eagor.perception.vlm.families import Style, exact_size, style_of
+from eagor.perception.vlm.projection import Thing, detected
 from eagor.perception.vlm.prompts import phrase
-from eagor.perception.vlm.sizes import exact_size
-from eagor.perception.vlm.styles import Style, style_of
 
 _SECOND_TRY = 0.5  # temperature after an unreadable answer: at 0 the model would repeat it
 

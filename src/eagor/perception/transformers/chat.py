@@ -14,11 +14,11 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.media.images import checked_picture, resized
 from eagor.perception.vlm.families import Family
-from eagor.perception.vlm.talk import MAX_TOKENS, Message, Said
+from eagor.perception.vlm.prompts import MAX_TOKENS, Message, Said
 
 
 class LocalChat:
-    """A `eagor.perception.vlm.talk.Chat` with a model on this machine. Thread-safe; calls run one at a time.
+    """A `eagor.perception.vlm.prompts.Chat` with a model on this machine. Thread-safe; calls run one at a time.
 
     Arguments as of `eagor.perception.transformers.TransformersPerception`, except `pixels`: the most pixels of a
     picture; None for the limit of the checkpoint's processor. Gemma 3, LLaVA and Janus-Pro always see one square of
@@ -57,8 +57,8 @@ class LocalChat:
         import torch
 
         from eagor.perception.transformers import inputs
+        from eagor.perception.transformers.inference import share
         from eagor.perception.transformers.language import stops_of
-        from eagor.perception.transformers.prefix import share
 
         language, family = self._language, self._language.family
         config, processor = language.model.config, language.processor

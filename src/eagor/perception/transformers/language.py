@@ -14,22 +14,27 @@ from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.cutting import cut
 from eagor.media.images import resized
-from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
-from eagor.perception.transformers.capture import Capture, full_layers, prepare
-from eagor.perception.transformers.heads import Heads, Observed
+from eagor.perception.transformers.attention import (
+    SATURATION,
+    Heads,
+    Observed,
+    mean_over_heads,
+    of_heads,
+    relative,
+    saturated,
+)
+from eagor.perception.transformers.inference import Capture, Prefix, Running, chunks, full_layers, prepare, share
 from eagor.perception.transformers.inputs import Plan, Prompt, pictures, plan, prompt, template_of
-from eagor.perception.transformers.looker import Account
-from eagor.perception.transformers.prefix import Prefix, Running, chunks, share
-from eagor.perception.vlm.boxes import Box, parse_boxes
-from eagor.perception.vlm.drawing import drawn
-from eagor.perception.vlm.families import Extractor, Family
+from eagor.perception.vlm.answers import Box, parse_boxes
+from eagor.perception.vlm.families import Account, Extractor, Family
 from eagor.perception.vlm.labelled import Labelled
+from eagor.perception.vlm.projection import drawn
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
 
 
 @dataclass
 class LanguageModel:
-    """A loaded checkpoint of one of the vision-language families, a `looker.Looker`.
+    """A loaded checkpoint of one of the vision-language families, a `LoadedModel`.
 
     `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder's configuration and weight files.
     `model`: with the capturing attention function in its language part. `heads`: None for relative attention, which

@@ -1,18 +1,26 @@
 """The differences between model families, as data (families.toml): no family has code of its own.
 
-This module imports neither torch nor transformers, so that ``eagor doctor`` can print which models could run.
+`Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
+pictures both take unchanged; `LoadedModel` is the interface of a model in memory. This module imports neither torch nor
+transformers, so that ``eagor doctor`` can print which models could run.
 """
 
 from __future__ import annotations
 
+import math
+import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, Protocol, cast
 
-from eagor.errors import EagorError
-from eagor.perception.vlm.boxes import Frame, Order
+import numpy as np
+
+from eagor.errors import EagorError, ImageError
+from eagor.grids import Grid
+from eagor.perception.vlm.answers import Box, Frame, Order
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
 Extractor = Literal["attention", "boxes", "both", "mask", "views"]
@@ -164,3 +172,119 @@ def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
         f"{source} holds a model of type {kind!r}, which cannot be read here; known are {known}. Other models can be "
         "served and reached as endpoint:MODEL@URL"
     )
+
+
+@dataclass(frozen=True)
+class Style:
+    """How the model of this name sees and answers; other fields as in `families.Served`.
+
+    `pixels`: of a panorama, by default. `grounded`: whether it was trained to write boxes; others are better asked yes
+    or no.
+    """
+
+    family: str
+    cell: int
+    pixels: int
+    view: int
+    frame: Frame
+    order: Order = "xyxy"
+    aspect: float = 2.0
+    grounded: bool = True
+
+
+# Qwen2-VL, which runs on servers only, and the default for names of no known family.
+_QWEN2_VL = re.compile(r"qwen[\W_]?2[\W_]?vl")
+OTHER = Style("other", 28, 700 * 1400, 560, "thousand")
+
+
+def style_of(model: str) -> Style:
+    """The style of a model by its name, such as ``Qwen/Qwen2.5-VL-7B-Instruct`` or ``qwen2.5vl:7b``; else `OTHER`."""
+    name = model.lower()
+    for family in FAMILIES:
+        said, trained = family.served, family.frame is not None
+        if said and re.search(said.pattern, name):
+            frame = family.frame or said.frame
+            return Style(family.name, said.cell, family.pixels, said.view, frame, said.order, said.aspect, trained)
+    return replace(OTHER, family="qwen2_vl") if _QWEN2_VL.search(name) else OTHER
+
+
+def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
+    """(height, width) of the largest picture of at most `pixels` pixels whose sides are multiples of `cell`.
+
+    width / height is exactly `aspect` if such a picture fits (2 for a panorama, 1 for a view; others are rounded to
+    the nearest ratio of whole numbers up to 16), otherwise as near to it as whole cells allow. Raises `ImageError` if
+    not even one cell fits.
+    """
+    cells = pixels // (cell * cell) if cell >= 1 else 0
+    if cells < 1 or not (math.isfinite(aspect) and aspect > 0):
+        raise ImageError(
+            f"no picture of {aspect:g}:1 with cells of {cell} pixels has at most {pixels} pixels; allow more pixels"
+        )
+    ratio = Fraction(aspect).limit_denominator(16) if aspect >= 1 else 1 / Fraction(1 / aspect).limit_denominator(16)
+    times = math.isqrt(cells // (ratio.numerator * ratio.denominator))
+    if times:
+        return cell * times * ratio.denominator, cell * times * ratio.numerator
+    rows = range(1, math.isqrt(cells) + 1) if aspect >= 1 else range(1, cells + 1)
+    shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in rows]
+    row, column = min(shapes, key=lambda shape: (abs(math.log(shape[1] / shape[0] / aspect)), -shape[0] * shape[1]))
+    return cell * row, cell * column
+
+
+def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tuple[int, int]:
+    """(height, width) nearest to `shape` in whole cells, with `least` to `most` pixels, as a processor would choose it.
+
+    The rounding is that of the Qwen families' image processors, so that a local conversation sees what a server would
+    show. Sides are rounded separately, which distorts the picture by up to half a cell each way: use `exact_size` where
+    directions are read. Raises `ImageError` if not even one cell fits.
+    """
+    height, width = shape
+    if most < cell * cell or min(shape) < 1:
+        raise ImageError(f"a picture of {width} x {height} cannot have cells of {cell} pixels and at most {most}")
+    sides = [round(side / cell) * cell for side in shape]
+    scale = math.sqrt(height * width / most)
+    if sides[0] * sides[1] > most:
+        sides = [max(cell, math.floor(side / scale / cell) * cell) for side in shape]
+    elif sides[0] * sides[1] < least:
+        scale = math.sqrt(least / (height * width))
+        sides = [math.ceil(side * scale / cell) * cell for side in shape]
+    return sides[0], sides[1]
+
+
+@dataclass
+class Account:
+    """Running totals of images, image tokens, and tokens of questions and answers."""
+
+    images: int = 0
+    image_tokens: int = 0
+    prompt_tokens: int = 0
+    answer_tokens: int = 0
+
+    def as_source(self) -> dict[str, int]:
+        """As entries of `Evidence.source`."""
+        return dict(vars(self))
+
+
+class LoadedModel(Protocol):
+    """A loaded model that answers for images of one size; see `language.LanguageModel`."""
+
+    name: str
+    revision: str
+    family: Family
+
+    def size(self, aspect: float) -> tuple[int, int]:
+        """(height, width) to resize images of this aspect ratio (width over height) to."""
+        ...
+
+    def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]:
+        """Rows and columns of the response."""
+        ...
+
+    def look(
+        self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
+    ) -> tuple[np.ndarray, Account]:
+        """Responses ``(B, Q, h, w)`` float32 in [0, 1] on `grids`, the cells of each image."""
+        ...
+
+    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
+        """Boxes per image and query."""
+        ...
