@@ -22,9 +22,8 @@ from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.media.panorama import read_panorama
 from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
-from eagor.perception.noise import Noise
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
-from eagor.perception.truth import TruthPerception
+from eagor.perception.truth import Noise, TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 from eagor.tracking.tracker import DirectionTracker

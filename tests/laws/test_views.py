@@ -13,8 +13,7 @@ from eagor.errors import EagorError, GridError, ImageError, QueryError
 from eagor.media.cutting import cut, tangent_views
 from eagor.media.panorama import turn
 from eagor.perception import check_perception, look
-from eagor.perception.pieces import Piece, things
-from eagor.perception.views import Views
+from eagor.perception.views import Piece, Views, things
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
 GREY = 90

@@ -18,7 +18,7 @@ from eagor.evaluation import ledger, predictions
 from eagor.evaluation.replayed import read_truth
 from eagor.evidence import Evidence
 from eagor.perception.calibrated import Calibrated, read_calibrated
-from eagor.perception.onnx.names import read_labels
+from eagor.perception.onnx import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
 from eagor.perception.transformers.attention import read_heads
 from eagor.perception.vlm.labelled import labelled_lines, read_labelled

@@ -44,7 +44,7 @@ def load_chat(spec: str) -> Chat:
         from eagor.perception.transformers.chat import LocalChat
 
         return local_model(LocalChat, place, parse_options(written))
-    from eagor.perception.endpoint.chat import chat_from_text
+    from eagor.perception.endpoint.server import chat_from_text
 
     return chat_from_text(spec)
 

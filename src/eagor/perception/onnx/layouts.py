@@ -13,21 +13,7 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.perception.onnx import decoding
 from eagor.perception.onnx.decoding import STRIDES, Found, Frame, cells_in
-from eagor.perception.onnx.inputs import Fit, Order, Values
-
-
-@dataclass(frozen=True)
-class Output:
-    """An output as it came: its name, its shape, whether it holds whole numbers."""
-
-    name: str
-    shape: tuple[int, ...]
-    whole: bool = False
-
-    @property
-    def plain(self) -> str:
-        """The name in small letters, without a path before it or the ``:0`` of TensorFlow after it."""
-        return self.name.lower().rpartition("/")[2].removesuffix(":0")
+from eagor.perception.onnx.network import Fit, Order, Output, Values
 
 
 @dataclass(frozen=True)
