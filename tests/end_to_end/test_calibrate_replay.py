@@ -172,16 +172,6 @@ def test_what_footage_needs_is_said(frames, words, says, capsys):
     assert says in run("calibrate", *given, code=2, capsys=capsys).err
 
 
-def test_a_file_from_before_the_habits_says_what_to_run(frames, tmp_path, capsys):
-    (old := tmp_path / "old.json").write_text(
-        json.dumps({"perception": "colour", "detector": {"repeats": 0.3}, "forgetting": {}})
-    )
-    with pytest.raises(EagorError, match="run `eagor calibrate` again"):
-        read_calibrated(old)
-    said = run("locate", frames / "00.png", "red ball", "--calibration", old, code=2, capsys=capsys)
-    assert "sets repeats" in said.err
-
-
 def test_a_truth_is_for_one_look_and_a_look_for_one_truth(files, tmp_path):
     replay = ReplayPerception(files / "looks.jsonl")
     truths = read_truth(files / "truth.jsonl")

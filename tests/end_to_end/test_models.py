@@ -495,14 +495,14 @@ def test_labels_from_a_file(tmp_path):
     ("line", "says"),
     [
         ("{", "line 1: is not JSON"),
-        ("[1]", "is list; wanted an object"),
-        ('{"image": "a.png"}', "'query' is missing"),
+        ("[1]", "the line is .*wanted one JSON object"),
+        ('{"image": "a.png"}', "query is missing; wanted words"),
         ('{"image": "a.png", "query": " "}', "wanted words"),
-        ('{"image": "a.png", "query": "sofa"}', "'azimuth_deg' is missing"),
+        ('{"image": "a.png", "query": "sofa"}', "azimuth_deg is missing"),
         ('{"image": "a.png", "query": "sofa", "box": [1, 2, 3]}', r"wanted \[x0, y0, x1, y1\]"),
         (
             '{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 99, "radius_deg": 5}',
-            "90 either way",
+            "elevation_deg is 99; wanted a number from -90 to 90",
         ),
         ('{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 9, "radius_deg": 0}', "more than 0"),
         ("", "holds no labels"),

@@ -168,7 +168,7 @@ def test_labels(folder, blob):
     path = folder / "labels.jsonl"
     path.write_bytes(blob)
     found = reads(lambda: labelled_lines(path), "labels.jsonl", also=("line ", "cannot be read", "no labels"))
-    assert found is None or all(isinstance(entry["image"], str) for _, entry in found)
+    assert found is None or all(isinstance(line.image, str) for line, _ in found)
     looks = reads(
         lambda: list(read_labelled(path, lambda _: np.zeros((32, 64, 3), np.uint8))),
         "labels.jsonl",

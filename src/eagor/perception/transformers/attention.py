@@ -14,6 +14,7 @@ sorted by the attention on the target. The result is a small JSON file per model
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -23,11 +24,12 @@ import numpy as np
 import torch
 
 from eagor._files import read_file, written
-from eagor._json import number, parsed, whole
+from eagor._json import parsed
 from eagor._lazy import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
 from eagor.perception.blobs import connected
+from eagor.perception.json_files import checked, need
 from eagor.perception.transformers.inputs import Layout
 from eagor.sphere import angular_distance, unit
 
@@ -114,20 +116,17 @@ class Heads:
 def read_heads(file: str | Path) -> Heads:
     """The heads in a file. Raises `EagorError` if it cannot be read or holds something else."""
     try:
-        stored = parsed(read_file(file))
-        heads = tuple((whole(layer), whole(head)) for layer, head in stored["heads"])
-        figures = {**stored.get("found_by", {})}
-        found = Heads(str(stored["model"]), str(stored["model_type"]), heads, number(stored["saturation"]), figures)
+        found = checked(parsed(read_file(file)), Heads, "the file")
+        usable = len(found.heads) > 0 and min(map(min, found.heads)) >= 0
+        need(usable, "heads", found.heads, "pairs (layer, head), from 0 on")
+        need(0 < found.saturation < math.inf, "saturation", found.saturation, "a number above 0")
+        return found
     except OSError as error:
         raise EagorError(f"the heads {file} cannot be read ({error}); make them: `eagor calibrate heads`") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except ValueError as error:
         raise EagorError(
-            f"{file} holds no localisation heads ({type(error).__name__}: {error}); wanted what "
-            "`eagor calibrate heads` writes"
+            f"{file} holds no localisation heads ({error}); wanted what `eagor calibrate heads` writes"
         ) from error
-    if not heads or min(min(pair) for pair in heads) < 0 or not found.saturation > 0:
-        raise EagorError(f"{file} lists no usable heads: {heads}, saturation {found.saturation}")
-    return found
 
 
 @dataclass(frozen=True, eq=False)
