@@ -148,6 +148,7 @@ class BeliefPage:
             for picture, index, name, moment in pictures
         ]
         data = {"steps": steps, "left": LEFT, "wide": WIDE, "full": FULL, "span": self.line.span}
+        facts = self.used | {"frames": str(self._rows.count), "version": f"eagor {__version__}"}
         shown = {index: number for number, (_, index, _, _) in enumerate(pictures)}
         return Template((templates / "track.html").read_text(encoding="utf-8")).substitute(
             title=escape(f"Where is “{query}”?"),
@@ -165,7 +166,7 @@ class BeliefPage:
             key=key(),
             heads="".join(f'<th scope="col">{head}</th>' for head in COLUMNS),
             rows="\n".join(row(index, name, moment, shown.get(index)) for index, name, moment in self._rows.items),
-            used="".join(f"<dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd>" for k, v in self._facts().items()),
+            used="".join(f"<dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd>" for k, v in facts.items()),
             left_out=self._left_out(),
             version=__version__,
         )
@@ -192,9 +193,6 @@ class BeliefPage:
             lasting[name] += end - begin
         shares = [f"{100 * time / whole:.0f} % {name}" for name, time in lasting.items() if time > 0]
         return " ".join(texts) + f" Of {self.line.now:.1f} seconds: {', '.join(shares)}."
-
-    def _facts(self) -> dict[str, str]:
-        return self.used | {"frames": str(self._rows.count), "version": f"eagor {__version__}"}
 
     def _thinned(self) -> str:
         texts = []

@@ -30,6 +30,26 @@ __all__ = ["ANIMATIONS", "VIDEOS", "Animation", "BeliefVideo", "Movie"]
 
 
 SMALL = 760  # columns of an animated picture, unless told
+ANIMATIONS = {".webp": "WEBP", ".gif": "GIF"}
+MOST = 240  # pictures, which are held in memory: about a megabyte each
+# Suffix: the container, its encoders (the first that is there is used), and options of the container. A hybrid MP4
+# grows by fragments (of a second; the option is in microseconds), so that it can be played even if its end is never
+# written, and ends as an ordinary one.
+VIDEOS: dict[str, tuple[str, tuple[str, ...], dict[str, str]]] = {
+    ".mp4": ("mp4", ("libx264", "mpeg4"), {"movflags": "hybrid_fragmented+frag_keyframe", "frag_duration": "1000000"}),
+    ".mkv": ("matroska", ("libx264", "mpeg4"), {}),
+    ".webm": ("webm", ("libvpx-vp9",), {}),
+}
+SETTINGS = {
+    "libx264": {"crf": "21", "preset": "veryfast"},
+    "libvpx-vp9": {"crf": "33", "b": "0", "deadline": "realtime", "cpu-used": "7", "row-mt": "1"},
+    "mpeg4": {"qmin": "3", "qmax": "6"},
+}
+NOMINAL = 2.0  # pictures per second, where it is not told
+TICKS = 60_000  # per second, of the stamps in a video: the pictures of 24, 25, 29.97, 30 and 60 Hz fall on whole ones
+BETWEEN_KEYS = 30  # pictures from one key frame to the next: players jump to key frames
+BT709 = 1  # matrix, primaries and transfer of HD video, in FFmpeg's numbers
+LIMITED = 1  # its range
 
 
 class BeliefVideo:
@@ -54,7 +74,15 @@ class BeliefVideo:
         self, path: str | Path, *, rate: float | None = None, size: int | None = None, span: float | None = None
     ) -> None:
         self.path = Path(path)
-        video, rate = _kind(self.path) in VIDEOS, _checked(rate)
+        suffix = self.path.suffix.lower()
+        if suffix not in VIDEOS and suffix not in ANIMATIONS:
+            raise EagorError(
+                f"{path} ends in {suffix or 'nothing'}; wanted a video ({', '.join(VIDEOS)}) or a moving picture "
+                f"({', '.join(ANIMATIONS)})"
+            )
+        if rate is not None and not (math.isfinite(rate) and rate > 0):
+            raise EagorError(f"{rate} pictures per second; wanted a number above 0")
+        video = suffix in VIDEOS
         self.painter = StepPainter(size or (DESIGN if video else SMALL), span)
         folder = self.path.absolute().parent
         if not folder.is_dir():
@@ -101,44 +129,6 @@ class BeliefVideo:
         except StorageError:
             if error is None:  # else the first error says what was wrong
                 raise
-
-
-def _kind(path: Path) -> str:
-    """The suffix of a movie that can be written, in lower case. Raises `EagorError` for any other."""
-    suffix = path.suffix.lower()
-    if suffix not in VIDEOS and suffix not in ANIMATIONS:
-        raise EagorError(
-            f"{path} ends in {suffix or 'nothing'}; wanted a video ({', '.join(VIDEOS)}) or a moving picture "
-            f"({', '.join(ANIMATIONS)})"
-        )
-    return suffix
-
-
-def _checked(rate: float | None) -> float | None:
-    """Pictures per second. Raises `EagorError` unless above 0."""
-    if rate is not None and not (math.isfinite(rate) and rate > 0):
-        raise EagorError(f"{rate} pictures per second; wanted a number above 0")
-    return rate
-
-
-# Suffix: the container, its encoders (the first that is there is used), and options of the container. A hybrid MP4
-# grows by fragments (of a second; the option is in microseconds), so that it can be played even if its end is never
-# written, and ends as an ordinary one.
-VIDEOS: dict[str, tuple[str, tuple[str, ...], dict[str, str]]] = {
-    ".mp4": ("mp4", ("libx264", "mpeg4"), {"movflags": "hybrid_fragmented+frag_keyframe", "frag_duration": "1000000"}),
-    ".mkv": ("matroska", ("libx264", "mpeg4"), {}),
-    ".webm": ("webm", ("libvpx-vp9",), {}),
-}
-SETTINGS = {
-    "libx264": {"crf": "21", "preset": "veryfast"},
-    "libvpx-vp9": {"crf": "33", "b": "0", "deadline": "realtime", "cpu-used": "7", "row-mt": "1"},
-    "mpeg4": {"qmin": "3", "qmax": "6"},
-}
-NOMINAL = 2.0  # pictures per second, where it is not told
-TICKS = 60_000  # per second, of the stamps in a video: the pictures of 24, 25, 29.97, 30 and 60 Hz fall on whole ones
-BETWEEN_KEYS = 30  # pictures from one key frame to the next: players jump to key frames
-BT709 = 1  # matrix, primaries and transfer of HD video, in FFmpeg's numbers
-LIMITED = 1  # its range
 
 
 class Movie:
@@ -342,10 +332,6 @@ def _held(path: Path) -> int:
         for _ in container.decode(video=0):
             count += 1
     return count
-
-
-ANIMATIONS = {".webp": "WEBP", ".gif": "GIF"}
-MOST = 240  # pictures, which are held in memory: about a megabyte each
 
 
 class Animation:

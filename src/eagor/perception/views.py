@@ -123,7 +123,7 @@ class Views:
         wanted = [self._wanted(query) for query in queries]
         panorama = checked_picture(panorama)
         grids = self.views(world_R_body)
-        found: list[list[Piece]] = [[] for _ in queries]
+        found: list[list[ViewBox]] = [[] for _ in queries]
         for number, (grid, picture) in enumerate(zip(grids, cut(panorama, *grids), strict=True)):
             seen = None
             for query, words, pieces in zip(queries, wanted, found, strict=True):
@@ -146,7 +146,7 @@ class Views:
 
 def _pieces(
     number: int, grid: PerspectiveGrid, seen: Boxes, query: str, wanted: tuple[str, ...] | None
-) -> Iterator[Piece]:
+) -> Iterator[ViewBox]:
     """The boxes of view `number` that the query means."""
     boxes, scores, labels = seen
     size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
@@ -155,7 +155,7 @@ def _pieces(
             continue
         inside = np.clip(box, 0, size)
         if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
-            yield Piece(number, grid, inside, float(score))
+            yield ViewBox(number, grid, inside, float(score))
 
 
 def _fits(label: str, query: str, wanted: tuple[str, ...] | None) -> bool:
@@ -190,7 +190,7 @@ HIDDEN = 1.0  # of the visible length: by how much a thing goes on behind an ope
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class ViewBox:
     """A box ``(4,)`` of a view, in its pixels, with its score; the view is number `view` of those that look."""
 
     view: int
@@ -216,7 +216,7 @@ class Piece:
         x0, y0, x1, y1 = self.box
         return seen & (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1), seen
 
-    def is_of(self, other: Piece) -> bool:
+    def is_of(self, other: ViewBox) -> bool:
         """Whether it shows the same thing as a box of another view, judged by what both views see."""
         shared, seen = [], []
         for one, two in ((self, other), (other, self)):
@@ -237,9 +237,9 @@ class Thing(NamedTuple):
     score: float
 
 
-def things(pieces: Sequence[Piece]) -> list[Thing]:
+def things(pieces: Sequence[ViewBox]) -> list[Thing]:
     """One `Thing` for each group of pieces that show the same, the surest first."""
-    groups: list[list[Piece]] = []
+    groups: list[list[ViewBox]] = []
     for piece in sorted(pieces, key=lambda each: -each.score):
         own = [
             group
@@ -253,7 +253,7 @@ def things(pieces: Sequence[Piece]) -> list[Thing]:
     return [_thing(group) for group in groups]
 
 
-def _thing(group: Sequence[Piece]) -> Thing:
+def _thing(group: Sequence[ViewBox]) -> Thing:
     """The thing that all pieces of a group show; the first is the surest."""
     score = group[0].score
     whole = next((piece for piece in group if not piece.cut.any()), None)
@@ -276,7 +276,7 @@ def _thing(group: Sequence[Piece]) -> Thing:
     return Thing(*moments_of(unit(np.concatenate(directions)), np.concatenate(weights)), score)
 
 
-def _opened(piece: Piece, group: Sequence[Piece]) -> np.ndarray:
+def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
     """The box ``(4,)`` of a piece, longer at each cut side beyond which no other piece of the group goes on."""
     x0, y0, x1, y1 = piece.box
     wide, high = x1 - x0, y1 - y0

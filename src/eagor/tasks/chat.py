@@ -14,9 +14,9 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.perception import local_model, parse_options
-from eagor.perception.vlm.prompts import IMAGE, Chat, Message, Said
+from eagor.perception.vlm.prompts import IMAGE, Chat, ChatReply, Message
 
-__all__ = ["IMAGE", "Chat", "Message", "Said", "digest", "load_chat", "shared_chat"]
+__all__ = ["IMAGE", "Chat", "ChatReply", "Message", "digest", "load_chat", "shared_chat"]
 
 
 def load_chat(spec: str) -> Chat:

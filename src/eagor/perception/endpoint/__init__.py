@@ -4,8 +4,8 @@ It works with any server that speaks OpenAI's chat completions. A server returns
 It is asked for ``boxes`` in the whole panorama and again in the panorama rolled by half a turn, or shown ``views`` that
 cover the sphere (docs/models.md). Attention needs a local model: `eagor.perception.transformers`.
 
-One look is a `Plan`: its pictures, the question about each (boxes, or presence of the thing), and the way to combine
-the responses of the pictures.
+One look is a `LookPlan`: its pictures, the question about each (boxes, or presence of the thing), and the way to
+combine the responses of the pictures.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from eagor.perception.endpoint.messages import Answer, Picture, Request, questio
 from eagor.perception.endpoint.server import Asker, Server, named
 from eagor.perception.vlm.answers import Box, Frame, Order, parse_boxes, parse_presence
 from eagor.perception.vlm.families import Style, exact_size, style_of
-from eagor.perception.vlm.projection import Thing, detected, drawn, filled, framed, lift, merged, things, united
+from eagor.perception.vlm.projection import Detection, detected, drawn, filled, framed, lift, merged, things, united
 from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema, phrase
 
-__all__ = ["EndpointPerception", "Look", "from_text"]
+__all__ = ["EndpointPerception", "ServedLook", "from_text"]
 
 _SECOND_TRY = 0.5  # temperature after an unreadable answer: at 0 the model would repeat it
 
 
 @dataclass(frozen=True)
-class Look:
+class ServedLook:
     """The result of one look: responses ``(Q, h, w)``, coverage ``(h, w)``, and their source.
 
     `things`: the detections of all pictures, one list per query; None where no boxes were asked for.
@@ -52,7 +52,7 @@ class Look:
     responses: np.ndarray
     coverage: np.ndarray
     source: dict[str, object]
-    things: tuple[list[Thing], ...] | None = None
+    things: tuple[list[Detection], ...] | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -121,13 +121,13 @@ class EndpointPerception(Asker):
         """
         return self.look(panorama, queries).responses
 
-    def look(self, panorama: np.ndarray, queries: Sequence[str]) -> Look:
+    def look(self, panorama: np.ndarray, queries: Sequence[str]) -> ServedLook:
         """`respond`, with coverage and source: model, pixels, tokens, requests, milliseconds."""
         started = time.perf_counter()
         image = checked_picture(panorama)
         words = [phrase(query) for query in queries]
         if not words:
-            return Look(np.zeros((0, *GRID.shape), np.float32), np.ones(GRID.shape), {})
+            return ServedLook(np.zeros((0, *GRID.shape), np.float32), np.ones(GRID.shape), {})
         model = self._connected.model()
         style = self.style(model)
         if self._extractor(style) == "boxes":
@@ -158,7 +158,7 @@ class EndpointPerception(Asker):
         cells = plan.shots[0].canvas
         return Evidence.from_response(look.responses[0], cells, self.calibration, stamp, coverage, source)
 
-    def _look(self, plan: Plan, queries: list[str], model: str, started: float) -> Look:
+    def _look(self, plan: LookPlan, queries: list[str], model: str, started: float) -> ServedLook:
         """Ask all questions of the plan; repeat those whose answer cannot be read once."""
         questions = plan.questions(queries, self.max_tokens)
         answers = self._connected.ask([asked for _, asked in questions])
@@ -173,10 +173,10 @@ class EndpointPerception(Asker):
         _warn_if_shrunk(plan, model, answers)
         responses, coverage = plan.response(readings, len(queries))
         source = self._source(plan, model, [*answers, *again], 1000 * (time.perf_counter() - started))
-        return Look(responses, coverage, source, plan.things(readings, len(queries)))
+        return ServedLook(responses, coverage, source, plan.things(readings, len(queries)))
 
     def check(self) -> None:
-        """Look at a grey picture, to test the setup before a long run; ignores an unreadable answer."""
+        """ServedLook at a grey picture, to test the setup before a long run; ignores an unreadable answer."""
         rows = self.rows
         with suppress(AnswerError):
             self.look(np.full((rows, 2 * rows, 3), 128, dtype=np.uint8), ["chair"])
@@ -222,7 +222,7 @@ class EndpointPerception(Asker):
     def _connected(self) -> Server:
         return self._server(self.concurrency, self.max_tokens)
 
-    def _source(self, plan: Plan, model: str, answers: Sequence[Answer], milliseconds: float) -> dict[str, object]:
+    def _source(self, plan: LookPlan, model: str, answers: Sequence[Answer], milliseconds: float) -> dict[str, object]:
         revisions = {answer.revision for answer in answers if answer.revision}
         return {
             "perception": "endpoint",
@@ -263,7 +263,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 }
 
 
-def _warn_if_shrunk(plan: Plan, model: str, answers: Sequence[Answer]) -> None:
+def _warn_if_shrunk(plan: LookPlan, model: str, answers: Sequence[Answer]) -> None:
     """Warn if the server's token count shows that it shrinks the picture: boxes in pixels are then wrong."""
     height, width = plan.size
     cells = height * width // plan.style.cell**2
@@ -307,7 +307,7 @@ class Reading:
     found: list[Box] | float
 
     @property
-    def things(self) -> list[Thing]:
+    def things(self) -> list[Detection]:
         """The detections that the boxes stand for; none for a probability."""
         return things(self.found, self.shot.grid, self.shot.roll) if isinstance(self.found, list) else []
 
@@ -320,7 +320,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class LookPlan:
     """One look: its pictures, with one question per query about each (all queries of a picture in a row).
 
     `combine` turns the responses of the pictures ``(Q, ...)`` into one ``(Q, h, w)`` with coverage ``(h, w)``.
@@ -359,14 +359,14 @@ class Plan:
         drawn = [one.response for one in readings]
         return self.combine([np.stack(drawn[start : start + queries]) for start in range(0, len(drawn), queries)])
 
-    def things(self, readings: Sequence[Reading], queries: int) -> tuple[list[Thing], ...] | None:
+    def things(self, readings: Sequence[Reading], queries: int) -> tuple[list[Detection], ...] | None:
         """The detections of all pictures together, one list per query; None where no boxes were asked for."""
         if self.asked == "presence":
             return None
         return tuple(united(one.things for one in readings[query::queries]) for query in range(queries))
 
 
-def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: bool, kind: Format) -> Plan:
+def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: bool, kind: Format) -> LookPlan:
     """Ask for boxes in the whole panorama at `size`; with `seam` also in the rolled panorama."""
     image = resized(panorama, size, wrap=True)
     shift = max(1, size[1] // style.cell) // 2 * style.cell if seam else 0
@@ -378,21 +378,21 @@ def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: 
     def combine(looks: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         return looks[0] if len(looks) == 1 else merged(looks[0], looks[1], roll), np.ones(GRID.shape)
 
-    return Plan(tuple(shots), "boxes", style, combine)
+    return LookPlan(tuple(shots), "boxes", style, combine)
 
 
 def views_plan(
     panorama: np.ndarray, style: Style, views: Sequence[PerspectiveGrid], margin: float, asked: Asked, kind: Format
-) -> Plan:
+) -> LookPlan:
     """Ask for boxes or presence in each of several views of the panorama."""
     pictures = cut(panorama, *views)
     shots = [Shot(Picture(p, kind), view, canvas_of(view)) for p, view in zip(pictures, views, strict=True)]
-    return Plan(tuple(shots), asked, style, lambda looks: lift(looks, views, GRID, margin))
+    return LookPlan(tuple(shots), asked, style, lambda looks: lift(looks, views, GRID, margin))
 
 
 def view_plan(
     image: np.ndarray, grid: PerspectiveGrid, style: Style, size: tuple[int, int], asked: Asked, kind: Format
-) -> Plan:
+) -> LookPlan:
     """Ask for boxes or presence in one perspective picture; the response is on the shot's canvas instead of `GRID`."""
     framing, posed, inner = framed(image, grid, size)
     cells = canvas_of(posed)
@@ -400,4 +400,4 @@ def view_plan(
     def combine(looks: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         return np.broadcast_to(looks[0], (1, *cells.shape)).astype(np.float32), filled(cells.shape, size, inner)
 
-    return Plan((Shot(Picture(framing, kind), posed, cells),), asked, style, combine)
+    return LookPlan((Shot(Picture(framing, kind), posed, cells),), asked, style, combine)

@@ -37,7 +37,7 @@ from eagor.perception.endpoint.client import (
     worth_retrying,
 )
 from eagor.perception.endpoint.messages import Answer, Picture, Request
-from eagor.perception.vlm.prompts import IMAGE, MAX_TOKENS, Message, Said
+from eagor.perception.vlm.prompts import IMAGE, MAX_TOKENS, ChatReply, Message
 
 LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
 _LONGEST = 86400.0  # longest timeout, seconds: sockets store timeouts in few bits
@@ -299,7 +299,7 @@ class ServedChat(Asker):
         require(self, wanted)
         super().__post_init__()
 
-    def __call__(self, messages: Sequence[Message]) -> Said:
+    def __call__(self, messages: Sequence[Message]) -> ChatReply:
         """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` for a reply without text."""
         return self._said(messages, self.max_tokens)
 
@@ -309,11 +309,11 @@ class ServedChat(Asker):
         with suppress(AnswerError):
             self._said([Message("user", f"{IMAGE}\nWhat is this?", (grey,))], 1)
 
-    def _said(self, messages: Sequence[Message], max_tokens: int) -> Said:
+    def _said(self, messages: Sequence[Message], max_tokens: int) -> ChatReply:
         said = [(message.role, [self._part(part) for part in message.parts()]) for message in messages]
         asked = Request(said, max_tokens, self.temperature, silence=True)
         (answer,) = self._server(_AT_ONCE, self.max_tokens).ask([asked])
-        return Said(answer.text, answer.prompt_tokens, answer.completion_tokens)
+        return ChatReply(answer.text, answer.prompt_tokens, answer.completion_tokens)
 
     def _part(self, part: str | np.ndarray) -> str | Picture:
         if isinstance(part, str):

@@ -14,6 +14,7 @@ import inspect
 import os
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -80,13 +81,14 @@ class OnnxDetector:
         _check(self._made)
         self._network = Network(path, threads)
         names = names_of(labels, self._network.notes, 0)
-        self.size = self._network.size(size, _usual_size(layout))
+        self.size = self._network.size(size, LAYOUTS[layout].size if layout in LAYOUTS else 640)
         grey = np.full((*self.size, 3), 114, dtype=np.uint8)
         told = LAYOUTS.get(layout)
         tried = self._network.run(
             self._tensor(grey, values or (told.values if told else "unit"), order or "rgb"), self.size
         )
-        _check_task(self._network)
+        if (task := self._network.notes.get("task", "detect")) not in ("detect", "segment", "pose"):
+            raise EagorError(f"{path} was made for the task {task!r}; wanted a detector of upright boxes")
         graph = Graph(
             self._network.outputs(tried), self._network.inputs, self.size, self._network.notes, names and names.total
         )
@@ -159,7 +161,7 @@ class OnnxDetector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Other processes open the file again."""
-        return _again, (self._made,)
+        return partial(OnnxDetector, **self._made), ()
 
     def __repr__(self) -> str:
         return f"OnnxDetector({os.fspath(self._network.path)!r}, {self.layout}, {len(self.classes)} classes)"
@@ -194,14 +196,6 @@ def from_text(text: str = "", /, **options: Any) -> Perception:
 _OF_VIEWS = {"hfov": "hfov", "count": "count", "view": "size", "detector": "detector"}
 
 
-def _again(made: dict[str, Any]) -> OnnxDetector:
-    return OnnxDetector(**made)
-
-
-def _usual_size(layout: str) -> int:
-    return LAYOUTS[layout].size if layout in LAYOUTS else 640
-
-
 def _check(made: dict[str, Any]) -> None:
     """Raise `EagorError` for the first option that makes no sense."""
     rules: dict[str, tuple[Any, str]] = {
@@ -218,12 +212,6 @@ def _check(made: dict[str, Any]) -> None:
     for name, (fits, wanted) in rules.items():
         if not fits(made[name]):
             raise EagorError(f"OnnxDetector: {name} = {made[name]!r}; wanted {wanted}")
-
-
-def _check_task(network: Network) -> None:
-    task = network.notes.get("task", "detect")
-    if task not in ("detect", "segment", "pose"):
-        raise EagorError(f"{network.path} was made for the task {task!r}; wanted a detector of upright boxes")
 
 
 def _checked_names(

@@ -21,7 +21,7 @@ from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.perception.vlm.families import Account, Extractor, Family, LoadedModel, chosen, family_of
-from eagor.perception.vlm.projection import WHOLE, Thing, detected, things, united
+from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
 from eagor.perception.vlm.prompts import phrase
 
 if TYPE_CHECKING:
@@ -186,7 +186,7 @@ class TransformersPerception:
         found, cost = self.loaded.look(shots.pictures, shots.cells, queries, self._each)
         return *shots.combine(found), cost
 
-    def _things(self, shots: _Shots, query: str) -> tuple[list[list[Thing]], Account]:
+    def _things(self, shots: _Shots, query: str) -> tuple[list[list[Detection]], Account]:
         """The detections in each picture for one query, and their cost."""
         boxes, cost = self.loaded.boxes(shots.pictures, [query])
         return [things(ones[0], grid, roll) for ones, (grid, roll) in zip(boxes, shots.seen, strict=True)], cost

@@ -28,7 +28,7 @@ from eagor._json import parsed
 from eagor._lazy import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
-from eagor.perception.blobs import connected
+from eagor.perception.blobs import blurred, connected
 from eagor.perception.json_files import checked, need
 from eagor.perception.transformers.inputs import Layout
 from eagor.sphere import angular_distance, unit
@@ -72,15 +72,6 @@ def saturated(ratio: np.ndarray, saturation: float = SATURATION, wrap: bool = Tr
     """
     excess = np.maximum(blurred(ratio, wrap) - 1.0, 0.0)
     return (excess / (excess + saturation)).astype(np.float32)
-
-
-def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
-    """`cells` ``(..., h, w)`` filtered with the binomial kernel (1 2 1) / 4 each way."""
-    flat = [(0, 0)] * (cells.ndim - 2)
-    wide = np.pad(cells, [*flat, (0, 0), (1, 1)], mode="wrap" if wrap else "edge")
-    across = (wide[..., :-2] + 2 * cells + wide[..., 2:]) / 4
-    tall = np.pad(across, [*flat, (1, 1), (0, 0)], mode="edge")
-    return (tall[..., :-2, :] + 2 * across + tall[..., 2:, :]) / 4
 
 
 TAKE = 3

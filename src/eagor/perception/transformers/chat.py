@@ -14,7 +14,7 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.media.images import checked_picture, resized
 from eagor.perception.vlm.families import Family
-from eagor.perception.vlm.prompts import MAX_TOKENS, Message, Said
+from eagor.perception.vlm.prompts import MAX_TOKENS, ChatReply, Message
 
 
 class LocalChat:
@@ -48,7 +48,7 @@ class LocalChat:
         how: dict[str, Any] = {"revision": revision, "device": device, "dtype": dtype}
         self._language: Any = load_model(model, extractor="attention", pixels=pixels, **how)
 
-    def __call__(self, messages: Sequence[Message]) -> Said:
+    def __call__(self, messages: Sequence[Message]) -> ChatReply:
         """The reply to `messages`, with its token counts.
 
         Raises `EagorError` if conversation and reply are longer than the model allows, `ImageError` for an image that
@@ -79,7 +79,7 @@ class LocalChat:
             logits = running.feed(prompt.suffix)
             answer = running.decode(logits, self._max_tokens, stops_of(language.model, language.tokenizer))
         text = language.tokenizer.decode(answer.ids[0], skip_special_tokens=True)
-        return Said(text.strip(), length, len(answer.ids[0]))
+        return ChatReply(text.strip(), length, len(answer.ids[0]))
 
     def _check_length(self, length: int, counts: Sequence[int]) -> None:
         longest = getattr(self._language.model.config.get_text_config(), "max_position_embeddings", None)

@@ -90,7 +90,7 @@ def _overlap(cells: int, tokens: int, start: float, end: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Plan:
+class InputPlan:
     """How images of one aspect ratio are fed to a model.
 
     `size`: (height, width) in pixels to resize the image to; whole cells each way. `layout`: where its tokens look.
@@ -107,7 +107,7 @@ class Plan:
         return self.layout.shape
 
 
-def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) -> Plan:
+def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) -> InputPlan:
     """How an image with `aspect` (width over height) is fed to a model with this configuration.
 
     `pixels`: the most that it may have, if the family leaves a choice. Raises `ImageError` if no cell fits in them.
@@ -119,7 +119,7 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
     side = _first(vision.image_size)
     if family.fit == "squash":
         rows = math.isqrt(config.mm_tokens_per_image)
-        return Plan((side, side), Layout((rows, rows), (Block(rows, rows),)), side)
+        return InputPlan((side, side), Layout((rows, rows), (Block(rows, rows),)), side)
     rows = side // _first(vision.patch_size)
     if family.fit == "pad":
         return _padded(side, rows, aspect)
@@ -128,7 +128,7 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
 
 def picture_plan(
     family: Family, config: Any, processor: Any, shape: tuple[int, int], pixels: int | None = None
-) -> Plan:
+) -> InputPlan:
     """How a picture ``(height, width)`` is fed in a conversation, where directions do not matter.
 
     It keeps its size as nearly as the model allows: if the family leaves a choice, within the limits of the
@@ -142,9 +142,9 @@ def picture_plan(
     return plan(family, config, shape[1] / shape[0], min(shape[0] * shape[1], pixels or sys.maxsize))
 
 
-def _exact(cell: int, size: tuple[int, int]) -> Plan:
+def _exact(cell: int, size: tuple[int, int]) -> InputPlan:
     shape = (size[0] // cell, size[1] // cell)
-    return Plan(size, Layout(shape, (Block(*shape),)))
+    return InputPlan(size, Layout(shape, (Block(*shape),)))
 
 
 def _first(value: Any) -> int:
@@ -152,7 +152,7 @@ def _first(value: Any) -> int:
     return int(value[0] if isinstance(value, list | tuple) else value)
 
 
-def _padded(side: int, tokens: int, aspect: float) -> Plan:
+def _padded(side: int, tokens: int, aspect: float) -> InputPlan:
     """The image centred in the square; its cells are the rows of tokens that it fills."""
     patch = side // tokens
     share = (min(1 / aspect, 1.0), min(aspect, 1.0))  # of the square's height and width
@@ -161,10 +161,10 @@ def _padded(side: int, tokens: int, aspect: float) -> Plan:
     height, width = rows * patch, cols * patch
     top, left = ((side - length) // 2 for length in (height, width))
     window = (-left / width, -top / height, (tokens * patch - left) / width, (tokens * patch - top) / height)
-    return Plan((height, width), Layout((rows, cols), (Block(tokens, tokens, window),)), side)
+    return InputPlan((height, width), Layout((rows, cols), (Block(tokens, tokens, window),)), side)
 
 
-def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
+def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> InputPlan:
     """Tiles in the grid nearest to the image's aspect, as many as the pixels allow, then the whole image."""
     most = min(max(pixels // (side * side), 1), _MOST_TILES)
     grids = [(rows, cols) for rows in range(1, most + 1) for cols in range(1, most + 1) if rows * cols <= most]
@@ -175,10 +175,10 @@ def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
         for col in range(cols)
     ]
     blocks += [Block(tokens, tokens)] if len(blocks) > 1 else []
-    return Plan((rows * side, cols * side), Layout((rows * tokens, cols * tokens), tuple(blocks)), side)
+    return InputPlan((rows * side, cols * side), Layout((rows * tokens, cols * tokens), tuple(blocks)), side)
 
 
-def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[str, torch.Tensor]:
+def pictures(images: Sequence[np.ndarray], plan: InputPlan, processor: Any) -> dict[str, torch.Tensor]:
     """The image tensors of images of size ``plan.size``, by the names that the model takes."""
     squares: list[np.ndarray] = []
     for image in images:
@@ -191,7 +191,7 @@ def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[s
     return {name: made[name] for name in ("pixel_values", "image_grid_thw") if name in made}
 
 
-def _squares(image: np.ndarray, plan: Plan, processor: Any) -> list[np.ndarray]:
+def _squares(image: np.ndarray, plan: InputPlan, processor: Any) -> list[np.ndarray]:
     """The squares of one image that the model sees."""
     side, (height, width) = plan.square or 0, plan.size
     if height == width == side and len(plan.layout.blocks) == 1:

@@ -61,13 +61,18 @@ def load_model(
     settings["pixels"] = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
     if family.localiser:
         del settings["presence"], settings["most"]
-        settings["threshold"] = None if threshold is None else _score(threshold)
+        if threshold is not None and not within(threshold, 0, 1):
+            raise EagorError(f"threshold = {threshold!r}; wanted a score from 0 to 1, such as 0.2")
+        settings["threshold"] = None if threshold is None else float(threshold)
     else:
         settings |= {"heads": read_heads(heads) if heads else None, "layers": _numbers(layers)}
         settings["pixels"] = settings["pixels"] or (family.view_pixels if how == "views" else None)
     where = _device(torch, device)
-    kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
-    options: dict[str, Any] = {"dtype": kind, "use_safetensors": True}  # pickled weights are programs
+    kind = dtype or ("float32" if where in ("cpu", "mps") else "bfloat16")
+    if kind not in ("float32", "bfloat16", "float16"):
+        raise EagorError(f"dtype = {kind!r}; wanted float32, bfloat16 or float16")
+    # Pickled weights are programs.
+    options: dict[str, Any] = {"dtype": getattr(torch, kind), "use_safetensors": True}
     if where == "auto":
         options["device_map"] = "auto"
     load = getattr(transformers, _class_of(family)).from_pretrained
@@ -160,12 +165,6 @@ def _revision(name: str, commit: str | None) -> str:
     return f"folder:{digest.hexdigest()[:12]}"
 
 
-def _dtype(torch: Any, name: str) -> Any:
-    if name not in ("float32", "bfloat16", "float16"):
-        raise EagorError(f"dtype = {name!r}; wanted float32, bfloat16 or float16")
-    return getattr(torch, name)
-
-
 def _device(torch: Any, name: str | None) -> str:
     """The device to run on. Raises `EagorError` for an unknown name or a GPU that is not there."""
     if name == "auto":
@@ -197,12 +196,6 @@ def switched(name: str, value: Any) -> bool:
     if value not in (True, False):
         raise EagorError(f"{name} = {value!r}; wanted true or false")
     return bool(value)
-
-
-def _score(threshold: Any) -> float:
-    if not within(threshold, 0, 1):
-        raise EagorError(f"threshold = {threshold!r}; wanted a score from 0 to 1, such as 0.2")
-    return float(threshold)
 
 
 def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None:

@@ -31,7 +31,7 @@ WHOLE = 0.95  # coverage from which on a direction counts as fully seen
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class Detection:
     """The direction of a box: mean ``(3,)``, covariance ``(2, 2)`` about it (radians^2), and score.
 
     `depth`: distance from the border of its picture, where things are cut off; larger is farther inside.
@@ -47,7 +47,7 @@ class Thing:
         """Standard deviation, radians."""
         return math.sqrt(float(np.trace(self.covariance)) / 2)
 
-    def is_same(self, other: Thing) -> bool:
+    def is_same(self, other: Detection) -> bool:
         """Whether boxes of two pictures probably show one thing, which one of the pictures may cut off."""
         small, large = sorted((self.size, other.size))
         if large > 3 * small + SAME:
@@ -69,7 +69,7 @@ def moments_of(box: Box, image: Grid, roll: float = 0.0) -> tuple[np.ndarray, np
         return None
 
 
-def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:
+def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Detection]:
     """The boxes in a picture as directions in the body frame; `image` and `roll` as in `moments_of`."""
     found = []
     for box in boxes:
@@ -78,14 +78,14 @@ def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Thing]:
             depth = float(centre @ image.body_R_view[:, 0])
         else:
             depth = 1 - abs(box.x0 + box.x1 - 1)
-        found.append(Thing(centre, spread, box.score, depth))
+        found.append(Detection(centre, spread, box.score, depth))
     return found
 
 
-def united(pictures: Iterable[Sequence[Thing]]) -> list[Thing]:
+def united(pictures: Iterable[Sequence[Detection]]) -> list[Detection]:
     """The things in several pictures, each once: from the picture in which it lies farthest inside."""
     marked = [(thing, index) for index, found in enumerate(pictures) for thing in found]
-    kept: list[tuple[Thing, int]] = []
+    kept: list[tuple[Detection, int]] = []
     for thing, index in sorted(marked, key=lambda pair: -pair[0].depth):
         if not any(index != other and thing.is_same(earlier) for earlier, other in kept):
             kept.append((thing, index))
@@ -93,7 +93,7 @@ def united(pictures: Iterable[Sequence[Thing]]) -> list[Thing]:
 
 
 def detected(
-    found: Sequence[Thing],
+    found: Sequence[Detection],
     model: DetectorModel | None,
     grid: Grid,
     stamp: float | None,

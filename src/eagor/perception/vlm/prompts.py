@@ -86,7 +86,7 @@ class Message:
 
 
 @dataclass(frozen=True)
-class Said:
+class ChatReply:
     """A model's reply, and its cost if known."""
 
     text: str
@@ -97,6 +97,6 @@ class Said:
 class Chat(Protocol):
     """A model that answers a conversation."""
 
-    def __call__(self, messages: Sequence[Message]) -> Said:
+    def __call__(self, messages: Sequence[Message]) -> ChatReply:
         """The reply to `messages`. Raises if there is none: that is a failed attempt, never a wrong answer."""
         ...
