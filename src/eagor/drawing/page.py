@@ -29,7 +29,6 @@ from eagor.tracking.estimate import Estimate
 
 __all__ = ["BeliefPage", "Step", "as_address", "write_page"]
 
-
 PICTURES = 60  # of `as_address`: 7.4 MB as text, so that the page can be sent by mail
 WIDTH = 1120  # columns of a picture
 ROWS = 1500  # of the table
@@ -237,7 +236,7 @@ def _said(name: str, moment: Moment) -> str:
     return f"{name}: {words.removeprefix(f'{at}, ') if name.endswith(at) else words}"
 
 
-# --- the parts: time line, table, pictures
+# --- the parts: time line, table, pictures ----------------------------------------------------------------------------
 
 
 def time_line(line: TimeLine) -> str:

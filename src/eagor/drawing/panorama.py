@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Heat", "arrow", "backdrop", "heat_of", "places", "worth_an_arrow"]
 
-
 ROWS = (360, 540)  # of the heat map: more for a small region
 CELLS = 40  # least number of cells in a region, so that its border is not just a few straight lines
 COARSE, BELOW = 180, 4.0  # rows; nats below the border: where the density is not computed on all cells
@@ -205,6 +204,8 @@ def _contour(log_density: np.ndarray, grid: PatchGrid, level: float) -> tuple[np
     padded = np.concatenate([part[:, -more:], part, part[:, :more]], axis=1)
     return tuple(map(np.asarray, contour_generator(azimuth, np.degrees(grid.latitudes[rows]), padded).lines(level)))
 
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
 
 OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.

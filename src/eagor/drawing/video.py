@@ -28,7 +28,6 @@ from eagor.tracking.estimate import Estimate
 
 __all__ = ["ANIMATIONS", "VIDEOS", "Animation", "BeliefVideo", "Movie"]
 
-
 SMALL = 760  # columns of an animated picture, unless told
 ANIMATIONS = {".webp": "WEBP", ".gif": "GIF"}
 MOST = 240  # pictures, which are held in memory: about a megabyte each
@@ -129,6 +128,9 @@ class BeliefVideo:
         except StorageError:
             if error is None:  # else the first error says what was wrong
                 raise
+
+
+# --- video files ------------------------------------------------------------------------------------------------------
 
 
 class Movie:
@@ -332,6 +334,9 @@ def _held(path: Path) -> int:
         for _ in container.decode(video=0):
             count += 1
     return count
+
+
+# --- animated pictures ------------------------------------------------------------------------------------------------
 
 
 class Animation:

@@ -28,7 +28,6 @@ from eagor.sphere import world_R_body
 
 __all__ = ["Masked", "read_mask"]
 
-
 BORDER = 0.5  # share of a cell that the picture has to fill for the cell to count as looked at
 
 
@@ -123,6 +122,8 @@ def coverage(rows: int, columns: int, height: int, width: int, hfov: float, pitc
     _, _, inside = grid.project(PatchGrid(rows, columns).unproject(x, y))
     return inside.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
 
+
+# --- masks ------------------------------------------------------------------------------------------------------------
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # Pillow starts no other program for any of these
 MOST = 1 << 27  # pixels: 16384 x 8192

@@ -54,8 +54,6 @@ _Score = Annotated[Finite, Meta(description=_SCORE)]
 _Label = Annotated[str, Meta(description="text")]
 _PROJECTION = Meta(description='"equirectangular" or "perspective"')
 _SCORES = Meta(description='"probability" (the default) or "logit"')
-
-
 _FIELD = "a number from 0.1 to 179"
 _QUERY = "words, or no such key"
 _LOOK = "text or a whole number, the same for all views of a moment"
@@ -323,7 +321,7 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
-# --- labels
+# --- labels -----------------------------------------------------------------------------------------------------------
 
 
 def fitting(query: str, labels: Iterable[str]) -> frozenset[str]:

@@ -277,6 +277,8 @@ def drawn(reports: list[Report], grid: PatchGrid | PerspectiveGrid, floor: float
     return np.maximum(response, floor).astype(np.float32).reshape(grid.shape)
 
 
+# --- error rates ------------------------------------------------------------------------------------------------------
+
 WIDEST = 0.7  # radians: square root of the sum of the variances along both axes
 
 

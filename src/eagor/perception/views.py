@@ -183,6 +183,8 @@ def _layout(size: int, hfov: float, count: int) -> tuple[PerspectiveGrid, ...]:
     )
 
 
+# --- from boxes in views to things ------------------------------------------------------------------------------------
+
 BORDER = 0.01  # of a view's side: a box that ends nearer to the border than that is cut
 SAME = 0.5  # of the smaller box, where both views look: with more in common, two boxes are of one thing
 # The visible part of a thing that is cut at a random place is on average (in the median) half of it.

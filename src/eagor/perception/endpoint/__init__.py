@@ -284,6 +284,8 @@ def _sum(counts: Sequence[int | None]) -> int | None:
     return sum(known) if len(known) == len(counts) else None
 
 
+# --- what one look asks -----------------------------------------------------------------------------------------------
+
 GRID = WHOLE_SPHERE  # the grid of all responses to panoramas
 Asked = Literal["boxes", "presence"]
 Format = Literal["png", "jpeg"]

@@ -106,6 +106,8 @@ def _trusted(authorities: str) -> ssl.SSLContext | bool:
         raise EagorError(f"{name} is {file or folder}, where no certificates can be read ({error})") from error
 
 
+# --- addresses, and the secrets in them -------------------------------------------------------------------------------
+
 DEFAULT_SERVER = "http://localhost:8000/v1"
 
 
@@ -159,6 +161,8 @@ def query_of(url: str) -> dict[str, str]:
     """The query parameters of `url`."""
     return dict(parse_qsl(urlsplit(url).query, keep_blank_values=True))
 
+
+# --- failures ---------------------------------------------------------------------------------------------------------
 
 RETRIED = {408, 409, 425, 429, 500, 502, 503, 504, 529}
 # What servers (vLLM, SGLang, Ollama, llama.cpp, transformers serve, hosted ones) write when they reject a request.

@@ -271,6 +271,8 @@ def _close(client: Any) -> None:
     asyncio.run_coroutine_threadsafe(client.close(), _loop(os.getpid()))
 
 
+# --- conversations ----------------------------------------------------------------------------------------------------
+
 QUALITY = 85  # of JPEG, as in H*Bench's runner
 _AT_ONCE = 1024  # requests at once: the number of workers is the limit
 

@@ -234,6 +234,8 @@ def _checked_names(
     return names.named
 
 
+# --- what classes are called ------------------------------------------------------------------------------------------
+
 KEYS = ("names", "class_names", "classes", "labels", "id2label")  # of the metadata, the first that is there
 _LONGEST = 4_000_000  # characters of a list of labels: tens of thousands of classes
 _NOTHING = {"background", "__background__", "bg", "n/a", "na", "???", "none", ""}  # numbers that no class has

@@ -227,6 +227,9 @@ def centernet(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
     return Found(np.stack([x - left, y - top, x + right, y + bottom], axis=1), scores[kind, row, column], kind)
 
 
+# --- suppression ------------------------------------------------------------------------------------------------------
+
+
 def overlaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Intersection over union ``(n, m)`` of `boxes` ``(n, 4)`` and `others` ``(m, 4)``; x0, y0, x1, y1.
 

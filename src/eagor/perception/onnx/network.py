@@ -265,6 +265,8 @@ def _first_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
 
 
+# --- a picture into the input -----------------------------------------------------------------------------------------
+
 Fit = Literal["letterbox", "corner", "stretch"]
 Values = Literal["unit", "byte", "signed", "imagenet"]
 Order = Literal["rgb", "bgr"]

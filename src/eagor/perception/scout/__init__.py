@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CALIBRATION", "ScoutPerception"]
 
-
 FOLDER = Path(__file__).parent
 ROWS = 160  # of the network's input
 STRIDE = 4  # input pixels per cell of the response

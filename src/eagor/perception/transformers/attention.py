@@ -74,6 +74,8 @@ def saturated(ratio: np.ndarray, saturation: float = SATURATION, wrap: bool = Tr
     return (excess / (excess + saturation)).astype(np.float32)
 
 
+# --- localisation heads -----------------------------------------------------------------------------------------------
+
 TAKE = 3
 SHORTLIST = 10
 _EARLIEST = 2  # layers before this one attend to tokens, not yet to things

@@ -145,6 +145,8 @@ def chunks(count: int, most: int, queries: Sequence[str]) -> Iterator[slice]:
         yield slice(start, min(start + most, count))
 
 
+# --- attention of the last token --------------------------------------------------------------------------------------
+
 NAME = "eagor_rows"
 _ATTRIBUTE = "_eagor_capture"
 

@@ -273,6 +273,8 @@ def _confidence(numbers: tuple[Node, ...], decided: tuple[int, int], trace: Trac
     return math.exp(trace.log_probability(*decided) + begun)
 
 
+# --- yes or no --------------------------------------------------------------------------------------------------------
+
 _YES, _NO = ("yes", "true", "present", "visible"), ("no", "false", "none", "not", "absent")
 _WORDS = re.compile(r"[^\W\d_]+")
 
@@ -307,6 +309,8 @@ def means(word: str) -> bool | None:
     bare = "".join(_WORDS.findall(word.lower()))
     return True if bare in _YES else False if bare in _NO else None
 
+
+# --- which token of an answer a character came from -------------------------------------------------------------------
 
 Token = tuple[str, float]  # a piece of the answer and the natural logarithm of its probability
 _AHEAD = 64  # characters to search ahead to find the place again

@@ -174,6 +174,9 @@ def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
     )
 
 
+# --- served models, by their names ------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Style:
     """How the model of this name sees and answers; other fields as in `families.Served`.
@@ -206,6 +209,9 @@ def style_of(model: str) -> Style:
             frame = family.frame or said.frame
             return Style(family.name, said.cell, family.pixels, said.view, frame, said.order, said.aspect, trained)
     return replace(OTHER, family="qwen2_vl") if _QWEN2_VL.search(name) else OTHER
+
+
+# --- exact sizes ------------------------------------------------------------------------------------------------------
 
 
 def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
@@ -248,6 +254,9 @@ def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tu
         scale = math.sqrt(least / (height * width))
         sides = [math.ceil(side * scale / cell) * cell for side in shape]
     return sides[0], sides[1]
+
+
+# --- models in memory -------------------------------------------------------------------------------------------------
 
 
 @dataclass

@@ -106,6 +106,9 @@ def detected(
     return replace(spread_evidence(parts, model, View(grid, seen), stamp), source=source)
 
 
+# --- boxes as responses -----------------------------------------------------------------------------------------------
+
+
 def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) -> np.ndarray:
     """The response ``canvas.shape`` float32 in [0, 1] of boxes in a picture with the geometry of `image`.
 
@@ -122,6 +125,9 @@ def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) ->
     return response.astype(np.float32)
 
 
+# --- the seam ---------------------------------------------------------------------------------------------------------
+
+
 def merged(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarray:
     """One response, float32, from two ``(..., h, w)`` to one panorama, both in the panorama's own frame.
 
@@ -134,6 +140,8 @@ def merged(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarr
     share = weight / (weight + other)
     return (first * share + second * (1 - share)).astype(np.float32)
 
+
+# --- tangent views ----------------------------------------------------------------------------------------------------
 
 _SAMPLES = 3  # along each side of a cell that responses are lifted to
 

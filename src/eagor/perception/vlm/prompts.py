@@ -63,6 +63,8 @@ def ask_presence(query: str) -> str:
     return f"Does this image show the following: {phrase(query)}? Answer with one word, yes or no."
 
 
+# --- conversations ----------------------------------------------------------------------------------------------------
+
 IMAGE = "<image>"  # in a message's text: the place of the next of its pictures
 MAX_TOKENS = 512  # default length of a reply
 
