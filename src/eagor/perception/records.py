@@ -253,9 +253,9 @@ def _view_of(image: _Image, rows: int = 0, columns: int = 0) -> PerspectiveGrid 
     """The perspective view that `image` describes, in pixels or in `rows` and `columns`; None for a panorama."""
     told = {key: value for key in _OF_VIEWS if (value := getattr(image, key)) is not None}
     if image.projection == "equirectangular":
-        for key in told:
+        if told:
             raise FormatError(
-                f"{key} is for a perspective image, and this one is a panorama; add "
+                f"{next(iter(told))} is for a perspective image, and this one is a panorama; add "
                 '"projection": "perspective" to image, or leave the key out'
             )
         return None

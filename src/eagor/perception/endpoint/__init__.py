@@ -33,7 +33,7 @@ from eagor.perception.endpoint.client import shown_address
 from eagor.perception.endpoint.messages import Answer, Picture, Request, question
 from eagor.perception.endpoint.server import Asker, Server, named
 from eagor.perception.vlm.answers import Box, Frame, Order, parse_boxes, parse_presence
-from eagor.perception.vlm.families import Style, exact_size, style_of
+from eagor.perception.vlm.families import Served, exact_size, style_of
 from eagor.perception.vlm.projection import Detection, detected, drawn, filled, framed, lift, merged, things, united
 from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema, phrase
 
@@ -195,7 +195,7 @@ class EndpointPerception(Asker):
         """The cells of the responses: 2 degrees each way."""
         return GRID
 
-    def style(self, model: str) -> Style:
+    def style(self, model: str) -> Served:
         """The style of `model`, from its name and the options of this perception."""
         told = {name: getattr(self, name) for name in ("cell", "frame", "order") if getattr(self, name)}
         return replace(style_of(model), **told)
@@ -206,10 +206,10 @@ class EndpointPerception(Asker):
         side, _ = exact_size(style.cell, self.pixels or style.view**2, 1.0)
         return tangent_views(side, *self._angles)
 
-    def _extractor(self, style: Style) -> str:
+    def _extractor(self, style: Served) -> str:
         return self.extractor or ("boxes" if style.grounded else "views")
 
-    def _size(self, style: Style, aspect: float | None = None) -> tuple[int, int]:
+    def _size(self, style: Served, aspect: float | None = None) -> tuple[int, int]:
         """(height, width) of a picture as sent for boxes; without `aspect`, of a panorama."""
         return exact_size(style.cell, self.pixels or style.pixels, aspect or style.aspect)
 
@@ -330,7 +330,7 @@ class LookPlan:
 
     shots: tuple[Shot, ...]
     asked: Asked
-    style: Style
+    style: Served
     combine: Callable[[list[np.ndarray]], tuple[np.ndarray, np.ndarray]]
 
     @property
@@ -368,7 +368,7 @@ class LookPlan:
         return tuple(united(one.things for one in readings[query::queries]) for query in range(queries))
 
 
-def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: bool, kind: Format) -> LookPlan:
+def boxes_plan(panorama: np.ndarray, style: Served, size: tuple[int, int], seam: bool, kind: Format) -> LookPlan:
     """Ask for boxes in the whole panorama at `size`; with `seam` also in the rolled panorama."""
     image = resized(panorama, size, wrap=True)
     shift = max(1, size[1] // style.cell) // 2 * style.cell if seam else 0
@@ -384,7 +384,7 @@ def boxes_plan(panorama: np.ndarray, style: Style, size: tuple[int, int], seam: 
 
 
 def views_plan(
-    panorama: np.ndarray, style: Style, views: Sequence[PerspectiveGrid], margin: float, asked: Asked, kind: Format
+    panorama: np.ndarray, style: Served, views: Sequence[PerspectiveGrid], margin: float, asked: Asked, kind: Format
 ) -> LookPlan:
     """Ask for boxes or presence in each of several views of the panorama."""
     pictures = cut(panorama, *views)
@@ -393,7 +393,7 @@ def views_plan(
 
 
 def view_plan(
-    image: np.ndarray, grid: PerspectiveGrid, style: Style, size: tuple[int, int], asked: Asked, kind: Format
+    image: np.ndarray, grid: PerspectiveGrid, style: Served, size: tuple[int, int], asked: Asked, kind: Format
 ) -> LookPlan:
     """Ask for boxes or presence in one perspective picture; the response is on the shot's canvas instead of `GRID`."""
     framing, posed, inner = framed(image, grid, size)

@@ -11,11 +11,12 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, Protocol, cast
 
+import msgspec
 import numpy as np
 
 from eagor.errors import EagorError, ImageError
@@ -24,6 +25,7 @@ from eagor.perception.vlm.answers import Box, Frame, Order
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
 Extractor = Literal["attention", "boxes", "both", "mask", "views"]
+PIXELS = 700 * 1400  # of a panorama, by default
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,9 @@ class Served:
     - `cell`: side of an image token in pixels; pictures are sent in multiples of it. `view`: side of a square view.
     - `aspect`: width / height of a panorama as sent. For processors that make everything square, some by cropping,
       the panorama is squeezed beforehand: cells are then twice as wide as high.
-    - `frame`, `order`: of the coordinates to ask for if the family was not trained to write boxes.
+    - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes, in the frame
+      of its family; others are better asked yes or no.
+    - `family`: its name. `pixels`: of a panorama, by default.
     """
 
     pattern: str
@@ -56,6 +60,9 @@ class Served:
     aspect: float = 2.0
     frame: Frame = "thousand"
     order: Order = "xyxy"
+    family: str = "other"
+    pixels: int = PIXELS
+    grounded: bool = True
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,7 @@ class Family:
     image_token: str = ""
     dialogue: Dialogue | None = None
     depth: float = 0.6
-    pixels: int = 700 * 1400
+    pixels: int = PIXELS
     localiser: bool = False
     served: Served | None = None
 
@@ -143,11 +150,11 @@ class Family:
 
 def _family(entry: dict[str, Any]) -> Family:
     """A family from its entry in families.toml."""
-    for key, kind in (("served", Served), ("dialogue", Dialogue)):
-        if key in entry:
-            entry[key] = kind(**entry[key])
-    checkpoints = tuple(Checkpoint(*each) for each in entry.pop("checkpoints").items())
-    return Family(model_types=tuple(entry.pop("model_types")), checkpoints=checkpoints, **entry)
+    if "served" in entry:
+        own = {key: entry[key] for key in ("frame", "pixels") if key in entry}
+        entry["served"] |= own | {"family": entry["name"], "grounded": "frame" in entry}
+    entry["checkpoints"] = [{"name": name, "billions": size} for name, size in entry["checkpoints"].items()]
+    return msgspec.convert(entry, Family)
 
 
 _FILE = Path(__file__).with_name("families.toml")
@@ -177,38 +184,15 @@ def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
 # --- served models, by their names ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Style:
-    """How the model of this name sees and answers; other fields as in `families.Served`.
-
-    `pixels`: of a panorama, by default. `grounded`: whether it was trained to write boxes; others are better asked yes
-    or no.
-    """
-
-    family: str
-    cell: int
-    pixels: int
-    view: int
-    frame: Frame
-    order: Order = "xyxy"
-    aspect: float = 2.0
-    grounded: bool = True
+OTHER = Served("", 28, 560)  # of a name of no known family
+# Qwen2-VL runs on servers only.
+_QWEN2_VL = Served(r"qwen[\W_]?2[\W_]?vl", 28, 560, family="qwen2_vl")
 
 
-# Qwen2-VL, which runs on servers only, and the default for names of no known family.
-_QWEN2_VL = re.compile(r"qwen[\W_]?2[\W_]?vl")
-OTHER = Style("other", 28, 700 * 1400, 560, "thousand")
-
-
-def style_of(model: str) -> Style:
-    """The style of a model by its name, such as ``Qwen/Qwen2.5-VL-7B-Instruct`` or ``qwen2.5vl:7b``; else `OTHER`."""
-    name = model.lower()
-    for family in FAMILIES:
-        said, trained = family.served, family.frame is not None
-        if said and re.search(said.pattern, name):
-            frame = family.frame or said.frame
-            return Style(family.name, said.cell, family.pixels, said.view, frame, said.order, said.aspect, trained)
-    return replace(OTHER, family="qwen2_vl") if _QWEN2_VL.search(name) else OTHER
+def style_of(model: str) -> Served:
+    """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; else `OTHER`."""
+    known = [*(family.served for family in FAMILIES if family.served), _QWEN2_VL]
+    return next((served for served in known if re.search(served.pattern, model.lower())), OTHER)
 
 
 # --- exact sizes ------------------------------------------------------------------------------------------------------
