@@ -43,7 +43,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from eagor.evidence.calibration import Calibration
-from eagor.perception.noise import Noise
+from eagor.perception.truth import Noise
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
 from eagor.tasks.hstar.agents import make_agent
 from eagor.tasks.hstar.apartments import spot, write_scene

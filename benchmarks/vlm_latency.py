@@ -25,8 +25,8 @@ import torch
 import transformers
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 
-from eagor.perception.transformers.capture import capturing
-from eagor.perception.transformers.heads import Heads
+from eagor.perception.transformers.attention import Heads
+from eagor.perception.transformers.inference import capturing
 from eagor.perception.transformers.inputs import pictures, typed
 from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.vlm.families import family_of

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from eagor.errors import MissingExtraError, ServerError, StorageError
-from eagor.perception.coco.store import COCO, install
+from eagor.perception.coco import COCO, install
 
 settings.register_profile("quick", settings.get_profile("ci"), max_examples=25)
 settings.register_profile(

@@ -66,29 +66,29 @@ class Scripted:
         self.texts, self.seen = list(texts), []
 
     def __call__(self, messages):
-        from eagor.tasks.chat import Said
+        from eagor.tasks.chat import ChatReply
 
         self.seen.append(list(messages))
         text = self.texts.pop(0)
         if isinstance(text, Exception):
             raise text
-        return Said(text, 100, 10)
+        return ChatReply(text, 100, 10)
 
 
 def patient():
     """A model for the command line: turns right twice, then submits where it looks."""
 
     def reply(messages):
-        from eagor.tasks.chat import Said
+        from eagor.tasks.chat import ChatReply
         from eagor.tasks.hstar.prompts import succeeded
 
         said = messages[-1].text
         turns = sum(message.role == "assistant" for message in messages)
         if turns < 2:
-            return Said("<think>on</think><answer>rotate(90,0)</answer>")
+            return ChatReply("<think>on</think><answer>rotate(90,0)</answer>")
         head = succeeded("(")
         yaw, pitch = said[said.index(head) + len(head) :].partition(")")[0].split(",")
-        return Said(f"<answer>submit({float(yaw):.0f},{float(pitch):.0f})</answer>")
+        return ChatReply(f"<answer>submit({float(yaw):.0f},{float(pitch):.0f})</answer>")
 
     return reply
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from eagor.perception.vlm.seam import merged
+from eagor.perception.vlm.projection import merged
 
 
 def seamless(respond: Callable[[np.ndarray], np.ndarray], panorama: np.ndarray, cells: int) -> np.ndarray:

@@ -13,8 +13,8 @@ from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors
 
 from eagor.grids import ErpGrid
 from eagor.media.panorama import resized
+from eagor.perception.transformers.inputs import Layout
 from eagor.perception.transformers.language import LanguageModel
-from eagor.perception.transformers.layout import Layout
 from eagor.perception.transformers.loading import load_model
 from eagor.sphere import angular_distance, direction
 

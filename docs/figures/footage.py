@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from eagor.cli import main as eagor
-from eagor.drawing.movies import Movie
+from eagor.drawing.video import Movie
 from eagor.media.panorama import read_panorama, turn
 from eagor.sphere import world_R_body
 

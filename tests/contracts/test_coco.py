@@ -22,9 +22,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from eagor.cli import main
 from eagor.errors import EagorError, FormatError, MissingExtraError, ServerError, StorageError
-from eagor.perception.coco import CLASSES, coco_detector, npm, store
+from eagor.perception import coco
+from eagor.perception.coco import CLASSES, COCO, coco_detector, install, npm
 from eagor.perception.coco.npm import NpmPackage, fetched, members
-from eagor.perception.coco.store import COCO, install
 
 LICENCE = b"Permission is hereby granted, to whomever tests this."
 
@@ -200,14 +200,14 @@ def small(own_npm, tmp_path, monkeypatch):
     cache, temporary = tmp_path / "cache", tmp_path / "tmp"
     temporary.mkdir()
     monkeypatch.setenv("EAGOR_CACHE", str(cache))
-    monkeypatch.setattr(store.tempfile, "tempdir", str(temporary))
-    files = dict.fromkeys(store._FILES, b"{}") | {"package/LICENSE": LICENCE}
+    monkeypatch.setattr(coco.tempfile, "tempdir", str(temporary))
+    files = dict.fromkeys(coco._FILES, b"{}") | {"package/LICENSE": LICENCE}
     path = archive(own_npm(GIVE) / "a.tgz", files.items())
     content = b"an ONNX file"
-    monkeypatch.setattr(store, "onnx_from_tfjs", lambda *_: content)
+    monkeypatch.setattr(coco, "onnx_from_tfjs", lambda *_: content)
     model = replace(COCO, package=package_of(path), size=len(content), sha256=hashlib.sha256(content).hexdigest())
-    monkeypatch.setattr(store, "COCO", model)
-    monkeypatch.setitem(store.MODELS, "coco", model)
+    monkeypatch.setattr(coco, "COCO", model)
+    monkeypatch.setitem(coco.MODELS, "coco", model)
     yield model
     assert not list(temporary.iterdir()), "nothing is left behind"
 
@@ -241,7 +241,7 @@ def test_a_damaged_file_is_not_run_and_is_replaced(small):
 
 
 def test_other_bytes_than_were_checked_are_not_kept(small, monkeypatch, tmp_path):
-    monkeypatch.setattr(store, "onnx_from_tfjs", lambda *_: b"another file")
+    monkeypatch.setattr(coco, "onnx_from_tfjs", lambda *_: b"another file")
     with pytest.raises(EagorError, match="other bytes than it should"):
         install(small)
     assert in_cache(tmp_path) == []
@@ -282,7 +282,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_nothing_half_written(small, tmp_p
 
 
 def test_no_temporary_folder_is_said(small, monkeypatch, tmp_path):
-    monkeypatch.setattr(store.tempfile, "tempdir", str(tmp_path / "nowhere"))
+    monkeypatch.setattr(coco.tempfile, "tempdir", str(tmp_path / "nowhere"))
     with pytest.raises(StorageError, match="TMPDIR"):
         install(small)
 

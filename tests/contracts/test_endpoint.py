@@ -25,9 +25,9 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.panorama import view
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
-from eagor.perception.endpoint.chat import ServedChat, chat_from_text
-from eagor.perception.endpoint.faults import retry_after
-from eagor.perception.vlm.talk import IMAGE, Message
+from eagor.perception.endpoint.client import retry_after
+from eagor.perception.endpoint.server import ServedChat, chat_from_text
+from eagor.perception.vlm.prompts import IMAGE, Message
 from eagor.sphere import angular_distance, direction, world_R_body
 
 openai = pytest.importorskip("openai")

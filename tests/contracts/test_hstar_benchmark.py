@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from eagor.errors import EagorError, FormatError, ImageError
-from eagor.perception.endpoint.chat import ServedChat
+from eagor.perception.endpoint.server import ServedChat
 from eagor.perception.partial import look_at_view
 from eagor.tasks import benchmark
 from eagor.tasks.chat import IMAGE, Message, load_chat

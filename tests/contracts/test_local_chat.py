@@ -13,9 +13,8 @@ from eagor.errors import EagorError, ImageError
 from eagor.media.panorama import resized
 from eagor.perception.transformers import inputs
 from eagor.perception.transformers.chat import LocalChat, conversation
-from eagor.perception.vlm.families import FAMILIES
-from eagor.perception.vlm.sizes import nearest_size
-from eagor.perception.vlm.talk import IMAGE, Message
+from eagor.perception.vlm.families import FAMILIES, nearest_size
+from eagor.perception.vlm.prompts import IMAGE, Message
 from eagor.tasks.chat import load_chat, shared_chat
 from eagor.tasks.eyes import release
 

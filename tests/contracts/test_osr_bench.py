@@ -19,7 +19,7 @@ import pytest
 
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import check_benchmark, load
-from eagor.tasks.chat import IMAGE, Message, Said
+from eagor.tasks.chat import IMAGE, ChatReply, Message
 from eagor.tasks.osr.agents import Eagor, Majority, Vlm
 from eagor.tasks.osr.data import SUFFIXES
 from eagor.tasks.osr.data import load as load_scenes
@@ -35,8 +35,8 @@ NAME, PLACES = osr_data.NAME, osr_data.PLACES
 def chat() -> Any:
     """What ``--model`` names in these tests: a model that always says the same, and can draw a map."""
 
-    def reply(messages: Sequence[Message]) -> Said:
-        return Said('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
+    def reply(messages: Sequence[Message]) -> ChatReply:
+        return ChatReply('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
 
     return reply
 
@@ -118,7 +118,7 @@ def test_errors_are_answered_only_where_something_may_be_absent(data: Path) -> N
 def test_the_model_is_asked_with_the_map_and_without(data: Path, suffix: str, turns: int) -> None:
     heard: list[list[Message]] = []
 
-    def model(messages: Sequence[Message]) -> Said:
+    def model(messages: Sequence[Message]) -> ChatReply:
         heard.append(list(messages))
         return chat()(messages)
 

@@ -22,9 +22,8 @@ from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.media.panorama import read_panorama
 from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
-from eagor.perception.noise import Noise
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
-from eagor.perception.truth import TruthPerception
+from eagor.perception.truth import Noise, TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 from eagor.tracking.tracker import DirectionTracker
@@ -628,7 +627,7 @@ BAD_LINES = [
     (line(boxes=None, response={"rows": 2, "cols": 2, "values": [0, 1, 1]}), "values is '3 values'; wanted .* = 4"),
     (
         line(boxes=None, response={"rows": 1, "cols": 2, "values": [0, 2]}),
-        r"values is \[2\]; wanted numbers in \[0, 1\]",
+        r"values is \[2\.0\]; wanted numbers in \[0, 1\]",
     ),
     (line(boxes=None, response={"rows": 10**9, "cols": 1, "values": []}), "rows is 1000000000"),
     (line(image={"width": 1, "height": 99, "projection": "perspective", "hfov_deg": 9}), "sides up to"),

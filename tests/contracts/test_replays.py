@@ -9,7 +9,7 @@ import pytest
 
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import FormatError, QueryError
-from eagor.perception.labels import fitting
+from eagor.perception.records import fitting
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
@@ -176,7 +176,7 @@ def test_a_file_that_never_ends_is_refused(tmp_path, monkeypatch):
     for path in ("/dev/zero", pipe):
         with pytest.raises(FormatError, match="it is a device or a pipe"):
             read_records(path)
-    monkeypatch.setattr("eagor.perception.record_fields.MOST_BYTES", 50)
+    monkeypatch.setattr("eagor.perception.json_files.MOST_BYTES", 50)
     (path := tmp_path / "long.jsonl").write_text(line() + "\n")
     with pytest.raises(FormatError, match=r"has more than .* MiB; .*split it"):
         read_records(path)

@@ -10,8 +10,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.metrics import angular_error_deg
 from eagor.perception import check_perception
-from eagor.perception.scout import COARSEST, ROWS, ScoutPerception
-from eagor.perception.scout.resizing import resized, triangles
+from eagor.perception.scout import COARSEST, ROWS, ScoutPerception, resized, triangles
 from eagor.queries import COLOURS
 from eagor.tasks.places import Place
 from eagor.worlds.apartment import CATEGORIES, generate

@@ -22,18 +22,24 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
-from eagor.perception.transformers import TransformersPerception, family_of, inputs, prefix
-from eagor.perception.transformers.attention import densities, relative, saturated
-from eagor.perception.transformers.capture import Capture, capturing, full_layers
+from eagor.perception.transformers import TransformersPerception, family_of, inference, inputs
+from eagor.perception.transformers.attention import (
+    Heads,
+    densities,
+    elbow,
+    fit_heads,
+    read_heads,
+    relative,
+    saturated,
+    spatial_entropy,
+)
 from eagor.perception.transformers.chat import conversation
-from eagor.perception.transformers.heads import Heads, elbow, fit_heads, read_heads, spatial_entropy
-from eagor.perception.transformers.layout import Block, Layout
-from eagor.perception.transformers.looker import Account
-from eagor.perception.transformers.prefix import Decoded, Running
-from eagor.perception.vlm.boxes import Box
-from eagor.perception.vlm.families import FAMILIES
+from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
+from eagor.perception.transformers.inputs import Block, Layout
+from eagor.perception.vlm.answers import Box
+from eagor.perception.vlm.families import FAMILIES, Account
 from eagor.perception.vlm.labelled import Labelled
-from eagor.perception.vlm.talk import IMAGE, Message
+from eagor.perception.vlm.prompts import IMAGE, Message
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS
@@ -273,7 +279,7 @@ def test_forgotten_type_ids_are_caught(random_models, monkeypatch, family):
     for wrong in (bare, {**feed, name: torch.zeros_like(feed[name])}, {**feed, name: feed[name][:, 1:]}):
         with pytest.raises(EagorError, match=rf"{name} (are missing|do not mark)"):
             inputs.check_typed(language.family, wrong, image_token)
-    monkeypatch.setattr(prefix, "typed", lambda *_: {})
+    monkeypatch.setattr(inference, "typed", lambda *_: {})
     with pytest.raises(EagorError, match=f"{name} are missing"):
         perception_of(language).respond(noise(), ["red chair"])
 
@@ -541,8 +547,8 @@ def test_evidence_tells_what_produced_it(folders, family):
     assert source["model"] == str(folders(family))
     assert source["revision"].startswith("folder:")
     assert (source["family"], source["extractor"], source["images"]) == (family, "attention", 2)
-    assert source["pixels"] == list(perception.looker.size(2.0))
-    assert source["image_tokens"] == 2 * perception.looker.plan(2.0).layout.count
+    assert source["pixels"] == list(perception.loaded.size(2.0))
+    assert source["image_tokens"] == 2 * perception.loaded.plan(2.0).layout.count
     assert source["prompt_tokens"] > 20
     assert source["answer_tokens"] == 0
     assert source["milliseconds"] > 0
@@ -727,7 +733,7 @@ def test_a_file_of_heads_is_used(folders, tmp_path):
     file = tmp_path / "heads.json"
     Heads("x", "llava", ((1, 2), (2, 0)), 1.5).write(file)
     perception = load(f"{folders('llava')}?extractor=attention&heads={file}")
-    assert perception.looker.read == (1, 2)
+    assert perception.loaded.read == (1, 2)
     assert perception.respond(noise(), ["red chair"]).max() > 0
 
 
@@ -792,14 +798,14 @@ def test_queries_of_localisers_keep_their_order(localisers, family):
 
 def planted_outputs(monkeypatch, perception, places):
     """Make a localiser's network answer with boxes (or a mask) around `places` in its picture, fractions (x, y)."""
-    looker = perception.looker
-    model, height, width = looker.model, *looker.size(2.0)
-    side = max(height, width) if looker.family.fit == "pad" else 0
+    loaded = perception.loaded
+    model, height, width = loaded.model, *loaded.size(2.0)
+    side = max(height, width) if loaded.family.fit == "pad" else 0
     forward = model.forward
 
     def planted(*args, **kwargs):
         out = forward(*args, **kwargs)
-        if looker.family.name == "clipseg":
+        if loaded.family.name == "clipseg":
             out.logits = torch.full_like(out.logits, -9.0)
             for row, (x, y) in enumerate(places):
                 rows, cols = int(y * height), int(x * width)
@@ -835,15 +841,15 @@ def test_planted_detections_come_back_at_their_directions(localisers, monkeypatc
 @pytest.mark.parametrize("family", [one for one in LOCALISERS if one != "clipseg"])
 def test_boxes_of_localisers_are_detections_and_both_looks_are_one(localisers, monkeypatch, family):
     perception = localisers(family, "boxes")
-    width = perception.looker.size(2.0)[1]
-    forward = perception.looker.look  # the map is not asked for
-    monkeypatch.setattr(perception.looker, "look", lambda *_: pytest.fail("drew a map"))
+    width = perception.loaded.size(2.0)[1]
+    forward = perception.loaded.look  # the map is not asked for
+    monkeypatch.setattr(perception.loaded, "look", lambda *_: pytest.fail("drew a map"))
     with monkeypatch.context() as patch:
         boxes = [
             [[Box(0.30, 0.4, 0.38, 0.5, "", 0.8), Box(0.7, 0.5, 0.71, 0.55, "", 0.5)]],
             [[Box(0.80, 0.4, 0.88, 0.5, "", 0.6)]],
         ]
-        patch.setattr(perception.looker, "boxes", lambda images, queries: (boxes, Account(images=len(images))))
+        patch.setattr(perception.loaded, "boxes", lambda images, queries: (boxes, Account(images=len(images))))
         evidence = perception(noise(96), "red chair", stamp=4.0)
     found = evidence.detections
     assert evidence.stamp == 4.0
@@ -851,7 +857,7 @@ def test_boxes_of_localisers_are_detections_and_both_looks_are_one(localisers, m
     # The first is nearer to the middle in the rolled picture's own frame or in the straight one: one of both is kept.
     wanted = direction(math.pi - 2 * math.pi * 0.34, math.pi / 2 - math.pi * 0.45)
     assert np.degrees(angular_distance(found.directions, wanted)).min() < 360 / width + 1
-    monkeypatch.setattr(perception.looker, "look", forward)
+    monkeypatch.setattr(perception.loaded, "look", forward)
     monkeypatch.setattr(perception, "calibration", Calibration())
     assert perception(noise(96), "red chair").detections is None
 
@@ -860,7 +866,7 @@ def test_scores_below_the_threshold_are_dropped(localisers, monkeypatch):
     perception = localisers("owlv2", "boxes")
     planted_outputs(monkeypatch, perception, [(0.5, 0.5)])
     assert perception.respond(noise(), ["red chair"]).max() > 0.4  # the sigmoid of 3, in one of two looks
-    monkeypatch.setattr(perception.looker, "threshold", 0.96)
+    monkeypatch.setattr(perception.loaded, "threshold", 0.96)
     assert perception.respond(noise(), ["red chair"]).max() == 0
 
 
@@ -887,8 +893,8 @@ def test_folders_become_perceptions(folders, family):
 
 def test_options_are_read_from_the_name(folders):
     perception = load(f"{folders('qwen2_5_vl')}?extractor=both&pixels=40000&layers=1,2&seam=false&presence=false")
-    assert (perception.extractor, perception.seam, perception.looker.pixels) == ("both", False, 40000)
-    assert (perception.looker.layers, perception.looker.presence) == ((1, 2), False)
+    assert (perception.extractor, perception.seam, perception.loaded.pixels) == ("both", False, 40000)
+    assert (perception.loaded.layers, perception.loaded.presence) == ((1, 2), False)
     assert parse_options("a=1&b=0.5&c=True&d=x-y") == {"a": 1, "b": 0.5, "c": True, "d": "x-y"}
     assert parse_options("revision=1234567&pixels=1234567") == {"revision": "1234567", "pixels": 1234567}
     assert parse_options("revision=12e4567&heads=2024") == {"revision": "12e4567", "heads": "2024"}
@@ -971,7 +977,7 @@ def test_too_few_pixels_for_a_localiser(folders):
 
 
 def test_a_number_may_be_typed_as_people_do(folders):
-    assert load(f"{folders('qwen2_5_vl')}?pixels=1e5").looker.pixels == 100_000
+    assert load(f"{folders('qwen2_5_vl')}?pixels=1e5").loaded.pixels == 100_000
 
 
 @pytest.mark.parametrize("file", ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json"])

@@ -118,7 +118,7 @@ def test_locate_points_at_what_the_planted_head_looks_at(eagor, planted, panoram
     assert (code, err) == (0, "")
     found = json.loads(out)
     answer = direction(math.radians(found["azimuth_deg"]), math.radians(found["elevation_deg"]))
-    rows, cols = load(spec).looker.cells(2.0, "attention")
+    rows, cols = load(spec).loaded.cells(2.0, "attention")
     assert found["source"]["family"] == family
     assert found["source"]["model"] == str(folder)
     half = math.hypot(math.pi / rows, 2 * math.pi / cols) / 2
@@ -275,10 +275,10 @@ def test_panoramas_are_rendered_as_fine_as_the_model_sees(planted, family):
     perception = load(str(planted(family)))
     rows = rows_of(perception)
     if perception.extractor == "views":  # a pixel of the panorama is one in the middle of a view
-        side = min(perception.looker.size(1.0))
+        side = min(perception.loaded.size(1.0))
         assert rows == pytest.approx(math.pi * (side / 2) / math.tan(math.radians(50)), abs=1)
     else:
-        assert rows == perception.looker.size(2.0)[0]
+        assert rows == perception.loaded.size(2.0)[0]
 
 
 @pytest.mark.parametrize(
@@ -495,14 +495,14 @@ def test_labels_from_a_file(tmp_path):
     ("line", "says"),
     [
         ("{", "line 1: is not JSON"),
-        ("[1]", "is list; wanted an object"),
-        ('{"image": "a.png"}', "'query' is missing"),
+        ("[1]", "the line is .*wanted one JSON object"),
+        ('{"image": "a.png"}', "query is missing; wanted words"),
         ('{"image": "a.png", "query": " "}', "wanted words"),
-        ('{"image": "a.png", "query": "sofa"}', "'azimuth_deg' is missing"),
+        ('{"image": "a.png", "query": "sofa"}', "azimuth_deg is missing"),
         ('{"image": "a.png", "query": "sofa", "box": [1, 2, 3]}', r"wanted \[x0, y0, x1, y1\]"),
         (
             '{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 99, "radius_deg": 5}',
-            "90 either way",
+            "elevation_deg is 99; wanted a number from -90 to 90",
         ),
         ('{"image": "a.png", "query": "s", "azimuth_deg": 0, "elevation_deg": 9, "radius_deg": 0}', "more than 0"),
         ("", "holds no labels"),

@@ -235,22 +235,6 @@ def test_habits_are_written_and_files_without_them_are_read(tmp_path):
     assert from_json(GOOD | {"detector": {"look_alikes": 0.2}}, "it").detector == DetectorModel(look_alikes=0.2)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        *({"calibration": {"persists_within": 1}}, {"calibration": {"persists_for": 1}}, {"detector": {"repeats": 1}}),
-        *({"detector": {"repeats_for": None}}, {"detector": {"repeats_within": 1, "spread": 0.1}}),
-    ],
-)
-def test_files_from_before_the_habits_say_what_to_run(changes, tmp_path):
-    ((part, words),) = changes.items()
-    old = dict(GOOD)
-    old[part] = (READ if part == "calibration" else {}) | words
-    (file := tmp_path / "old.json").write_text(json.dumps(old))
-    with pytest.raises(EagorError, match=rf"old\.json: sets {next(iter(words))}, .*run `eagor calibrate` again"):
-        read_calibrated(file)
-
-
 READ = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5, "spread": 0.1}
 GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
 
@@ -258,21 +242,24 @@ GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"calibration": {"floor": 0.1}}, "is not a calibration"),
+        ({"calibration": {"floor": 0.1}}, "it is not a calibration: calibration lacks neutral, persistence, spread"),
         ({"calibration": READ | {"floor": -1}}, "floor"),
-        ({"calibration": READ | {"floor": "much"}}, "is not a calibration"),
-        ({"forgetting": {"keep_per_second": 0.9}}, "sets 'keep_per_second'; known are wander, start"),
+        ({"calibration": READ | {"floor": "much"}}, "floor is 'much'; wanted a number"),
+        ({"forgetting": {"keep_per_second": 0.9}}, "forgetting sets 'keep_per_second'; known are wander, start"),
         ({"forgetting": {"jump": -7}}, "jump"),
-        ({"forgetting": {"wander": [0.1, "x"]}}, "is not a calibration"),
+        ({"forgetting": {"wander": [0.1, "x"]}}, r"wander is \[0.1, 'x'\]; wanted a number"),
         ({"detector": {"spread": 9}}, "spread"),
         ({"detector": {"kept_for": 0}}, "kept_for = 0.0; wanted seconds above 0"),
         ({"detector": {"kept_within": -1}}, "kept_within"),
-        ({"calibration": READ | {"habit": [1, 1]}}, "sets 'habit'; known are floor, neutral"),
-        ({"detector": {"habit": [1]}}, "habit = .*two numbers from 0.001 to 500"),
+        ({"calibration": READ | {"habit": [1, 1]}}, "calibration sets 'habit'; known are floor, neutral"),
+        ({"detector": {"habit": [1]}}, r"habit is \[1\]; wanted a list of length 2"),
+        ({"detector": {"habit": [1, 0]}}, "habit = .*two numbers from 0.001 to 500"),
         ({"detector": {"habit": 1}}, "is not a calibration"),
         ({"detector": {"recall": 0.9}}, "recall"),
         ({"calibration": None}, "neither"),
-        ({"forgetting": None}, "is not a calibration"),
+        ({"forgetting": None}, "forgetting is missing; wanted an object"),
+        ({"forgetting": []}, r"forgetting is \[\]; wanted an object"),
+        ({"perception": 3}, "perception is 3; wanted the name of a perception"),
     ],
 )
 def test_files_that_are_no_calibration_are_refused(changes, says):

@@ -9,8 +9,8 @@ import pytest
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.blobs import blobs
-from eagor.perception.vlm.boxes import Box
-from eagor.perception.vlm.found import detected, things, united
+from eagor.perception.vlm.answers import Box
+from eagor.perception.vlm.projection import detected, things, united
 from eagor.sphere import angular_distance, direction, world_R_body
 
 WHOLE = PatchGrid(18, 36)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.perception.noise import Noise
+from eagor.perception.truth import Noise
 from eagor.sphere import direction
 from eagor.tasks.hstar.camera import View, inside
 from eagor.tasks.hstar.looking import LENS, TruthEye

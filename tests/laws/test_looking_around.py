@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.perception.noise import Noise
+from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.tasks.hstar.agents import EagorAgent
 from eagor.tasks.hstar.camera import View

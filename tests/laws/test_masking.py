@@ -14,7 +14,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.colour import ColourPerception
-from eagor.perception.masked import Masked, read_mask
+from eagor.perception.partial import Masked, read_mask
 from eagor.perception.views import Views
 from eagor.sphere import direction, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig

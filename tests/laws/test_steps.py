@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from tracks_drawn import PANORAMA, turning
 
 import eagor
-from eagor.drawing import geometry, panorama, step, timeline
+from eagor.drawing import panorama, step, timeline
 from eagor.drawing.panorama import OURS
 from eagor.drawing.step import ScenePainter, StepPainter, draw_step
 from eagor.errors import EagorError, TimeError
@@ -53,12 +53,12 @@ def test_on_the_seam_the_marker_and_the_heat_are_on_both_edges():
     rows = picture[painter.head : painter.head + painter.rows]
     middle = painter.rows // 2 + 1
     assert (np.abs(rows[middle, [0, -1]].astype(int) - CYAN).max(axis=-1) < 40).all()
-    heat = geometry.heat_of(estimate)
+    heat = panorama.heat_of(estimate)
     strength = heat.rgba[len(heat.rgba) // 2, :, 3].astype(int)
     assert min(strength[0], strength[-1]) > 200
     assert strength[len(strength) // 2] < 40
-    alone = geometry.backdrop(PANORAMA, None, 640, 320).astype(int)
-    changed = np.abs(geometry.backdrop(PANORAMA, heat, 640, 320) - alone).sum(axis=-1)[160]
+    alone = panorama.backdrop(PANORAMA, None, 640, 320).astype(int)
+    changed = np.abs(panorama.backdrop(PANORAMA, heat, 640, 320) - alone).sum(axis=-1)[160]
     assert min(changed[0], changed[-1]) > 100
 
 
@@ -80,9 +80,9 @@ def test_the_border_is_that_of_the_still_picture():
 def test_the_quick_density_is_the_exact_one_near_and_above_the_border(looks):
     estimate = turning(looks, azimuth=175)[-1]
     level, area = estimate.region(0.9)
-    grid = geometry._cells(area)
+    grid = panorama._cells(area)
     exact = estimate.log_density(grid.directions)
-    quick = geometry._density(estimate, grid, level)
+    quick = panorama._density(estimate, grid, level)
     near = exact > level - 2
     assert near.any()
     assert np.abs(quick - exact)[near].max() < 1e-3

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.perception.suppression import MOST, kept, overlaps
+from eagor.perception.onnx.decoding import MOST_COMPARED, kept, overlaps
 
 numbers = st.integers(0, 40)
 boxes_of = st.lists(st.tuples(numbers, numbers, st.integers(0, 12), st.integers(0, 12), st.integers(0, 2)), max_size=40)
@@ -40,6 +40,6 @@ def test_overlaps_are_the_closed_form():
 
 
 def test_of_very_many_only_the_best_are_compared():
-    scores = np.linspace(1, 0, 3 * MOST)
-    boxes = np.arange(3 * MOST, dtype=float)[:, None] * 4 + np.array([0, 0, 1, 1])
-    assert kept(boxes, scores).tolist() == list(range(MOST))
+    scores = np.linspace(1, 0, 3 * MOST_COMPARED)
+    boxes = np.arange(3 * MOST_COMPARED, dtype=float)[:, None] * 4 + np.array([0, 0, 1, 1])
+    assert kept(boxes, scores).tolist() == list(range(MOST_COMPARED))

@@ -13,8 +13,7 @@ from strategies import directions, random_directions, rotations
 from eagor.errors import EagorError, GridError, ImageError, QueryError, RotationError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
-from eagor.perception.noise import WIDEST, Noise
-from eagor.perception.truth import TruthPerception
+from eagor.perception.truth import WIDEST, Noise, TruthPerception
 from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
 
 PERSISTENCES = [0.0, 0.3, 0.8]

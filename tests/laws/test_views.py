@@ -13,8 +13,7 @@ from eagor.errors import EagorError, GridError, ImageError, QueryError
 from eagor.media.cutting import cut, tangent_views
 from eagor.media.panorama import turn
 from eagor.perception import check_perception, look
-from eagor.perception.pieces import Piece, things
-from eagor.perception.views import Views
+from eagor.perception.views import ViewBox, Views, things
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
 GREY = 90
@@ -121,8 +120,8 @@ def test_upright_pictures_reach_the_detector():
 
 def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
     grid = tangent_views(100, math.radians(90), 0.0)[0]
-    whole = Piece(0, grid, np.array([30.0, 40.0, 60.0, 60.0]), 0.9)
-    part = Piece(0, grid, np.array([70.0, 40.0, 100.0, 60.0]), 0.9)
+    whole = ViewBox(0, grid, np.array([30.0, 40.0, 60.0, 60.0]), 0.9)
+    part = ViewBox(0, grid, np.array([70.0, 40.0, 100.0, 60.0]), 0.9)
     (inside,), (opened,) = things([whole]), things([part])
     assert not whole.cut.any()
     assert part.cut.tolist() == [False, False, True, False]

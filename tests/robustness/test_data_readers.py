@@ -15,8 +15,7 @@ from strategies import HOSTILE
 
 from eagor._json import parsed
 from eagor.evaluation import ledger
-from eagor.perception.vlm.boxes import parse_boxes
-from eagor.perception.vlm.presence import parse_presence
+from eagor.perception.vlm.answers import parse_boxes, parse_presence
 from eagor.tasks.benchmark import Case
 from eagor.tasks.hstar.bench import HOS
 from eagor.tasks.hstar.data import read_episodes, read_scenes

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image, ImageSequence
 from tracks_drawn import PANORAMA, turning
 
-from eagor.drawing import animation
+from eagor.drawing import video
 from eagor.drawing.panorama import OURS
 from eagor.drawing.video import BeliefVideo
 from eagor.errors import EagorError, MissingExtraError, StorageError, TimeError
@@ -95,7 +95,7 @@ def test_moving_pictures_for_pages(tmp_path, suffix, monkeypatch):
         frames = [(np.asarray(frame.convert("RGB")), frame.info["duration"]) for frame in ImageSequence.Iterator(image)]
     assert [duration for _, duration in frames] == [500, 100, 1500, 100, 100]
     assert len({picture.tobytes() for picture, _ in frames}) == 5
-    monkeypatch.setattr(animation, "MOST", 4)
+    monkeypatch.setattr(video, "MOST", 4)
     write(path, count=9)
     with Image.open(path) as image:
         durations = [frame.copy() and frame.info["duration"] for frame in ImageSequence.Iterator(image)]

@@ -9,8 +9,7 @@ from onnx import TensorProto, helper, numpy_helper
 from onnx_files import onnx_file
 
 from eagor.errors import EagorError
-from eagor.perception import sessions
-from eagor.perception.onnx import OnnxDetector, decoding
+from eagor.perception.onnx import OnnxDetector, decoding, network
 
 NAMES = {"names": str({number: f"thing {number}" for number in range(80)})}
 TABLE = np.zeros((1, 84, 100), np.float32)
@@ -37,7 +36,7 @@ def endless(path):
 
 
 def test_a_network_that_does_not_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(sessions, "SECONDS", 0.2)
+    monkeypatch.setattr(network, "SECONDS", 0.2)
     with pytest.raises(EagorError, match=r"64 x 64: it has not ended after 0\.2 seconds; a smaller size"):
         OnnxDetector(endless(tmp_path / "endless.onnx"))
 
@@ -77,10 +76,10 @@ def test_of_very_many_boxes_the_best_are_read_on(tmp_path, monkeypatch):
     detect = OnnxDetector(onnx_file(tmp_path / "d.onnx", {"output0": table}, notes=NAMES), layout="yolov8")
     picture = np.zeros((64, 64, 3), np.uint8)
     all_of_them = detect(picture)
-    monkeypatch.setattr(decoding, "MOST", 5000)
+    monkeypatch.setattr(decoding, "MOST_READ", 5000)
     for one, other in zip(detect(picture), all_of_them, strict=True):
         assert np.array_equal(one, other)
-    monkeypatch.setattr(decoding, "MOST", 10)
+    monkeypatch.setattr(decoding, "MOST_READ", 10)
     assert np.array_equal(detect(picture)[1], all_of_them[1][: len(detect(picture)[1])])
 
 

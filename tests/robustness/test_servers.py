@@ -30,11 +30,10 @@ from eagor.errors import AnswerError, EagorError, ServerError
 from eagor.evaluation import ledger
 from eagor.perception import load, short_name
 from eagor.perception.endpoint import EndpointPerception
-from eagor.perception.endpoint.addresses import place_of
-from eagor.perception.endpoint.chat import ServedChat
-from eagor.perception.vlm.boxes import parse_boxes
-from eagor.perception.vlm.presence import parse_presence
-from eagor.perception.vlm.talk import Message
+from eagor.perception.endpoint.client import place_of
+from eagor.perception.endpoint.server import ServedChat
+from eagor.perception.vlm.answers import parse_boxes, parse_presence
+from eagor.perception.vlm.prompts import Message
 
 pytest.importorskip("openai")
 
@@ -166,7 +165,7 @@ def test_ctrl_c_ends_a_silent_call(how):
         # What is started in the background of a shell ignores Ctrl-C.
         "import signal, sys, numpy as np\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from eagor.perception.endpoint import EndpointPerception\n"
-        "from eagor.perception.endpoint.chat import ServedChat\nfrom eagor.perception.vlm.talk import Message\n"
+        "from eagor.perception.endpoint.server import ServedChat\nfrom eagor.perception.vlm.prompts import Message\n"
         f"try:\n    {asked[how]}\nexcept KeyboardInterrupt:\n    sys.exit(130)\n"
     )
     came = threading.Event()

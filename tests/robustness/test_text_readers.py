@@ -18,9 +18,9 @@ from eagor.evaluation import ledger, predictions
 from eagor.evaluation.replayed import read_truth
 from eagor.evidence import Evidence
 from eagor.perception.calibrated import Calibrated, read_calibrated
-from eagor.perception.onnx.names import read_labels
+from eagor.perception.onnx import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
-from eagor.perception.transformers.heads import read_heads
+from eagor.perception.transformers.attention import read_heads
 from eagor.perception.vlm.labelled import labelled_lines, read_labelled
 from eagor.sphere import world_R_body
 
@@ -168,7 +168,7 @@ def test_labels(folder, blob):
     path = folder / "labels.jsonl"
     path.write_bytes(blob)
     found = reads(lambda: labelled_lines(path), "labels.jsonl", also=("line ", "cannot be read", "no labels"))
-    assert found is None or all(isinstance(entry["image"], str) for _, entry in found)
+    assert found is None or all(isinstance(line.image, str) for line, _ in found)
     looks = reads(
         lambda: list(read_labelled(path, lambda _: np.zeros((32, 64, 3), np.uint8))),
         "labels.jsonl",

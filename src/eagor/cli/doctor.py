@@ -15,7 +15,7 @@ from eagor.cli import machine, terminal
 from eagor.cli.models import in_words
 from eagor.cli.options import Doctor
 from eagor.errors import MissingExtraError
-from eagor.perception.coco.store import MODELS
+from eagor.perception.coco import MODELS
 from eagor.tasks import benchmark, task
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")

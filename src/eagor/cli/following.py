@@ -18,7 +18,7 @@ from eagor.cli.unseen import Unseen
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception import NoEvidenceError, Perception
-from eagor.perception.looks import look_if_recorded
+from eagor.perception.replay import look_if_recorded
 from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker

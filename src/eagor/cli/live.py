@@ -108,7 +108,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     config = replace(config, floor_height=options.floor, drift=math.radians(options.drift))
     mask = None
     if options.mask is not None:
-        from eagor.perception.masked import read_mask
+        from eagor.perception.partial import read_mask
 
         mask = read_mask(options.mask)
     rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))

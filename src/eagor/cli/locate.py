@@ -36,7 +36,7 @@ from eagor.drawing.words import STATUS, answer_in_words, distance_in_words, in_w
 from eagor.evidence import Evidence
 from eagor.media.panorama import PanoramaFile
 from eagor.perception import Perception, rows_of, short_name
-from eagor.perception.looks import look
+from eagor.perception.replay import look
 from eagor.sphere import azimuth_elevation
 from eagor.tracking.estimate import Estimate, Mode
 from eagor.tracking.tracker import DirectionTracker

@@ -117,7 +117,7 @@ def perception_for(query: str, spec: str | None) -> str:
         return spec
     if colour_in(query) is not None:
         return "colour"
-    from eagor.perception.coco.store import COCO
+    from eagor.perception.coco import COCO
 
     if COCO.path.is_file():
         return "coco"

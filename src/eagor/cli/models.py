@@ -9,8 +9,7 @@ from eagor.cli import terminal
 from eagor.cli.machine import lacking
 from eagor.cli.options import Models, ModelsGet, ModelsList
 from eagor.errors import QueryError
-from eagor.perception.coco.classes import CLASSES
-from eagor.perception.coco.store import COCO, MODELS, Model, install, model_named
+from eagor.perception.coco import CLASSES, COCO, MODELS, Model, install, model_named
 from eagor.perception.words import for_any_words, meant
 
 

@@ -76,7 +76,7 @@ def robot_run(options: RobotRun) -> int:
     config = replace(config, floor_height=FLOOR)
     mask = None
     if options.mask is not None:
-        from eagor.perception.masked import read_mask
+        from eagor.perception.partial import read_mask
 
         mask = read_mask(options.mask)
     folder = options.report or (Path("eagor-walk") if options.sim else None)

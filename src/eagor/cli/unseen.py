@@ -18,7 +18,7 @@ class Unseen:
     """The mask of ``--mask``, what a file says that its picture lacks, and black around a pole in all frames so far."""
 
     def __init__(self, path: Path | None) -> None:
-        from eagor.perception.masked import read_mask
+        from eagor.perception.partial import read_mask
 
         self._given = None if path is None else read_mask(path)
         self._black, self._said = NeverSeen(), False

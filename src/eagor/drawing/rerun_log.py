@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from eagor._extras import need
-from eagor.drawing.geometry import Heat, arrow, backdrop, heat_of, places, worth_an_arrow
+from eagor.drawing.panorama import Heat, arrow, backdrop, heat_of, places, worth_an_arrow
 from eagor.drawing.words import answer_in_words
 from eagor.errors import EagorError, StorageError
 from eagor.grids import ErpGrid

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor.drawing.geometry import MASS, backdrop, heat_of
-from eagor.drawing.panorama import paint_marks
+from eagor.drawing.panorama import MASS, backdrop, heat_of, paint_marks
 from eagor.drawing.sheet import blank, family, over
-from eagor.drawing.timeline import COLOURS, Moment, TimeLine, ticks
+from eagor.drawing.timeline import COLOURS, SIDES, Moment, TimeLine, ticks
 from eagor.drawing.words import answer_in_words, far_in_words
 from eagor.errors import EagorError
 from eagor.tracking.estimate import Estimate
@@ -33,7 +32,6 @@ PRESENCE, STATUS, GAP = 22, 9, 7  # rows of the lower strips, and between them
 NARROWEST, WIDEST = 320, 3840
 GROUND, PANEL, RULE, WORDS, FAINT, ALARM = "#12151b", "#1a1e26", "#39404c", "#eef1f6", "#a5aebb", "#ffb000"
 BAND, NOW = "#2b6f7d", "#ffffff"
-SIDES = ((180, "behind"), (90, "left"), (0, "ahead"), (-90, "right"), (-180, "behind"))
 LONGEST_QUERY, LONGEST_PROBLEM = 38, 150  # characters
 MOST_CLOCK = 1e5  # seconds: stamps beyond are of a calendar, and the time line counts from the first one
 

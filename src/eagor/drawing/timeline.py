@@ -8,18 +8,42 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from eagor.errors import TimeError
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["COLOURS", "Moment", "TimeLine"]
+__all__ = ["COLOURS", "SIDES", "Moment", "Thinned", "TimeLine"]
 
 # By status. They differ in brightness too, and each is named beside the time line.
 COLOURS = {"searching": "#7d8796", "tracking": "#2fd0e6", "ambiguous": "#ffb000", "stale": "#b48cff"}
+# Azimuths in degrees, and what they are called.
+SIDES = ((180, "behind"), (90, "left"), (0, "ahead"), (-90, "right"), (-180, "behind"))
 MOST = 2400  # moments that are kept for curves: more than a picture has columns
 SPANS = (1, 2, 5)  # the steps, times powers of ten, by which a time line of unknown length grows
+
+
+class Thinned:
+    """At most `most` items of a stream of unknown length, evenly spread: when it is full, every second one goes."""
+
+    def __init__(self, most: int) -> None:
+        self.items: list[Any] = []
+        self.count, self.stride, self.most = 0, 1, most
+
+    @property
+    def wants(self) -> bool:
+        """Whether the next item would be kept."""
+        return self.count % self.stride == 0
+
+    def add(self, item: Any) -> None:
+        """Append an item, or pass over it."""
+        if self.wants:
+            self.items.append(item)
+        self.count += 1
+        if len(self.items) > self.most:
+            self.items, self.stride = self.items[::2], 2 * self.stride
 
 
 @dataclass(frozen=True)
@@ -75,8 +99,7 @@ class TimeLine:
         self.given = span
         self.last: Moment | None = None
         self.first = 0.0
-        self._kept: list[Moment] = []
-        self._stride, self._count = 1, 0
+        self._kept = Thinned(MOST)
         self._stretches: list[tuple[float, str]] = []  # since when, which status
 
     def add(self, moment: Moment) -> None:
@@ -91,12 +114,8 @@ class TimeLine:
             self.first = moment.stamp
         if self.last is None or moment.status != self.last.status:
             self._stretches.append((moment.stamp, moment.status))
-        if self._count % self._stride == 0:
-            self._kept.append(moment)
+        self._kept.add(moment)
         self.last = moment
-        self._count += 1
-        if len(self._kept) > MOST:
-            self._kept, self._stride = self._kept[::2], 2 * self._stride
 
     @property
     def now(self) -> float:
@@ -114,9 +133,9 @@ class TimeLine:
     @property
     def end(self) -> float:
         """Until when the last answer is drawn: for as long as the one before it, within the axis."""
-        if len(self._kept) < 2 or self.last is None:
+        if len(self._kept.items) < 2 or self.last is None:
             return min(self.span, self.now + self.span / 200)
-        before = [kept for kept in self._kept[-2:] if kept is not self.last][-1]
+        before = [kept for kept in self._kept.items[-2:] if kept is not self.last][-1]
         return min(self.span, self.now + (self.last.stamp - before.stamp))
 
     def stretches(self) -> list[tuple[float, float, str]]:
@@ -156,8 +175,8 @@ class TimeLine:
 
     def _lasting(self) -> list[tuple[float, float, Moment]]:
         """The kept moments with begin and end (seconds since the first stamp)."""
-        begins = [moment.stamp - self.first for moment in self._kept]
-        return list(zip(begins, [*begins[1:], self.end], self._kept, strict=False))
+        begins = [moment.stamp - self.first for moment in self._kept.items]
+        return list(zip(begins, [*begins[1:], self.end], self._kept.items, strict=False))
 
 
 def ticks(span: float, most: int = 8) -> Sequence[float]:

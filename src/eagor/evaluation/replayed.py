@@ -11,18 +11,22 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
-from eagor.errors import EagorError, FormatError
+from eagor.errors import FormatError
 from eagor.evaluation.labelled_looks import LabelledLook
 from eagor.evidence import Evidence
-from eagor.perception.record_fields import json_lines, misplaced, need, number, object_of, only, words_of
+from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
+from eagor.perception.records import words_of
 from eagor.perception.replay import ReplayPerception
 from eagor.sphere import direction
 
 __all__ = ["Truth", "joined", "read_truth", "replayed_looks"]
 
+_TARGETS = "a list of objects with azimuth_deg and elevation_deg; [] if the thing is absent"
 Pose = tuple[np.ndarray, np.ndarray | None]  # world_R_body ``(3, 3)``, and the position ``(3,)`` if it is known
 
 
@@ -42,37 +46,37 @@ class Truth:
 def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
     """The lines of a file of true directions. `FormatError` names the file and the line of a fault."""
     found: dict[tuple[float, str, str], Truth] = {}
-    for line, where in json_lines(path):
-        try:
-            truth = _parsed(line)
-            key = truth.stamp, " ".join(words_of(truth.query)), truth.group
-            if key in found:
-                raise FormatError(
-                    f"is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
-                )
-        except EagorError as error:
-            raise misplaced(error, where) from error
+    for truth, where in parsed_lines(path, _parsed):
+        key = truth.stamp, " ".join(words_of(truth.query)), truth.group
+        if key in found:
+            raise FormatError(
+                f"{where}: is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
+            )
         found[key] = truth
     if not found:
         raise FormatError(f"{os.fspath(path)} holds no true directions; wanted one JSON object per line, at least one")
     return tuple(sorted(found.values(), key=lambda each: each.stamp))
 
 
+class _Target(msgspec.Struct, forbid_unknown_fields=True):
+    azimuth_deg: Turn
+    elevation_deg: Tilt
+
+
+class _Line(msgspec.Struct, forbid_unknown_fields=True):
+    stamp: Finite
+    query: Annotated[str, msgspec.Meta(description="words")]
+    targets: Annotated[list[_Target], msgspec.Meta(description=_TARGETS)]
+    group: Annotated[str, msgspec.Meta(min_length=1, description="text, or no such key")] | None = None
+
+
 def _parsed(line: bytes) -> Truth:
-    entry = object_of(line)
-    only(entry, ("stamp", "query", "targets", "group"), "a line of true directions")
-    stamp, query, group, targets = number(entry, "stamp"), entry.get("query"), entry.get("group"), entry.get("targets")
-    need(isinstance(query, str) and words_of(query) != [], "query", query, "words")
-    need(group is None or (isinstance(group, str) and group != ""), "group", group, "text, or no such key")
-    fine = isinstance(targets, list) and all(isinstance(target, dict) for target in targets)
-    need(fine, "targets", targets, "a list of objects with azimuth_deg and elevation_deg; [] if the thing is absent")
-    angles = []
-    for target in entry["targets"]:
-        only(target, ("azimuth_deg", "elevation_deg"), "a target")
-        angles.append((number(target, "azimuth_deg", -360, 360), number(target, "elevation_deg", -90, 90)))
+    entry = checked(object_of(line), _Line, "a line of true directions", noted=True)
+    need(words_of(entry.query) != [], "query", entry.query, "words")
+    angles = [(target.azimuth_deg, target.elevation_deg) for target in entry.targets]
     azimuths, elevations = np.radians(angles).reshape(-1, 2).T
-    name = entry["query"] if group is None else f"{group}: {entry['query']}"
-    return Truth(stamp, entry["query"], direction(azimuths, elevations).reshape(-1, 3), name)
+    name = entry.query if entry.group is None else f"{entry.group}: {entry.query}"
+    return Truth(entry.stamp, entry.query, direction(azimuths, elevations).reshape(-1, 3), name)
 
 
 def replayed_looks(

@@ -26,7 +26,7 @@ from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.media.defects import NeverSeen
 from eagor.perception import Perception, load
-from eagor.perception.looks import look_if_recorded
+from eagor.perception.replay import look_if_recorded
 from eagor.tracking.checkpoint import packed
 
 DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux's prctl

@@ -1,4 +1,4 @@
-"""Extended things: the connected regions of a response map, and the evidence of a set of such regions."""
+"""Extended things: the connected regions of a response map, their evidence, and a blur against lone cells."""
 
 from __future__ import annotations
 
@@ -71,3 +71,12 @@ def connected(inside: np.ndarray, seam: bool, poles: bool = False) -> np.ndarray
     parts = connected_components(graph, directed=False)[1]
     # The background is a component of its own and has to keep label 0.
     return np.where(labels > 0, ((parts - parts[0]) % (int(parts.max()) + 1))[labels], 0)
+
+
+def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
+    """`cells` ``(..., h, w)`` filtered with the binomial kernel (1 2 1) / 4 each way."""
+    flat = [(0, 0)] * (cells.ndim - 2)
+    wide = np.pad(cells, [*flat, (0, 0), (1, 1)], mode="wrap" if wrap else "edge")
+    across = (wide[..., :-2] + 2 * cells + wide[..., 2:]) / 4
+    tall = np.pad(across, [*flat, (1, 1), (0, 0)], mode="edge")
+    return (tall[..., :-2, :] + 2 * across + tall[..., 2:, :]) / 4

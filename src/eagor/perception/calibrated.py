@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from eagor._files import read_file, written
-from eagor._json import number, parsed, shown
+from eagor._json import parsed, shown
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel, model_as_json
 from eagor.perception import short_name
+from eagor.perception.json_files import checked
 from eagor.tracking.config import MotionModel
 
-READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration`
-# What older versions wrote of response maps, and of detectors, whose places have habits now.
-GONE = ("persists_for", "persists_within", "repeats", "repeats_for", "repeats_within")
-FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # fields of `MotionModel`: radians, rates per second
+_WRITTEN = "wanted what `eagor calibrate` writes"
+_DETECTOR = tuple(model_as_json(DetectorModel()))
+READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration` that are fitted
+FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # of `MotionModel`: radians, rates per second
+
+
+class _File(msgspec.Struct):
+    perception: Annotated[str, msgspec.Meta(description="the name of a perception")]
+    forgetting: Annotated[MotionModel, msgspec.Meta(description="an object")]
+    calibration: Calibration | None = None
+    detector: DetectorModel | None = None
+    found_by: dict[str, Any] = {}
 
 
 @dataclass(frozen=True)
@@ -52,8 +62,7 @@ class Calibrated:
         """The JSON object that `from_json` reads."""
         parts: dict[str, Any] = {"perception": self.perception}
         if self.calibration is not None:
-            told = asdict(self.calibration)
-            parts["calibration"] = {key: told[key] for key in READING}
+            parts["calibration"] = {key: getattr(self.calibration, key) for key in READING}
         if self.detector is not None:
             parts["detector"] = model_as_json(self.detector)
         return parts | {"forgetting": self.forgetting, "found_by": self.found_by}
@@ -63,70 +72,29 @@ class Calibrated:
         written(file, json.dumps(self.as_json(), indent=1) + "\n")
 
 
-def calibration_of(values: Mapping[str, Any]) -> Calibration:
-    """The calibration with these values. Raises `KeyError` if one of `READING` is missing."""
-    _only(values, READING)
-    floor, neutral, temperature, persistence, spread = (number(values[name]) for name in READING)
-    return Calibration(floor, neutral, temperature, persistence, spread)
-
-
-def detector_of(values: Mapping[str, Any]) -> DetectorModel:
-    """The detector model from the output of `model_as_json`. Raises `EagorError` for anything else."""
-    _only(values, model_as_json(DetectorModel()))
-    return DetectorModel(**{key: _field(key, value) for key, value in values.items()})
-
-
-def _field(key: str, value: Any) -> Any:
-    """A field of a detector's model from JSON."""
-    if value is None:
-        return None
-    if key == "score_ratios":
-        return tuple((number(score), number(ratio)) for score, ratio in value)
-    if key in ("habit", "look_alike_habit"):
-        return tuple(number(each) for each in value)
-    return number(value)
-
-
 def from_json(stored: Any, source: str) -> Calibrated:
     """The calibration from the output of `as_json`; errors name `source`. Raises `EagorError` for anything else."""
     try:
-        _only(stored["forgetting"], FORGETTING)
-        forgetting: dict[str, Any] = {
-            key: _rates(value) if key == "wander" else number(value) for key, value in stored["forgetting"].items()
-        }
-        reading, model = stored.get("calibration"), stored.get("detector")
-        if reading is None and model is None:
-            raise EagorError("has neither a calibration nor a detector")
-        calibration = None
-        if reading is not None:
-            calibration = calibration_of(reading)
-        detector = None if model is None else detector_of(model)
-        found = Calibrated(str(stored["perception"]), calibration, forgetting, {**stored.get("found_by", {})}, detector)
-        MotionModel(**forgetting)  # raises for rates out of range
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, EagorError):
-            raise EagorError(f"{source}: {error}") from error
-        raise EagorError(
-            f"{source} is not a calibration ({type(error).__name__}: {error}); wanted what `eagor calibrate` writes"
-        ) from error
-    return found
+        return _calibrated(stored)
+    except EagorError as error:
+        raise EagorError(f"{source} is not a calibration: {error}; {_WRITTEN}") from error
 
 
-def _rates(value: Any) -> tuple[float, ...]:
-    """Positive numbers from a list or a single number; 0 gives an empty tuple."""
-    values = tuple(number(entry) for entry in (value if isinstance(value, list | tuple) else [value]))
-    return () if values == (0,) else values
-
-
-def _only(values: Mapping[str, Any], known: Any) -> None:
-    """Raise `EagorError` for a name that is not in `known`."""
-    if old := [key for key in GONE if key in values and key not in known]:
-        raise EagorError(
-            f"sets {', '.join(old)}, as older versions did (detectors have habit and look_alikes now): run "
-            "`eagor calibrate` again, or leave these words out"
-        )
-    if unknown := sorted(values.keys() - {*known}):
-        raise EagorError(f"sets {shown(', '.join(unknown))}; known are {', '.join(known)}")
+def _calibrated(stored: Any) -> Calibrated:
+    parts = {name: values for name, values in stored.items() if values is not None} if isinstance(stored, dict) else {}
+    for name, known in (("calibration", READING), ("detector", _DETECTOR), ("forgetting", FORGETTING)):
+        if isinstance(part := parts.get(name), dict) and (unknown := sorted(part.keys() - {*known})):
+            raise EagorError(f"{name} sets {shown(', '.join(unknown))}; known are {', '.join(known)}")
+    if isinstance(reading := parts.get("calibration"), dict) and (lacking := sorted({*READING} - reading.keys())):
+        raise EagorError(f"calibration lacks {', '.join(lacking)}")
+    if isinstance(rates := parts.get("forgetting"), dict) and "wander" in rates:
+        wander = rates["wander"] if isinstance(rates["wander"], list | tuple) else [rates["wander"]]
+        parts["forgetting"] = rates = rates | {"wander": [] if list(wander) == [0] else wander}
+    found = checked(parts if isinstance(stored, dict) else stored, _File, "the file")
+    if found.calibration is None and found.detector is None:
+        raise EagorError("it has neither a calibration nor a detector")
+    forgetting = {name: getattr(found.forgetting, name) for name in rates or ()}
+    return Calibrated(found.perception, found.calibration, forgetting, found.found_by, found.detector)
 
 
 def read_calibrated(file: Path) -> Calibrated:
@@ -136,5 +104,5 @@ def read_calibrated(file: Path) -> Calibrated:
     except OSError as error:
         raise EagorError(f"the calibration {file} cannot be read ({error}); `eagor calibrate` makes one") from error
     except ValueError as error:
-        raise EagorError(f"{file} is not JSON ({error}); wanted what `eagor calibrate` writes") from error
+        raise EagorError(f"{file} is not JSON ({error}); {_WRITTEN}") from error
     return from_json(stored, str(file))

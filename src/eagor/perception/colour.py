@@ -23,7 +23,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.blobs import blobs, spread_evidence
+from eagor.perception.blobs import blobs, blurred, spread_evidence
 
 # A fuzzy interval: 0 up to the first number, 1 between the second and the third, 0 from the fourth on.
 Interval = tuple[float, float, float, float]
@@ -228,10 +228,7 @@ def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.nda
         start, full_low, full_high, end = colour.hue
         turned = (hue - start) % 360  # the interval now starts at zero and does not wrap
         likeness = likeness * _member(turned, (0.0, full_low - start, full_high - start, end - start))
-    wide = np.pad(likeness, ((0, 0), (1, 1)), mode="wrap" if around else "edge")
-    across = (wide[:, :-2] + 2 * likeness + wide[:, 2:]) / 4
-    padded = np.pad(across, ((1, 1), (0, 0)), mode="edge")
-    return likeness * _ramp((padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4, 0.25, 0.5)
+    return likeness * _ramp(blurred(likeness, around), 0.25, 0.5)
 
 
 def _member(values: np.ndarray, interval: Interval) -> np.ndarray:

@@ -1,27 +1,32 @@
-"""Any perception on single perspective pictures, for a camera that sees only part of the sphere.
+"""Any perception for a camera that sees only part of the sphere: single perspective pictures, and masks.
 
 A perception with the method ``view`` (`ViewPerception`) gets the picture itself. Any other gets a panorama in which
-only the picture's part is filled; the rest counts as never looked at.
+only the picture's part is filled; the rest counts as never looked at. `Masked` leaves out what the camera never sees
+of a panorama: its own carrier.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from PIL import Image
 
 from eagor.errors import ImageError
-from eagor.evidence import Evidence
+from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import canvas_of
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.media.panorama import checked_picture
-from eagor.perception import Perception, rows_of
-from eagor.perception.vlm.views import bilinear
+from eagor.perception import Perception, look, rows_of
+from eagor.perception.vlm.projection import bilinear
 from eagor.sphere import world_R_body
+
+__all__ = ["Masked", "read_mask"]
 
 BORDER = 0.5  # share of a cell that the picture has to fill for the cell to count as looked at
 
@@ -116,3 +121,63 @@ def coverage(rows: int, columns: int, height: int, width: int, hfov: float, pitc
     y = (np.arange(rows)[:, None] + offsets).reshape(-1, 1)
     _, _, inside = grid.project(PatchGrid(rows, columns).unproject(x, y))
     return inside.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
+
+
+# --- masks ------------------------------------------------------------------------------------------------------------
+
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # Pillow starts no other program for any of these
+MOST = 1 << 27  # pixels: 16384 x 8192
+GREY = 0.02  # share of pixels that may be neither black nor white: smoothed edges
+
+
+class Masked:
+    """The perception `perception`, whose looks say nothing where `mask` is black.
+
+    `mask`: a `BodyMask`, or the array ``(H, W)`` for one.
+    """
+
+    def __init__(self, perception: Perception, mask: BodyMask | np.ndarray) -> None:
+        self.perception = perception
+        self.mask = mask if isinstance(mask, BodyMask) else BodyMask(mask)
+        self.takes_pose, self.rows = bool(getattr(perception, "takes_pose", False)), rows_of(perception)
+
+    def __call__(
+        self, panorama: np.ndarray, query: str, *, stamp: float | None = None, world_R_body: np.ndarray | None = None
+    ) -> Evidence:
+        """One look, less what the mask hides. Errors as those of the perception."""
+        return look(self.perception, panorama, query, stamp=stamp, world_R_body=world_R_body).covered(self.mask)
+
+    def __repr__(self) -> str:
+        hidden = 1 - float(np.sum(self.mask.seen * self.mask.grid.weights)) / (4 * np.pi)
+        return f"Masked({self.perception!r}, {100 * hidden:.0f} % hidden)"
+
+
+def read_mask(path: str | os.PathLike[str]) -> BodyMask:
+    """The mask in a picture, 2:1, of any size: white where the camera sees the world, black where it never does.
+
+    Any grey from half on counts as white; of a picture with no value above 1, 1 is white. Raises `ImageError`.
+    """
+    name = os.fspath(path)
+    try:
+        with Image.open(name, formats=FORMATS) as image:
+            if image.width * image.height > MOST:
+                raise ImageError(f"has {image.width} x {image.height} pixels; a mask of 1024 x 512 is fine enough")
+            values = np.asarray(image.convert("L"), dtype=np.float64)
+    except ImageError as error:
+        raise ImageError(f"the mask {name} {error}") from error
+    except Exception as error:  # Pillow's decoders may raise anything for damaged files
+        reason: Any = getattr(error, "strerror", None) or error
+        raise ImageError(
+            f"the mask {name} cannot be read ({reason}); wanted a picture such as PNG, white where the camera sees"
+        ) from error
+    values = values / (255.0 if values.max() > 1 else 1.0)
+    between = float(np.mean((values > 0.1) & (values < 0.9)))
+    if between > GREY:
+        raise ImageError(
+            f"the mask {name} is grey in {100 * between:.0f} % of its pixels; wanted black and white: white where the "
+            "camera sees the world, black where it never does"
+        )
+    try:
+        return BodyMask(values >= 0.5)
+    except ImageError as error:
+        raise ImageError(f"{name}: {error}") from error

@@ -5,42 +5,109 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, TextIO
+from typing import Annotated, Any, Literal, TextIO
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from eagor.errors import EagorError, FormatError
+from eagor.errors import FormatError, QueryError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
-from eagor.grids import ErpGrid, Grid, PatchGrid
-from eagor.perception.labels import fitting
-from eagor.perception.record_fields import (
-    LARGEST,
-    is_number,
-    json_lines,
-    misplaced,
-    need,
-    number,
-    object_of,
-    only,
-    probability,
-    score_kind,
-    size,
-    view_of,
-    words_of,
-)
-from eagor.sphere import direction
+from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
+from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
+from eagor.perception.words import RELATIONS, meant
+from eagor.sphere import direction, rotation, world_R_body
 
 KINDS = ("boxes", "points", "response")
-KEYS = ("stamp", "query", "look", "image", *KINDS, "scores")
-OF_ITEMS = {
-    "boxes": ("box", "score", "label"),
-    "points": ("azimuth_deg", "elevation_deg", "spread_deg", "score", "label"),
-}
 APART = 1.0  # seconds: lines of one look that lie farther apart are taken for a mistake
+LONGEST = 32  # a view this many times longer than wide is taken for a mistake
+UNIT = 1e-3  # by how much the length of a quaternion may differ from 1
+ARTICLES = {"a", "an", "the"}
+HINTS = {  # for keys that others use, and whose sign or unit may differ
+    "pitch_deg": "pitch_up_deg is positive UP, like elevation_deg; pitch_deg of a pose file is positive nose DOWN",
+    "pitch": "pitch_up_deg is positive UP, in degrees",
+    "yaw": "yaw_left_deg is positive to the LEFT, in degrees",
+    "yaw_deg": "yaw_left_deg is positive to the LEFT",
+    "roll": "roll_right_deg is positive where the camera leans to its RIGHT, in degrees",
+    "roll_deg": "roll_right_deg is positive where the camera leans to its RIGHT",
+    "fov": "hfov_deg is the HORIZONTAL field of view, in degrees",
+    "vfov_deg": "hfov_deg is the HORIZONTAL field of view",
+    "bbox": "box is x0, y0, x1, y1, not x, y, width, height",
+}
+
+# --- the structure of a line ------------------------------------------------------------------------------------------
+
+_PIXELS = "a whole number from 1 to 65536"
+_CORNERS = "[x0, y0, x1, y1] in pixels of the {}image (not x, y, width, height, and not 0 to 1)"
+_SCORE = 'a number from 0 to 1. Of logits, say so: "scores": "logit" in the line; divide percentages by 100'
+_VALUES = 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)'
+_Pixels = Annotated[int, Meta(ge=1, le=65536, description=_PIXELS)]  # more is taken for a mistake
+_Coordinate = Annotated[float, Meta(ge=-4 * 65536, le=4 * 65536)]
+_Component = Annotated[float, Meta(ge=-2, le=2, description="a number from -2 to 2")]
+_Score = Annotated[Finite, Meta(description=_SCORE)]
+_Label = Annotated[str, Meta(description="text")]
+_PROJECTION = Meta(description='"equirectangular" or "perspective"')
+_SCORES = Meta(description='"probability" (the default) or "logit"')
+_FIELD = "a number from 0.1 to 179"
+_QUERY = "words, or no such key"
+_LOOK = "text or a whole number, the same for all views of a moment"
+_OBJECTS = Meta(description="a list of objects")
+_LEAN, _TURN = ("yaw_left_deg", "pitch_up_deg", "roll_right_deg"), ("qw", "qx", "qy", "qz")
+_OF_VIEWS = ("hfov_deg", *_LEAN, *_TURN)
+
+
+class _Image(msgspec.Struct, forbid_unknown_fields=True):
+    projection: Annotated[Literal["equirectangular", "perspective"], _PROJECTION] = "equirectangular"
+    width: _Pixels | None = None
+    height: _Pixels | None = None
+    hfov_deg: Annotated[float, Meta(ge=0.1, le=179, description=_FIELD)] | None = None
+    yaw_left_deg: Turn | None = None
+    pitch_up_deg: Tilt | None = None
+    roll_right_deg: Turn | None = None
+    qw: _Component | None = None
+    qx: _Component | None = None
+    qy: _Component | None = None
+    qz: _Component | None = None
+
+
+class _Box(msgspec.Struct, forbid_unknown_fields=True):
+    box: Annotated[tuple[_Coordinate, _Coordinate, _Coordinate, _Coordinate], Meta(description=_CORNERS.format(""))]
+    score: _Score | None = None
+    label: _Label | None = None
+
+
+class _Point(msgspec.Struct, forbid_unknown_fields=True):
+    azimuth_deg: Turn
+    elevation_deg: Tilt
+    spread_deg: Annotated[float, Meta(ge=0.1, le=180, description="a number from 0.1 to 180")] = math.nan
+    score: _Score | None = None
+    label: _Label | None = None
+
+
+class _Response(msgspec.Struct, forbid_unknown_fields=True):
+    rows: _Pixels
+    cols: _Pixels
+    values: Annotated[list[Finite], Meta(description=_VALUES)]
+
+
+class _Line(msgspec.Struct, forbid_unknown_fields=True):
+    stamp: Finite
+    query: Annotated[str | None, Meta(description=_QUERY)] = None
+    look: Annotated[str | int | None, Meta(description=_LOOK)] = None
+    image: Annotated[_Image | None, Meta(description="an object with width and height")] = None
+    boxes: Annotated[list[_Box] | None, _OBJECTS] = None
+    points: Annotated[list[_Point] | None, _OBJECTS] = None
+    response: Annotated[_Response | None, Meta(description="an object with rows, cols and values")] = None
+    scores: Annotated[Literal["probability", "logit"], _SCORES] = "probability"
+
+
+# --- records ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +142,7 @@ class Record:
     ) -> Evidence:
         """The evidence for `query`. On a line without a query of its own, items with another label are left out.
 
-        `among`: the labels of all lines, of which those that `query` names best are meant (`eagor.perception.labels`);
+        `among`: the labels of all lines, of which those that `query` names best are meant (`fitting`);
         default: those of this line. Boxes and points are detections of `detector` (default: `DetectorModel()`); with a
         `calibration` they are read as a response map instead. A point with a spread of its own keeps it.
         """
@@ -98,13 +165,7 @@ def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
 
     All views of one `look` get the mean of their stamps.
     """
-    records: list[Record] = []
-    for line, where in json_lines(path):
-        try:
-            records.append(parse_record(line))
-        except EagorError as error:
-            raise misplaced(error, where) from error
-    name = os.fspath(path)
+    records, name = [record for record, _ in parsed_lines(path, parse_record)], os.fspath(path)
     if not records:
         raise FormatError(f"{name} holds no records; wanted one JSON object per line, at least one")
     return tuple(sorted(_joined(records, name), key=lambda r: r.stamp))
@@ -127,38 +188,26 @@ def _joined(records: Sequence[Record], name: str) -> list[Record]:
 
 def parse_record(line: str | bytes) -> Record:
     """One line as a `Record`. Raises `FormatError`, which says what is wrong and what is wanted."""
-    entry = object_of(line)
-    only(entry, KEYS, "a line")
-    stamp = number(entry, "stamp")
-    query, look = entry.get("query"), entry.get("look")
-    need(query is None or (isinstance(query, str) and words_of(query) != []), "query", query, "words, or no such key")
-    is_id = isinstance(look, str | int) and not isinstance(look, bool) and look != ""
-    need(look is None or is_id, "look", look, "text or a whole number, the same for all views of a moment")
-    look, scores = None if look is None else str(look), score_kind(entry)
-    kinds = [kind for kind in KINDS if entry.get(kind) is not None]
+    entry = checked(object_of(line), _Line, "a line", noted=True, hints=HINTS)
+    stamp, query, logits = entry.stamp, entry.query, entry.scores == "logit"
+    need(query is None or words_of(query) != [], "query", query, _QUERY)
+    need(entry.look != "", "look", entry.look, _LOOK)
+    look, image = None if entry.look is None else str(entry.look), entry.image or _Image()
+    kinds = [kind for kind in KINDS if getattr(entry, kind) is not None]
     if len(kinds) != 1:
         raise FormatError(f"has {' and '.join(kinds) or 'none'} of boxes, points, response; wanted exactly one")
-    kind, image = kinds[0], {} if entry.get("image") is None else entry["image"]
-    need(isinstance(image, dict), "image", image, "an object with width and height")
-    if kind == "response":
-        rows, columns, values = _response(entry["response"], scores)
-        grid = view_of(image, rows, columns) or PatchGrid(rows, columns)
-        return Record(stamp, query, kind, grid, values.reshape(rows, columns), np.zeros(0), (), look)
-    items = entry[kind]
-    need(isinstance(items, list) and all(isinstance(i, dict) for i in items), kind, items, "a list of objects")
-    for item in items:
-        only(item, OF_ITEMS[kind], f"an item of {kind}")
-    found = np.array([1.0 if item.get("score") is None else probability(item["score"], scores) for item in items])
-    labels = tuple(item.get("label") for item in items)
-    need(all(label is None or isinstance(label, str) for label in labels), "label", labels, "text")
-    grid = view_of(image)
-    if kind == "boxes":
-        height, width = size(image, "height"), size(image, "width")
-        values = np.array([_box(item.get("box"), height, width, grid is None) for item in items]).reshape(-1, 4)
-        grid = grid or ErpGrid(height, width)
-    else:
-        values = np.radians([_point(item) for item in items]).reshape(-1, 3)
-    return Record(stamp, query, kind, grid, values, found, labels, look)
+    if entry.response is not None:
+        values = _response(entry.response, logits)
+        grid = _view_of(image, *values.shape) or PatchGrid(*values.shape)
+        return Record(stamp, query, "response", grid, values, np.zeros(0), (), look)
+    items, grid = entry.boxes if entry.boxes is not None else entry.points or (), _view_of(image)
+    scores, labels = _probabilities(items, logits), tuple(each.label for each in items)
+    if entry.boxes is None:
+        points = [(each.azimuth_deg, each.elevation_deg, each.spread_deg) for each in entry.points or ()]
+        return Record(stamp, query, "points", grid, np.radians(points).reshape(-1, 3), scores, labels, look)
+    height, width = _size(image)
+    values = np.array([_box(each.box, height, width, grid is None) for each in entry.boxes]).reshape(-1, 4)
+    return Record(stamp, query, "boxes", grid or ErpGrid(height, width), values, scores, labels, look)
 
 
 def write_record(
@@ -193,38 +242,76 @@ def write_record(
     file.flush()
 
 
-def _box(box: Any, height: int, width: int, panorama: bool) -> list[float]:
+def _size(image: _Image) -> tuple[int, int]:
+    """Height and width in pixels."""
+    for side in ("height", "width"):
+        need(getattr(image, side) is not None, side, None, _PIXELS)
+    return image.height or 0, image.width or 0
+
+
+def _view_of(image: _Image, rows: int = 0, columns: int = 0) -> PerspectiveGrid | None:
+    """The perspective view that `image` describes, in pixels or in `rows` and `columns`; None for a panorama."""
+    told = {key: value for key in _OF_VIEWS if (value := getattr(image, key)) is not None}
+    if image.projection == "equirectangular":
+        if told:
+            raise FormatError(
+                f"{next(iter(told))} is for a perspective image, and this one is a panorama; add "
+                '"projection": "perspective" to image, or leave the key out'
+            )
+        return None
+    height, width = (rows, columns) if rows else _size(image)
+    need(max(height, width) <= LONGEST * min(height, width), "image", (width, height), f"sides up to {LONGEST}:1")
+    need("hfov_deg" in told, "hfov_deg", None, _FIELD)
+    return PerspectiveGrid(height, width, math.radians(told.pop("hfov_deg")), _body_R_view(told))
+
+
+def _body_R_view(told: Mapping[str, float]) -> np.ndarray:
+    """Where a view looks ``(3, 3)``: a quaternion, or angles in degrees."""
+    turn, angles = [key for key in told if key in _TURN], [key for key in told if key not in _TURN]
+    if turn and angles:
+        raise FormatError(f"has {turn[0]} and {angles[0]}; wanted the quaternion qw, qx, qy, qz or angles, not both")
+    if not turn:
+        yaw, pitch, roll = (math.radians(told.get(key, 0.0)) for key in _LEAN)
+        return world_R_body(yaw, -pitch, roll)  # in REP-103 a positive pitch turns the nose down
+    for key in _TURN:
+        need(key in told, key, None, "a number from -2 to 2")
+    wxyz = np.array([told[key] for key in _TURN])
+    length = float(np.linalg.norm(wxyz))
+    need(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), "1 (a rotation, body_R_view)")
+    sine = float(np.linalg.norm(wxyz[1:]))
+    return rotation(wxyz[1:], 2 * math.atan2(sine, wxyz[0])) if sine > 0 else np.eye(3)
+
+
+def _box(box: tuple[float, float, float, float], height: int, width: int, panorama: bool) -> list[float]:
     """The four pixel coordinates of a box that overlaps the image."""
-    wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
-    fine = isinstance(box, list) and len(box) == 4 and all(is_number(v) and abs(v) <= 4 * LARGEST for v in box)
-    need(fine, "box", box, wanted)
-    x0, y0, x1, y1 = (float(v) for v in box)
+    x0, y0, x1, y1 = box
     left, right = (x0, x1 + width * (x1 < x0)) if panorama else (max(x0, 0.0), min(x1, float(width)))
-    need(left < right <= left + width and max(y0, 0.0) < min(y1, float(height)), "box", box, wanted)
+    fine = left < right <= left + width and max(y0, 0.0) < min(y1, float(height))
+    need(fine, "box", [*box], _CORNERS.format(f"{width} x {height} "))
     return [x0, y0, x1, y1]
 
 
-def _point(item: dict) -> tuple[float, float, float]:
-    """Azimuth, elevation and spread (NaN if not given), degrees."""
-    azimuth, elevation = number(item, "azimuth_deg", -360, 360), number(item, "elevation_deg", -90, 90)
-    spread = math.nan if item.get("spread_deg") is None else number(item, "spread_deg", 0.1, 180)
-    return azimuth, elevation, spread
+def _response(response: _Response, logits: bool) -> np.ndarray:
+    """The values ``(rows, cols)`` float32."""
+    shape = response.rows, response.cols
+    fine = len(response.values) == shape[0] * shape[1]
+    need(fine, "values", f"{len(response.values)} values", f"rows * cols = {shape[0] * shape[1]} numbers")
+    wrong = [] if logits else [value for value in response.values if not 0 <= value <= 1]
+    need(not wrong, "values", wrong[:3], _VALUES)
+    table = np.array(response.values, dtype=np.float64).reshape(shape)
+    return (_squashed(table) if logits else table).astype(np.float32)
 
 
-def _response(response: Any, scores: str) -> tuple[int, int, np.ndarray]:
-    """Rows, columns and the values ``(rows * cols,)``."""
-    need(isinstance(response, dict), "response", response, "an object with rows, cols and values")
-    only(response, ("rows", "cols", "values"), "response")
-    rows, columns, values = size(response, "rows"), size(response, "cols"), response.get("values")
-    fine = isinstance(values, list) and len(values) == rows * columns
-    found = f"{len(values)} values" if isinstance(values, list) else values
-    need(fine, "values", found, f"rows * cols = {rows * columns} numbers")
-    wrong = [v for v in values if not (is_number(v) and (scores == "logit" or 0 <= v <= 1))]
-    need(not wrong, "values", wrong[:3], 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)')
-    table = np.array(values, dtype=np.float64)
-    if scores == "logit":
-        table = 1 / (1 + np.exp(-np.clip(table, -500, 500)))
-    return rows, columns, table.astype(np.float32)
+def _probabilities(items: Sequence[_Box] | Sequence[_Point], logits: bool) -> np.ndarray:
+    """The scores of boxes or points ``(n,)`` in [0, 1]; 1 where there is none."""
+    for item in items:
+        need(logits or item.score is None or 0 <= item.score <= 1, "score", item.score, _SCORE)
+    return np.array([1.0 if item.score is None else _squashed(item.score) if logits else item.score for item in items])
+
+
+def _squashed(logits: Any) -> Any:
+    """1 / (1 + exp(-x)), without overflow."""
+    return 1 / (1 + np.exp(-np.clip(logits, -500, 500)))
 
 
 def _plain(value: Any) -> Any:
@@ -232,3 +319,33 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+# --- labels -----------------------------------------------------------------------------------------------------------
+
+
+def fitting(query: str, labels: Iterable[str]) -> frozenset[str]:
+    """Those of `labels` that `query` means.
+
+    A label that is the query itself wins. Otherwise a label fits if all its words occur in the query ("chair" and "red
+    chair" fit "the big red chair"), or if the query means it by a plural, another name or a wider word ("fridge" means
+    "refrigerator", `eagor.perception.words.meant`). What follows a preposition is left out: "the chair by the table"
+    is no table.
+    """
+    known = tuple(dict.fromkeys(labels))
+    asked = words_of(query)
+    bare = [word for word in asked if word not in ARTICLES]
+    exact = frozenset(label for label in known if words_of(label) in (asked, bare) and words_of(label))
+    if exact:
+        return exact
+    place = next((at for at, word in enumerate(asked) if at and word in RELATIONS), len(asked))
+    thing = set(asked[:place])
+    named = {label for label in known if words_of(label) and thing.issuperset(words_of(label))}
+    with suppress(QueryError):  # which says that the words mean none of them
+        named.update(meant(query, known, described=True))
+    return frozenset(named)
+
+
+def words_of(text: str) -> list[str]:
+    """Lower-case words: runs of letters and digits of any script."""
+    return re.findall(r"\w+", text.casefold())

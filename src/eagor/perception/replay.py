@@ -1,6 +1,7 @@
 """A perception that reads recorded detections or responses by time stamp, one JSON object per line.
 
-Any detector can write the file; docs/replay-format.md describes it.
+Any detector can write the file; docs/replay-format.md describes it. A replay may have several views of one moment:
+`look` gives the evidence of each, and of any other perception the one that there is.
 """
 
 from __future__ import annotations
@@ -18,11 +19,20 @@ from eagor.errors import EagorError, FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
-from eagor.perception.labels import fitting
-from eagor.perception.records import Record, parse_record, read_records, write_record
+from eagor.perception import Perception
+from eagor.perception import look as one_look
+from eagor.perception.records import Record, fitting, parse_record, read_records, write_record
 from eagor.tracking.tracks import SAME_MOMENT
 
-__all__ = ["Record", "ReplayPerception", "parse_record", "read_records", "write_record"]
+__all__ = [
+    "Record",
+    "ReplayPerception",
+    "look",
+    "look_if_recorded",
+    "parse_record",
+    "read_records",
+    "write_record",
+]
 
 MOST_LABELS = 12  # in a sentence
 
@@ -147,3 +157,32 @@ class ReplayPerception:
                 "If they are views of one moment, use each of looks(query, stamp)"
             )
         return record.evidence(query, self.calibration, self.detector, self.labels)
+
+
+def look(
+    perception: Perception,
+    panorama: np.ndarray,
+    query: str,
+    stamp: float,
+    world_R_body: np.ndarray | None = None,
+) -> tuple[Evidence, ...]:
+    """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
+    if isinstance(perception, ReplayPerception):
+        return perception.looks(query, stamp)
+    return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
+
+
+def look_if_recorded(
+    perception: Perception,
+    panorama: np.ndarray,
+    query: str,
+    stamp: float,
+    world_R_body: np.ndarray | None = None,
+) -> tuple[Evidence, ...]:
+    """As `look`, but empty if a replay has no line for this time."""
+    try:
+        return look(perception, panorama, query, stamp, world_R_body)
+    except TimeError:
+        if isinstance(perception, ReplayPerception):
+            return ()
+        raise

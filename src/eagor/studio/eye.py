@@ -25,7 +25,7 @@ from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 from eagor.media.panorama import read_photograph
 from eagor.perception import load, rows_of
-from eagor.perception.looks import look_if_recorded
+from eagor.perception.replay import look_if_recorded
 from eagor.studio.houses import House, house_of, place_of
 from eagor.studio.kept import Kept, given_back
 from eagor.studio.orders import Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned

@@ -40,7 +40,7 @@ def offers(given: str | None = None) -> list[Offer]:
 
 def _missing(name: str) -> str:
     if name == "coco":
-        from eagor.perception.coco.store import COCO
+        from eagor.perception.coco import COCO
 
         if not COCO.path.is_file():
             return "Its weights are not here: run eagor models get coco, then reload the page."

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from eagor._json import parsed
-from eagor.drawing.animation import Thinned
+from eagor.drawing.timeline import Thinned
 from eagor.errors import FormatError
 from eagor.live.core import LiveCore
 from eagor.live.events import FrameCame, PoseCame

@@ -14,9 +14,9 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.perception import local_model, parse_options
-from eagor.perception.vlm.talk import IMAGE, Chat, Message, Said
+from eagor.perception.vlm.prompts import IMAGE, Chat, ChatReply, Message
 
-__all__ = ["IMAGE", "Chat", "Message", "Said", "digest", "load_chat", "shared_chat"]
+__all__ = ["IMAGE", "Chat", "ChatReply", "Message", "digest", "load_chat", "shared_chat"]
 
 
 def load_chat(spec: str) -> Chat:
@@ -44,7 +44,7 @@ def load_chat(spec: str) -> Chat:
         from eagor.perception.transformers.chat import LocalChat
 
         return local_model(LocalChat, place, parse_options(written))
-    from eagor.perception.endpoint.chat import chat_from_text
+    from eagor.perception.endpoint.server import chat_from_text
 
     return chat_from_text(spec)
 

@@ -3,22 +3,25 @@
 A graph model is a JSON file (operations, and a list of weights) and a file with the weights. Its pictures are laid out
 ``(1, h, w, c)``, those of ONNX ``(1, c, h, w)``. What is not understood is refused, never guessed: the result computes
 what the original does, to float32's rounding.
+
+The ONNX file is written without the package `onnx`, which is large: a network needs few messages of its format. That is
+Protocol Buffers: a message is a row of fields, each a number (which says what it is, shifted by three bits, and how it
+is written) and a value. The numbers are those of the ONNX specification, IR version 8.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from eagor.errors import FormatError
-from eagor.perception.coco.onnx_file import Graph
 
-__all__ = ["Output", "onnx_from_tfjs", "read_weights"]
+__all__ = ["Graph", "Output", "onnx_from_tfjs", "read_weights"]
 
 _STORED = {"float32": np.float32, "float16": np.float16, "int32": np.int32}
 
@@ -247,3 +250,101 @@ _OPERATIONS: dict[str, Callable[[_Conversion, Mapping[str, Any], list[str]], str
     "Sigmoid": _Conversion.sigmoid,
     "_FusedConv2D": _Conversion.convolution,
 }
+
+
+# --- ONNX files -------------------------------------------------------------------------------------------------------
+
+IR_VERSION, OPSET = 8, 18  # ONNX 1.13: onnxruntime reads it since 1.14
+
+_ELEMENTS = {np.dtype(np.float32): 1, np.dtype(np.int64): 7}  # TensorProto.DataType
+_INT, _STRING, _INTS = 2, 3, 7  # AttributeProto.AttributeType
+
+Attribute = int | str | Sequence[int]
+
+
+@dataclass
+class Graph:
+    """A network in the making: operations in the order in which they run, constants, inputs and outputs by name."""
+
+    name: str
+    _operations: list[bytes] = field(default_factory=list)
+    _constants: dict[str, bytes] = field(default_factory=dict)
+    _inputs: list[bytes] = field(default_factory=list)
+    _outputs: list[bytes] = field(default_factory=list)
+
+    def constant(self, name: str, values: np.ndarray) -> str:
+        """Keep `values` (float32 or int64) under `name`, once, and return the name."""
+        if name not in self._constants:
+            kind = _ELEMENTS[values.dtype]
+            dims = b"".join(_number_field(1, size) for size in values.shape)
+            raw = np.asarray(values, values.dtype.newbyteorder("<")).tobytes()
+            self._constants[name] = dims + _number_field(2, kind) + _text_field(8, name) + _bytes_field(9, raw)
+        return name
+
+    def operation(self, kind: str, inputs: Sequence[str], output: str, **attributes: Attribute) -> str:
+        """Add the ONNX operator `kind`, and return the name of its one output. An input left out is an empty name."""
+        named = (
+            b"".join(_text_field(1, name) for name in inputs)
+            + _text_field(2, output)
+            + _text_field(3, output)
+            + _text_field(4, kind)
+        )
+        written = b"".join(_bytes_field(5, _attribute_fields(key, value)) for key, value in sorted(attributes.items()))
+        self._operations.append(named + written)
+        return output
+
+    def input(self, name: str, shape: Sequence[int]) -> str:
+        """Add a float32 input, and return its name."""
+        self._inputs.append(_tensor_fields(name, shape))
+        return name
+
+    def output(self, name: str, shape: Sequence[int]) -> None:
+        """What is called `name` is an output, float32."""
+        self._outputs.append(_tensor_fields(name, shape))
+
+    def file(self, metadata: Mapping[str, str]) -> bytes:
+        """The content of the ONNX file; the same graph always gives the same bytes."""
+        graph = b"".join(_bytes_field(1, operation) for operation in self._operations) + _text_field(2, self.name)
+        graph += b"".join(_bytes_field(5, constant) for constant in self._constants.values())
+        graph += b"".join(_bytes_field(11, value) for value in self._inputs)
+        graph += b"".join(_bytes_field(12, value) for value in self._outputs)
+        notes = b"".join(_bytes_field(14, _text_field(1, key) + _text_field(2, text)) for key, text in metadata.items())
+        operators = _bytes_field(8, _text_field(1, "") + _number_field(2, OPSET))
+        return _number_field(1, IR_VERSION) + _text_field(2, "eagor") + _bytes_field(7, graph) + operators + notes
+
+
+def _varint(number: int) -> bytes:
+    """Seven bits to a byte, lowest first; negative ones as 64 bits."""
+    number &= (1 << 64) - 1
+    found = bytearray()
+    while number > 0x7F:
+        found.append(number & 0x7F | 0x80)
+        number >>= 7
+    found.append(number)
+    return bytes(found)
+
+
+def _number_field(which: int, number: int) -> bytes:
+    return _varint(which << 3) + _varint(number)
+
+
+def _bytes_field(which: int, content: bytes) -> bytes:
+    return _varint(which << 3 | 2) + _varint(len(content)) + content
+
+
+def _text_field(which: int, text: str) -> bytes:
+    return _bytes_field(which, text.encode())
+
+
+def _attribute_fields(name: str, value: Attribute) -> bytes:
+    if isinstance(value, str):
+        return _text_field(1, name) + _text_field(4, value) + _number_field(20, _STRING)
+    if isinstance(value, int):
+        return _text_field(1, name) + _number_field(3, value) + _number_field(20, _INT)
+    return _text_field(1, name) + b"".join(_number_field(8, each) for each in value) + _number_field(20, _INTS)
+
+
+def _tensor_fields(name: str, shape: Sequence[int]) -> bytes:
+    dims = b"".join(_bytes_field(1, _number_field(1, size)) for size in shape)
+    tensor = _number_field(1, _ELEMENTS[np.dtype(np.float32)]) + _bytes_field(2, dims)
+    return _text_field(1, name) + _bytes_field(2, _bytes_field(1, tensor))

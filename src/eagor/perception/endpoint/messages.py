@@ -15,9 +15,7 @@ from PIL import Image
 from eagor._checks import whole, within
 from eagor._lazy import lazy
 from eagor.errors import AnswerError
-from eagor.perception.vlm.boxes import without_thoughts
-from eagor.perception.vlm.presence import means
-from eagor.perception.vlm.tokens import Token
+from eagor.perception.vlm.answers import Token, means, without_thoughts
 
 LIKELIEST = 10  # alternatives per token whose probabilities are requested
 

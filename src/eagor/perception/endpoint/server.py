@@ -1,4 +1,4 @@
-"""A model on a server, and the limits of asking it: concurrency, timeout, retries.
+"""A model on a server, the limits of asking it (concurrency, timeout, retries), and conversations with it.
 
 Requests run on an event loop in a thread of its own. Only there can a whole exchange have one deadline, whatever the
 server does meanwhile (a byte now and then, endless headers), and be cancelled at any moment.
@@ -17,14 +17,27 @@ from functools import lru_cache
 from typing import Any, TypeVar
 from urllib.parse import parse_qsl
 
+import numpy as np
+
 from eagor._checks import above, require, whole, within
 from eagor._extras import need
 from eagor._secrets import redacted
-from eagor.errors import EagorError, QueryError
-from eagor.perception.endpoint.addresses import DEFAULT_SERVER, checked_address, place_of, shown_address
-from eagor.perception.endpoint.faults import Asked, explained, message, refused_feature, retry_after, worth_retrying
-from eagor.perception.endpoint.messages import Answer, Request
-from eagor.perception.endpoint.transport import client_of
+from eagor.errors import AnswerError, EagorError, QueryError
+from eagor.perception.endpoint.client import (
+    DEFAULT_SERVER,
+    Asked,
+    checked_address,
+    client_of,
+    explained,
+    message,
+    place_of,
+    refused_feature,
+    retry_after,
+    shown_address,
+    worth_retrying,
+)
+from eagor.perception.endpoint.messages import Answer, Picture, Request
+from eagor.perception.vlm.prompts import IMAGE, MAX_TOKENS, ChatReply, Message
 
 LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
 _LONGEST = 86400.0  # longest timeout, seconds: sockets store timeouts in few bits
@@ -39,7 +52,6 @@ class Asker:
 
     `model`: its name there, empty for the server's only model. `servers`: the server's address, mostly ending in
     ``/v1``, in a tuple of one: several servers need a proxy. The rest: docs/models.md.
-    ending in ``/v1``, in a tuple of one: several want a proxy before them. The rest: docs/models.md.
     """
 
     model: str = ""
@@ -257,3 +269,60 @@ def _loop(_process: int) -> asyncio.AbstractEventLoop:
 def _close(client: Any) -> None:
     """Close the connections."""
     asyncio.run_coroutine_threadsafe(client.close(), _loop(os.getpid()))
+
+
+# --- conversations ----------------------------------------------------------------------------------------------------
+
+QUALITY = 85  # of JPEG, as in H*Bench's runner
+_AT_ONCE = 1024  # requests at once: the number of workers is the limit
+
+
+@dataclass(frozen=True, repr=False)
+class ServedChat(Asker):
+    """A `eagor.perception.vlm.prompts.Chat` with a model on an OpenAI-compatible server.
+
+    Attributes, in addition to those of `eagor.perception.endpoint.server.Asker`:
+        temperature, max_tokens: of a reply.
+        quality: of the JPEG pictures that are sent, 1 to 100; 0 sends PNG.
+
+    Raises `EagorError` for invalid values.
+    """
+
+    temperature: float = 0.0
+    max_tokens: int = MAX_TOKENS
+    quality: int = QUALITY
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "temperature": (within(self.temperature, 0), "0 or more"),
+            "max_tokens": (whole(self.max_tokens, 1), "a whole number, 1 or more"),
+            "quality": (whole(self.quality, 0, 100), "a whole number from 0 to 100"),
+        }
+        require(self, wanted)
+        super().__post_init__()
+
+    def __call__(self, messages: Sequence[Message]) -> ChatReply:
+        """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` for a reply without text."""
+        return self._said(messages, self.max_tokens)
+
+    def check(self) -> None:
+        """Ask for one word about a grey picture, to test the setup before a long run; ignores an empty reply."""
+        grey = np.full((112, 112, 3), 128, dtype=np.uint8)
+        with suppress(AnswerError):
+            self._said([Message("user", f"{IMAGE}\nWhat is this?", (grey,))], 1)
+
+    def _said(self, messages: Sequence[Message], max_tokens: int) -> ChatReply:
+        said = [(message.role, [self._part(part) for part in message.parts()]) for message in messages]
+        asked = Request(said, max_tokens, self.temperature, silence=True)
+        (answer,) = self._server(_AT_ONCE, self.max_tokens).ask([asked])
+        return ChatReply(answer.text, answer.prompt_tokens, answer.completion_tokens)
+
+    def _part(self, part: str | np.ndarray) -> str | Picture:
+        if isinstance(part, str):
+            return part
+        return Picture(part, "jpeg", self.quality) if self.quality else Picture(part)
+
+
+def chat_from_text(text: str) -> ServedChat:
+    """The model named by ``MODEL@ADDRESS[?option=value&...]``; see `eagor.perception.endpoint.server.named`."""
+    return named(ServedChat, text)

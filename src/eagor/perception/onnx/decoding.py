@@ -1,4 +1,4 @@
-"""From the outputs of a network to boxes: one function for each way in which detectors write them.
+"""From the outputs of a network to boxes: one function for each way in which detectors write them; suppression.
 
 Each takes the outputs that its layout names, the `Frame`, and gives `Found`: boxes x0, y0, x1, y1 in pixels of the
 network's input. A box comes once for each of its classes that reaches the threshold.
@@ -15,7 +15,8 @@ import numpy as np
 from eagor.errors import ResponseError
 
 STRIDES = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32))  # of the grids that YOLO networks look at
-MOST = 30_000  # boxes of a picture that are read on: the best
+MOST_READ = 30_000  # boxes of a picture that are read on: the best
+MOST_COMPARED = 2000  # boxes that are compared with each other: the best
 _SLACK = 1e-3  # by which a probability of 16 bits may leave [0, 1]
 
 
@@ -76,10 +77,10 @@ def of_table(boxes: np.ndarray, scores: np.ndarray, frame: Frame) -> Found:
 
 
 def _best(scores: np.ndarray) -> np.ndarray | slice:
-    """The places of the `MOST` best, in their order; of equal scores the earlier is the better."""
-    if len(scores) <= MOST:
+    """The places of the `MOST_READ` best, in their order; of equal scores the earlier is the better."""
+    if len(scores) <= MOST_READ:
         return slice(None)
-    return np.sort(np.argsort(-scores, kind="stable")[:MOST])
+    return np.sort(np.argsort(-scores, kind="stable")[:MOST_READ])
 
 
 def of_list(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray, frame: Frame) -> Found:
@@ -224,3 +225,42 @@ def centernet(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
     x, y = column * frame.size[1] / scores.shape[2], row * frame.size[0] / scores.shape[1]
     left, top, right, bottom = distances[:, row, column]
     return Found(np.stack([x - left, y - top, x + right, y + bottom], axis=1), scores[kind, row, column], kind)
+
+
+# --- suppression ------------------------------------------------------------------------------------------------------
+
+
+def overlaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Intersection over union ``(n, m)`` of `boxes` ``(n, 4)`` and `others` ``(m, 4)``; x0, y0, x1, y1.
+
+    Boxes without area overlap nothing.
+    """
+    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    shared = np.prod(np.clip(high - low, 0, None), axis=-1)
+    areas, further = (np.prod(np.clip(b[:, 2:] - b[:, :2], 0, None), axis=-1) for b in (boxes, others))
+    union = areas[:, None] + further[None, :] - shared
+    return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+
+
+def kept(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray | None = None, most: float = 0.5) -> np.ndarray:
+    """The places ``(k,)`` of the boxes that stay, the best first.
+
+    A box falls if a better one that stays has its class and overlaps it by more than `most` (intersection over union).
+    Of equal scores the earlier is the better. `boxes` ``(n, 4)``, `scores` ``(n,)``, `classes` ``(n,)`` whole numbers
+    (None: all are of one). Beyond the best `MOST_COMPARED` boxes none stays.
+    """
+    order = np.argsort(-np.asarray(scores), kind="stable")[:MOST_COMPARED]
+    boxes = np.asarray(boxes, dtype=np.float32)[order]
+    beats = np.triu(overlaps(boxes, boxes) > most, 1)  # [better, worse]
+    if classes is not None:
+        own = np.asarray(classes)[order]
+        beats &= own[:, None] == own[None, :]
+    beats = beats.astype(np.float32)
+    # What falls depends on better boxes only: each pass settles at least one more rank, few passes settle all.
+    stays = np.ones(len(order), dtype=bool)
+    while True:
+        again = (stays.astype(np.float32) @ beats) == 0
+        if np.array_equal(again, stays):
+            return order[stays]
+        stays = again

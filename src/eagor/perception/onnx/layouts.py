@@ -13,21 +13,7 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.perception.onnx import decoding
 from eagor.perception.onnx.decoding import STRIDES, Found, Frame, cells_in
-from eagor.perception.onnx.inputs import Fit, Order, Values
-
-
-@dataclass(frozen=True)
-class Output:
-    """An output as it came: its name, its shape, whether it holds whole numbers."""
-
-    name: str
-    shape: tuple[int, ...]
-    whole: bool = False
-
-    @property
-    def plain(self) -> str:
-        """The name in small letters, without a path before it or the ``:0`` of TensorFlow after it."""
-        return self.name.lower().rpartition("/")[2].removesuffix(":0")
+from eagor.perception.onnx.network import Fit, Order, Output, Values
 
 
 @dataclass(frozen=True)
@@ -173,10 +159,6 @@ def _boxes_and_logits(graph: Graph) -> tuple[int, ...] | None:
     return (boxes[0], others[0]) if box[:2] == logits[:2] and box[-1] == 4 else None
 
 
-def _boxes_in_one(graph: Graph) -> tuple[int, ...] | None:
-    return _boxes_and_logits(graph) or _table(5)(graph)
-
-
 def _dets_and_labels(graph: Graph) -> tuple[int, ...] | None:
     boxes = [a for a, o in enumerate(graph.outputs) if len(o.shape) == 3 and o.shape[-1] == 5 and not o.whole]
     labels = [a for a, o in enumerate(graph.outputs) if len(o.shape) == 2 and o.whole]
@@ -250,10 +232,6 @@ def _always(graph: Graph) -> bool:
     return True
 
 
-def _told_the_size(graph: Graph) -> bool:
-    return "orig_target_sizes" in graph.inputs
-
-
 _TFLITE = "tflite_detection_postprocess"
 LAYOUTS: dict[str, Layout] = {
     "yolov5": Layout(
@@ -300,7 +278,8 @@ LAYOUTS: dict[str, Layout] = {
     "rtdetr": Layout(
         "boxes (1, n, 4) centre and size as fractions, logits (1, n, C) (RT-DETR, D-FINE); or one output (1, n, 4 + C) "
         "with probabilities",
-        _boxes_in_one, decoding.rtdetr, lambda graph: "rtdetr" in (_queries(graph), _family(graph)),
+        lambda graph: _boxes_and_logits(graph) or _table(5)(graph), decoding.rtdetr,
+        lambda graph: "rtdetr" in (_queries(graph), _family(graph)),
         lambda shapes: shapes[1][2] if len(shapes) > 1 else shapes[0][2] - 4, fit="stretch", suppress=False,
     ),
     "rfdetr": Layout(
@@ -310,7 +289,7 @@ LAYOUTS: dict[str, Layout] = {
     ),
     "rtdetr-boxes": Layout(
         "boxes (1, n, 4) by corners in pixels, labels (1, n), scores (1, n), and an input orig_target_sizes",
-        _three(True), decoding.listed, _told_the_size, fit="stretch", suppress=False,
+        _three(True), decoding.listed, lambda graph: "orig_target_sizes" in graph.inputs, fit="stretch", suppress=False,
     ),
     "torchvision": Layout(
         "boxes (n, 4) by corners in pixels, labels (n,) whole numbers, scores (n,)", _three(False), decoding.listed,

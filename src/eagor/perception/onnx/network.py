@@ -1,21 +1,29 @@
-"""A detector's file, opened: what goes in, how large, what comes out, what the file says about itself."""
+"""Networks in ONNX files, run by onnxruntime: how the package opens and runs them all, and a detector's in particular.
+
+A file may come from anywhere. Its weights come from its own folder alone, and a run ends after `SECONDS`. `Network` is
+a detector's file: what goes in, how large, what comes out, what the file says about itself. `place` and `tensor` put a
+picture into its input, `Placed.back` brings boxes back.
+"""
 
 from __future__ import annotations
 
 import ast
 import math
+import mmap
 import os
+import threading
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
+from PIL import Image
 
 from eagor._extras import need
 from eagor.errors import EagorError
-from eagor.perception.onnx.layouts import Output
-from eagor.perception.sessions import run, session
 
+SECONDS = 120.0  # that one run may take; the slowest detectors take some seconds on a robot
 Size = tuple[int, int]
 
 LARGEST = 8192  # rows or columns of an input
@@ -25,6 +33,88 @@ _DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(d
            "tensor(uint8)": np.uint8}  # fmt: skip
 _WHOLE = {"tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(bool)": np.bool_}
 _SIZES = ("orig_target_sizes", "orig_size", "target_sizes")  # inputs that want columns, rows
+
+
+def session(file: str | os.PathLike[str], threads: int = 1) -> Any:
+    """The network in `file`, ready to run on the CPU, on `threads` cores: the machine's others belong to the caller.
+
+    Raises `ValueError` for weights beside the file that lie elsewhere, and what onnxruntime raises for a file that it
+    cannot read; the caller has checked that onnxruntime is there.
+    """
+    import onnxruntime
+
+    if strange := _stranger(Path(file)):
+        raise ValueError(f"it names {strange} beside it, which is a link out of its folder, or no file")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    options.log_severity_level = 4  # only what ends the process: notes on an export help nobody, faults are raised
+    return onnxruntime.InferenceSession(os.fspath(file), options, providers=["CPUExecutionProvider"])
+
+
+def run(network: Any, feed: Mapping[str, Any], seconds: float | None = None) -> list[Any]:
+    """All outputs of a `session` for `feed`, by name of the input.
+
+    Raises `TimeoutError` after `seconds` (default: `SECONDS`), else what onnxruntime raises.
+    """
+    import onnxruntime
+
+    options, most = onnxruntime.RunOptions(), SECONDS if seconds is None else seconds
+    options.log_severity_level = 4
+
+    def end() -> None:
+        options.terminate = True
+
+    timer = threading.Timer(most, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        return network.run(None, feed, options)
+    except Exception as error:
+        if options.terminate:
+            raise TimeoutError(f"it has not ended after {most:g} seconds") from error
+        raise
+    finally:
+        timer.cancel()
+
+
+def _stranger(file: Path) -> Path | None:
+    """What the model may read as weights and is not in its folder: a link that leads out of it, a pipe, a device.
+
+    A model with weights elsewhere says "location" and their path; other models are not looked at further. Caches of
+    downloads keep the model itself and its weights as links into one other folder; these are fine.
+    """
+    if not file.stat().st_size:
+        return None
+    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        if content.find(b"location") < 0:
+            return None
+        homes = {Path(os.path.realpath(file.parent)), Path(os.path.realpath(file)).parent}
+        folders = [file.parent]
+        while folders:
+            for entry in folders.pop().iterdir():
+                if entry.name == file.name or content.find(os.fsencode(entry.name)) < 0:
+                    continue
+                if entry.is_dir() and not entry.is_symlink():
+                    folders.append(entry)
+                    continue
+                real = Path(os.path.realpath(entry))
+                if homes.isdisjoint(real.parents) or not (real.is_dir() or real.is_file()):
+                    return entry
+    return None
+
+
+@dataclass(frozen=True)
+class Output:
+    """An output as it came: its name, its shape, whether it holds whole numbers."""
+
+    name: str
+    shape: tuple[int, ...]
+    whole: bool = False
+
+    @property
+    def plain(self) -> str:
+        """The name in small letters, without a path before it or the ``:0`` of TensorFlow after it."""
+        return self.name.lower().rpartition("/")[2].removesuffix(":0")
 
 
 class Network:
@@ -173,3 +263,64 @@ def _size(asked: Any) -> Size:
 
 def _first_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+
+
+# --- a picture into the input -----------------------------------------------------------------------------------------
+
+Fit = Literal["letterbox", "corner", "stretch"]
+Values = Literal["unit", "byte", "signed", "imagenet"]
+Order = Literal["rgb", "bgr"]
+FITS, VALUES, ORDERS = get_args(Fit), get_args(Values), get_args(Order)
+
+PAD = 114  # grey beside a letterboxed picture, as the YOLO family is trained
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours in [0, 1], red first
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where a picture of ``shape`` (h, w) lies in the input: input pixel = scale * picture pixel + offset (x, y)."""
+
+    shape: tuple[int, int]
+    scale: tuple[float, float]
+    offset: tuple[float, float]
+
+    def back(self, boxes: np.ndarray) -> np.ndarray:
+        """`boxes` ``(n, 4)`` in pixels of the input, in pixels of the picture; nothing is cut off."""
+        return (boxes - np.tile(self.offset, 2)) / np.tile(self.scale, 2)
+
+
+def place(picture: np.ndarray, size: tuple[int, int], fit: Fit) -> tuple[np.ndarray, Placed]:
+    """`picture` ``(h, w, 3)`` uint8 in an input of `size` (rows, columns), and where it lies there.
+
+    ``letterbox`` keeps its shape and centres it on grey, ``corner`` puts it at the top left, ``stretch`` fills all.
+    """
+    (rows, columns), (height, width) = size, picture.shape[:2]
+    if fit == "stretch":
+        inner = size
+    else:
+        scale = min(rows / height, columns / width)
+        inner = max(1, min(rows, round(height * scale))), max(1, min(columns, round(width * scale)))
+    top, left = ((rows - inner[0]) // 2, (columns - inner[1]) // 2) if fit == "letterbox" else (0, 0)
+    if inner != (height, width):
+        picture = np.asarray(Image.fromarray(picture).resize((inner[1], inner[0]), Image.Resampling.BILINEAR))
+    placed = Placed((height, width), (inner[1] / width, inner[0] / height), (float(left), float(top)))
+    if inner == size:
+        return picture, placed
+    canvas = np.full((rows, columns, 3), PAD, dtype=np.uint8)
+    canvas[top : top + inner[0], left : left + inner[1]] = picture
+    return canvas, placed
+
+
+def tensor(canvas: np.ndarray, values: Values, order: Order, dtype: np.dtype, channels_first: bool) -> np.ndarray:
+    """`canvas` ``(h, w, 3)`` uint8 RGB as a network takes it, without the axis of the batch.
+
+    `values`: ``byte`` 0 to 255, ``unit`` 0 to 1, ``signed`` -1 to 1, ``imagenet`` standardised by the mean and the
+    deviation of ImageNet's colours. A uint8 input takes the bytes as they are.
+    """
+    found = canvas if dtype == np.uint8 else canvas.astype(np.float32)
+    if dtype != np.uint8 and values != "byte":
+        found = found / 127.5 - 1 if values == "signed" else found / 255
+        if values == "imagenet":
+            found = (found - np.array(_MEAN, np.float32)) / np.array(_STD, np.float32)
+    found = found[..., ::-1] if order == "bgr" else found
+    return np.ascontiguousarray(found.transpose(2, 0, 1) if channels_first else found, dtype=dtype)

@@ -20,16 +20,15 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.transformers.looker import Account, Looker
-from eagor.perception.vlm.families import Extractor, Family, chosen, family_of
-from eagor.perception.vlm.found import WHOLE, Thing, detected, things, united
+from eagor.perception.vlm.families import Account, Extractor, Family, LoadedModel, chosen, family_of
+from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
 from eagor.perception.vlm.prompts import phrase
 
 if TYPE_CHECKING:
-    from eagor.perception.transformers.heads import Heads
+    from eagor.perception.transformers.attention import Heads
     from eagor.perception.vlm.labelled import Labelled
 
-__all__ = ["Looker", "TransformersPerception", "family_of"]
+__all__ = ["LoadedModel", "TransformersPerception", "family_of"]
 
 _VIEW_FIELD = math.radians(100)
 
@@ -64,7 +63,7 @@ class TransformersPerception:
 
     def __init__(
         self,
-        model: str | Looker,
+        model: str | LoadedModel,
         extractor: str | None = None,
         per_view: str | None = None,
         pixels: int | None = None,
@@ -91,7 +90,7 @@ class TransformersPerception:
                 presence=presence, revision=revision, device=device, dtype=dtype, max_tokens=max_tokens, batch=batch,
                 threshold=threshold,
             )  # fmt: skip
-        self.looker = model
+        self.loaded = model
         self.extractor: Extractor = chosen(extractor or self.family.default(heads), self.family, "extractor")
         self.per_view: Extractor = chosen(per_view or self.family.per_view, self.family, "per_view")
         if self.per_view == "views":
@@ -100,12 +99,12 @@ class TransformersPerception:
     @property
     def family(self) -> Family:
         """The model's family."""
-        return self.looker.family
+        return self.loaded.family
 
     @property
     def rows(self) -> int:
         """Rows of a panorama at the model's full resolution."""
-        return round(math.pi * self._cut()[0].focal) if self.extractor == "views" else self.looker.size(2.0)[0]
+        return round(math.pi * self._cut()[0].focal) if self.extractor == "views" else self.loaded.size(2.0)[0]
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in `panorama` ``(H, W, 3)`` uint8.
@@ -132,14 +131,14 @@ class TransformersPerception:
         It is on cells with the pose of `grid` (`eagor.perception.partial.ViewPerception`). With the extractor
         ``views``, the picture is the only view. Errors as for a call.
         """
-        from eagor.perception.vlm.views import filled, framed
+        from eagor.perception.vlm.projection import filled, framed
 
         began = time.perf_counter()
         phrase(query)
         aspect = grid.width / grid.height
-        size, shape = self.looker.size(aspect), self.looker.cells(aspect, self._each)
+        size, shape = self.loaded.size(aspect), self.loaded.cells(aspect, self._each)
         if size[0] * shape[1] != size[1] * shape[0]:  # the model sees only squares: its cells are square in a square
-            size, shape = self.looker.size(1.0), self.looker.cells(1.0, self._each)
+            size, shape = self.loaded.size(1.0), self.loaded.cells(1.0, self._each)
         picture, posed, inner = framed(image, grid, size)
         cells = replace(posed, height=shape[0], width=shape[1])
         coverage = None if inner == size else filled(shape, size, inner)
@@ -161,9 +160,9 @@ class TransformersPerception:
         """
         if "attention" not in self.family.extractors:
             raise EagorError(f"{self.family.title} has no attention heads to find; wanted a vision-language model")
-        from eagor.perception.transformers.heads import fit_heads, judged
+        from eagor.perception.transformers.attention import fit_heads, judged
 
-        model: Any = self.looker
+        model: Any = self.loaded
         views = self._cut() if self.extractor == "views" else ()
         looks = []
         for example in examples:
@@ -184,16 +183,16 @@ class TransformersPerception:
         return self.calibration is None and self._each == "boxes"
 
     def _response(self, shots: _Shots, queries: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None, Account]:
-        found, cost = self.looker.look(shots.pictures, shots.cells, queries, self._each)
+        found, cost = self.loaded.look(shots.pictures, shots.cells, queries, self._each)
         return *shots.combine(found), cost
 
-    def _things(self, shots: _Shots, query: str) -> tuple[list[list[Thing]], Account]:
+    def _things(self, shots: _Shots, query: str) -> tuple[list[list[Detection]], Account]:
         """The detections in each picture for one query, and their cost."""
-        boxes, cost = self.looker.boxes(shots.pictures, [query])
+        boxes, cost = self.loaded.boxes(shots.pictures, [query])
         return [things(ones[0], grid, roll) for ones, (grid, roll) in zip(boxes, shots.seen, strict=True)], cost
 
     def _source(self, shots: _Shots, cost: Account, began: float) -> dict[str, object]:
-        known = {"model": self.looker.name, "revision": self.looker.revision, "family": self.family.name}
+        known = {"model": self.loaded.name, "revision": self.loaded.revision, "family": self.family.name}
         return {**known, **shots.told, **cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
 
     def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
@@ -209,11 +208,11 @@ class TransformersPerception:
     def _whole(self, image: np.ndarray) -> _Shots:
         """The panorama at the model's size; with `seam` also rolled by half a turn."""
         from eagor.media.panorama import resized
-        from eagor.perception.vlm.seam import merged
+        from eagor.perception.vlm.projection import merged
 
         aspect = image.shape[1] / image.shape[0]
-        size = self.looker.size(aspect)
-        grid = PatchGrid(*self.looker.cells(aspect, self.extractor))
+        size = self.loaded.size(aspect)
+        grid = PatchGrid(*self.loaded.cells(aspect, self.extractor))
         picture, shift = resized(image, size, wrap=True), grid.width // 2
         told: dict[str, object] = {"extractor": self.extractor, "pixels": list(size)}
         if not self.seam:
@@ -229,15 +228,15 @@ class TransformersPerception:
 
     def _views(self, image: np.ndarray) -> _Shots:
         from eagor.media.cutting import cut
-        from eagor.perception.vlm.views import lift
+        from eagor.perception.vlm.projection import lift
 
         views = self._cut()
-        rows, cols = self.looker.cells(1.0, self.per_view)
+        rows, cols = self.loaded.cells(1.0, self.per_view)
         grids = [replace(view, height=rows, width=cols) for view in views]
         # Cells as fine as in the middle of a view.
         lines = max(12, min(90, round(math.pi * grids[0].focal)))
         told: dict[str, object] = {
-            "extractor": "views", "pixels": list(self.looker.size(1.0)), "per_view": self.per_view
+            "extractor": "views", "pixels": list(self.loaded.size(1.0)), "per_view": self.per_view
         }  # fmt: skip
         return _Shots(
             cut(image, *views),
@@ -251,4 +250,4 @@ class TransformersPerception:
         """The views that are cut out of a panorama."""
         from eagor.media.cutting import tangent_views
 
-        return tangent_views(min(self.looker.size(1.0)), _VIEW_FIELD)
+        return tangent_views(min(self.loaded.size(1.0)), _VIEW_FIELD)

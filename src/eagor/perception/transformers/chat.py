@@ -14,11 +14,11 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.media.panorama import checked_picture, resized
 from eagor.perception.vlm.families import Family
-from eagor.perception.vlm.talk import MAX_TOKENS, Message, Said
+from eagor.perception.vlm.prompts import MAX_TOKENS, ChatReply, Message
 
 
 class LocalChat:
-    """A `eagor.perception.vlm.talk.Chat` with a model on this machine. Thread-safe; calls run one at a time.
+    """A `eagor.perception.vlm.prompts.Chat` with a model on this machine. Thread-safe; calls run one at a time.
 
     Arguments as of `eagor.perception.transformers.TransformersPerception`, except `pixels`: the most pixels of a
     picture; None for the limit of the checkpoint's processor. Gemma 3, LLaVA and Janus-Pro always see one square of
@@ -48,7 +48,7 @@ class LocalChat:
         how: dict[str, Any] = {"revision": revision, "device": device, "dtype": dtype}
         self._language: Any = load_model(model, extractor="attention", pixels=pixels, **how)
 
-    def __call__(self, messages: Sequence[Message]) -> Said:
+    def __call__(self, messages: Sequence[Message]) -> ChatReply:
         """The reply to `messages`, with its token counts.
 
         Raises `EagorError` if conversation and reply are longer than the model allows, `ImageError` for an image that
@@ -57,8 +57,8 @@ class LocalChat:
         import torch
 
         from eagor.perception.transformers import inputs
+        from eagor.perception.transformers.inference import share
         from eagor.perception.transformers.language import stops_of
-        from eagor.perception.transformers.prefix import share
 
         language, family = self._language, self._language.family
         config, processor = language.model.config, language.processor
@@ -79,7 +79,7 @@ class LocalChat:
             logits = running.feed(prompt.suffix)
             answer = running.decode(logits, self._max_tokens, stops_of(language.model, language.tokenizer))
         text = language.tokenizer.decode(answer.ids[0], skip_special_tokens=True)
-        return Said(text.strip(), length, len(answer.ids[0]))
+        return ChatReply(text.strip(), length, len(answer.ids[0]))
 
     def _check_length(self, length: int, counts: Sequence[int]) -> None:
         longest = getattr(self._language.model.config.get_text_config(), "max_position_embeddings", None)

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any
 
 import numpy as np
 import torch
 
+from eagor._lazy import lazy
 from eagor.errors import EagorError, ImageError
 from eagor.media.panorama import resized
-from eagor.perception.transformers.layout import Block, Layout
-from eagor.perception.transformers.steps import Endless, limited_steps
-from eagor.perception.vlm.families import Family
-from eagor.perception.vlm.sizes import exact_size, nearest_size
+from eagor.perception.vlm.families import Family, exact_size, nearest_size
 
 _MOST_TILES = 12
 _MOST_STEPS = 2_000_000  # lines that a chat template may run: a hundred turns with pictures take about ten thousand
@@ -28,7 +28,69 @@ _MARK = "QUESTION"
 
 
 @dataclass(frozen=True)
-class Plan:
+class Block:
+    """Rows and columns of tokens, row by row, that cover a window of the image.
+
+    `window`: left, top, right, bottom as fractions of the image; it may extend beyond it (padding).
+    """
+
+    rows: int
+    cols: int
+    window: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+
+    @property
+    def count(self) -> int:
+        """Number of tokens."""
+        return self.rows * self.cols
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The blocks of an image in the order of its tokens, and the grid of cells ``(h, w)`` over the whole image."""
+
+    shape: tuple[int, int]
+    blocks: tuple[Block, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of image tokens."""
+        return sum(block.count for block in self.blocks)
+
+    @lazy
+    def _shares(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Per block, the share of each row of tokens in each row of cells ``(h, rows)``, and the same for columns."""
+        height, width = self.shape
+        found = []
+        for block in self.blocks:
+            left, top, right, bottom = block.window
+            found.append((_overlap(height, block.rows, top, bottom), _overlap(width, block.cols, left, right)))
+        return tuple(found)
+
+    def cells(self, tokens: np.ndarray) -> np.ndarray:
+        """Token values ``(..., count)``, spread evenly over their windows, as sums over cells ``(..., h, w)``."""
+        tokens = np.asarray(tokens)
+        if tokens.shape[-1] != self.count:
+            raise ValueError(f"{tokens.shape[-1]} values came for {self.count} image tokens")
+        if self.blocks == (Block(*self.shape),):  # tokens are cells
+            return tokens.reshape(*tokens.shape[:-1], *self.shape)
+        total, start = np.zeros((*tokens.shape[:-1], *self.shape), dtype=tokens.dtype), 0
+        for block, (down, across) in zip(self.blocks, self._shares, strict=True):
+            part = tokens[..., start : start + block.count].reshape(*tokens.shape[:-1], block.rows, block.cols)
+            total += (down @ part @ across.T).astype(tokens.dtype)
+            start += block.count
+        return total
+
+
+def _overlap(cells: int, tokens: int, start: float, end: float) -> np.ndarray:
+    """The share ``(cells, tokens)`` of each of `tokens` equal parts of [start, end] in each of `cells` of [0, 1]."""
+    token = start + (end - start) * np.arange(tokens + 1) / tokens
+    cell = np.arange(cells + 1) / cells
+    common = np.minimum(cell[1:, None], token[None, 1:]) - np.maximum(cell[:-1, None], token[None, :-1])
+    return np.where(common > 1e-12, common, 0.0) * (tokens / (end - start))
+
+
+@dataclass(frozen=True)
+class InputPlan:
     """How images of one aspect ratio are fed to a model.
 
     `size`: (height, width) in pixels to resize the image to; whole cells each way. `layout`: where its tokens look.
@@ -45,7 +107,7 @@ class Plan:
         return self.layout.shape
 
 
-def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) -> Plan:
+def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) -> InputPlan:
     """How an image with `aspect` (width over height) is fed to a model with this configuration.
 
     `pixels`: the most that it may have, if the family leaves a choice. Raises `ImageError` if no cell fits in them.
@@ -57,7 +119,7 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
     side = _first(vision.image_size)
     if family.fit == "squash":
         rows = math.isqrt(config.mm_tokens_per_image)
-        return Plan((side, side), Layout((rows, rows), (Block(rows, rows),)), side)
+        return InputPlan((side, side), Layout((rows, rows), (Block(rows, rows),)), side)
     rows = side // _first(vision.patch_size)
     if family.fit == "pad":
         return _padded(side, rows, aspect)
@@ -66,7 +128,7 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
 
 def picture_plan(
     family: Family, config: Any, processor: Any, shape: tuple[int, int], pixels: int | None = None
-) -> Plan:
+) -> InputPlan:
     """How a picture ``(height, width)`` is fed in a conversation, where directions do not matter.
 
     It keeps its size as nearly as the model allows: if the family leaves a choice, within the limits of the
@@ -80,9 +142,9 @@ def picture_plan(
     return plan(family, config, shape[1] / shape[0], min(shape[0] * shape[1], pixels or sys.maxsize))
 
 
-def _exact(cell: int, size: tuple[int, int]) -> Plan:
+def _exact(cell: int, size: tuple[int, int]) -> InputPlan:
     shape = (size[0] // cell, size[1] // cell)
-    return Plan(size, Layout(shape, (Block(*shape),)))
+    return InputPlan(size, Layout(shape, (Block(*shape),)))
 
 
 def _first(value: Any) -> int:
@@ -90,7 +152,7 @@ def _first(value: Any) -> int:
     return int(value[0] if isinstance(value, list | tuple) else value)
 
 
-def _padded(side: int, tokens: int, aspect: float) -> Plan:
+def _padded(side: int, tokens: int, aspect: float) -> InputPlan:
     """The image centred in the square; its cells are the rows of tokens that it fills."""
     patch = side // tokens
     share = (min(1 / aspect, 1.0), min(aspect, 1.0))  # of the square's height and width
@@ -99,10 +161,10 @@ def _padded(side: int, tokens: int, aspect: float) -> Plan:
     height, width = rows * patch, cols * patch
     top, left = ((side - length) // 2 for length in (height, width))
     window = (-left / width, -top / height, (tokens * patch - left) / width, (tokens * patch - top) / height)
-    return Plan((height, width), Layout((rows, cols), (Block(tokens, tokens, window),)), side)
+    return InputPlan((height, width), Layout((rows, cols), (Block(tokens, tokens, window),)), side)
 
 
-def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
+def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> InputPlan:
     """Tiles in the grid nearest to the image's aspect, as many as the pixels allow, then the whole image."""
     most = min(max(pixels // (side * side), 1), _MOST_TILES)
     grids = [(rows, cols) for rows in range(1, most + 1) for cols in range(1, most + 1) if rows * cols <= most]
@@ -113,10 +175,10 @@ def _tiled(side: int, tokens: int, aspect: float, pixels: int) -> Plan:
         for col in range(cols)
     ]
     blocks += [Block(tokens, tokens)] if len(blocks) > 1 else []
-    return Plan((rows * side, cols * side), Layout((rows * tokens, cols * tokens), tuple(blocks)), side)
+    return InputPlan((rows * side, cols * side), Layout((rows * tokens, cols * tokens), tuple(blocks)), side)
 
 
-def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[str, torch.Tensor]:
+def pictures(images: Sequence[np.ndarray], plan: InputPlan, processor: Any) -> dict[str, torch.Tensor]:
     """The image tensors of images of size ``plan.size``, by the names that the model takes."""
     squares: list[np.ndarray] = []
     for image in images:
@@ -129,7 +191,7 @@ def pictures(images: Sequence[np.ndarray], plan: Plan, processor: Any) -> dict[s
     return {name: made[name] for name in ("pixel_values", "image_grid_thw") if name in made}
 
 
-def _squares(image: np.ndarray, plan: Plan, processor: Any) -> list[np.ndarray]:
+def _squares(image: np.ndarray, plan: InputPlan, processor: Any) -> list[np.ndarray]:
     """The squares of one image that the model sees."""
     side, (height, width) = plan.square or 0, plan.size
     if height == width == side and len(plan.layout.blocks) == 1:
@@ -245,3 +307,27 @@ def check_typed(family: Family, feed: Mapping[str, Any], image_token: int) -> No
             f"{family.type_ids} {what}; without them {family.title} takes the image for text. Pass "
             f"{family.type_ids}=(input_ids == {image_token})"
         )
+
+
+class Endless(Exception):
+    """A program exceeded its number of steps."""
+
+
+@contextmanager
+def limited_steps(most: int) -> Iterator[None]:
+    """Raise `Endless` in the code inside (this thread) after `most` lines of Python. Suspends a debugger."""
+    left = most
+
+    def step(frame: FrameType, event: str, argument: Any) -> Any:
+        nonlocal left
+        left -= event == "line"
+        if left < 0:
+            raise Endless(f"more than {most} lines were run")
+        return step
+
+    before = sys.gettrace()
+    sys.settrace(step)
+    try:
+        yield
+    finally:
+        sys.settrace(before)

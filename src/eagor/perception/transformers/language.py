@@ -14,22 +14,27 @@ from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.cutting import cut
 from eagor.media.panorama import resized
-from eagor.perception.transformers.attention import SATURATION, mean_over_heads, of_heads, relative, saturated
-from eagor.perception.transformers.capture import Capture, full_layers, prepare
-from eagor.perception.transformers.heads import Heads, Observed
-from eagor.perception.transformers.inputs import Plan, Prompt, pictures, plan, prompt, template_of
-from eagor.perception.transformers.looker import Account
-from eagor.perception.transformers.prefix import Prefix, Running, chunks, share
-from eagor.perception.vlm.boxes import Box, parse_boxes
-from eagor.perception.vlm.drawing import drawn
-from eagor.perception.vlm.families import Extractor, Family
+from eagor.perception.transformers.attention import (
+    SATURATION,
+    Heads,
+    Observed,
+    mean_over_heads,
+    of_heads,
+    relative,
+    saturated,
+)
+from eagor.perception.transformers.inference import Capture, Prefix, Running, chunks, full_layers, prepare, share
+from eagor.perception.transformers.inputs import InputPlan, Prompt, pictures, plan, prompt, template_of
+from eagor.perception.vlm.answers import Box, parse_boxes
+from eagor.perception.vlm.families import Account, Extractor, Family
 from eagor.perception.vlm.labelled import Labelled
+from eagor.perception.vlm.projection import drawn
 from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
 
 
 @dataclass
 class LanguageModel:
-    """A loaded checkpoint of one of the vision-language families, a `looker.Looker`.
+    """A loaded checkpoint of one of the vision-language families, a `LoadedModel`.
 
     `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder's configuration and weight files.
     `model`: with the capturing attention function in its language part. `heads`: None for relative attention, which
@@ -80,7 +85,7 @@ class LanguageModel:
         """The captured layers."""
         return self.heads.layers if self.heads else (self.layers or ())
 
-    def plan(self, aspect: float) -> Plan:
+    def plan(self, aspect: float) -> InputPlan:
         """How an image of this aspect ratio (width over height) is fed."""
         return plan(self.family, self.model.config, aspect, self.pixels)
 
@@ -104,7 +109,7 @@ class LanguageModel:
         found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
         with self.lock:
             for part in chunks(len(images), self.batch, queries):
-                look = _Look(self, images[part], account)
+                look = _Batch(self, images[part], account)
                 responses = look.responses(grids[part], queries, extractor)
                 found[part] = np.stack(responses, axis=1)
         return found, account
@@ -116,7 +121,7 @@ class LanguageModel:
         found: list[list[list[Box]]] = []
         with self.lock:
             for part in chunks(len(images), self.batch, queries):
-                look = _Look(self, images[part], account)
+                look = _Batch(self, images[part], account)
                 written = [look.boxes(*look.ask(self.ask_boxes(query), ())[:2]) for query in queries]
                 found += [list(ones) for ones in zip(*written, strict=True)]
         return found or [[] for _ in images], account
@@ -129,12 +134,12 @@ class LanguageModel:
             )
         return ask_boxes(query, self.family.frame)
 
-    def prompt(self, text: str, planned: Plan) -> Prompt:
+    def prompt(self, text: str, planned: InputPlan) -> Prompt:
         """The tokens of a question about an image."""
         image_token = self.model.config.image_token_id
         return prompt(self.tokenizer, self.family, self.template, text, image_token, planned.layout.count)
 
-    def share(self, images: Sequence[np.ndarray], planned: Plan, account: Account | None = None) -> Prefix:
+    def share(self, images: Sequence[np.ndarray], planned: InputPlan, account: Account | None = None) -> Prefix:
         """Run everything up to the (resized) images, for questions to continue from."""
         tensors = pictures(images, planned, self.processor)
         tokens = self.prompt(GENERAL, planned)
@@ -162,7 +167,7 @@ class LanguageModel:
         rows, cols = planned.shape
         grid = PatchGrid(rows, cols) if view is None else replace(view, height=rows, width=cols)
         with self.lock:
-            look = _Look(self, [resized(picture, planned.size, wrap=view is None)], Account())
+            look = _Batch(self, [resized(picture, planned.size, wrap=view is None)], Account())
             _, _, captured = look.ask(ask_presence(example.query), full_layers(self.model))
         kept = {layer: tensor[0].cpu().numpy() for layer, tensor in captured.rows.items()}
         maps = {layer: planned.layout.cells(row) for layer, row in kept.items()}
@@ -170,7 +175,7 @@ class LanguageModel:
         return Observed(maps, mass, grid, example.direction, example.radius)
 
 
-class _Look:
+class _Batch:
     """A batch of images of one size that questions are asked about."""
 
     def __init__(self, model: LanguageModel, images: Sequence[np.ndarray], account: Account) -> None:

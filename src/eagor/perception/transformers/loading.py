@@ -14,8 +14,7 @@ from eagor._checks import within
 from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor._json import whole
 from eagor.errors import EagorError, MissingExtraError
-from eagor.perception.transformers.looker import Looker
-from eagor.perception.vlm.families import Family, chosen, family_of
+from eagor.perception.vlm.families import Family, LoadedModel, chosen, family_of
 
 
 def load_model(
@@ -33,7 +32,7 @@ def load_model(
     max_tokens: int = 512,
     batch: int = 8,
     threshold: float | None = None,
-) -> Looker:
+) -> LoadedModel:
     """The model with this hub name or in this folder, in evaluation mode on its device; options as in the perception.
 
     Warns of weights that the checkpoint lacks. Raises `EagorError` if packages are missing, nothing can be loaded
@@ -57,18 +56,23 @@ def load_model(
     if given := sorted(key for key, value in foreign.items() if value is not None):
         why = "has no attention to read" if family.localiser else "has none, only localisers do"
         raise EagorError(f"{', '.join(given)} cannot be used with {family.title}, which {why}")
-    from eagor.perception.transformers.heads import read_heads
+    from eagor.perception.transformers.attention import read_heads
 
     settings["pixels"] = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
     if family.localiser:
         del settings["presence"], settings["most"]
-        settings["threshold"] = None if threshold is None else _score(threshold)
+        if threshold is not None and not within(threshold, 0, 1):
+            raise EagorError(f"threshold = {threshold!r}; wanted a score from 0 to 1, such as 0.2")
+        settings["threshold"] = None if threshold is None else float(threshold)
     else:
         settings |= {"heads": read_heads(heads) if heads else None, "layers": _numbers(layers)}
         settings["pixels"] = settings["pixels"] or (family.view_pixels if how == "views" else None)
     where = _device(torch, device)
-    kind = _dtype(torch, dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
-    options: dict[str, Any] = {"dtype": kind, "use_safetensors": True}  # pickled weights are programs
+    kind = dtype or ("float32" if where in ("cpu", "mps") else "bfloat16")
+    if kind not in ("float32", "bfloat16", "float16"):
+        raise EagorError(f"dtype = {kind!r}; wanted float32, bfloat16 or float16")
+    # Pickled weights are programs.
+    options: dict[str, Any] = {"dtype": getattr(torch, kind), "use_safetensors": True}
     if where == "auto":
         options["device_map"] = "auto"
     load = getattr(transformers, _class_of(family)).from_pretrained
@@ -161,12 +165,6 @@ def _revision(name: str, commit: str | None) -> str:
     return f"folder:{digest.hexdigest()[:12]}"
 
 
-def _dtype(torch: Any, name: str) -> Any:
-    if name not in ("float32", "bfloat16", "float16"):
-        raise EagorError(f"dtype = {name!r}; wanted float32, bfloat16 or float16")
-    return getattr(torch, name)
-
-
 def _device(torch: Any, name: str | None) -> str:
     """The device to run on. Raises `EagorError` for an unknown name or a GPU that is not there."""
     if name == "auto":
@@ -198,12 +196,6 @@ def switched(name: str, value: Any) -> bool:
     if value not in (True, False):
         raise EagorError(f"{name} = {value!r}; wanted true or false")
     return bool(value)
-
-
-def _score(threshold: Any) -> float:
-    if not within(threshold, 0, 1):
-        raise EagorError(f"threshold = {threshold!r}; wanted a score from 0 to 1, such as 0.2")
-    return float(threshold)
 
 
 def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None:

@@ -17,11 +17,10 @@ import torch
 
 from eagor.errors import ImageError
 from eagor.grids import Grid
-from eagor.perception.transformers.looker import Account
-from eagor.perception.transformers.prefix import chunks
-from eagor.perception.vlm.boxes import Box
-from eagor.perception.vlm.drawing import drawn
-from eagor.perception.vlm.families import Extractor, Family
+from eagor.perception.transformers.inference import chunks
+from eagor.perception.vlm.answers import Box
+from eagor.perception.vlm.families import Account, Extractor, Family
+from eagor.perception.vlm.projection import drawn
 from eagor.perception.vlm.prompts import phrase
 
 _FINEST = 180  # columns of the cells that boxes are drawn on, at most
@@ -67,7 +66,7 @@ KINDS = {
 
 @dataclass
 class Localiser:
-    """A loaded localiser, a `looker.Looker`; drops boxes below `threshold` (None: the family's)."""
+    """A loaded localiser, a `LoadedModel`; drops boxes below `threshold` (None: the family's)."""
 
     name: str
     revision: str

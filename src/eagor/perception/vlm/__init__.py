@@ -1,4 +1,4 @@
-"""Shared by local and served vision-language models: prompts, answer parsing, sizes, the seam, tangent views.
+"""Shared by local and served vision-language models: families, prompts, answers, projection back to the sphere.
 
 It uses NumPy, Pillow and the core only, neither torch nor a server.
 """

@@ -1,21 +1,31 @@
 """The differences between model families, as data (families.toml): no family has code of its own.
 
-This module imports neither torch nor transformers, so that ``eagor doctor`` can print which models could run.
+`Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
+pictures both take unchanged; `LoadedModel` is the interface of a model in memory. This module imports neither torch nor
+transformers, so that ``eagor doctor`` can print which models could run.
 """
 
 from __future__ import annotations
 
+import math
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, Protocol, cast
 
-from eagor.errors import EagorError
-from eagor.perception.vlm.boxes import Frame, Order
+import msgspec
+import numpy as np
+
+from eagor.errors import EagorError, ImageError
+from eagor.grids import Grid
+from eagor.perception.vlm.answers import Box, Frame, Order
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
 Extractor = Literal["attention", "boxes", "both", "mask", "views"]
+PIXELS = 700 * 1400  # of a panorama, by default
 
 
 @dataclass(frozen=True)
@@ -39,7 +49,9 @@ class Served:
     - `cell`: side of an image token in pixels; pictures are sent in multiples of it. `view`: side of a square view.
     - `aspect`: width / height of a panorama as sent. For processors that make everything square, some by cropping,
       the panorama is squeezed beforehand: cells are then twice as wide as high.
-    - `frame`, `order`: of the coordinates to ask for if the family was not trained to write boxes.
+    - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes, in the frame
+      of its family; others are better asked yes or no.
+    - `family`: its name. `pixels`: of a panorama, by default.
     """
 
     pattern: str
@@ -48,6 +60,9 @@ class Served:
     aspect: float = 2.0
     frame: Frame = "thousand"
     order: Order = "xyxy"
+    family: str = "other"
+    pixels: int = PIXELS
+    grounded: bool = True
 
 
 @dataclass(frozen=True)
@@ -103,7 +118,7 @@ class Family:
     image_token: str = ""
     dialogue: Dialogue | None = None
     depth: float = 0.6
-    pixels: int = 700 * 1400
+    pixels: int = PIXELS
     localiser: bool = False
     served: Served | None = None
 
@@ -135,11 +150,11 @@ class Family:
 
 def _family(entry: dict[str, Any]) -> Family:
     """A family from its entry in families.toml."""
-    for key, kind in (("served", Served), ("dialogue", Dialogue)):
-        if key in entry:
-            entry[key] = kind(**entry[key])
-    checkpoints = tuple(Checkpoint(*each) for each in entry.pop("checkpoints").items())
-    return Family(model_types=tuple(entry.pop("model_types")), checkpoints=checkpoints, **entry)
+    if "served" in entry:
+        own = {key: entry[key] for key in ("frame", "pixels") if key in entry}
+        entry["served"] |= own | {"family": entry["name"], "grounded": "frame" in entry}
+    entry["checkpoints"] = [{"name": name, "billions": size} for name, size in entry["checkpoints"].items()]
+    return msgspec.convert(entry, Family)
 
 
 _FILE = Path(__file__).with_name("families.toml")
@@ -164,3 +179,105 @@ def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
         f"{source} holds a model of type {kind!r}, which cannot be read here; known are {known}. Other models can be "
         "served and reached as endpoint:MODEL@URL"
     )
+
+
+# --- served models, by their names ------------------------------------------------------------------------------------
+
+
+OTHER = Served("", 28, 560)  # of a name of no known family
+# Qwen2-VL runs on servers only.
+_QWEN2_VL = Served(r"qwen[\W_]?2[\W_]?vl", 28, 560, family="qwen2_vl")
+
+
+def style_of(model: str) -> Served:
+    """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; else `OTHER`."""
+    known = [*(family.served for family in FAMILIES if family.served), _QWEN2_VL]
+    return next((served for served in known if re.search(served.pattern, model.lower())), OTHER)
+
+
+# --- exact sizes ------------------------------------------------------------------------------------------------------
+
+
+def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
+    """(height, width) of the largest picture of at most `pixels` pixels whose sides are multiples of `cell`.
+
+    width / height is exactly `aspect` if such a picture fits (2 for a panorama, 1 for a view; others are rounded to
+    the nearest ratio of whole numbers up to 16), otherwise as near to it as whole cells allow. Raises `ImageError` if
+    not even one cell fits.
+    """
+    cells = pixels // (cell * cell) if cell >= 1 else 0
+    if cells < 1 or not (math.isfinite(aspect) and aspect > 0):
+        raise ImageError(
+            f"no picture of {aspect:g}:1 with cells of {cell} pixels has at most {pixels} pixels; allow more pixels"
+        )
+    ratio = Fraction(aspect).limit_denominator(16) if aspect >= 1 else 1 / Fraction(1 / aspect).limit_denominator(16)
+    times = math.isqrt(cells // (ratio.numerator * ratio.denominator))
+    if times:
+        return cell * times * ratio.denominator, cell * times * ratio.numerator
+    rows = range(1, math.isqrt(cells) + 1) if aspect >= 1 else range(1, cells + 1)
+    shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in rows]
+    row, column = min(shapes, key=lambda shape: (abs(math.log(shape[1] / shape[0] / aspect)), -shape[0] * shape[1]))
+    return cell * row, cell * column
+
+
+def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tuple[int, int]:
+    """(height, width) nearest to `shape` in whole cells, with `least` to `most` pixels, as a processor would choose it.
+
+    The rounding is that of the Qwen families' image processors, so that a local conversation sees what a server would
+    show. Sides are rounded separately, which distorts the picture by up to half a cell each way: use `exact_size` where
+    directions are read. Raises `ImageError` if not even one cell fits.
+    """
+    height, width = shape
+    if most < cell * cell or min(shape) < 1:
+        raise ImageError(f"a picture of {width} x {height} cannot have cells of {cell} pixels and at most {most}")
+    sides = [round(side / cell) * cell for side in shape]
+    scale = math.sqrt(height * width / most)
+    if sides[0] * sides[1] > most:
+        sides = [max(cell, math.floor(side / scale / cell) * cell) for side in shape]
+    elif sides[0] * sides[1] < least:
+        scale = math.sqrt(least / (height * width))
+        sides = [math.ceil(side * scale / cell) * cell for side in shape]
+    return sides[0], sides[1]
+
+
+# --- models in memory -------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Account:
+    """Running totals of images, image tokens, and tokens of questions and answers."""
+
+    images: int = 0
+    image_tokens: int = 0
+    prompt_tokens: int = 0
+    answer_tokens: int = 0
+
+    def as_source(self) -> dict[str, int]:
+        """As entries of `Evidence.source`."""
+        return dict(vars(self))
+
+
+class LoadedModel(Protocol):
+    """A loaded model that answers for images of one size; see `language.LanguageModel`."""
+
+    name: str
+    revision: str
+    family: Family
+
+    def size(self, aspect: float) -> tuple[int, int]:
+        """(height, width) to resize images of this aspect ratio (width over height) to."""
+        ...
+
+    def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]:
+        """Rows and columns of the response."""
+        ...
+
+    def look(
+        self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
+    ) -> tuple[np.ndarray, Account]:
+        """Responses ``(B, Q, h, w)`` float32 in [0, 1] on `grids`, the cells of each image."""
+        ...
+
+    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
+        """Boxes per image and query."""
+        ...

@@ -12,20 +12,22 @@ angular radius, or a box x0, y0, x1, y1 in the panorama's pixels (x0 > x1 means 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
-from eagor._files import read_file
-from eagor._json import number, parsed, shown
 from eagor.errors import FormatError, ResponseError
 from eagor.evidence.shapes import moments
 from eagor.grids import ErpGrid
+from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.vlm.prompts import phrase
 from eagor.sphere import direction
+
+_CORNERS = msgspec.Meta(description="[x0, y0, x1, y1] in pixels")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,19 +40,31 @@ class Labelled:
     radius: float
 
 
-def labelled_lines(file: Path) -> list[tuple[int, dict[str, Any]]]:
-    """The numbered lines of a file of labelled panoramas, checked except for the images. Raises `FormatError`."""
-    try:
-        text = read_file(file).decode("utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise FormatError(f"{file} cannot be read ({error}); give the path of a JSONL file of labels") from error
-    found = []
-    for row, line in enumerate(text.split("\n"), start=1):
-        if line.strip():
-            try:
-                found.append((row, _checked(line)))
-            except (ValueError, TypeError, KeyError) as error:
-                raise FormatError(f"{file}, line {row}: {_reason(error)}") from error
+class _Line(msgspec.Struct):
+    """A line: the place is a direction with a radius, degrees, or a box in pixels."""
+
+    image: Annotated[str, msgspec.Meta(description="a path")]
+    query: Annotated[str, msgspec.Meta(description="words")]
+    azimuth_deg: Turn = math.nan
+    elevation_deg: Tilt = math.nan
+    radius_deg: Annotated[float, msgspec.Meta(gt=0, le=90, description="more than 0, at most 90")] = math.nan
+    box: Annotated[tuple[Finite, Finite, Finite, Finite] | None, _CORNERS] = None
+
+
+def _parsed(line: bytes) -> _Line:
+    found = checked(object_of(line), _Line, "the line")
+    phrase(found.query)  # raises for a query without words
+    for key in ("azimuth_deg", "elevation_deg", "radius_deg") if found.box is None else ():
+        need(not math.isnan(getattr(found, key)), key, None, "the three angles of a place, or a box")
+    return found
+
+
+def labelled_lines(file: Path) -> list[tuple[_Line, str]]:
+    """The lines of a file of labelled panoramas, checked except for the images, and where they stand.
+
+    Raises `FormatError`.
+    """
+    found = list(parsed_lines(file, _parsed))
     if not found:
         raise FormatError(f"{file} holds no labels; wanted one JSON object per line")
     return found
@@ -63,23 +77,21 @@ def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[La
     `FormatError` for the file, and what `read` raises.
     """
     last: tuple[Path, np.ndarray] | None = None
-    for row, entry in labelled_lines(file):
-        path = Path(file).parent / entry["image"]
+    for line, where in labelled_lines(file):
+        path = Path(file).parent / line.image
         if last is None or last[0] != path:
             last = path, read(path)
         panorama = last[1]
-        if "box" in entry:
+        if line.box is not None:
             grid = ErpGrid(*panorama.shape[:2])
             try:
-                centre, _ = moments(np.array(entry["box"], dtype=float), grid)
+                centre, _ = moments(np.array(line.box), grid)
             except ResponseError as error:
-                raise FormatError(f"{file}, line {row}: {error}") from error
-            yield Labelled(panorama, entry["query"], centre, _radius(entry["box"], grid))
+                raise FormatError(f"{where}: {error}") from error
+            yield Labelled(panorama, line.query, centre, _radius(line.box, grid))
         else:
-            azimuth, elevation, radius = (
-                math.radians(entry[f"{key}_deg"]) for key in ("azimuth", "elevation", "radius")
-            )
-            yield Labelled(panorama, entry["query"], np.asarray(direction(azimuth, elevation)), radius)
+            azimuth, elevation, radius = np.radians([line.azimuth_deg, line.elevation_deg, line.radius_deg]).tolist()
+            yield Labelled(panorama, line.query, np.asarray(direction(azimuth, elevation)), radius)
 
 
 def cap_radius(solid_angle: float) -> float:
@@ -87,36 +99,8 @@ def cap_radius(solid_angle: float) -> float:
     return math.acos(1 - min(max(solid_angle, 0.0), 4 * math.pi) / (2 * math.pi))
 
 
-def _radius(box: list[float], grid: ErpGrid) -> float:
+def _radius(box: Sequence[float], grid: ErpGrid) -> float:
     x0, y0, x1, y1 = box
     width = (x1 - x0 if x1 > x0 else x1 - x0 + grid.width) / grid.width
     top, bottom = (math.pi * (0.5 - min(max(y / grid.height, 0.0), 1.0)) for y in (y0, y1))
     return cap_radius(2 * math.pi * width * (math.sin(top) - math.sin(bottom)))
-
-
-def _checked(line: str) -> dict[str, Any]:
-    try:
-        entry = parsed(line)
-    except ValueError as error:
-        raise FormatError(f"is not JSON ({error}); wanted one JSON object") from None
-    if not isinstance(entry, dict):
-        raise TypeError(f"is {type(entry).__name__}; wanted an object with image, query and a place")
-    phrase(entry["query"])
-    if not isinstance(entry["image"], str):
-        raise TypeError(f"image is {shown(entry['image'])}; wanted a path")
-    if "box" in entry:
-        if not isinstance(entry["box"], list) or len(entry["box"]) != 4:
-            raise ValueError(f"box is {shown(entry['box'])}; wanted [x0, y0, x1, y1] in pixels")
-        return {"image": entry["image"], "query": entry["query"], "box": [number(value) for value in entry["box"]]}
-    angles = {key: number(entry[key]) for key in ("azimuth_deg", "elevation_deg", "radius_deg")}
-    if not (abs(angles["azimuth_deg"]) <= 360 and abs(angles["elevation_deg"]) <= 90):
-        raise ValueError(f"the place is {angles}; wanted degrees, the azimuth to 360, the elevation to 90 either way")
-    if not 0 < angles["radius_deg"] <= 90:
-        raise ValueError(f"radius_deg is {angles['radius_deg']:g}; wanted more than 0, at most 90")
-    return {"image": entry["image"], "query": entry["query"], **angles}
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, KeyError):
-        return f"{error.args[0]!r} is missing; wanted image, query, and box or azimuth_deg, elevation_deg, radius_deg"
-    return str(error)[:300]

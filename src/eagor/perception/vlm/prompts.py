@@ -1,11 +1,15 @@
-"""The questions that a model is asked."""
+"""The questions that a model is asked, and conversations with one: pictures and text in, text out."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
 
 from eagor.errors import QueryError
-from eagor.perception.vlm.boxes import Frame, Order
+from eagor.perception.vlm.answers import Frame, Order
 
 # The question without content in relative attention (Zhang et al., "MLLMs know where to look", ICLR 2025).
 GENERAL = "Write a general description of the image."
@@ -57,3 +61,44 @@ def boxes_schema(frame: Frame, order: Order = "xyxy") -> dict[str, Any]:
 def ask_presence(query: str) -> str:
     """The question whether the picture shows what `query` names, to be answered by yes or no."""
     return f"Does this image show the following: {phrase(query)}? Answer with one word, yes or no."
+
+
+# --- conversations ----------------------------------------------------------------------------------------------------
+
+IMAGE = "<image>"  # in a message's text: the place of the next of its pictures
+MAX_TOKENS = 512  # default length of a reply
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """One message: `text` with an `IMAGE` for each of `images` ``(H, W, 3)`` uint8."""
+
+    role: Literal["system", "user", "assistant"]
+    text: str
+    images: tuple[np.ndarray, ...] = ()
+
+    def parts(self) -> list[str | np.ndarray]:
+        """Text and pictures in order; empty text is left out."""
+        texts = self.text.split(IMAGE, len(self.images))
+        found: list[str | np.ndarray] = []
+        for index, text in enumerate(texts):
+            found += [text] if text else []
+            found += [self.images[index]] if index < len(self.images) else []
+        return found
+
+
+@dataclass(frozen=True)
+class ChatReply:
+    """A model's reply, and its cost if known."""
+
+    text: str
+    prompt_tokens: int | None = None
+    completion_tokens: int | None = None
+
+
+class Chat(Protocol):
+    """A model that answers a conversation."""
+
+    def __call__(self, messages: Sequence[Message]) -> ChatReply:
+        """The reply to `messages`. Raises if there is none: that is a failed attempt, never a wrong answer."""
+        ...

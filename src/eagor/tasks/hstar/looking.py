@@ -16,9 +16,8 @@ from eagor.evidence.detections import resolved
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
-from eagor.perception.noise import Noise
 from eagor.perception.partial import look_at_view
-from eagor.perception.truth import Report, displaced, drawn
+from eagor.perception.truth import Noise, Report, displaced, drawn
 from eagor.sphere import world_R_body
 from eagor.tasks.eyes import shared
 from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view, without_cross
@@ -107,7 +106,7 @@ def annotated(eye: TruthEye) -> Eye:
 class TruthEye:
     """A detector of known quality in one episode, which remembers its mistakes from look to look.
 
-    The noise is that of simulated worlds (`eagor.perception.noise.Noise`), with two differences. Detection depends on
+    The noise is that of simulated worlds (`eagor.perception.truth.Noise`), with two differences. Detection depends on
     the visible fraction of the target's box, and a false alarm lies anywhere in the view and stays there in the world.
     Each look draws the same number of random values: agents that look elsewhere get the same draws.
     """

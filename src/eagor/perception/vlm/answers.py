@@ -1,24 +1,26 @@
-"""Boxes in a model's answer: lenient parsing of JSON, of lists in prose, and of the markup of some families.
+"""What a model's answer says: boxes, or yes or no, each with its probability where the tokens' are known.
 
-It reads lists of objects with a box under any usual key (``bbox_2d``, ``box_2d``, ``bbox``, ``box``, ...), bare lists
-of four numbers, pairs of corners, named corners, and InternVL's and Qwen2-VL's markup; within fences, prose or a
-model's thoughts, complete or cut off. The caller says what the coordinates count: 0..1000 and pixels look alike
-(Qwen2.5-VL counts pixels of the RESIZED picture, Bai et al. 2025, arXiv:2502.13923).
+`parse_boxes` reads lenient JSON, lists in prose, and the markup of some families: lists of objects with a box under any
+usual key (``bbox_2d``, ``box_2d``, ``bbox``, ``box``, ...), bare lists of four numbers, pairs of corners, named
+corners, and InternVL's and Qwen2-VL's markup; within fences, prose or a model's thoughts, complete or cut off. The
+caller says what the coordinates count: 0..1000 and pixels look alike (Qwen2.5-VL counts pixels of the RESIZED picture,
+Bai et al. 2025, arXiv:2502.13923).
 """
 
 from __future__ import annotations
 
 import math
 import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from eagor.errors import AnswerError
-from eagor.perception.vlm.lenient import Node, values
-from eagor.perception.vlm.tokens import Token, Trace
+from eagor.perception.vlm.lenient_json import Node, values
 
 __all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "without_thoughts"]
+
 
 Frame = Literal["pixels", "thousand", "unit"]  # pixels of the image that the model saw; 0..1000 per side; 0..1
 Order = Literal["xyxy", "yxyx"]
@@ -269,3 +271,76 @@ def _confidence(numbers: tuple[Node, ...], decided: tuple[int, int], trace: Trac
     """The probability of opening the entry times the geometric mean over the first tokens of its numbers."""
     begun = sum(trace.log_probability(number.start, number.start + 1) for number in numbers) / len(numbers)
     return math.exp(trace.log_probability(*decided) + begun)
+
+
+# --- yes or no --------------------------------------------------------------------------------------------------------
+
+_YES, _NO = ("yes", "true", "present", "visible"), ("no", "false", "none", "not", "absent")
+_WORDS = re.compile(r"[^\W\d_]+")
+
+
+def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
+    """The probability in [0, 1] that a model's answer to `prompts.ask_presence` means yes.
+
+    `first` holds the likeliest tokens at the place of the answer, with log probabilities. The result is then the share
+    of yes among yes and no; if only one side is listed, the other gets the rest of the probability. Without `first` it
+    is 1 for yes and 0 for no. Raises `AnswerError` if the answer is neither.
+    """
+    answer = spoken(text)
+    shares, listed = [0.0, 0.0], 0.0
+    for piece, log in first or ():
+        probability, meant = math.exp(min(float(log), 0.0)), means(piece)
+        listed += probability
+        if meant is not None:
+            shares[meant] += probability
+    if sum(shares) > 0:
+        if min(shares) == 0:
+            shares[shares.index(0.0)] = max(0.0, 1 - listed)
+        return shares[1] / sum(shares)
+    for word in _WORDS.findall(answer.lower()):
+        meant = means(word)
+        if meant is not None:
+            return float(meant)
+    raise AnswerError(f"the model answered {shortened(text)}; wanted yes or no. Can it see images?")
+
+
+def means(word: str) -> bool | None:
+    """True for yes, False for no, None for neither."""
+    bare = "".join(_WORDS.findall(word.lower()))
+    return True if bare in _YES else False if bare in _NO else None
+
+
+# --- which token of an answer a character came from -------------------------------------------------------------------
+
+Token = tuple[str, float]  # a piece of the answer and the natural logarithm of its probability
+_AHEAD = 64  # characters to search ahead to find the place again
+
+
+class Trace:
+    """The log probabilities of an answer's tokens by place in its text.
+
+    Args:
+        text: the answer.
+        tokens: its pieces in order. Special tokens that the text lacks, and garbled pieces of characters that take
+            several tokens, are skipped.
+    """
+
+    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
+        self._starts: list[int] = []
+        self._ends: list[int] = []
+        self._logs: list[float] = []
+        place = 0
+        for piece, log in tokens:
+            at = place if piece and text.startswith(piece, place) else -1
+            if at < 0 and len(piece.strip()) > 1:
+                at = text.find(piece, place, place + _AHEAD)
+            if at >= 0:
+                place = at + len(piece)
+                self._starts.append(at)
+                self._ends.append(place)
+                self._logs.append(min(float(log), 0.0))
+
+    def log_probability(self, start: int, stop: int) -> float:
+        """Of all tokens together that have a character in [`start`, `stop`); 0 where none is known."""
+        first, last = bisect_right(self._ends, start), bisect_left(self._starts, stop)
+        return sum(self._logs[first:last])

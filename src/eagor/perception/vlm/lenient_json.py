@@ -1,4 +1,4 @@
-"""A lenient JSON parser for model output: fences, prose around it, single quotes, missing ends.
+"""A lenient parser of JSON for model output: fences, prose around it, single quotes, missing ends.
 
 It accepts JSON, Python literals, tuples, unquoted words and comments at line ends, and stops where the answer was cut
 off. Every value keeps its place in the text, to look up token probabilities.
