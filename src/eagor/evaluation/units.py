@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from eagor.errors import EagorError, StorageError, WorkError
 from eagor.evaluation.ledger import Ledger, read
@@ -102,6 +102,12 @@ class Book:
             self._on_done(head_of(head))
 
 
+class Keeps(Protocol):
+    """What keeps records: a `Ledger`, or what passes them on to one."""
+
+    def append(self, record: Mapping[str, Any]) -> None: ...
+
+
 def load(work: str, config: dict[str, Any]) -> Do:
     """What does the units: ``function(config)`` of ``"package.module:function"``. Raises `WorkError`."""
     module, _, name = work.partition(":")
@@ -112,7 +118,7 @@ def load(work: str, config: dict[str, Any]) -> Do:
     return begin(config)
 
 
-def attempt_unit(do: Do, unit: Unit, attempt: int, task: str | None, ledger: Ledger) -> dict[str, Any]:
+def attempt_unit(do: Do, unit: Unit, attempt: int, task: str | None, ledger: Keeps) -> dict[str, Any]:
     """Do `unit`, record what came of it, and return the record's head. Raises only what ends the run."""
     began = time.perf_counter()
     try:

@@ -62,13 +62,13 @@ def run_units(
     if book.left:
         with book.ledger:
             if engine == "ray":
-                from eagor.evaluation.ray_engine import work_on_ray
+                from eagor.evaluation.ray_workers import work_on_ray
 
                 work_on_ray(book, work, config, workers, address)
             elif workers == 1:
                 _alone(book, work, config)
             else:
-                from eagor.evaluation.crew import ProcessSeat, in_threads, work_together
+                from eagor.evaluation.worker_pool import ProcessSeat, in_threads, work_together
 
                 threads = in_threads(book, work, config) if engine == "threads" else None
                 work_together(book, threads or (lambda: ProcessSeat(book, work, config)), workers)

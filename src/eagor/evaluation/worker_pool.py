@@ -1,4 +1,4 @@
-"""Several workers on one run: processes or threads of this machine, or Ray's actors (`eagor.evaluation.ray_driver`).
+"""Several workers on one run: processes or threads of this machine, or Ray's actors (`eagor.evaluation.ray_workers`).
 
 Each has a `Seat` here, whose thread talks with it; what is given to it comes back in a future. Not the pools of
 concurrent.futures: one breaks as a whole when a worker dies, does not tell whose unit that was, outlives a killed
@@ -7,20 +7,18 @@ parent, and the end of the process waits for its threads.
 
 from __future__ import annotations
 
-import multiprocessing
 import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from eagor._processes import leave_ctrl_c, leave_with_parent, starting
-from eagor.errors import StorageError, WorkError
+from eagor._processes import Worker, WorkerEnded
+from eagor.errors import WorkError
 from eagor.evaluation.ledger import Ledger, records
 from eagor.evaluation.units import Book, Do, Unit, attempt_unit, load
 from eagor.plugins import readable_lists
@@ -179,57 +177,48 @@ class _Shared(Ledger):
 
 
 class ProcessSeat(Seat):
-    """A new process (spawn: it inherits no threads, locks or open files), which keeps its results itself."""
+    """A process, which keeps its results itself."""
 
     def __init__(self, book: Book, work: str, config: dict[str, Any]) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._line, there = context.Pipe()
-        arguments = (there, work, config, book.folder, book.task)
-        self._process = context.Process(target=_serve, args=arguments, daemon=True)
+        self._worker = Worker(_serve, work, config, book.folder, book.task)
         self._path: Path | None = None
         self._busy, self._how = True, ""
-        with starting():
-            self._process.start()
-        there.close()  # so that the line ends when the process does
         super().__init__()
 
     def leave(self) -> None:
         super().leave()
         if self._busy:  # in the middle of a unit, or of its start
-            self._process.terminate()
+            self._worker.process.terminate()
 
     def stop(self, late: float) -> None:
         self._thread.join(max(0.0, late - time.monotonic()))
-        self._process.kill()
+        self._worker.kill()
         self._thread.join()
 
     def _serve(self) -> None:
         try:
             super()._serve()
         finally:
-            with suppress(OSError):
-                self._line.send(None)
             self._gone()
-            self._line.close()
 
     def _settle(self) -> None:
         try:
-            self._path = Path(self._heard())
-        except (EOFError, OSError):
+            self._path = Path(self._worker.receive())
+        except WorkerEnded:
             raise Lost(self._gone()) from None
         self._busy = False
 
     def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
         try:
-            self._line.send((unit, attempt))
-        except OSError:
+            self._worker.send((unit, attempt))
+        except WorkerEnded:
             raise Lost(self._gone(), begun=False) from None
         except Exception as error:
             raise Unsent(f"{type(error).__name__}: {error}") from error
         self._busy = True
         try:
-            return self._heard()
-        except (EOFError, OSError):
+            return self._worker.receive()
+        except WorkerEnded:
             how = self._gone()
         finally:
             self._busy = False
@@ -238,45 +227,25 @@ class ProcessSeat(Seat):
         kept = next((found for found in records(self._path) if (found["key"], found["attempt"]) == mine), None)
         raise Lost(how, kept=kept)
 
-    def _heard(self) -> Any:
-        """What the worker says next. Raises what it could not get over, or EOFError once it has died."""
-        said = self._line.recv()
-        if isinstance(said, StorageError | WorkError):
-            raise said
-        return said
-
     def _gone(self) -> str:
         """See the process end; how it did."""
-        if self._how:
-            return self._how
-        self._process.join(PATIENCE)
-        if self._process.exitcode is None:
-            self._process.kill()
-            self._process.join()
-        code = self._process.exitcode
-        if code == -signal.SIGTERM:
-            time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
-        self._how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+        if not self._how:
+            code = self._worker.close(PATIENCE)
+            if code == -signal.SIGTERM:
+                time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
+            self._how = f"signal {-code}" if code < 0 else f"exit code {code}"
         return self._how
 
 
 def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, task: str | None) -> None:
-    """The life of a worker process."""
-    leave_ctrl_c()
-    leave_with_parent()
-    with (
-        suppress(EOFError, BrokenPipeError, ConnectionResetError),
-        Ledger(folder, first=1) as ledger,
-    ):  # 0: the parent's
+    """The life of a worker process. Raises what ends the run."""
+    with Ledger(folder, first=1) as ledger:  # 0: the parent's
         try:
-            try:
-                with readable_lists():
-                    do = load(work, config)
-            except Exception as error:
-                raise WorkError(f"{work} cannot be set up: {type(error).__name__}: {error}") from error
-            line.send(str(ledger.open()))
-            while (order := line.recv()) is not None:
-                unit, attempt = order
-                line.send(attempt_unit(do, unit, attempt, task, ledger))
-        except (StorageError, WorkError) as error:
-            line.send(type(error)(str(error)))
+            with readable_lists():
+                do = load(work, config)
+        except Exception as error:
+            raise WorkError(f"{work} cannot be set up: {type(error).__name__}: {error}") from error
+        line.send(str(ledger.open()))
+        while True:
+            unit, attempt = line.recv()
+            line.send(attempt_unit(do, unit, attempt, task, ledger))
