@@ -30,8 +30,7 @@ from eagor.errors import EagorError, PoseError
 if TYPE_CHECKING:
     from eagor.evaluation.detector_fit import DetectorFit
     from eagor.evaluation.detector_unlabelled import UnlabelledFit
-    from eagor.evaluation.labelled_looks import LabelledLook
-    from eagor.evaluation.replayed import Pose
+    from eagor.evaluation.labelled_looks import LabelledLook, Pose
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.vlm.labelled import Labelled
 
@@ -61,8 +60,7 @@ def calibrate(options: Calibrate) -> int:
 
 def responses(options: Calibrate) -> int:
     """``eagor calibrate``."""
-    from eagor.evaluation.calibration import PER_PLACE, TASKS, development_slots, record_episodes
-    from eagor.evaluation.fitting import DRAWS, fit
+    from eagor.evaluation.calibration import DRAWS, PER_PLACE, TASKS, development_slots, fit, record_episodes
     from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
@@ -96,7 +94,7 @@ def responses(options: Calibrate) -> int:
 def replay(options: Calibrate, what: str) -> int:
     """``eagor calibrate --replay FILE --truth FILE``."""
     from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
-    from eagor.evaluation.replayed import read_truth, replayed_looks
+    from eagor.evaluation.labelled_looks import read_truth, replayed_looks
     from eagor.perception.replay import ReplayPerception
 
     if wrong := given(options, ("perception", *NOT_OF_LOOKS)):
@@ -181,8 +179,7 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
 
     from eagor.cli.following import look_at
     from eagor.cli.track import journey_of
-    from eagor.evaluation.labelled_looks import LabelledLook
-    from eagor.evaluation.replayed import joined
+    from eagor.evaluation.labelled_looks import LabelledLook, joined
 
     perception, found, lost, bad = make_perception(spec), [], 0, 0
     track = Track(
@@ -316,7 +313,7 @@ def heads(options: Calibrate) -> int:
     if "attention" not in perception.family.extractors:
         raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
     if options.labels is None:
-        from eagor.evaluation.labelled import apartment_labels
+        from eagor.evaluation.labelled_apartments import apartment_labels
         from eagor.perception import rows_of
 
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))

@@ -107,7 +107,7 @@ def begin(
 ) -> None:
     """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
 
-    `inputs` are digests of what the run is made of (`eagor.evaluation.inputs`). Where they have changed since, the run
+    `inputs` are digests of what the run is made of (`eagor.evaluation.workers`). Where they have changed since, the run
     goes on only if forced: then it warns, and ``run.json`` says under "resumed" what has changed. A setting of `GROWS`
     may be larger than in the folder, and is then written there.
 

@@ -22,8 +22,18 @@ from eagor._extras import need
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError
 from eagor.evaluation.ledger import as_line
-from eagor.evaluation.units import Book, Unit, WorkError, attempt_unit, failure, head_of, load
-from eagor.evaluation.worker_pool import Lost, Seat, work_together
+from eagor.evaluation.worker_pool import (
+    Book,
+    Lost,
+    Seat,
+    Unit,
+    WorkError,
+    attempt_unit,
+    failure,
+    head_of,
+    load,
+    work_together,
+)
 
 PATIENCE = 2.0  # seconds that Ray has to end by itself (a cluster elsewhere hears of it)
 READY, OVER = "ready", "over"  # what the driver says, beside its questions

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from eagor.evaluation.page import Part, Section, Sheet
 from eagor.evaluation.samples import Measured, Record
-from eagor.evaluation.units import Unit
+from eagor.evaluation.workers import Unit
 
 Settings = Mapping[str, Any]
 Summary = dict[str, Any]

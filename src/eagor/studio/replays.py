@@ -1,6 +1,6 @@
 """Episodes as the page shows them: steps with belief, panorama, answers of all methods, in one JSON object.
 
-An episode of a simulated task is played again (as `eagor.evaluation.watching` does for the Rerun viewer): the method
+An episode of a simulated task is played again (as `eagor.evaluation.simulated` does for the Rerun viewer): the method
 with a belief sees what it saw in the run. What the other methods said is in the records. A live recording goes through
 the live core again; of a robot's walk its report is read.
 """
@@ -19,8 +19,8 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
+from eagor.evaluation.simulated import player_of
 from eagor.evaluation.study import Told
-from eagor.evaluation.watching import player_of
 from eagor.sphere import direction
 from eagor.studio.houses import plan_of
 from eagor.studio.pictures import jpeg
