@@ -15,9 +15,9 @@ from eagor.errors import EagorError
 from eagor.evaluation import traces
 from eagor.evaluation.export import FIELDS, table_csv
 from eagor.evaluation.figures import half_width_deg, highest_sidelobe, kernel
-from eagor.evaluation.published import FIGURES, OURS, ordered
+from eagor.evaluation.published import FIGURES, OURS, ordered, varied_by
 from eagor.evaluation.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
-from eagor.evaluation.sheets import main_sheet, ordering_sheet, split, verdict
+from eagor.evaluation.sheets import main_sheet, ordering_sheet, verdict
 from eagor.evaluation.tables import as_text, best, mark, shown, summarise
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import direction
@@ -125,7 +125,7 @@ def test_variants_are_compared_with_what_they_vary():
     for name, other in (("eagor:degree=7", "eagor"), ("eagor_paper:decode=mode", "eagor_paper"), ("grid", "eagor")):
         found = summary["differences"][name]["L1"]["difference"]
         assert found == pytest.approx(rows[name]["L1"] - rows[other]["L1"])
-    assert split("eagor:floor=0.2,temperature=2") == ("eagor", ("floor", "temperature"))
+    assert varied_by("eagor:floor=0.2,temperature=2") == ("eagor", ("floor", "temperature"))
 
 
 def test_strata_divide_the_episodes(navigation):

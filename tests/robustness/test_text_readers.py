@@ -15,7 +15,7 @@ from eagor.cli.poses import read_poses
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
 from eagor.evaluation import ledger, predictions
-from eagor.evaluation.labelled_looks import read_truth
+from eagor.evaluation.replayed import read_truth
 from eagor.evidence import Evidence
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.onnx.names import read_labels

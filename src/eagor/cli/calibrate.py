@@ -30,7 +30,8 @@ from eagor.errors import EagorError, PoseError
 if TYPE_CHECKING:
     from eagor.evaluation.detector_fit import DetectorFit
     from eagor.evaluation.detector_unlabelled import UnlabelledFit
-    from eagor.evaluation.labelled_looks import LabelledLook, Pose
+    from eagor.evaluation.labelled_looks import LabelledLook
+    from eagor.evaluation.replayed import Pose
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.vlm.labelled import Labelled
 
@@ -94,7 +95,7 @@ def responses(options: Calibrate) -> int:
 def replay(options: Calibrate, what: str) -> int:
     """``eagor calibrate --replay FILE --truth FILE``."""
     from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
-    from eagor.evaluation.labelled_looks import read_truth, replayed_looks
+    from eagor.evaluation.replayed import read_truth, replayed_looks
     from eagor.perception.replay import ReplayPerception
 
     if wrong := given(options, ("perception", *NOT_OF_LOOKS)):
@@ -179,7 +180,8 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
 
     from eagor.cli.following import look_at
     from eagor.cli.track import journey_of
-    from eagor.evaluation.labelled_looks import LabelledLook, joined
+    from eagor.evaluation.labelled_looks import LabelledLook
+    from eagor.evaluation.replayed import joined
 
     perception, found, lost, bad = make_perception(spec), [], 0, 0
     track = Track(

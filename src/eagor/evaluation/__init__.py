@@ -10,7 +10,7 @@
   beside what was `published`;
 - `calibration`: how a perception's responses are read; `labelled_apartments`: panoramas with labels;
 - `labelled_looks`, `detector_fit` (`detector_em`, `detector_places`): a detector's model from looks with known truth;
-  `detector_unlabelled`: from looks without it.
+  `replayed`: such looks from files; `detector_unlabelled`: from looks without it.
 
 Nothing heavy is imported here.
 """

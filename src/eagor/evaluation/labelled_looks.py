@@ -1,40 +1,28 @@
-"""Looks with known truth: which of their detections are of a target; and such looks from files.
+"""Looks with known truth, and which of their detections are of a target.
 
 Detections and targets are assigned by the likelihood of the measurement model itself (`eagor.evidence.detector`): each
 target causes at most one detection, and what no target caused is a false alarm. The probabilities of the assignments
 come from belief propagation (Williams and Lau, IEEE Transactions on Aerospace and Electronic Systems 50(4), 2014). It
 is exact for one target in a look.
-
-Files: a replay file (docs/replay-format.md), and one of true directions. A line of that lists ALL instances in the body
-frame at that time; an empty list says that there is none::
-
-    {"stamp": 12.40, "query": "chair", "targets": [{"azimuth_deg": 62.5, "elevation_deg": -34}]}
-    {"stamp": 12.40, "query": "piano", "targets": [], "group": "walk 1"}
 """
 
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from eagor._checks import checked_stamp
 from eagor._lazy import lazy
-from eagor.errors import DirectionError, EagorError, FormatError, ResponseError
+from eagor.errors import DirectionError, EagorError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections, bump_norms, tangent_frames
 from eagor.evidence.detector import DetectorModel
-from eagor.perception.record_fields import json_lines, misplaced, need, number, object_of, only, words_of
-from eagor.perception.replay import ReplayPerception
-from eagor.sphere import angular_distance, check_rotation, direction, unit
+from eagor.sphere import angular_distance, check_rotation, unit
 
-__all__ = [
-    "Assigned", "LabelledLook", "Pose", "Rows", "Truth", "joined", "read_truth", "replayed_looks", "rows_of",
-    "stretches",
-]  # fmt: skip
+__all__ = ["Assigned", "LabelledLook", "Rows", "rows_of", "stretches"]
 
 IN_VIEW = 0.5  # share v of a target's direction from which on the look counts as having looked at it
 ROUNDS, SETTLED = 100, 1e-6  # of belief propagation: most rounds, and the change of a message at which it ends
@@ -290,18 +278,18 @@ def _places(looks: Sequence[LabelledLook], stretch: np.ndarray, seen: Sequence[n
     """
     anchors: dict[int, list[np.ndarray]] = {}
     names: list[tuple[int, int]] = []
-    for look, view, directions in zip(looks, stretch.tolist(), seen, strict=True):
+    for look, number, directions in zip(looks, stretch.tolist(), seen, strict=True):
         if look.world_R_body is None:
-            names += [(view, -1 - index) for index in np.flatnonzero(look.covers(look.targets)).tolist()]
+            names += [(number, -1 - index) for index in np.flatnonzero(look.covers(look.targets)).tolist()]
             continue
-        known = anchors.setdefault(view, [])
+        known = anchors.setdefault(number, [])
         free = list(range(len(known)))
         for at in directions:
             apart = [float(angular_distance(known[index], at)) for index in free]
             if apart and min(apart) < APART:
-                names.append((view, free.pop(int(np.argmin(apart)))))
+                names.append((number, free.pop(int(np.argmin(apart)))))
             else:
-                names.append((view, len(known)))
+                names.append((number, len(known)))
                 known.append(at)
     numbers = {name: index for index, name in enumerate(dict.fromkeys(names))}
     return np.array([numbers[name] for name in names], dtype=int)
@@ -315,99 +303,3 @@ def sums(groups: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 def _others(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
     """For each of `values` ``(P,)`` the sum of the others of its group."""
     return np.maximum(sums(groups, values, 0)[groups] - values, 0.0)
-
-
-Pose = tuple[np.ndarray, np.ndarray | None]  # world_R_body ``(3, 3)``, and the position ``(3,)`` if it is known
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """The directions `targets` ``(n, 3)``, body frame, of all that `query` names at `stamp`; n = 0: it is absent.
-
-    `group`: which recording of which thing (default in a file: the query).
-    """
-
-    stamp: float
-    query: str
-    targets: np.ndarray
-    group: str
-
-
-def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
-    """The lines of a file of true directions. `FormatError` names the file and the line of a fault."""
-    found: dict[tuple[float, str, str], Truth] = {}
-    for line, where in json_lines(path):
-        try:
-            truth = _parsed(line)
-            key = truth.stamp, " ".join(words_of(truth.query)), truth.group
-            if key in found:
-                raise FormatError(
-                    f"is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
-                )
-        except EagorError as error:
-            raise misplaced(error, where) from error
-        found[key] = truth
-    if not found:
-        raise FormatError(f"{os.fspath(path)} holds no true directions; wanted one JSON object per line, at least one")
-    return tuple(sorted(found.values(), key=lambda each: each.stamp))
-
-
-def _parsed(line: bytes) -> Truth:
-    entry = object_of(line)
-    only(entry, ("stamp", "query", "targets", "group"), "a line of true directions")
-    stamp, query, group, targets = number(entry, "stamp"), entry.get("query"), entry.get("group"), entry.get("targets")
-    need(isinstance(query, str) and words_of(query) != [], "query", query, "words")
-    need(group is None or (isinstance(group, str) and group != ""), "group", group, "text, or no such key")
-    fine = isinstance(targets, list) and all(isinstance(target, dict) for target in targets)
-    need(fine, "targets", targets, "a list of objects with azimuth_deg and elevation_deg; [] if the thing is absent")
-    angles = []
-    for target in entry["targets"]:
-        only(target, ("azimuth_deg", "elevation_deg"), "a target")
-        angles.append((number(target, "azimuth_deg", -360, 360), number(target, "elevation_deg", -90, 90)))
-    azimuths, elevations = np.radians(angles).reshape(-1, 2).T
-    name = entry["query"] if group is None else f"{group}: {entry['query']}"
-    return Truth(stamp, entry["query"], direction(azimuths, elevations).reshape(-1, 3), name)
-
-
-def replayed_looks(
-    replay: ReplayPerception, truths: Sequence[Truth], pose: Callable[[float], Pose] | None = None
-) -> tuple[list[LabelledLook], list[Truth]]:
-    """The looks of `replay` at the stamps of `truths`, and the truths without one.
-
-    `pose` tells how the camera stood at a stamp. A look is used once for each query, with the truth that is nearest in
-    time. Raises `QueryError` where no label fits
-    a query that has targets, `ResponseError` for response maps.
-    """
-    present = {truth.query for truth in truths if len(truth.targets)}
-    found: dict[tuple[str, float], tuple[float, Truth, LabelledLook]] = {}
-    left_out: list[Truth] = []
-    for truth in truths:
-        # What is never there may have no label either: the detector looked and saw none.
-        looks = replay.looks_near(truth.query, truth.stamp, strict=truth.query in present)
-        if not looks:
-            left_out.append(truth)
-            continue
-        evidence = joined(looks)
-        at = (None, None) if pose is None else pose(truth.stamp if evidence.stamp is None else float(evidence.stamp))
-        look = LabelledLook(evidence, truth.targets, None, truth.group, *at)
-        key, apart = (truth.group, float(look.stamp or 0.0)), abs(float(look.stamp or 0.0) - truth.stamp)
-        before = found.get(key)
-        if before is not None:
-            left_out.append(truth if before[0] <= apart else before[1])
-        if before is None or apart < before[0]:
-            found[key] = apart, truth, look
-    return [look for _, _, look in found.values()], left_out
-
-
-def joined(looks: Sequence[Evidence]) -> Evidence:
-    """The views of one moment as one look."""
-    first, *others = looks
-    if not others or any(look.detections is None for look in looks):
-        return next((look for look in looks if look.detections is None), first)
-    joint = first.detections
-    for look in others:
-        assert joint is not None
-        assert look.detections is not None
-        joint = joint.joined(look.detections)
-    assert joint is not None
-    return Evidence.from_detections(joint, first.grid, first.stamp)
