@@ -11,7 +11,7 @@ from eagor.cli import terminal
 from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchReport, pairs_of
 
 if TYPE_CHECKING:
-    from eagor.evaluation.study import Told
+    from eagor.evaluation.study import LoadedRun
 
 
 def report(options: BenchReport) -> int:
@@ -42,7 +42,7 @@ def report(options: BenchReport) -> int:
     return terminal.OK
 
 
-def _counted(folder: Path, run: Told) -> dict[str, Any]:
+def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
     """How many records a run has, and how many it is to have; said, if these are fewer."""
     planned, there = run.study.planned(run.settings), len(run.records)
     if planned is not None and there < planned:

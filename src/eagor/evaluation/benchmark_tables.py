@@ -20,6 +20,7 @@ from eagor.statistics import calibration_error, reliability
 from eagor.tasks.benchmark import Benchmark, Figure
 
 BINS = 10
+Summary = Mapping[str, Any]
 
 
 def summarise(settings: Mapping[str, Any], records: Sequence[Record], benchmark: Benchmark) -> dict[str, Any]:
@@ -129,9 +130,6 @@ def _reliability(records: Sequence[Record]) -> dict[str, Any]:
 
 def _rows(table: Sequence[Any]) -> list[list[float]]:
     return [[row.lower, row.upper, row.n, row.stated, row.frequency] for row in table]
-
-
-Summary = Mapping[str, Any]
 
 
 def labels_of(summaries: Sequence[Summary]) -> list[str]:

@@ -58,6 +58,13 @@ TASKS = ("waypoint", "tracking")
 PER_PLACE = 2  # episodes of each task in an apartment: many apartments tell more than many episodes in one
 EVERY = 3  # steps between the readings that are scored: neighbours say nearly the same
 SMALLEST = 1e-9  # a probability of presence below it counts as this
+DRAWS = 16  # settings in a round,
+ELITE = 4  # of which so many are kept
+SPREAD = 0.25  # standard deviation of the first round, of the range of each parameter,
+LEAST = 0.03  # ... and the smallest of any round
+LEARNT = 0.4  # of `stated`: the search begins with false alarms that are learnt
+
+Map = Callable[[Callable[[Any], Any], Sequence[Any]], Any]
 
 
 @dataclass(frozen=True)
@@ -284,15 +291,6 @@ def _tell(
     tracker.add_pose(stamp, world_R_body, position if config.ranges is not None else None)
     if evidence is not None:
         tracker.observe(evidence)
-
-
-DRAWS = 16  # settings in a round,
-ELITE = 4  # of which so many are kept
-SPREAD = 0.25  # standard deviation of the first round, of the range of each parameter,
-LEAST = 0.03  # ... and the smallest of any round
-LEARNT = 0.4  # of `stated`: the search begins with false alarms that are learnt
-
-Map = Callable[[Callable[[Any], Any], Sequence[Any]], Any]
 
 
 def fit(

@@ -41,6 +41,13 @@ __all__ = [
 KNOTS = 5  # most places of the curve
 EACH = 8  # scores that each knot asks for
 FEWEST = 1.0  # right or false scores, below which nothing is known of the curve
+SPREAD_PRIOR = 2.0  # detections that the prior of the spread counts for
+OFFSET_PRIOR = 2.0  # places, with one detection each, that the prior of the offset counts for
+NARROWEST, WIDEST = math.radians(0.2), math.radians(40)  # spreads that are tried
+STARTS = (0.4, 1.0, 2.5)  # times the stated spread: where the search begins
+STEPS, SETTLED = 60, 1e-3  # most steps, and the relative change of every number at which they end
+LEAST_RECALL, MOST_RECALL = 0.001, 0.99
+BESIDE = 2.5  # widths about a target in which a second detection is no look-alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +108,6 @@ def fitted_curve(
     bounds = [(None, None), *[(0, None)] * rises]
     found = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B").x
     return ScoreCurve(knots, found[0] - prior + np.concatenate([[0.0], np.cumsum(found[1:])]))
-
-
-SPREAD_PRIOR = 2.0  # detections that the prior of the spread counts for
-OFFSET_PRIOR = 2.0  # places, with one detection each, that the prior of the offset counts for
-NARROWEST, WIDEST = math.radians(0.2), math.radians(40)  # spreads that are tried
-STARTS = (0.4, 1.0, 2.5)  # times the stated spread: where the search begins
-STEPS, SETTLED = 60, 1e-3  # most steps, and the relative change of every number at which they end
-LEAST_RECALL, MOST_RECALL = 0.001, 0.99
-BESIDE = 2.5  # widths about a target in which a second detection is no look-alike
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, deg
 from eagor.evaluation.samples import Record, method_names
 from eagor.tasks.task import Task
 
+_ANGLES = np.linspace(0.0, math.pi, 36001)  # 0.005 degrees apart
+
 
 def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
     """Errors against steps, for the methods of the paper and for the others, each beside ours."""
@@ -153,9 +155,6 @@ def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> list[Part]
         f"the paper states about {width:g}° of resolution at degree {d}" for d, width in RESOLUTION_DEG.items()
     )
     return [Pictures([(chart, f"{title}: width against ripples ({paper}).")])]
-
-
-_ANGLES = np.linspace(0.0, math.pi, 36001)  # 0.005 degrees apart
 
 
 def kernel(degree: int, angles: np.ndarray) -> np.ndarray:

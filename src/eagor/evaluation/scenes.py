@@ -34,6 +34,13 @@ FAINT, STRONG = 0.17, 0.4  # how much it covers: floor that was seen from afar, 
 HALF = 0.5  # of what is about a point is floor that was seen: the edge of what is shaded
 DASHES = (0, (1.5, 1.0))  # of steps in which the body searched, in widths of the line
 WIDTH = 3.2  # of the line of our default method
+MOMENTS = 6
+ROWS = 270  # of the panoramas, of which the belt between these elevations (degrees) is shown
+TOP, BOTTOM = 50, -65
+SCALE = 40  # pixels of a map per metre
+APART = 0.6  # metres between two moments that have a label each
+
+OpenPlace = Callable[[str, int, float], "Place"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +143,6 @@ def key_to_search(search: Search, of: str) -> str:
     words = "dashed where it searched, solid where it went to where the thing should be"
     words += "; shaded where looks showed the floor, the stronger the surer they find a thing there" if shades else ""
     return finished(figure, f"Key to the search of {of}", words)
-
-
-MOMENTS = 6
-ROWS = 270  # of the panoramas, of which the belt between these elevations (degrees) is shown
-TOP, BOTTOM = 50, -65
-SCALE = 40  # pixels of a map per metre
-APART = 0.6  # metres between two moments that have a label each
-
-OpenPlace = Callable[[str, int, float], "Place"]
 
 
 def chosen(records: Sequence[Record], task: Task) -> dict[str, Record]:

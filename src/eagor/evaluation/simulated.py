@@ -14,7 +14,7 @@ from eagor.evaluation.charts import legend
 from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
 from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
-from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
+from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
 from eagor.evaluation.tables import shown
 from eagor.tasks.episodes import PER_PLACE, Slot
 from eagor.tasks.listed import slot_of
@@ -45,9 +45,9 @@ class Simulated:
         known = {"worlds": sorted(worlds.known()), "exports": EXPORTS}
         return {"title": self.task.title, "what": self.task.what, **known}
 
-    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
+    def loaded(self, settings: Settings, records: Sequence[Record]) -> LoadedRun:
         judged = _judged(self.task, settings)
-        return Told(self, settings, records, tables.summarise(records) | ({"judged": judged} if judged else {}))
+        return LoadedRun(self, settings, records, tables.summarise(records) | ({"judged": judged} if judged else {}))
 
     def as_text(self, summary: Summary) -> list[str]:
         return tables.as_text(summary)
@@ -61,7 +61,7 @@ class Simulated:
             return None
         return count * len(methods) if self.task.walked else count
 
-    def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
+    def report(self, runs: Sequence[LoadedRun], open_place: Any = None) -> Report:
         (run,) = runs
         summary, task, good, degrees = run.summary, self.task, finished(run.records), _degrees(run.settings)
         main = sheets.main_sheet(summary)
@@ -94,7 +94,7 @@ class Simulated:
             {"tables.csv": export.table_csv(summary)},
         )
 
-    def worst(self, run: Told, method: str | None = None) -> Worst:
+    def worst(self, run: LoadedRun, method: str | None = None) -> Worst:
         named = method or (OURS if OURS in run.methods else next(iter(run.methods), OURS))
         if run.methods and named not in run.methods:
             raise EagorError(f"the run has no method {named!r}; it has {', '.join(run.methods)}")
@@ -115,11 +115,11 @@ class Simulated:
             )
         return Worst(lines, cases, [], said)
 
-    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+    def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
         return [export.TABLES.get(to, export.records_jsonl)(run, folder)]
 
 
-def _unit(run: Told, record: Record, method: str) -> dict[str, Any] | None:
+def _unit(run: LoadedRun, record: Record, method: str) -> dict[str, Any] | None:
     """What `eagor.tasks.play.work` is given to play an episode again; None where the record does not say."""
     episode, first = record["episode"], run.settings.get("seed")
     if "slot" in episode:  # of an episode that a file lists
@@ -145,7 +145,7 @@ def _there(sheet: Sheet | None) -> list[Sheet]:
     return [] if sheet is None else [sheet]
 
 
-def _lead(run: Told, task: Task) -> list[Part]:
+def _lead(run: LoadedRun, task: Task) -> list[Part]:
     """The outcome in a sentence (ours, the published method, the best other one), and warnings."""
     summary, said = run.summary, []
     column = next(c for c in task.columns if c.key == task.headline)
@@ -169,7 +169,7 @@ def _lead(run: Told, task: Task) -> list[Part]:
     return lead
 
 
-def _facts(run: Told, task: Task) -> list[tuple[str, str]]:
+def _facts(run: LoadedRun, task: Task) -> list[tuple[str, str]]:
     """What was run, from run.json and the records."""
     config, records, summary, words = run.settings, run.records, run.summary, export.words
     seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
@@ -284,7 +284,7 @@ def _said(record: Record, task: Task, method: str = OURS) -> str:
     return f"{method}: {told}."
 
 
-def log_case(run: Told, worst: Worst, name: str | None, path: str | Path) -> str:
+def log_case(run: LoadedRun, worst: Worst, name: str | None, path: str | Path) -> str:
     """Play case `name` of a run (None: the worst one) again and log it; returns the case's name.
 
     Every method sees again what it saw in the run, so the figures are the recorded ones. The method has to have a
@@ -312,14 +312,14 @@ def log_case(run: Told, worst: Worst, name: str | None, path: str | Path) -> str
     return str(case["case"])
 
 
-def player_of(run: Told, case: Mapping[str, Any]) -> tuple[Player, Slot]:
+def player_of(run: LoadedRun, case: Mapping[str, Any]) -> tuple[Player, Slot]:
     """What plays a case of a run again, with panoramas. Raises `EagorError` for a benchmark of still pictures."""
     if case.get("unit") is None:
         raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
     return Player(dict(run.settings), rows=SEEN_ROWS), slot_of(case["unit"]["slot"])
 
 
-def _named(run: Told, worst: Worst, name: str | None) -> Mapping[str, Any]:
+def _named(run: LoadedRun, worst: Worst, name: str | None) -> Mapping[str, Any]:
     if not worst.cases:
         raise EagorError(f"the run of {run.study.name} has no case to show")
     if name is None:

@@ -16,7 +16,7 @@ from eagor.errors import EagorError
 from eagor.evaluation import export, ledger, page, tables
 from eagor.evaluation.benchmarks import KIND, Published
 from eagor.evaluation.simulated import Simulated
-from eagor.evaluation.study import Study, Told
+from eagor.evaluation.study import LoadedRun, Study
 from eagor.tasks import benchmark, task
 
 SIMULATED, PUBLISHED = "simulated", "published data"
@@ -36,15 +36,15 @@ def load(name: str) -> Study:
     raise EagorError(f"there is no task {name!r}; known are {', '.join(known())}")
 
 
-def read(folder: Path) -> Told:
-    """The run in `folder`. Raises `FormatError` if it is none, `EagorError` if it has no records; as `Study.told`."""
+def read(folder: Path) -> LoadedRun:
+    """The run in `folder`. Raises `FormatError` if it is none, `EagorError` if it has no records; as `Study.loaded`."""
     settings = ledger.description(folder)
     study = Published.of(settings, folder) if settings.get("kind") == KIND else None
     records = ledger.recorded(folder)
     if study is None:  # the records name their task, or else run.json does
         records = [{"task": settings.get("task"), **record} for record in records]
         study = Simulated(tables.task_of(records))
-    return study.told(settings, records)
+    return study.loaded(settings, records)
 
 
 def offers() -> dict[str, dict[str, Any]]:

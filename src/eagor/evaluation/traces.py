@@ -22,6 +22,10 @@ ABOUT_SEAM = 6
 LEVELS = tuple(round(0.1 * k, 1) for k in range(1, 10))  # masses of the regions in a reliability curve
 
 Events = Callable[[Record, str], Sequence[int]]
+UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
+PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
+SEEN = "after it was first seen"  # in sight or hidden again
+BASELINE = 0.1  # of the distance: by so much the camera has to have moved before a distance is asked for
 
 
 def errors(record: Record, method: str) -> np.ndarray:
@@ -112,12 +116,6 @@ def _curve(x: Sequence[float], rows: Sequence[np.ndarray], labels: Sequence[obje
         tuple(v if k else None for v, k in zip(high[:last], kept, strict=False)),
         tuple(int(c) for c in count[:last]),
     )
-
-
-UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
-PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
-SEEN = "after it was first seen"  # in sight or hidden again
-BASELINE = 0.1  # of the distance: by so much the camera has to have moved before a distance is asked for
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,8 @@ from eagor.plugins import readable_lists
 LONGEST_ERROR = 2000  # characters of an error's text that are kept
 
 Do = Callable[[Any], Mapping[str, Any]]
-Told = Callable[[dict[str, Any]], object]
+STARTS = 3  # so many workers in a row that die before they are ready mean that none ever will be
+PATIENCE = 3.0  # seconds that workers have to leave by themselves, all together
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Book:
         task: str | None,
         attempts: int,
         retry_failed: bool = False,
-        on_done: Told | None = None,
+        on_done: Callable[[dict[str, Any]], object] | None = None,
     ) -> None:
         self.folder, self.task, self._on_done = folder, task, on_done
         self.ledger = Ledger(folder)
@@ -173,10 +174,6 @@ def head_of(record: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in ("methods", "truth")}
 
 
-STARTS = 3  # so many workers in a row that die before they are ready mean that none ever will be
-PATIENCE = 3.0  # seconds that workers have to leave by themselves, all together
-
-
 class Lost(Exception):
     """The worker has died. `begun`: whether in the middle of a unit; `kept`: the unit's record, if it got so far."""
 
@@ -238,19 +235,19 @@ def work_together(book: Any, hire: Callable[[], Seat], count: int) -> None:
 
     Raises as `eagor.evaluation.workers.run_units` does.
     """
-    crew: list[Seat] = []
+    seats: list[Seat] = []
     starting: dict[Future[Any], Seat] = {}
     busy: dict[Future[Any], tuple[Seat, Unit, int, float]] = {}
     idle: list[Seat] = []
     stillborn = 0
     try:
         while book.left or busy:
-            while len(crew) < min(count, book.left + len(busy)):
-                crew.append(hire())
-                starting[crew[-1].ready] = crew[-1]
+            while len(seats) < min(count, book.left + len(busy)):
+                seats.append(hire())
+                starting[seats[-1].ready] = seats[-1]
             while idle:
                 seat = idle[-1]
-                taken = {other.group for other in crew if other is not seat and other.group is not None}
+                taken = {other.group for other in seats if other is not seat and other.group is not None}
                 if (found := book.next(seat.group, taken)) is None:
                     seat.group = None
                     break
@@ -266,7 +263,7 @@ def work_together(book: Any, hire: Callable[[], Seat], count: int) -> None:
                         stillborn = 0
                         idle.append(seat)
                     except Lost as lost:
-                        crew.remove(seat)
+                        seats.remove(seat)
                         stillborn += 1
                         if stillborn >= STARTS:
                             raise WorkError(
@@ -282,7 +279,7 @@ def work_together(book: Any, hire: Callable[[], Seat], count: int) -> None:
                     book.lost(unit, attempt, f"cannot be sent: {error}", 0.0)
                     idle.append(seat)
                 except Lost as lost:
-                    crew.remove(seat)
+                    seats.remove(seat)
                     if lost.kept is not None:
                         book.ended(unit, lost.kept)
                     elif lost.begun:
@@ -291,39 +288,22 @@ def work_together(book: Any, hire: Callable[[], Seat], count: int) -> None:
                     else:
                         book.give_back(unit, attempt)
     finally:
-        for seat in crew:
+        for seat in seats:
             seat.leave()
         late = time.monotonic() + PATIENCE
-        for seat in crew:
+        for seat in seats:
             seat.stop(late)
 
 
 class ThreadSeat(Seat):
     """A thread of this process: for work that waits for servers, and is safe to use from several threads."""
 
-    def __init__(self, do: Do, book: Book, ledger: Ledger) -> None:
-        self._work, self._book, self._ledger = do, book, ledger
+    def __init__(self, do: Do, book: Book) -> None:
+        self._work, self._book = do, book
         super().__init__()
 
     def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
-        return attempt_unit(self._work, unit, attempt, self._book.task, self._ledger)
-
-
-def in_threads(book: Book, work: str, config: dict[str, Any]) -> Callable[[], Seat]:
-    """What hires threads, which share what `work` set up and the ledger of `book`."""
-    do, ledger = load(work, config), _Shared(book.ledger)
-    return lambda: ThreadSeat(do, book, ledger)
-
-
-class _Shared(Ledger):
-    """A ledger that several threads append to, one at a time."""
-
-    def __init__(self, ledger: Ledger) -> None:
-        self._ledger, self._lock = ledger, threading.Lock()
-
-    def append(self, record: Mapping[str, Any]) -> None:
-        with self._lock:
-            self._ledger.append(record)
+        return attempt_unit(self._work, unit, attempt, self._book.task, self._book.ledger)
 
 
 class ProcessSeat(Seat):

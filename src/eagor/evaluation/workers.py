@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -20,13 +20,24 @@ from typing import Any, Literal
 import eagor
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
-from eagor.evaluation.worker_pool import Book, Told, Unit, WorkError, attempt_unit, load
+from eagor.evaluation.worker_pool import (
+    Book,
+    ProcessSeat,
+    ThreadSeat,
+    Unit,
+    WorkError,
+    attempt_unit,
+    load,
+    work_together,
+)
 from eagor.tasks.eyes import release
 
 __all__ = ["Engine", "Outcome", "Unit", "WorkError", "carry_out", "run_units"]
 
 Engine = Literal["processes", "threads", "ray"]
 """Who the workers of a run are."""
+LEFT_OUT = {"__pycache__", "static"}  # the studio's page is built anew at times; it decides no result
+READ = (".json", ".jsonl", ".csv", ".tsv", ".txt")  # annotations: their content counts, of other files the size
 
 
 @dataclass(frozen=True)
@@ -45,7 +56,7 @@ def run_units(
     folder: Path,
     workers: int = 1,
     attempts: int = 2,
-    on_done: Told | None = None,
+    on_done: Callable[[dict[str, Any]], object] | None = None,
     retry_failed: bool = False,
     engine: Engine = "processes",
     address: str | None = None,
@@ -74,11 +85,11 @@ def run_units(
                 work_on_ray(book, work, config, workers, address)
             elif workers == 1:
                 _alone(book, work, config)
+            elif engine == "threads":
+                do = load(work, config)  # which they share
+                work_together(book, lambda: ThreadSeat(do, book), workers)
             else:
-                from eagor.evaluation.worker_pool import ProcessSeat, in_threads, work_together
-
-                threads = in_threads(book, work, config) if engine == "threads" else None
-                work_together(book, threads or (lambda: ProcessSeat(book, work, config)), workers)
+                work_together(book, lambda: ProcessSeat(book, work, config), workers)
     return Outcome(book.done, book.failed, book.skipped)
 
 
@@ -113,10 +124,6 @@ def _alone(book: Book, work: str, config: dict[str, Any]) -> None:
         unit, attempt = found
         group = unit.group
         book.ended(unit, attempt_unit(do, unit, attempt, book.task, book.ledger))
-
-
-LEFT_OUT = {"__pycache__", "static"}  # the studio's page is built anew at times; it decides no result
-READ = (".json", ".jsonl", ".csv", ".tsv", ".txt")  # annotations: their content counts, of other files the size
 
 
 def inputs_of(settings: Mapping[str, Any]) -> dict[str, Any]:
