@@ -203,10 +203,10 @@ def _place(world: str, seed: int, radius: float) -> Any:
 
 def main(options: argparse.Namespace) -> int:
     """Run the attacks; the exit code."""
-    from eagor.evaluation import report
+    from eagor.evaluation import studies
 
-    really = report.write_report
-    report.write_report = lambda folder: really(folder, _place)
+    really = studies.write_report
+    studies.write_report = lambda folder: really(folder, _place)
     lost = 0
     for name in options.only or ATTACKS:
         print(f"{name}: {ATTACKS[name].__doc__}", flush=True)

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.evaluation import parts
+from eagor.evaluation import traces
 from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
@@ -35,7 +35,7 @@ from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
 OURS, FRAME = "eagor", "frame"
-SHOWN = (parts.SEEN, parts.IN_SIGHT, parts.HIDDEN)
+SHOWN = (traces.SEEN, traces.IN_SIGHT, traces.HIDDEN)
 Step = tuple[float, np.ndarray, Evidence | None, np.ndarray]  # stamp, pose, look, true direction
 
 
@@ -73,7 +73,7 @@ def errors(player: Player, name: str, slot: Slot, steps: list[Step]) -> np.ndarr
 
 def means(record: dict[str, Any], name: str) -> list[float]:
     """A method's mean in each of `SHOWN`; NaN where the episode has no such step."""
-    found = (parts.error_in([record], name, part) for part in SHOWN)
+    found = (traces.error_in([record], name, part) for part in SHOWN)
     return [math.nan if part is None else part.mean for part in found]
 
 

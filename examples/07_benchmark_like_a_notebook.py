@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from eagor.evaluation import bench, ledger, tables
-from eagor.evaluation.report import write_report
+from eagor.evaluation.studies import write_report
 
 run = bench.Run(
     task="tracking",

@@ -7,8 +7,15 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from typing import Any
+
+from eagor.errors import EagorError
+
+__all__ = ["Worker", "WorkerEnded", "WorkerSilent"]
 
 THREADS = (
     "OPENBLAS_NUM_THREADS",
@@ -19,13 +26,152 @@ THREADS = (
 )
 
 
+class WorkerEnded(Exception):
+    """Nothing can be said to a worker, or heard from it, any more: it has ended, or its line was closed here."""
+
+
+class WorkerSilent(Exception):
+    """A worker has said nothing for as long as it may."""
+
+
+class Worker:
+    """A new process (spawn: it inherits no threads, locks or open files) that talks with this one over a `line`.
+
+    It calls ``serve(line, *arguments)``; `serve` may be named as ``"package.module:function"``, which is then imported
+    in that process alone. It ends when that returns, which it should when reading the line raises EOFError: then this
+    process has closed it, or is gone. An `EagorError` there is its last word, and raised here by `receive`. Ctrl-C is
+    left to this process, and it never outlives it, however that ends: `at_parents_end` is called there first.
+
+    `parent`: whether it starts processes itself. Such a worker has to be closed before this process can end.
+
+    Raises what pickling the arguments raises, and `OSError` if the system has no more processes.
+    """
+
+    def __init__(
+        self,
+        serve: Callable[..., object] | str,
+        *arguments: Any,
+        name: str | None = None,
+        parent: bool = False,
+        at_parents_end: Callable[[], object] | None = None,
+    ) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.line, there = context.Pipe()
+        self._closing = threading.Lock()
+        given = (there, serve, arguments, at_parents_end)
+        self.process = context.Process(target=_live, args=given, name=name, daemon=not parent)
+        try:
+            with _starting():
+                self.process.start()
+        except BaseException:
+            self.line.close()
+            raise
+        finally:
+            there.close()  # so that the line ends when the process does
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process is running."""
+        return self.process.is_alive()
+
+    def send(self, item: Any) -> None:
+        """Say something. Raises `WorkerEnded`, and what pickling `item` raises."""
+        try:
+            self.line.send(item)
+        except (OSError, TypeError) as error:
+            raise self._ended(error) from None
+
+    def receive(self, timeout: float | None = None) -> Any:
+        """What it says next.
+
+        Raises `WorkerEnded`, its last word (an `EagorError`), and `WorkerSilent` after so many seconds (None: never).
+        """
+        try:
+            if not self.line.poll(timeout):
+                raise WorkerSilent(f"nothing was heard for {timeout} s")
+            said = self.line.recv()
+        except (EOFError, OSError, TypeError) as error:
+            raise self._ended(error) from None
+        if isinstance(said, _LastWord):
+            raise said.error
+        return said
+
+    def kill(self) -> None:
+        """End it at once. From any thread."""
+        self.process.kill()
+
+    def close(self, patience: float) -> int:
+        """See it end, and return its exit code. May be called twice, and from several threads.
+
+        The closed line tells it to leave; after so many seconds it is killed.
+        """
+        with self._closing:
+            with suppress(OSError):
+                self.line.close()
+            self.process.join(patience)
+            if self.process.is_alive():
+                self.process.kill()
+                self.process.join()
+            assert self.process.exitcode is not None
+            return self.process.exitcode
+
+    def _ended(self, error: Exception) -> Exception:
+        """What to raise for an error of the line."""
+        of_caller = isinstance(error, TypeError) and not self.line.closed  # else closed by a thread while one used it
+        return error if of_caller else WorkerEnded()
+
+
+class _LastWord:
+    """The error that a worker ended with."""
+
+    def __init__(self, error: EagorError) -> None:
+        self.error = error
+
+
+def _live(
+    line: Connection,
+    serve: Callable[..., object] | str,
+    arguments: tuple[Any, ...],
+    at_parents_end: Callable[[], object] | None,
+) -> None:
+    """The life of a worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it, too, and decides
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # for processes that this one starts
+    threading.Thread(target=_leave_with_parent, args=(at_parents_end,), daemon=True).start()
+    try:
+        with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the line has been closed there
+            _named(serve)(line, *arguments)
+    except EagorError as error:
+        with suppress(OSError):
+            line.send(_LastWord(error))
+
+
+def _named(serve: Callable[..., object] | str) -> Callable[..., object]:
+    if not isinstance(serve, str):
+        return serve
+    module, _, function = serve.partition(":")
+    return getattr(import_module(module), function)
+
+
+def _leave_with_parent(before: Callable[[], object] | None) -> None:
+    """End this process and those it has started once its parent has ended: nobody gives it work."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    for process in multiprocessing.active_children():
+        process.kill()
+    if before is not None:
+        before()
+    os._exit(1)
+
+
 @contextmanager
-def starting() -> Iterator[None]:
+def _starting() -> Iterator[None]:
     """Start processes of our own inside.
 
     They have one BLAS thread each (the libraries read that once, when they are loaded), and are not interrupted: Ctrl-C
-    reaches every process of a terminal, and one that still imports would print a traceback. Each has to call
-    `leave_ctrl_c` first.
+    reaches every process of a terminal, and one that still imports would print a traceback. `_live` undoes that.
     """
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
@@ -43,23 +189,3 @@ def starting() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def leave_ctrl_c() -> None:
-    """Ignore Ctrl-C in this process from now on: the parent hears it, too, and decides."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # for processes that this one starts
-
-
-def leave_with_parent(first: Callable[[], object] = lambda: None) -> None:
-    """End this process, after `first`, once its parent has ended, however that came about: nobody gives it work."""
-
-    def wait_for_it() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            first()
-            os._exit(1)
-
-    threading.Thread(target=wait_for_it, daemon=True).start()

@@ -207,7 +207,7 @@ def test_a_benchmark_that_names_no_causes_has_failures_all_the_same():
         for case, score in (("a1", 1.0), ("a2", 0.0))
     ]
     records.append({"key": "a3", "status": "failed", "attempt": 2, "error": "torn"})
-    run = Published(small_benchmark.Numbers()).told({"task": "numbers"}, records)
+    run = Published(small_benchmark.Numbers()).loaded({"task": "numbers"}, records)
     assert run.summary["causes"] == run.summary["tags"]["odd"]["causes"] == {"wrong": 1}
     assert run.study.worst(run, None).lines == ["a2  wrong  [odd]  '': 7"]
 

@@ -16,7 +16,7 @@ from processes import wait_for
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.ledger import Ledger, StorageError, begin, description, files, read
-from eagor.evaluation.units import Book
+from eagor.evaluation.worker_pool import Book
 from eagor.evaluation.workers import Outcome, Unit, WorkError, run_units
 
 WORK = "units_of_work:squares"

@@ -11,17 +11,18 @@ from hypothesis import strategies as st
 from eagor.errors import EagorError
 from eagor.evaluation.calibration import (
     DETECTING,
+    LEARNT,
     MOVING,
     READING,
     Recorder,
     counted,
     development_slots,
+    fit,
     habit_values,
     motion_values,
     score,
     with_habit,
 )
-from eagor.evaluation.fitting import LEARNT, fit
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -114,7 +115,7 @@ def fitted(found, base):
 
 
 def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
-    monkeypatch.setattr("eagor.evaluation.fitting.BASE", SMALL)
+    monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
     rounds, trials = [], []
     best = fit("a detector", [recording(s) for s in range(8)], 32, 1, lambda: trials.append(1), rounds.append)
     assert len(trials) == 32
@@ -170,7 +171,7 @@ def test_posters_and_what_a_place_keeps_are_counted():
 
 
 def test_a_detector_is_fitted_as_a_detector(monkeypatch):
-    monkeypatch.setattr("eagor.evaluation.fitting.BASE", SMALL)
+    monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
     best = fit("a detector", [detecting(seed) for seed in range(6)], 17, 1)
     assert best.calibration is None
     assert {"detector", "forgetting"} <= best.as_json().keys()

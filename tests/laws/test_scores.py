@@ -33,7 +33,7 @@ def run(*found):
         }
         for k, (kind, cluster, score) in enumerate(found)
     ]
-    return Published(BENCHMARK).told(SETTINGS, records)
+    return Published(BENCHMARK).loaded(SETTINGS, records)
 
 
 # Six questions of one kind and two of another, in four clusters: the kinds weigh alike, the cases do not.

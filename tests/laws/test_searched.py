@@ -11,8 +11,8 @@ from box_scenes import scene_of, shell, thing
 from PIL import Image
 
 from eagor.conventions import wxyz_from_rotation
-from eagor.evaluation import scenes, searched
-from eagor.evaluation.report import write_report
+from eagor.evaluation import scenes
+from eagor.evaluation.studies import write_report
 from eagor.sphere import world_R_body
 from eagor.tasks import looked
 from eagor.tasks.floor_seen import CONTACT, FLOOR, UNKNOWN
@@ -50,7 +50,7 @@ HALF = [True] * 4 + [False] * 4
 
 
 def drawn(place, record):
-    return scenes.floor_map(place, record, [], searched.search_of(place, record, CAMERA))
+    return scenes.floor_map(place, record, [], scenes.search_of(place, record, CAMERA))
 
 
 def pixels(svg):
@@ -127,7 +127,7 @@ def test_slivers_behind_walls_are_not_shaded(rooms, monkeypatch):
         return known
 
     plain = pixels(drawn(rooms, record_of(HALF)))
-    monkeypatch.setattr(searched, "looked_along", with_sliver)
+    monkeypatch.setattr(scenes, "looked_along", with_sliver)
     assert (pixels(drawn(rooms, record_of(HALF))) == plain).all()
 
 
@@ -135,7 +135,7 @@ def test_where_looks_find_a_thing_more_surely_the_shade_is_stronger(rooms):
     found = np.full(rooms.ground.free.shape, np.nan)
     found[10], found[11], found[12] = 0.0, 0.5, 1.0
     blank = np.zeros((*found.shape, 4), dtype=np.uint8)
-    covers = searched.shaded(blank, found)[9:14, 5, 3].astype(int)
+    covers = scenes.shaded(blank, found)[9:14, 5, 3].astype(int)
     assert covers[0] == covers[-1] == 0
     assert 0 < covers[1] < covers[2] < covers[3] < 128
 
@@ -160,8 +160,8 @@ def test_what_is_shaded_and_dashed_is_said(rooms):
     assert "eagor searched in 4 of its steps, whose line is dashed" in said
     share = int(re.search(r"its looks showed (\d+) % of the free floor", said)[1])
     assert 80 < share <= 100  # only this room is free ground
-    search = searched.search_of(rooms, record_of(HALF), CAMERA)
-    key = searched.key(search, "this one")
+    search = scenes.search_of(rooms, record_of(HALF), CAMERA)
+    key = scenes.key_to_search(search, "this one")
     assert all(
         words in key for words in (">searching<", ">going to where it believed the thing<", "looks would find it")
     )
@@ -176,17 +176,17 @@ def test_moments_have_a_label_each_unless_they_are_at_one_place():
 
 def test_without_a_search_a_map_is_as_it_was(rooms):
     record = record_of()
-    assert searched.search_of(rooms, record, CAMERA) is None
+    assert scenes.search_of(rooms, record, CAMERA) is None
     assert drawn(rooms, record) == scenes.floor_map(rooms, record, [])
     assert "search" not in drawn(rooms, record)
 
 
 def test_where_nobody_can_say_what_was_looked_at_nothing_is_shaded(rooms):
-    search = searched.search_of(rooms, record_of(HALF), None)
+    search = scenes.search_of(rooms, record_of(HALF), None)
     svg = scenes.floor_map(rooms, record_of(HALF), [], search)
     assert (pixels(svg) == pixels(drawn(rooms, record_of()))).all()
     assert "dasharray" in svg
-    assert "looks showed" not in svg + searched.key(search, "it") + search.caption
+    assert "looks showed" not in svg + scenes.key_to_search(search, "it") + search.caption
 
 
 def test_what_nobody_calls_a_floor_is_shown_as_well(rooms):
@@ -211,4 +211,4 @@ def test_a_report_has_a_key_to_each_map_of_a_search(rooms, tmp_path, policy):
     assert "No pictures" not in text
     maps = text.count("From above; numbers")
     assert maps >= 2
-    assert text.count("How eagor searched.") == text.count("Key to the search") / 2 == maps * (policy == "search")
+    assert text.count("How eagor scenes.") == text.count("Key to the search") / 2 == maps * (policy == "search")

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError
-from eagor.evaluation import curves, parts
+from eagor.evaluation import traces
 from eagor.evaluation.export import FIELDS, table_csv
-from eagor.evaluation.kernels import half_width_deg, highest_sidelobe, kernel
-from eagor.evaluation.published import FIGURES, OURS, ordered
+from eagor.evaluation.figures import half_width_deg, highest_sidelobe, kernel
+from eagor.evaluation.published import FIGURES, OURS, ordered, varied_by
 from eagor.evaluation.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
-from eagor.evaluation.sheets import main_sheet, ordering_sheet, split, verdict
+from eagor.evaluation.sheets import main_sheet, ordering_sheet, verdict
 from eagor.evaluation.tables import as_text, best, mark, shown, summarise
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import direction
@@ -125,7 +125,7 @@ def test_variants_are_compared_with_what_they_vary():
     for name, other in (("eagor:degree=7", "eagor"), ("eagor_paper:decode=mode", "eagor_paper"), ("grid", "eagor")):
         found = summary["differences"][name]["L1"]["difference"]
         assert found == pytest.approx(rows[name]["L1"] - rows[other]["L1"])
-    assert split("eagor:floor=0.2,temperature=2") == ("eagor", ("floor", "temperature"))
+    assert varied_by("eagor:floor=0.2,temperature=2") == ("eagor", ("floor", "temperature"))
 
 
 def test_strata_divide_the_episodes(navigation):
@@ -294,40 +294,40 @@ def walk(errors, seam=(), legs=None, seed=1, **more):
 
 def test_errors_are_aligned_at_the_events():
     records = [walk([0, 1, 2, 3, 4, 5, 6, 7], seam=[2, 6]), walk([10, 10, 10, 10, 10, 10, 10, 10], seam=[4], seed=2)]
-    curve = curves.around(records, "m", curves.crossings, 1, 1)
+    curve = traces.around(records, "m", traces.crossings, 1, 1)
     assert curve.x == (-1, 0, 1)
     assert curve.y == pytest.approx((((1 + 5) / 2 + 10) / 2, ((2 + 6) / 2 + 10) / 2, ((3 + 7) / 2 + 10) / 2))
     assert curve.n == (2, 2, 2)
-    assert curves.around([walk([1, 2])], "m", curves.crossings, 1, 1) is None
+    assert traces.around([walk([1, 2])], "m", traces.crossings, 1, 1) is None
 
 
 def test_a_window_about_a_turn_holds_no_step_of_another_turn():
     legs = ["L1"] * 3 + ["L2"] * 2 + ["L3"] * 4
     record = walk([0, 1, 2, 3, 4, 5, 6, 7, None], legs=legs)
-    assert curves.turns(record, "m") == [3, 5]
-    curve = curves.around([record], "m", curves.turns, 4, 3, alone=True)
+    assert traces.turns(record, "m") == [3, 5]
+    curve = traces.around([record], "m", traces.turns, 4, 3, alone=True)
     assert curve.x == tuple(range(-4, 3))  # nothing is known of the third step after either turn
     assert curve.y == (None, 0.0, pytest.approx((1 + 3) / 2), pytest.approx((2 + 4) / 2), 4.0, 5.0, 7.0)
 
 
 def test_a_curve_by_step_ends_where_fewer_than_half_go_on():
     records = [walk([1] * length, seed=length) for length in (3, 5, 5, 9)]
-    assert curves.by_step(records, "m").x == (0, 1, 2, 3, 4)
-    assert curves.by_step(records, "m").n == (4, 4, 4, 3, 3)
+    assert traces.by_step(records, "m").x == (0, 1, 2, 3, 4)
+    assert traces.by_step(records, "m").n == (4, 4, 4, 3, 3)
 
 
 def test_honest_regions_lie_on_the_diagonal():
     rng = np.random.default_rng(0)
     records = [walk([1.0] * 4000, seed=seed, mass_above=rng.random(4000).tolist()) for seed in range(3)]
-    curve = curves.reliability(records, "m")
+    curve = traces.reliability(records, "m")
     assert curve.y == pytest.approx(curve.x, abs=2)
-    assert curves.reliability([walk([1.0])], "m") is None
+    assert traces.reliability([walk([1.0])], "m") is None
 
 
 def test_coverage_in_and_out_of_sight():
     record = walk([1.0] * 6, inside=[True, False, True, False, False, None])
-    assert parts.coverage([record], "m", True).mean == pytest.approx(200 / 3)
-    assert parts.coverage([record], "m", False).mean == 0.0
+    assert traces.coverage([record], "m", True).mean == pytest.approx(200 / 3)
+    assert traces.coverage([record], "m", False).mean == 0.0
 
 
 # Kernels

@@ -11,7 +11,7 @@ import synthetic_runs
 
 from eagor.cli import main
 from eagor.errors import FormatError
-from eagor.evaluation.report import write_report
+from eagor.evaluation.studies import write_report
 from eagor.evaluation.tables import summarise
 
 GONE = object()

@@ -12,7 +12,7 @@ from processes import limited
 
 from eagor.cli import main
 from eagor.errors import EagorError
-from eagor.evaluation import inputs, ledger
+from eagor.evaluation import ledger, workers
 
 
 @pytest.fixture
@@ -49,24 +49,24 @@ def test_changed_data_is_refused_or_told(run, capsys, what):
     assert main(words) == 2
     said = capsys.readouterr()
     assert said.out == ""
-    assert f"inputs.data.{what} is" in said.err
+    assert f"workers.data.{what} is" in said.err
     assert "--force" in said.err
     assert (out / ledger.RUN).read_bytes() == before
     assert main([*words, "--force"]) == 0
-    assert f"inputs.data.{what} is" in capsys.readouterr().err
-    assert f"inputs.data.{what} is" in ledger.description(out)["resumed"][0]
+    assert f"workers.data.{what} is" in capsys.readouterr().err
+    assert f"workers.data.{what} is" in ledger.description(out)["resumed"][0]
     assert main(words) == 0  # it is now a run of these
     assert main(["bench", "report", str(out)]) == 0
-    assert f"inputs.data.{what}" in (out / "tables.md").read_text()
+    assert f"workers.data.{what}" in (out / "tables.md").read_text()
 
 
 def test_changed_code_is_refused(run, capsys, monkeypatch):
     words, _, out = run
     assert len(ledger.description(out)["inputs"]["code"]) == 16
-    monkeypatch.setattr(inputs, "_code", lambda: "other")
+    monkeypatch.setattr(workers, "_code", lambda: "other")
     capsys.readouterr()
     assert main(words) == 2
-    assert 'inputs.code is "' in capsys.readouterr().err
+    assert 'workers.code is "' in capsys.readouterr().err
 
 
 def test_other_settings_are_refused_with_force_too(run, capsys):
@@ -151,11 +151,11 @@ def test_files_and_models_that_settings_name_are_inputs(tmp_path):
     model.mkdir()
     (model / "config.json").write_text("{}")
     settings = {"perception": f"replay:{told}", "model": f"{model}?pixels=3", "world": "apartment"}
-    before = inputs.inputs_of(settings)
+    before = workers.inputs_of(settings)
     assert before.keys() == {"code", "perception", "model"}
     told.write_text("{ }")
     (model / "model.safetensors").write_bytes(b"weights")
-    after = inputs.inputs_of(settings)
+    after = workers.inputs_of(settings)
     assert all(before[name] != after[name] for name in ("perception", "model"))
     assert before["code"] == after["code"]
 
@@ -167,10 +167,10 @@ def test_every_file_that_an_option_names_counts_whatever_its_name(tmp_path):
         path.write_text("{}")
     settings = {"perception": f"{model}?heads={heads}&pixels=3&note={'long' * 100}"}
     for path in (model / "config.json", heads):
-        before = inputs.inputs_of(settings)["perception"]
+        before = workers.inputs_of(settings)["perception"]
         path.write_text("[]")
-        assert inputs.inputs_of(settings)["perception"] != before
-    assert inputs.inputs_of({"perception": "::?x=&&"}).keys() == {"code"}
+        assert workers.inputs_of(settings)["perception"] != before
+    assert workers.inputs_of({"perception": "::?x=&&"}).keys() == {"code"}
 
 
 def test_one_byte_of_a_models_weights_is_noticed(tmp_path):
@@ -179,13 +179,13 @@ def test_one_byte_of_a_models_weights_is_noticed(tmp_path):
     files = {"config.json": b"{}", "model.safetensors": bytes(3 << 20), "templates/chat.jinja": b"{{ a }}"}
     for name, content in files.items():
         (model / name).write_bytes(content)
-    before = inputs.inputs_of({"perception": str(model)})
-    assert inputs.inputs_of({"perception": str(model)}) == before
+    before = workers.inputs_of({"perception": str(model)})
+    assert workers.inputs_of({"perception": str(model)}) == before
     for name, content in files.items():
         (model / name).write_bytes(content[:-1] + b"!")  # the size is the same
-        assert inputs.inputs_of({"perception": str(model)})["perception"] != before["perception"]
+        assert workers.inputs_of({"perception": str(model)})["perception"] != before["perception"]
         (model / name).write_bytes(content)
-    assert inputs.inputs_of({"perception": str(model)}) == before
+    assert workers.inputs_of({"perception": str(model)}) == before
 
 
 def test_weights_are_read_a_piece_at_a_time(tmp_path):
@@ -195,4 +195,4 @@ def test_weights_are_read_a_piece_at_a_time(tmp_path):
             file.truncate(300 << 20)
         print(len(inputs_of({"model": str(folder)})["model"]))
     """
-    assert limited("from eagor.evaluation.inputs import inputs_of\n", dedent(code), tmp_path, 100) == ["16"]
+    assert limited("from eagor.evaluation.workers import inputs_of\n", dedent(code), tmp_path, 100) == ["16"]

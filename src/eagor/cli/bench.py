@@ -158,7 +158,7 @@ def score(options: BenchScore) -> int:
         raise EagorError(f"{options.predictions} has no prediction for any of the {len(cases)} cases")
     if options.out:
         predictions.keep(bare.settings, records, options.out)
-    summary = bare.study.told(bare.settings, records).summary | {"missing": missing}
+    summary = bare.study.loaded(bare.settings, records).summary | {"missing": missing}
     if missing:
         terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures cover the others")
     code = _said(bare.study, summary, options.out, options.json)

@@ -61,8 +61,7 @@ def calibrate(options: Calibrate) -> int:
 
 def responses(options: Calibrate) -> int:
     """``eagor calibrate``."""
-    from eagor.evaluation.calibration import PER_PLACE, TASKS, development_slots, record_episodes
-    from eagor.evaluation.fitting import DRAWS, fit
+    from eagor.evaluation.calibration import DRAWS, PER_PLACE, TASKS, development_slots, fit, record_episodes
     from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
@@ -316,7 +315,7 @@ def heads(options: Calibrate) -> int:
     if "attention" not in perception.family.extractors:
         raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
     if options.labels is None:
-        from eagor.evaluation.labelled import apartment_labels
+        from eagor.evaluation.labelled_apartments import apartment_labels
         from eagor.perception import rows_of
 
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))

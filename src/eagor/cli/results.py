@@ -11,14 +11,14 @@ from eagor.cli import terminal
 from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchReport, pairs_of
 
 if TYPE_CHECKING:
-    from eagor.evaluation.study import Told
+    from eagor.evaluation.study import LoadedRun
 
 
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor.cli.looking import checked_folder
     from eagor.evaluation import studies
-    from eagor.evaluation.report import write_report
+    from eagor.evaluation.studies import write_report
 
     need("a report page", "sim", "jinja2")
     if not options.folders:
@@ -42,7 +42,7 @@ def report(options: BenchReport) -> int:
     return terminal.OK
 
 
-def _counted(folder: Path, run: Told) -> dict[str, Any]:
+def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
     """How many records a run has, and how many it is to have; said, if these are fewer."""
     planned, there = run.study.planned(run.settings), len(run.records)
     if planned is not None and there < planned:
@@ -80,7 +80,7 @@ def failures(options: BenchFailures) -> int:
     worst = run.study.worst(run, options.method)
     if options.rerun is not None:
         from eagor.cli.looking import checked_out
-        from eagor.evaluation.watching import log_case
+        from eagor.evaluation.simulated import log_case
 
         case = log_case(run, worst, options.episode, checked_out(options.rerun, "--rerun"))
         terminal.log(f"{options.rerun}: {case}, for the Rerun viewer (rerun {options.rerun})")

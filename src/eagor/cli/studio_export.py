@@ -13,7 +13,7 @@ from eagor.cli.studio_options import Studio
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
-    from eagor.evaluation.study import Told
+    from eagor.evaluation.study import LoadedRun
 
 __all__ = ["beside_report", "export"]
 
@@ -49,7 +49,7 @@ def export(options: Studio) -> int:
     return terminal.OK
 
 
-def beside_report(run: Told, out: Path) -> str | None:
+def beside_report(run: LoadedRun, out: Path) -> str | None:
     """Write ``episode.html`` of a run's worst episode into `out`; its name, or None where that cannot be.
 
     A report is not lost for it: what is wrong is said as a warning. A run with a model gets none: to play it again

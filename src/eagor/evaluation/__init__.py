@@ -1,15 +1,16 @@
 """Runs: what was measured, kept through any crash, summed up with its uncertainty, and shown.
 
 - `study`: the one Protocol that simulated tasks (`simulated`) and benchmarks with published data (`benchmarks`) fill;
-  `studies` finds them;
-- `bench`, `benchmarks`: a run's settings and units; `workers` does the `units`, and `ledger` keeps a line of JSON each;
-- `samples`: means, intervals and paired differences; of them `tables` and `scores` make the figures of a run, and
-  `comparison` those of two; `predictions`: what others answered;
-- `report`: the page (`page`, `charts`, `figures`, `scenes`, `searched`), Markdown, LaTeX and CSV (`export`) of a run,
-  and its tables (`sheets`, `benchmark_sheets`), beside what was `published`;
-- `calibration`, `fitting`: how a perception's responses are read; `labelled`: panoramas with labels;
-- `labelled_looks`, `detector_fit` (`detector_em`, `detector_places`, `score_curve`): a detector's model from looks with
-  known truth; `replayed`: such looks from files; `detector_unlabelled`: from looks without it.
+  `studies` finds them, reads a run and writes its report;
+- `bench`, `benchmarks`: a run's settings and units; `workers` carries it out, alone or with a `worker_pool`
+  (`ray_workers`), and `ledger` keeps a line of JSON for each unit;
+- `record_shapes`, `samples`: records, checked; means, intervals and paired differences. Of them `tables` and
+  `benchmark_tables` make the figures of a run, and `comparison` those of two; `predictions`: what others answered;
+- the report: a page (`page`, `sheets`, `charts`, `traces`, `figures`, `scenes`), Markdown, LaTeX and CSV (`export`),
+  beside what was `published`;
+- `calibration`: how a perception's responses are read; `labelled_apartments`: panoramas with labels;
+- `labelled_looks`, `detector_fit` (`detector_em`, `detector_places`): a detector's model from looks with known truth;
+  `replayed`: such looks from files; `detector_unlabelled`: from looks without it.
 
 Nothing heavy is imported here.
 """

@@ -9,13 +9,14 @@ from typing import Any
 
 from eagor._csv import as_csv
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import benchmark_sheets, export, ledger, scores
-from eagor.evaluation.benchmark_sheets import OURS, labels_of
+from eagor.evaluation import benchmark_tables, export, ledger
+from eagor.evaluation.benchmark_tables import OURS, labels_of
+from eagor.evaluation.charts import Curve, Series, line_chart
 from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, lines_of
+from eagor.evaluation.record_shapes import checked, published
 from eagor.evaluation.samples import LEVEL, RESAMPLES, computing_time
-from eagor.evaluation.shapes import checked, published
-from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
-from eagor.evaluation.units import Unit
+from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
+from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
@@ -120,11 +121,13 @@ class Published:
         """`records`, as this benchmark writes them. Raises `FormatError`, which names it, for a malformed one."""
         return checked(records, published(getattr(self.benchmark, "record", {})))
 
-    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
-        return Told(self, settings, self.checked(records), scores.summarise(settings, records, self.benchmark))
+    def loaded(self, settings: Settings, records: Sequence[Record]) -> LoadedRun:
+        return LoadedRun(
+            self, settings, self.checked(records), benchmark_tables.summarise(settings, records, self.benchmark)
+        )
 
     def as_text(self, summary: Summary) -> list[str]:
-        sheet = benchmark_sheets.main_sheet(self.benchmark, [summary], published=False)
+        sheet = benchmark_tables.main_sheet(self.benchmark, [summary], published=False)
         lines = [f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters"]
         lines += [*lines_of(sheet), "In brackets: 95 %, Wilson's | cluster bootstrap."]
         return lines + ([f"{summary['failed']} could not be run; they are in no figure."] if summary["failed"] else [])
@@ -135,7 +138,7 @@ class Published:
     def failure_sheets(self, summary: Summary) -> list[Sheet]:
         """Both layers of the failure table of one run."""
         meanings = getattr(self.benchmark, "causes", {})
-        found = benchmark_sheets.tag_sheet(summary), benchmark_sheets.cause_sheet(summary, meanings)
+        found = benchmark_tables.tag_sheet(summary), benchmark_tables.cause_sheet(summary, meanings)
         return [sheet for sheet in found if sheet is not None]
 
     def planned(self, settings: Settings) -> int | None:
@@ -144,11 +147,11 @@ class Published:
         except (EagorError, OSError, LookupError, TypeError, ValueError):  # the data, or what run.json says of them
             return None
 
-    def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
+    def report(self, runs: Sequence[LoadedRun], open_place: Any = None) -> Report:
         summaries = [run.summary for run in runs]
         labels = labels_of(summaries)
-        turns, views = benchmark_sheets.turn_sheet(summaries), benchmark_sheets.views_sheet(summaries)
-        sheets = [benchmark_sheets.main_sheet(self.benchmark, summaries)]
+        turns, views = benchmark_tables.turn_sheet(summaries), benchmark_tables.views_sheet(summaries)
+        sheets = [benchmark_tables.main_sheet(self.benchmark, summaries)]
         sections = [Section("figures", "Figures", [*sheets])]
         if turns is not None:
             sheets.append(turns)
@@ -179,19 +182,19 @@ class Published:
             {"tables.csv": _csv(self.benchmark, labels, summaries), "tables.tex": export.latex(sheets[0])},
         )
 
-    def worst(self, run: Told, method: str | None = None) -> Worst:
+    def worst(self, run: LoadedRun, method: str | None = None) -> Worst:
         if method:
             raise EagorError(f"a run of {self.name} has one agent; leave out the method {method}")
         keys = ("task", "agent", "episodes", "failed", "tags", "causes", "failures")
-        failed = benchmark_sheets.failed(run.records)
+        failed = benchmark_tables.failed(run.records)
         cases = [
             {key: record.get(key) for key in ("case", "cause", "tags", "answer", "error")} | {"cause": cause}
             for record, cause in failed
         ]
         said = {key: run.summary[key] for key in keys}
-        return Worst(benchmark_sheets.failed_lines(failed), cases, self.failure_sheets(run.summary), said)
+        return Worst(benchmark_tables.failed_lines(failed), cases, self.failure_sheets(run.summary), said)
 
-    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+    def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
         if to in self.benchmark.exports:
             return self.benchmark.export(to, run.records, run.settings, folder)
         if to in export.TABLES:
@@ -219,7 +222,7 @@ def _outcome(labels: Sequence[str], summaries: Sequence[Summary]) -> str:
     return "Overall: " + "; ".join(said) + "."
 
 
-def _facts(run: Told) -> list[tuple[str, str]]:
+def _facts(run: LoadedRun) -> list[tuple[str, str]]:
     settings = [(key, value) for key, value in run.settings.items() if key != "kind" and value is not None]
     return [
         *((key.capitalize(), export.words(value)) for key, value in settings),
@@ -245,19 +248,14 @@ def _csv(benchmark: Benchmark, labels: Sequence[str], summaries: Sequence[Summar
     return as_csv([heads, *rows])
 
 
-def _lines(summaries: Sequence[Summary], curve_of: Callable[[Summary], Any]) -> Iterator[Any]:
+def _lines(summaries: Sequence[Summary], curve_of: Callable[[Summary], Curve | None]) -> Iterator[Series]:
     """A line of a chart for each run that has one."""
-    from eagor.evaluation.charts import Series
-
     for index, (label, summary) in enumerate(zip(labels_of(summaries), summaries, strict=True)):
         if (curve := curve_of(summary)) is not None:
             yield Series(label, curve, f"x{index % 8}", summary["agent"] == OURS)
 
 
 def _turn_chart(summaries: Sequence[Summary]) -> Pictures:
-    from eagor.evaluation.charts import line_chart
-    from eagor.evaluation.curves import Curve
-
     def curve(summary: Summary) -> Curve | None:
         if not (told := summary.get("by_turn")):
             return None
@@ -271,9 +269,6 @@ def _turn_chart(summaries: Sequence[Summary]) -> Pictures:
 
 def _reliability_charts(summaries: Sequence[Summary]) -> list[Part]:
     """Stated against found: of the submissions, and of what would have been submitted at every turn."""
-    from eagor.evaluation.charts import line_chart
-    from eagor.evaluation.curves import Curve
-
     pictures = []
     for key, title in (("reliability", "of submissions"), ("reliability_by_step", "of the answers at every turn")):
 

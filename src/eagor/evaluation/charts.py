@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from eagor.evaluation.curves import Curve
 from eagor.evaluation.page import LIGHT, SPARE
 
 RING = "ring"
@@ -37,6 +36,17 @@ STYLES: dict[str, tuple[Any, str]] = {  # dashes and marks, as matplotlib names 
 MARKS = ("o", "s", "^", "D", "v", "x", "+", RING)
 _PAGE = ("ink", "quiet", "paper", "rule", "target")
 _COLOURS = (*_PAGE, *(f"c-{name}" for name in LIGHT), *(f"c-x{k}" for k in range(SPARE)))
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A mean `y` at each `x` with its interval, over `n` episodes; None where too few episodes have a case."""
+
+    x: tuple[float, ...]
+    y: tuple[float | None, ...]
+    low: tuple[float | None, ...]
+    high: tuple[float | None, ...]
+    n: tuple[int, ...]
 
 
 @dataclass(frozen=True)

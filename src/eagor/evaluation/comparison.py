@@ -12,14 +12,14 @@ from eagor.evaluation.export import words
 from eagor.evaluation.page import in_columns, span
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import FEW, Measured, Record, case_of, gap, lowest_p, played_by, sample
-from eagor.evaluation.study import Told
+from eagor.evaluation.study import LoadedRun
 from eagor.evaluation.tables import headed, shown
 from eagor.statistics import mcnemar
 
 SAME = "scene_hash", "query", "targets", "stratum"  # of an episode: whether two runs have played the same one
 
 
-def compare(a: Told, b: Told, methods: Sequence[str] = ()) -> dict[str, Any]:
+def compare(a: LoadedRun, b: LoadedRun, methods: Sequence[str] = ()) -> dict[str, Any]:
     """Figure by figure, a minus b, over the cases that both have a result of, ready for JSON.
 
     With an interval that resamples whole groups (apartments, clusters), p by sign flips of groups, and McNemar's exact
@@ -60,7 +60,7 @@ def compare(a: Told, b: Told, methods: Sequence[str] = ()) -> dict[str, Any]:
     }
 
 
-def as_text(found: Mapping[str, Any], a: Told) -> list[str]:
+def as_text(found: Mapping[str, Any], a: LoadedRun) -> list[str]:
     """A comparison for a terminal; `a`: one of its runs."""
     lines = [
         f"{found['task']}: {found['cases']} {a.study.case}s that both have "
@@ -104,7 +104,7 @@ def as_text(found: Mapping[str, Any], a: Told) -> list[str]:
     return lines
 
 
-def _methods(a: Told, b: Told, named: Sequence[str]) -> tuple[str | None, str | None]:
+def _methods(a: LoadedRun, b: LoadedRun, named: Sequence[str]) -> tuple[str | None, str | None]:
     """Which method of a is compared with which of b."""
     if not a.methods:
         if named:

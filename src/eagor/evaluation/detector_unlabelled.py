@@ -15,7 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from eagor.evaluation.detector_em import STARTS, doubt, expected_look_alikes, likeliest_errors, short
+from eagor.evaluation.detector_em import (
+    STARTS,
+    ScoreCurve,
+    doubt,
+    expected_look_alikes,
+    fitted_curve,
+    knots_of,
+    likeliest_errors,
+    short,
+)
 from eagor.evaluation.detector_places import (
     NUMBER_PRIOR,
     THING_PRIOR,
@@ -26,7 +35,6 @@ from eagor.evaluation.detector_places import (
     split,
 )
 from eagor.evaluation.labelled_looks import LabelledLook, Rows, rows_of, sums
-from eagor.evaluation.score_curve import ScoreCurve, fitted_curve, knots_of
 from eagor.evidence.detector import DetectorModel, model_as_json
 
 __all__ = ["ENOUGH", "UnlabelledFit", "fit_unlabelled"]

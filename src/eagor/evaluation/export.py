@@ -19,7 +19,7 @@ from eagor.tasks.benchmark import Case
 from eagor.tasks.task import load
 
 if TYPE_CHECKING:
-    from eagor.evaluation.study import Told
+    from eagor.evaluation.study import LoadedRun
 
 FIELDS = (
     "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
@@ -100,13 +100,13 @@ def table_csv(summary: dict[str, Any]) -> str:
     return as_csv([FIELDS, *rows])
 
 
-def records_jsonl(run: Told, folder: Path) -> Path:
+def records_jsonl(run: LoadedRun, folder: Path) -> Path:
     """Write the records of a run, one line each; returns the file."""
     lines = (json.dumps(record, ensure_ascii=False) + "\n" for record in run.records)
     return written(folder / "records.jsonl", "".join(lines))
 
 
-def records_csv(run: Told, folder: Path) -> Path:
+def records_csv(run: LoadedRun, folder: Path) -> Path:
     """Write a row per case, and method where there are several, with its figures at full precision; returns the file.
 
     "" where there is no case; of a unit without a result, why it failed.
@@ -114,7 +114,7 @@ def records_csv(run: Told, folder: Path) -> Path:
     return written(folder / "records.csv", as_csv([_heads(run), *_rows(run)]))
 
 
-def records_parquet(run: Told, folder: Path) -> Path:
+def records_parquet(run: LoadedRun, folder: Path) -> Path:
     """Write the rows of `records_csv` as a Parquet file; returns the file. Raises `MissingExtraError`."""
     return written(folder / "records.parquet", as_parquet(_heads(run), _rows(run)))
 
@@ -122,11 +122,11 @@ def records_parquet(run: Told, folder: Path) -> Path:
 TABLES = {"csv": records_csv, "parquet": records_parquet}
 
 
-def _heads(run: Told) -> list[str]:
+def _heads(run: LoadedRun) -> list[str]:
     return ["key", "status", "case", "group", "method", "failure", *(column.key for column in run.study.columns)]
 
 
-def _rows(run: Told) -> list[list[Any]]:
+def _rows(run: LoadedRun) -> list[list[Any]]:
     columns = run.study.columns
     rows: list[list[Any]] = []
     for record in run.records:

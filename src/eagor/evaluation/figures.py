@@ -1,21 +1,26 @@
-"""The charts of a report, each with its numbers as a table."""
+"""The charts of a report, each with its numbers as a table; and the kernel: what cutting harmonics does to a point.
+
+The band-limited delta at angle t from its centre is ``K(t) = sum over l <= L of (2 l + 1) / (4 pi) P_l(cos t)``: how
+wide a point becomes when it is cut at a degree, and how high its ripples are.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from eagor.evaluation import curves, sheets
-from eagor.evaluation.charts import Series, line_chart, look_of
-from eagor.evaluation.curves import Curve
-from eagor.evaluation.kernels import kernel
+from eagor.evaluation import traces
+from eagor.evaluation.charts import Curve, Series, line_chart, look_of
 from eagor.evaluation.page import Folded, Heading, Part, Pictures, Row, Section, Sheet, Text, box
-from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, is_rival, ordered
+from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, degree_of, is_rival, ordered, varied_by
 from eagor.evaluation.samples import Record, method_names
 from eagor.tasks.task import Task
+
+_ANGLES = np.linspace(0.0, math.pi, 36001)  # 0.005 degrees apart
 
 
 def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
@@ -24,13 +29,13 @@ def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
         return _by_kind(records, task)
     seam = _panels(
         records,
-        lambda method: curves.around(records, method, curves.crossings, curves.ABOUT_SEAM, curves.ABOUT_SEAM),
+        lambda method: traces.around(records, method, traces.crossings, traces.ABOUT_SEAM, traces.ABOUT_SEAM),
         "Error around seam crossings",
         "steps from the crossing",
         "seam",
     )
     if task.walked:
-        steps = _panels(records, partial(curves.by_step, records), "Error by step")
+        steps = _panels(records, partial(traces.by_step, records), "Error by step")
         note = Text(
             "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
             "early leave it, so the right end of a line is about the harder episodes.",
@@ -40,7 +45,7 @@ def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
     else:
         turn = _panels(
             records,
-            lambda method: curves.around(records, method, curves.turns, curves.BEFORE, curves.AFTER, alone=True),
+            lambda method: traces.around(records, method, traces.turns, traces.BEFORE, traces.AFTER, alone=True),
             "Error after a turn",
             "steps from the first step of a leg",
             "turn",
@@ -58,7 +63,7 @@ def _by_kind(records: Sequence[Record], task: Task) -> list[Section]:
         some = [r for r in records if r["episode"].get("stratum", {}).get(key) == label]
         said = "all episodes" if label is None else str(label)
         parts.append(Heading(said))
-        parts += _panels(records, lambda name, some=some: curves.by_step(some, name), f"Error by step, {said}")
+        parts += _panels(records, lambda name, some=some: traces.by_step(some, name), f"Error by step, {said}")
     return [Section("steps", "Error by step", parts)] if parts else []
 
 
@@ -119,7 +124,7 @@ def reliability_chart(records: Sequence[Record]) -> list[Part]:
     found = [
         Series(name, curve, look_of(name), name == OURS)
         for name in names
-        if (curve := curves.reliability(records, name)) is not None
+        if (curve := traces.reliability(records, name)) is not None
     ]
     if not found:
         return []
@@ -133,7 +138,7 @@ def reliability_chart(records: Sequence[Record]) -> list[Part]:
 
 def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> list[Part]:
     """The band-limited point at each degree that was tried."""
-    tried = {sheets.degree_of(name) for name in summary["methods"] if sheets.split(name)[1] == ("degree",)}
+    tried = {degree_of(name) for name in summary["methods"] if varied_by(name)[1] == ("degree",)}
     if not tried:
         return []
     wanted = sorted({degree for degree in tried if degree is not None} | set(degrees.values()))
@@ -150,3 +155,30 @@ def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> list[Part]
         f"the paper states about {width:g}° of resolution at degree {d}" for d, width in RESOLUTION_DEG.items()
     )
     return [Pictures([(chart, f"{title}: width against ripples ({paper}).")])]
+
+
+def kernel(degree: int, angles: np.ndarray) -> np.ndarray:
+    """``K(t) / K(0)`` at `angles` (radians)."""
+    from scipy.special import eval_legendre
+
+    orders = np.arange(degree + 1)
+    terms = (2 * orders[:, None] + 1) * eval_legendre(orders[:, None], np.cos(np.ravel(angles))[None, :])
+    return terms.sum(axis=0).reshape(np.shape(angles)) / (degree + 1) ** 2
+
+
+def half_width_deg(degree: int) -> float | None:
+    """The angle (degrees) at which the kernel has fallen to half of its height; None if it never does (degree 0)."""
+    values = kernel(degree, _ANGLES)
+    below = np.flatnonzero(values <= 0.5)
+    if not len(below):
+        return None
+    k = int(below[0])
+    share = (values[k - 1] - 0.5) / (values[k - 1] - values[k])
+    return math.degrees(float(_ANGLES[k - 1] + share * (_ANGLES[k] - _ANGLES[k - 1])))
+
+
+def highest_sidelobe(degree: int) -> float | None:
+    """The largest ``|K(t)| / K(0)`` beyond the kernel's first zero; None if it has none (degree 0)."""
+    values = kernel(degree, _ANGLES)
+    below = np.flatnonzero(values <= 0.0)
+    return float(np.abs(values[below[0] :]).max()) if len(below) else None

@@ -11,6 +11,7 @@ import errno
 import json
 import math
 import os
+import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -39,12 +40,13 @@ GROWS = {"episodes": ("development",)}
 class Ledger:
     """Appends records to the first ``worker-<k>.jsonl`` of `folder` that no other process holds, k = `first`, ...
 
-    The file is taken at the first `append`, or by `open`; `path` is None until then.
+    The file is taken at the first `append`, or by `open`; `path` is None until then. Several threads may append.
     """
 
     def __init__(self, folder: Path, first: int = 0) -> None:
         self.path: Path | None = None
         self._folder, self._first, self._file = Path(folder), first, -1
+        self._appending = threading.Lock()
 
     def append(self, record: Mapping[str, Any]) -> None:
         """Write one record and wait until it is on the disk.
@@ -53,21 +55,22 @@ class Ledger:
         before.
         """
         line = as_line(record)
-        path = self.open()
-        try:
-            end = os.lseek(self._file, 0, os.SEEK_END)
+        with self._appending:
+            path = self.open()
             try:
-                _write(self._file, line)
-                os.fsync(self._file)
-            except OSError:
-                os.ftruncate(self._file, end)  # half a line would spoil the next one
-                raise
-        except OSError as error:
-            raise StorageError(
-                f"could not keep the record {record.get('key')!r} ({len(line)} bytes) in {path}: "
-                f"{error.strerror or error}; everything recorded before it is safe. Make room, then start the same run "
-                "again: it goes on where it stopped"
-            ) from error
+                end = os.lseek(self._file, 0, os.SEEK_END)
+                try:
+                    _write(self._file, line)
+                    os.fsync(self._file)
+                except OSError:
+                    os.ftruncate(self._file, end)  # half a line would spoil the next one
+                    raise
+            except OSError as error:
+                raise StorageError(
+                    f"could not keep the record {record.get('key')!r} ({len(line)} bytes) in {path}: "
+                    f"{error.strerror or error}; everything recorded before it is safe. Make room, then start the same "
+                    "run again: it goes on where it stopped"
+                ) from error
 
     def open(self) -> Path:
         """Take hold of the file, if that has not been done, and return its path. Raises `StorageError`."""
@@ -107,7 +110,7 @@ def begin(
 ) -> None:
     """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
 
-    `inputs` are digests of what the run is made of (`eagor.evaluation.inputs`). Where they have changed since, the run
+    `inputs` are digests of what the run is made of (`eagor.evaluation.workers`). Where they have changed since, the run
     goes on only if forced: then it warns, and ``run.json`` says under "resumed" what has changed. A setting of `GROWS`
     may be larger than in the folder, and is then written there.
 

@@ -13,7 +13,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger
 from eagor.evaluation.benchmarks import KIND, Published
 from eagor.evaluation.samples import finished
-from eagor.evaluation.study import Told
+from eagor.evaluation.study import LoadedRun
 from eagor.tasks.benchmark import Case, Record, load, read_options
 
 IDS = ("case", "id", "doc_id")  # what names the case in a line: its id, or its number in the benchmark's own order
@@ -21,7 +21,7 @@ IDS = ("case", "id", "doc_id")  # what names the case in a line: its id, or its 
 
 def read(
     source: Path, task: str | None = None, data: Path | None = None, options: Mapping[str, Any] | None = None
-) -> tuple[Told, list[Case], dict[str, dict[str, Any]]]:
+) -> tuple[LoadedRun, list[Case], dict[str, dict[str, Any]]]:
     """What is predicted, its cases, and predictions by case, from a JSON lines file or the folder of a run.
 
     `task` and `data` are needed where `source` is no run; `options` go over those of the run. Raises `EagorError` or
@@ -38,7 +38,7 @@ def read(
         settings = {**settings, **told, **read_options(benchmark, known | dict(options or {}))}
         given = {str(record["case"]): _of_record(record) for record in finished(records)}
         cases = benchmark.cases(Path(told["data"]), settings)
-        return Told(Published(benchmark), settings, [], {}), cases, given
+        return LoadedRun(Published(benchmark), settings, [], {}), cases, given
     if not (task and data):
         raise EagorError(f"{source} is no run; say with --task and --data what it predicts")
     run = bare(task, data, options or {})
@@ -46,11 +46,11 @@ def read(
     return run, cases, _lines(source, [case.id for case in cases])
 
 
-def bare(task: str, data: Path, options: Mapping[str, Any]) -> Told:
+def bare(task: str, data: Path, options: Mapping[str, Any]) -> LoadedRun:
     """A run of a benchmark that nobody here plays: no records. Raises `EagorError`."""
     told = {"task": task, "data": str(Path(data).resolve()), "agent": "predictions", "perception": None, "model": None}
     settings = {"kind": KIND, **told, "seed": 0, **read_options(load(task), options)}
-    return Told(Published(load(task)), settings, [], {})
+    return LoadedRun(Published(load(task)), settings, [], {})
 
 
 def judged(

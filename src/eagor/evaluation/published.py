@@ -32,6 +32,18 @@ def is_ablation(name: str) -> bool:
     return ":" in name
 
 
+def varied_by(name: str) -> tuple[str, tuple[str, ...]]:
+    """The varied method, and the names of the settings: "eagor:degree=7" is ("eagor", ("degree",))."""
+    base, _, text = name.partition(":")
+    return base, tuple(item.partition("=")[0] for item in text.split(","))
+
+
+def degree_of(name: str) -> int | None:
+    """The degree that a variant such as "eagor:degree=7" sets; None where it sets none."""
+    value = name.rpartition("=")[2]
+    return int(value) if value.isdecimal() else None
+
+
 def is_rival(name: str) -> bool:
     """Whether the method competes: neither a variation nor one that is told the truth."""
     return not is_ablation(name) and name != ORACLE

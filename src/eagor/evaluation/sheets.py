@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from eagor.evaluation import parts
-from eagor.evaluation.kernels import half_width_deg, highest_sidelobe
+from eagor.evaluation import traces
+from eagor.evaluation.figures import half_width_deg, highest_sidelobe
 from eagor.evaluation.page import Box, Row, Sheet, box, span
-from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, is_ablation, is_rival
+from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, degree_of, is_ablation, is_rival, varied_by
 from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, sample
 from eagor.evaluation.tables import SIGNIFICANT, best, corrected, headed, mark, shown, shown_columns
 from eagor.tasks.task import Column, load
@@ -173,7 +173,7 @@ def coverage_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet 
     for name, row in summary["methods"].items():
         if is_ablation(name) or row["coverage"] is None:
             continue
-        found = [_part_box(parts.coverage(records, name, visible)) for visible in (True, False)]
+        found = [_part_box(traces.coverage(records, name, visible)) for visible in (True, False)]
         rows.append(_row(name, [_box(summary, name, column), *found]))
     if not rows:
         return None
@@ -191,10 +191,10 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
     for name in summary["methods"]:
         if is_ablation(name):
             continue
-        found = {part: parts.error_in(records, name, part) for part in parts.PARTS}
+        found = {part: traces.error_in(records, name, part) for part in traces.PARTS}
         shares |= {part: value.share for part, value in found.items() if value is not None and name == OURS}
-        after = parts.error_in(records, name, parts.SEEN)
-        boxes = [_part_box(value) for value in (*found.values(), after, parts.distance_error(records, name))]
+        after = traces.error_in(records, name, traces.SEEN)
+        boxes = [_part_box(value) for value in (*found.values(), after, traces.distance_error(records, name))]
         rows.append(_row(name, boxes))
     if not rows:
         return None
@@ -204,21 +204,21 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
         "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "
         "an estimator that made no mistake would have the others at 0. The fourth column is the second and the third."
         + (f" Of the steps of {OURS}: {steps}." if steps else ""),
-        f"Distance: mean relative error once the camera has moved by {100 * parts.BASELINE:.0f} % of it since the "
+        f"Distance: mean relative error once the camera has moved by {100 * traces.BASELINE:.0f} % of it since the "
         "first sighting, for methods that state one.",
     )
-    heads = ("method", *(f"{p} ↓, °" for p in (*parts.PARTS, parts.SEEN)), "distance ↓, %")
+    heads = ("method", *(f"{p} ↓, °" for p in (*traces.PARTS, traces.SEEN)), "distance ↓, %")
     return Sheet("What the errors are made of", heads, tuple(rows), notes)
 
 
-def _part_box(value: parts.Part | None) -> Box:
+def _part_box(value: traces.Part | None) -> Box:
     return box(value.mean, (value.low, value.high)) if value else box(None)
 
 
 def ablation_sheets(summary: dict[str, Any], degrees: dict[str, int]) -> list[Sheet]:
     """One table per varied method and set of settings. `degrees`: those of the methods themselves, where known."""
     columns = shown_columns(summary)
-    named = [(*split(name), name) for name in summary["methods"] if is_ablation(name)]
+    named = [(*varied_by(name), name) for name in summary["methods"] if is_ablation(name)]
     found = []
     for (base, keys), group in groupby(sorted(named, key=lambda item: item[:2]), key=lambda item: item[:2]):
         names = {name for _, _, name in group}
@@ -245,18 +245,6 @@ def ablation_sheets(summary: dict[str, Any], degrees: dict[str, int]) -> list[Sh
         what = "; ".join(KEYS.get(key, key) for key in keys)
         found.append(Sheet(f"Variants of {base}: {what}", heads, tuple(lines), tuple(notes)))
     return found
-
-
-def split(name: str) -> tuple[str, tuple[str, ...]]:
-    """The varied method, and the names of the settings: "eagor:degree=7" is ("eagor", ("degree",))."""
-    base, _, text = name.partition(":")
-    return base, tuple(item.partition("=")[0] for item in text.split(","))
-
-
-def degree_of(name: str) -> int | None:
-    """The degree that a variant such as "eagor:degree=7" sets; None where it sets none."""
-    value = name.rpartition("=")[2]
-    return int(value) if value.isdecimal() else None
 
 
 def _kernel_boxes(degree: int | None) -> tuple[Box, ...]:

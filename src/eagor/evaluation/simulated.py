@@ -1,22 +1,25 @@
-"""A simulated task as a study: how its runs are counted, and what their report says."""
+"""A simulated task as a study: how its runs are counted, what their report says, and an episode of one played again."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from eagor import worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import export, figures, scenes, searched, sheets, tables
+from eagor.evaluation import export, figures, scenes, sheets, tables
 from eagor.evaluation.charts import legend
 from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
 from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
-from eagor.evaluation.study import Report, Settings, Summary, Told, Worst
+from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
 from eagor.evaluation.tables import shown
-from eagor.tasks.episodes import PER_PLACE
+from eagor.tasks.episodes import PER_PLACE, Slot
+from eagor.tasks.listed import slot_of
+from eagor.tasks.methods import TrackerMethod
+from eagor.tasks.play import Player, Seen
 from eagor.tasks.rules import Camera, from_dict
 from eagor.tasks.task import Task
 
@@ -25,6 +28,7 @@ EXPORTS = {
     "csv": "a row per episode and method with its figures",
     "parquet": "the same as a Parquet file (extra parquet)",
 }
+SEEN_ROWS = 256  # of panoramas of an episode that is played again, where the perception needs none
 
 
 class Simulated:
@@ -41,9 +45,9 @@ class Simulated:
         known = {"worlds": sorted(worlds.known()), "exports": EXPORTS}
         return {"title": self.task.title, "what": self.task.what, **known}
 
-    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
+    def loaded(self, settings: Settings, records: Sequence[Record]) -> LoadedRun:
         judged = _judged(self.task, settings)
-        return Told(self, settings, records, tables.summarise(records) | ({"judged": judged} if judged else {}))
+        return LoadedRun(self, settings, records, tables.summarise(records) | ({"judged": judged} if judged else {}))
 
     def as_text(self, summary: Summary) -> list[str]:
         return tables.as_text(summary)
@@ -57,7 +61,7 @@ class Simulated:
             return None
         return count * len(methods) if self.task.walked else count
 
-    def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
+    def report(self, runs: Sequence[LoadedRun], open_place: Any = None) -> Report:
         (run,) = runs
         summary, task, good, degrees = run.summary, self.task, finished(run.records), _degrees(run.settings)
         main = sheets.main_sheet(summary)
@@ -90,7 +94,7 @@ class Simulated:
             {"tables.csv": export.table_csv(summary)},
         )
 
-    def worst(self, run: Told, method: str | None = None) -> Worst:
+    def worst(self, run: LoadedRun, method: str | None = None) -> Worst:
         named = method or (OURS if OURS in run.methods else next(iter(run.methods), OURS))
         if run.methods and named not in run.methods:
             raise EagorError(f"the run has no method {named!r}; it has {', '.join(run.methods)}")
@@ -111,11 +115,11 @@ class Simulated:
             )
         return Worst(lines, cases, [], said)
 
-    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+    def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
         return [export.TABLES.get(to, export.records_jsonl)(run, folder)]
 
 
-def _unit(run: Told, record: Record, method: str) -> dict[str, Any] | None:
+def _unit(run: LoadedRun, record: Record, method: str) -> dict[str, Any] | None:
     """What `eagor.tasks.play.work` is given to play an episode again; None where the record does not say."""
     episode, first = record["episode"], run.settings.get("seed")
     if "slot" in episode:  # of an episode that a file lists
@@ -141,7 +145,7 @@ def _there(sheet: Sheet | None) -> list[Sheet]:
     return [] if sheet is None else [sheet]
 
 
-def _lead(run: Told, task: Task) -> list[Part]:
+def _lead(run: LoadedRun, task: Task) -> list[Part]:
     """The outcome in a sentence (ours, the published method, the best other one), and warnings."""
     summary, said = run.summary, []
     column = next(c for c in task.columns if c.key == task.headline)
@@ -165,7 +169,7 @@ def _lead(run: Told, task: Task) -> list[Part]:
     return lead
 
 
-def _facts(run: Told, task: Task) -> list[tuple[str, str]]:
+def _facts(run: LoadedRun, task: Task) -> list[tuple[str, str]]:
     """What was run, from run.json and the records."""
     config, records, summary, words = run.settings, run.records, run.summary, export.words
     seeds = sorted({record["episode"]["seed"] for record in finished(records) if "seed" in record["episode"]})
@@ -238,7 +242,7 @@ def _episodes(
         parts.append(Text(_said(record, task)))
         try:
             place = scenes.open_episode(record, radius, open_place)
-            parts += _pictures(place, record, records, task, searched.search_of(place, record, _camera(config)))
+            parts += _pictures(place, record, records, task, scenes.search_of(place, record, _camera(config)))
         except (EagorError, ImportError, OSError) as error:
             parts.append(Text(f"No pictures: {error}", "note"))
         except (KeyError, IndexError) as error:  # only pictures need it: its place, its balls
@@ -256,7 +260,7 @@ def _camera(config: Settings) -> Camera | None:
 
 
 def _pictures(
-    place: Any, record: Record, records: Sequence[Record], task: Task, search: searched.Search | None
+    place: Any, record: Record, records: Sequence[Record], task: Task, search: scenes.Search | None
 ) -> list[Part]:
     """The map and the strip of one episode, with a legend; with a key to its `search`, if it was one."""
     others = []
@@ -266,7 +270,7 @@ def _pictures(
     names = ordered([*(next(iter(r["methods"])) for r in others), *(n for n in record["methods"] if is_rival(n))])
     above = [
         (scenes.floor_map(place, record, others, search), "From above; numbers: the moments."),
-        *([(searched.key(search, str(record["key"])), search.caption)] if search is not None else []),
+        *([(scenes.key_to_search(search, str(record["key"])), search.caption)] if search is not None else []),
         (legend(names, OURS, str(record["key"])), "Each method's line and mark."),
     ]
     caption = "White ring: the truth. Marks: what each method says. The middle is straight ahead, the edges are behind."
@@ -278,3 +282,50 @@ def _said(record: Record, task: Task, method: str = OURS) -> str:
     values = [(column, column.of(record, method)) for column in task.columns]
     told = ", ".join(f"{c.title} {shown(value, c)}{c.unit}" for c, value in values if value is not None)
     return f"{method}: {told}."
+
+
+def log_case(run: LoadedRun, worst: Worst, name: str | None, path: str | Path) -> str:
+    """Play case `name` of a run (None: the worst one) again and log it; returns the case's name.
+
+    Every method sees again what it saw in the run, so the figures are the recorded ones. The method has to have a
+    belief: ours, or one of its variants.
+
+    Raises `EagorError` for a benchmark of still pictures, an unknown case, or another method.
+    """
+    from eagor.drawing.rerun_log import RerunLog
+
+    case = _named(run, worst, name)
+    player, slot = player_of(run, case)
+    (method,) = case["unit"]["methods"]
+    if not isinstance(player.method(method, slot), TrackerMethod):
+        raise EagorError(f"{method} keeps no belief that could be logged; give --method eagor, or a variant of it")
+    with RerunLog(path, f"{run.study.name} {case['case']}: {case['query']}") as log:
+
+        def add(seen: Seen) -> None:
+            assert isinstance(seen.method, TrackerMethod)
+            log.add(
+                seen.panorama, seen.method.estimate, stamp=seen.stamp, query=case["query"], position=seen.position,
+                truth=seen.truth,
+            )  # fmt: skip
+
+        player.play(slot, [method], add)
+    return str(case["case"])
+
+
+def player_of(run: LoadedRun, case: Mapping[str, Any]) -> tuple[Player, Slot]:
+    """What plays a case of a run again, with panoramas. Raises `EagorError` for a benchmark of still pictures."""
+    if case.get("unit") is None:
+        raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
+    return Player(dict(run.settings), rows=SEEN_ROWS), slot_of(case["unit"]["slot"])
+
+
+def _named(run: LoadedRun, worst: Worst, name: str | None) -> Mapping[str, Any]:
+    if not worst.cases:
+        raise EagorError(f"the run of {run.study.name} has no case to show")
+    if name is None:
+        return worst.cases[0]
+    for case in worst.cases:
+        if case["case"] == name:
+            return case
+    shown = ", ".join(str(case["case"]) for case in worst.cases[:5])
+    raise EagorError(f"the run has no case {name!r}; it has {shown}{', ...' if len(worst.cases) > 5 else ''}")

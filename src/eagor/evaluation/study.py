@@ -13,15 +13,15 @@ from typing import Any, Protocol
 
 from eagor.evaluation.page import Part, Section, Sheet
 from eagor.evaluation.samples import Measured, Record
-from eagor.evaluation.units import Unit
+from eagor.evaluation.workers import Unit
 
 Settings = Mapping[str, Any]
 Summary = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Told:
-    """A run as its folder tells it: its study, ``run.json``, the records, and what they come to."""
+class LoadedRun:
+    """A run as it was read from its folder: its study, ``run.json``, the records, and what they come to."""
 
     study: Study
     settings: Settings
@@ -102,7 +102,7 @@ class Study(Protocol):
         """What ``eagor bench list --json`` says of it."""
         ...
 
-    def told(self, settings: Settings, records: Sequence[Record]) -> Told:
+    def loaded(self, settings: Settings, records: Sequence[Record]) -> LoadedRun:
         """The run that these are of. Raises `FormatError`, which names it, for a malformed record."""
         ...
 
@@ -118,14 +118,14 @@ class Study(Protocol):
         """How many records the whole run has; None where that cannot be told, as the data are not there."""
         ...
 
-    def report(self, runs: Sequence[Told], open_place: Any = None) -> Report:
+    def report(self, runs: Sequence[LoadedRun], open_place: Any = None) -> Report:
         """The report of one or several runs; `open_place` makes a world again, for pictures."""
         ...
 
-    def worst(self, run: Told, method: str | None) -> Worst:
+    def worst(self, run: LoadedRun, method: str | None) -> Worst:
         """The worst cases of a run; of a simulated one, those of `method` (None: ours, else the first)."""
         ...
 
-    def export(self, to: str, run: Told, folder: Path) -> list[Path]:
+    def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
         """Write what `exports` names `to` into `folder`; returns the files. `run` may have no records."""
         ...

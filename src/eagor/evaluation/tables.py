@@ -12,6 +12,7 @@ from typing import Any
 from eagor.errors import EagorError
 from eagor.evaluation.page import in_columns, number
 from eagor.evaluation.published import OURS, compared_with, is_ablation, is_rival, ordered
+from eagor.evaluation.record_shapes import IN_LEGS, SIMULATED, WALKED, WATCHED, checked
 from eagor.evaluation.samples import (
     Gap,
     Measured,
@@ -27,7 +28,6 @@ from eagor.evaluation.samples import (
     sample,
     wilson,
 )
-from eagor.evaluation.shapes import IN_LEGS, SIMULATED, WALKED, WATCHED, checked
 from eagor.tasks.task import Column, Task, known, load
 
 _WORDS = {True: "yes", False: "no"}

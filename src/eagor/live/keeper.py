@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
 import signal
 import threading
@@ -11,13 +10,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any
 
 import numpy as np
 
-from eagor._processes import starting
+from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.errors import EagorError, ImageError
 from eagor.evidence import BodyMask, Evidence
 from eagor.live.looker import serve
@@ -29,7 +26,7 @@ __all__ = ["Failed", "Keeper", "Looked", "UnusableError"]
 PATIENCE = 60.0  # seconds for one look
 LOADING = 600.0  # seconds at least for a model to load
 PAUSES = (0.5, 30.0)  # seconds before a perception that died starts anew: at first, and at most; doubled each time
-ENDING = 3.0  # seconds for an idle process to leave by itself
+ENDING = 0.2  # seconds for an idle process to leave by itself
 
 
 class UnusableError(EagorError):
@@ -68,8 +65,7 @@ class Keeper:
     ) -> None:
         self.perception, self.patience, self.masks = perception, patience, tuple(masks)
         self.starts = 0
-        self._process: Any = None
-        self._line: Connection | None = None
+        self._worker: Worker | None = None
         self._memory: SharedMemory | None = None
         self._pause = PAUSES[0]
         self._rest_until = -math.inf
@@ -78,31 +74,27 @@ class Keeper:
 
     def start(self) -> Iterator[Failed]:
         """Start the process and wait until it is ready. Nothing comes if it is. Raises `UnusableError`."""
-        if self._line is not None:
+        if self._worker is not None:
             return
         rest = self._rest_until - time.monotonic()
         if self._killed.wait(max(0.0, rest)):
             return
-        context = multiprocessing.get_context("spawn")
-        ours, there = context.Pipe()
         with self._lock:
             if self._killed.is_set():
                 return
-            process = context.Process(target=serve, args=(there, self.perception, self.masks, os.getpid()), daemon=True)
             try:
-                with starting():
-                    process.start()
+                self._worker = worker = Worker(serve, self.perception, self.masks, os.getpid())
             except Exception as error:  # the perception cannot be pickled, or the system has no more processes
-                ours.close()
-                there.close()
                 raise UnusableError(f"the perception's process cannot be started: {error}") from error
-            there.close()
-            self._process, self._line = process, ours
         self.starts += 1
+        patience = max(LOADING, self.patience)
         try:
-            said = self._heard(max(LOADING, self.patience))
-        except _Silent as silent:
-            yield Failed(None, self._over(silent, "load"))
+            said = worker.receive(patience)
+        except WorkerSilent:
+            yield Failed(None, self._hung(patience, "load"))
+            return
+        except WorkerEnded:
+            yield Failed(None, self._died())
             return
         if said[0] == "unusable":
             self._end()
@@ -118,27 +110,28 @@ class Keeper:
         if panorama.ndim != 3 or panorama.shape[2] != 3 or panorama.dtype != np.uint8:
             raise ImageError(f"a picture is {panorama.dtype} {panorama.shape}; wanted uint8 (H, W, 3)")
         yield from self.start()
-        if self._line is None:
+        if (worker := self._worker) is None:
             return
         name = self._show(panorama)
         try:
-            self._line.send((name, tuple(queries), stamp, panorama.shape, world_R_body))
-            while (said := self._heard(self.patience))[0] != "done":
+            worker.send((name, tuple(queries), stamp, panorama.shape, world_R_body))
+            while (said := worker.receive(self.patience))[0] != "done":
                 self._pause = PAUSES[0]
                 if said[0] == "looked":
                     yield Looked(said[1], unpacked(said[2]), said[3])
                 else:
                     yield Failed(said[1], said[2], said[3])
-        except (_Silent, OSError, ValueError) as error:
-            silent = error if isinstance(error, _Silent) else _Silent(0.0)
-            yield Failed(None, self._over(silent, "look"))
+        except WorkerSilent:
+            yield Failed(None, self._hung(self.patience, "look"))
+        except (WorkerEnded, ValueError):
+            yield Failed(None, self._died())
 
     def kill(self) -> None:
         """End the process at once, from any thread; nothing is started any more."""
         self._killed.set()
         with self._lock:
-            if self._process is not None:
-                self._process.kill()
+            if self._worker is not None:
+                self._worker.kill()
 
     def close(self) -> None:
         """End the process and let go of the shared memory. May be called twice."""
@@ -161,21 +154,14 @@ class Keeper:
             with suppress(FileNotFoundError):
                 memory.unlink()
 
-    def _heard(self, patience: float) -> tuple[Any, ...]:
-        """What it says next. Raises `_Silent` if that is nothing."""
-        assert self._line is not None
-        try:
-            if not self._line.poll(patience):
-                raise _Silent(patience)
-            return self._line.recv()
-        except (EOFError, OSError):
-            raise _Silent(0.0) from None
+    def _hung(self, patience: float, what: str) -> str:
+        """End a process that hangs; how to say it."""
+        self._end()
+        return f"the perception did not {what} within {patience:g} s; it was ended, and starts anew"
 
-    def _over(self, silent: _Silent, what: str) -> str:
-        """See a process end that hangs or has died; how to say it."""
+    def _died(self) -> str:
+        """See a process end that has died; how to say it."""
         code = self._end()
-        if silent.seconds:
-            return f"the perception did not {what} within {silent.seconds:g} s; it was ended, and starts anew"
         pause = self._pause
         self._rest_until = time.monotonic() + pause
         self._pause = min(2 * pause, PAUSES[1])
@@ -188,27 +174,7 @@ class Keeper:
     def _end(self) -> int | None:
         """The exit code of the process, which is gone then."""
         with self._lock:
-            process, self._process = self._process, None
-            line, self._line = self._line, None
-        if line is not None:
-            with suppress(OSError, ValueError):
-                line.close()  # an idle one leaves
-        if process is None:
-            self._free()
-            return None
-        process.join(0.2)
-        if process.is_alive():
-            process.kill()
-            process.join(ENDING)
-        code = process.exitcode
-        process.close()
+            worker, self._worker = self._worker, None
+        code = None if worker is None else worker.close(ENDING)
         self._free()
         return code
-
-
-class _Silent(Exception):
-    """Nothing was heard for so many seconds; 0: the line is broken."""
-
-    def __init__(self, seconds: float) -> None:
-        super().__init__(seconds)
-        self.seconds = seconds

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.media.defects import NeverSeen
@@ -34,10 +33,8 @@ DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux's prctl
 
 def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMask], parent: int) -> None:
     """The life of the process; it ends when the line or its parent does. `masks`: where looks say nothing."""
-    leave_ctrl_c()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with(parent)
-    leave_with_parent()
     memory: SharedMemory | None = None
     with suppress(EOFError, OSError):
         try:

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from importlib import import_module
 from queue import SimpleQueue
 from typing import Any
 
-from eagor._processes import starting
+from eagor._processes import Worker, WorkerEnded
+from eagor.errors import EagorError
 
-__all__ = ["Backend", "run"]
+__all__ = ["Backend"]
 
 ENDING = 2.0  # seconds for the process to leave by itself
 PAUSE = 0.3  # seconds before one that has died is started anew
-
-
-def run(name: str, line: Any, *arguments: Any) -> None:
-    """Call ``package.module:function`` with the line and arguments: the first thing that a new process does.
-
-    What the function needs is imported in that process alone.
-    """
-    module, _, function = name.partition(":")
-    getattr(import_module(module), function)(line, *arguments)
 
 
 class Backend:
@@ -43,8 +33,6 @@ class Backend:
         self._serve, self._arguments, self._heard, self._died = serve, arguments, heard, died
         self._orders: SimpleQueue[Any] = SimpleQueue()
         self._closed, self._turn = threading.Event(), threading.Lock()
-        self._process: Any = None
-        self._line: Any = None
         self._start()
         threading.Thread(target=self._listen, name="eagor studio hears", daemon=True).start()
         threading.Thread(target=self._speak, name="eagor studio tells", daemon=True).start()
@@ -56,43 +44,30 @@ class Backend:
     @property
     def pid(self) -> int | None:
         """Of the process that is running now."""
-        return self._process.pid
+        return self._worker.process.pid
 
     def close(self) -> None:
         """End the process."""
         with self._turn:
             self._closed.set()
         self._orders.put(None)
-        with suppress(OSError):
-            self._line.close()
-        self._process.join(ENDING)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        self._worker.close(ENDING)
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
         with self._turn:
-            if self._closed.is_set():
-                return
-            self._line, there = context.Pipe()
-            self._process = context.Process(target=run, args=(self._serve, there, *self._arguments))
-            with starting():
-                self._process.start()
-            there.close()
+            if not self._closed.is_set():
+                self._worker = Worker(self._serve, *self._arguments, parent=True)
 
     def _listen(self) -> None:
         silent = 0
         while not self._closed.is_set():
             try:
-                said = self._line.recv()
-            except (EOFError, OSError, TypeError):
+                said = self._worker.receive()
+            except (WorkerEnded, EagorError):
                 if self._closed.wait(PAUSE):  # whoever ends us may have ended it first
                     return
                 silent += 1
-                self._process.join(ENDING)
-                if self._process.is_alive():
-                    self._process.kill()
+                self._worker.close(ENDING)
                 self._died()
                 if silent == 3:
                     return
@@ -103,5 +78,5 @@ class Backend:
 
     def _speak(self) -> None:
         while (order := self._orders.get()) is not None:
-            with suppress(OSError, ValueError):
-                self._line.send(order)
+            with suppress(WorkerEnded):
+                self._worker.send(order)

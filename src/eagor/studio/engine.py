@@ -8,14 +8,13 @@ Message)``, number 0 for all: ``ready`` once it is warm.
 from __future__ import annotations
 
 import math
-import multiprocessing
 import time
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from eagor._processes import leave_ctrl_c, leave_with_parent, starting
-from eagor.studio.backends import run
+from eagor._processes import Worker, WorkerEnded
+from eagor.errors import EagorError
 from eagor.studio.following import SOONEST, warm
 from eagor.studio.orders import Close
 from eagor.studio.picture import PictureSession
@@ -28,6 +27,7 @@ from eagor.tasks.methods import BASE
 __all__ = ["serve"]
 
 EYE = "eagor.studio.eye:serve"
+ENDING = 1.0  # seconds for the eye to leave by itself
 SHARE = 0.6  # of the time for computing beliefs
 LEARNT = 0.05  # weight of the newest in a running mean
 KINDS = {"walk": WalkSession, "picture": PictureSession, "video": VideoSession}
@@ -35,53 +35,38 @@ KINDS = {"walk": WalkSession, "picture": PictureSession, "video": VideoSession}
 
 def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
     """The life of the process; it ends when the line or its parent does."""
-    leave_ctrl_c()
-    eyes = _Eye(perceptions, seed)
-    leave_with_parent(eyes.kill)
-    engine = _Engine(line, eyes)
+    engine = _Engine(line, perceptions, seed)
     warm(BASE)
-    with suppress(EOFError, OSError):
+    try:
         while True:
             engine.turn()
-
-
-class _Eye:
-    """The process that sees; one that dies is started anew."""
-
-    def __init__(self, perceptions: tuple[str, ...], seed: int | None) -> None:
-        self._settings = perceptions, seed
-        self.start()
-
-    def start(self) -> None:
-        """Start it, warm."""
-        context = multiprocessing.get_context("spawn")
-        self.line, there = context.Pipe()
-        self.process = context.Process(target=run, args=(EYE, there, *self._settings), daemon=False)
-        with starting():
-            self.process.start()
-        there.close()
-
-    def kill(self) -> None:
-        """End it at once."""
-        self.process.kill()
+    finally:
+        engine.close()
 
 
 class _Engine:
-    def __init__(self, line: Connection, eyes: _Eye) -> None:
-        self._line, self._eyes = line, eyes
+    """Sessions, and the process that sees, the eye; one that dies is started anew."""
+
+    def __init__(self, line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
+        self._line, self._settings = line, (perceptions, seed)
+        self._eye = Worker(EYE, *self._settings, parent=True)
         self._sessions: dict[int, Session] = {}
         self._out = Outbox(self._send, self._order)
         self._cost = 0.0  # seconds of one computation of a belief, a running mean; more on a busy machine
         self._ready = False
 
+    def close(self) -> None:
+        """End the eye."""
+        self._eye.close(ENDING)
+
     def turn(self) -> None:
         """Take in what has come, and let sessions go on that are due, the longest waiting first."""
         due = min((session.due for session in self._sessions.values()), default=math.inf)
         timeout = None if math.isinf(due) else max(0.0, due - time.monotonic())
-        for ready in wait([self._line, self._eyes.line, self._eyes.process.sentinel], timeout):
+        for ready in wait([self._line, self._eye.line, self._eye.process.sentinel], timeout):
             if ready is self._line:
                 self._obey(self._line.recv())
-            elif ready is not self._eyes.line or not self._hear():
+            elif ready is not self._eye.line or not self._hear():
                 self._blind()
                 break
         now = time.monotonic()
@@ -108,8 +93,8 @@ class _Engine:
     def _hear(self) -> bool:
         """Pass on what the eye says; whether it lives."""
         try:
-            said = self._eyes.line.recv()
-        except (EOFError, OSError):
+            said = self._eye.receive()
+        except (WorkerEnded, EagorError):
             return False
         if said == ("warm",):
             if not self._ready:
@@ -121,8 +106,8 @@ class _Engine:
 
     def _blind(self) -> None:
         """The eye has died: every session begins anew with another one."""
-        self._eyes.process.join(1.0)
-        self._eyes.start()
+        self._eye.close(ENDING)
+        self._eye = Worker(EYE, *self._settings, parent=True)
         for number, session in list(self._sessions.items()):
             text = "The process that sees has ended unexpectedly; it starts anew, and so does this view."
             self._out.problem(number, text, "If this goes on, choose another perception.")
@@ -141,5 +126,5 @@ class _Engine:
         self._line.send((number, message))
 
     def _order(self, job: Any) -> None:
-        with suppress(OSError):
-            self._eyes.line.send(job)
+        with suppress(WorkerEnded):
+            self._eye.send(job)

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 from eagor.media.panorama import read_photograph
@@ -58,8 +57,6 @@ class _Home:
 
 def serve(line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
     """The life of the process. It begins with the apartment `seed` (None: none) and the first of `perceptions`."""
-    leave_ctrl_c()
-    leave_with_parent()
     lock = threading.Lock()
 
     def say(item: Any) -> None:

@@ -12,7 +12,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError
 from eagor.studio.backends import Backend
 from eagor.studio.kept import weighed
@@ -35,8 +34,6 @@ def serve(line: Connection) -> None:
 
     It says ``(number, "step", n)``, ``(number, "done", result)`` or ``(number, "refused", text)``.
     """
-    leave_ctrl_c()
-    leave_with_parent()
     from eagor.studio import runs
 
     with suppress(EOFError, OSError):

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError
 from eagor.live.answers import Answer
 from eagor.live.events import Event, EvidenceCame, FrameCame, PoseCame
@@ -118,8 +117,6 @@ def watch(
 
     It is told ``("query", text)``. What cannot be opened is said as a fatal problem.
     """
-    leave_ctrl_c()
-    leave_with_parent()
     lock = threading.Lock()
 
     def say(message: Message) -> None:

@@ -1,6 +1,6 @@
 """Episodes as the page shows them: steps with belief, panorama, answers of all methods, in one JSON object.
 
-An episode of a simulated task is played again (as `eagor.evaluation.watching` does for the Rerun viewer): the method
+An episode of a simulated task is played again (as `eagor.evaluation.simulated` does for the Rerun viewer): the method
 with a belief sees what it saw in the run. What the other methods said is in the records. A live recording goes through
 the live core again; of a robot's walk its report is read.
 """
@@ -19,8 +19,8 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
-from eagor.evaluation.study import Told
-from eagor.evaluation.watching import player_of
+from eagor.evaluation.simulated import player_of
+from eagor.evaluation.study import LoadedRun
 from eagor.sphere import direction
 from eagor.studio.houses import plan_of
 from eagor.studio.pictures import jpeg
@@ -56,7 +56,7 @@ class Redrawn:
         return {"scene": self.scene, "steps": steps, "methods": [each["name"] for each in self.scene["methods"]]}
 
 
-def redraw(run: Told, case: str, advance: Advance = lambda _: None) -> Redrawn:
+def redraw(run: LoadedRun, case: str, advance: Advance = lambda _: None) -> Redrawn:
     """Episode `case` of a run of a simulated task, again. `advance` is called with the number of each step.
 
     Raises `EagorError` for an unknown episode, one of a benchmark of still pictures, or a run without a tracker.
@@ -92,7 +92,7 @@ def redraw(run: Told, case: str, advance: Advance = lambda _: None) -> Redrawn:
     return found
 
 
-def _believer(run: Told, case: str, methods: Mapping[str, Any]) -> str:
+def _believer(run: LoadedRun, case: str, methods: Mapping[str, Any]) -> str:
     """The method whose belief is shown: ours, else another tracker."""
     known = [name for name in (OURS, *methods) if name in methods]
     trackers = [name for name in known if name.partition(":")[0] in (OURS, "eagor_paper")]
@@ -105,7 +105,7 @@ def _believer(run: Told, case: str, methods: Mapping[str, Any]) -> str:
 
 
 def _scene(
-    run: Told, episode: Episode, place: Place, methods: Mapping[str, Any], shown: str, calibrated: dict[str, Any]
+    run: LoadedRun, episode: Episode, place: Place, methods: Mapping[str, Any], shown: str, calibrated: dict[str, Any]
 ) -> dict[str, Any]:
     plan = plan_of(place.ground, place.scene.instances)
     names = {place.scene.instances[index].name for index in episode.targets if index < len(place.scene.instances)}

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import signal
 import time
-from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from eagor._processes import leave_ctrl_c, leave_with_parent, starting
+from eagor._processes import Worker, WorkerEnded
 from eagor.errors import DeviceError, EagorError
 from eagor.media.frames import Pose
 from eagor.robots.go2.sim_camera import CameraSettings
@@ -42,22 +40,18 @@ class PictureProcess:
     def __init__(self, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
         self.skipped = self.drawn = 0
         self._idle = False
-        context = multiprocessing.get_context("spawn")
-        self._line, there = context.Pipe()
-        self._process = context.Process(target=_draw, args=(there, world, seed, camera, domain, interface), daemon=True)
-        with starting():
-            self._process.start()
-        there.close()
+        self._worker = Worker(_draw, world, seed, camera, domain, interface)
 
     def wait(self, timeout: float = LOADING) -> None:
         """Wait until it can draw. Raises `DeviceError` if it cannot."""
         end = time.monotonic() + timeout
         while not self._heard() and not self._idle:
-            if not self._process.is_alive() and not self._line.poll():
-                raise DeviceError(f"the camera's process ended by itself (exit code {self._process.exitcode})")
+            if not self.alive and not self._worker.line.poll():
+                code = self._worker.process.exitcode
+                raise DeviceError(f"the camera's process ended by itself (exit code {code})")
             if time.monotonic() > end:
                 raise DeviceError(f"the camera is not ready after {timeout:g} s")
-            self._line.poll(0.1)
+            self._worker.line.poll(0.1)
 
     def offer(self, moment: Moment) -> bool:
         """Have a picture of this moment drawn; whether it is. Never waits."""
@@ -66,8 +60,8 @@ class PictureProcess:
             self.skipped += 1
             return False
         try:
-            self._line.send(moment)
-        except OSError:
+            self._worker.send(moment)
+        except WorkerEnded:
             return False
         self._idle = False
         return True
@@ -75,34 +69,28 @@ class PictureProcess:
     @property
     def alive(self) -> bool:
         """Whether it still draws."""
-        return self._process.is_alive()
+        return self._worker.alive
 
     def close(self) -> None:
         """End the process."""
-        self._line.close()
-        self._process.join(ENDING)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        self._process.close()
+        self._worker.close(ENDING)
 
     def _heard(self) -> bool:
         """Take in what it says; whether it said that it is ready for the next."""
-        with suppress(EOFError, OSError):
-            while self._line.poll():
-                said = self._line.recv()
-                if isinstance(said, str):
-                    raise DeviceError(f"the simulated camera cannot draw: {said}")
-                self.drawn += said
+        try:
+            while self._worker.line.poll():
+                self.drawn += self._worker.receive()
                 self._idle = True
+        except (WorkerEnded, OSError):
+            pass  # nothing more comes
+        except EagorError as error:
+            raise DeviceError(f"the simulated camera cannot draw: {error}") from error
         return self._idle
 
 
 def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
     """The life of the process."""
-    leave_ctrl_c()
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
-    leave_with_parent()
     from eagor.media.bags.messages import COMPRESSED, compressed_message
     from eagor.robots.dds import Link
     from eagor.robots.go2.sim_camera import SimulatedCamera
@@ -110,27 +98,21 @@ def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domai
     from eagor.worlds import load
     from eagor.worlds.scene import Scene
 
-    try:
-        scene = load(world)(seed)
-        assert isinstance(scene, Scene)  # `load_house` takes no other
-        drawer = SimulatedCamera(scene, camera)
-        drawer.picture(Pose(0.0, world_R_body(0.0), np.zeros(3)))  # the light, and what else comes first
-        with Link(domain, interface) as link:
-            writer = link.publish(CAMERA_TOPIC, COMPRESSED, reliable=False, depth=5)
-            waiting: list[tuple[float, Any]] = []  # pictures on their way: when they arrive
-            line.send(0)
-            while True:
-                pause = max(0.0, waiting[0][0] - time.time()) if waiting else None
-                if line.poll(pause):
-                    moment: Moment = line.recv()
-                    picture = drawer.picture(moment.pose, moment.ball)
-                    message = compressed_message(picture, moment.stamp, CAMERA_FRAME, quality=camera.quality)
-                    waiting.append((moment.stamp + camera.latency, message))
-                    line.send(1)
-                while waiting and waiting[0][0] <= time.time():
-                    writer.write(waiting.pop(0)[1])
-    except (EOFError, OSError):  # the parent has gone
-        return
-    except EagorError as error:
-        with suppress(OSError):
-            line.send(str(error))
+    scene = load(world)(seed)
+    assert isinstance(scene, Scene)  # `load_house` takes no other
+    drawer = SimulatedCamera(scene, camera)
+    drawer.picture(Pose(0.0, world_R_body(0.0), np.zeros(3)))  # the light, and what else comes first
+    with Link(domain, interface) as link:
+        writer = link.publish(CAMERA_TOPIC, COMPRESSED, reliable=False, depth=5)
+        waiting: list[tuple[float, Any]] = []  # pictures on their way: when they arrive
+        line.send(0)
+        while True:
+            pause = max(0.0, waiting[0][0] - time.time()) if waiting else None
+            if line.poll(pause):
+                moment: Moment = line.recv()
+                picture = drawer.picture(moment.pose, moment.ball)
+                message = compressed_message(picture, moment.stamp, CAMERA_FRAME, quality=camera.quality)
+                waiting.append((moment.stamp + camera.latency, message))
+                line.send(1)
+            while waiting and waiting[0][0] <= time.time():
+                writer.write(waiting.pop(0)[1])

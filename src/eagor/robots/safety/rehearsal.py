@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
 import signal
 from collections.abc import Sequence
-from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
 import numpy as np
 
-from eagor._processes import leave_ctrl_c, leave_with_parent, starting
+from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.conventions import rotation_from_wxyz
-from eagor.errors import DeviceError, EagorError
+from eagor.errors import DeviceError
 from eagor.media.bags.messages import TEXT
 from eagor.robots.dds import Link
 from eagor.robots.dds.settings import free_domain
@@ -47,25 +45,21 @@ class Rehearsal:
         self.domain = free_domain() if domain is None else domain
         self._pose: tuple[np.ndarray, np.ndarray] | None = None
         self._things: dict[str, Any] = {"targets": [], "things": []}
-        self._process: Any = None
+        self._worker: Worker | None = None
 
     def __enter__(self) -> Self:
-        context = multiprocessing.get_context("spawn")
-        self._line, there = context.Pipe()
-        self._process = context.Process(target=_robot, args=(there, self.settings, self.domain), name="simulated Go2")
-        with starting():
-            self._process.start()
-        there.close()
+        self._worker = Worker(_robot, self.settings, self.domain, name="simulated Go2", parent=True)
         try:
-            said = self._line.recv() if self._line.poll(STARTING) else "it is not ready in time"
-        except EOFError:
-            said = f"its process ended by itself (exit code {self._process.exitcode})"
+            self._worker.receive(STARTING)
+        except WorkerSilent:
+            self.close()
+            raise DeviceError("the simulated robot does not start: it is not ready in time") from None
+        except WorkerEnded:
+            how = f"its process ended by itself (exit code {self._worker.close(ENDING)})"
+            raise DeviceError(f"the simulated robot does not start: {how}") from None
         except BaseException:
             self.close()
             raise
-        if said is not None:
-            self.close()
-            raise said if isinstance(said, EagorError) else DeviceError(f"the simulated robot does not start: {said}")
         self._link = Link(self.domain, INTERFACE)
         self._link.subscribe(TRUTH, "nav_msgs/msg/Odometry", self._told_pose)
         self._link.subscribe(TRUTH_THINGS, TEXT, self._told_things, reliable=True, transient=True)
@@ -77,14 +71,8 @@ class Rehearsal:
 
     def close(self) -> None:
         """End the robot."""
-        if self._process is None:
-            return
-        self._line.close()
-        self._process.join(ENDING)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        self._process = None
+        if self._worker is not None:
+            self._worker.close(ENDING)
 
     def truth(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Where the camera really is, and how it is turned."""
@@ -129,18 +117,11 @@ def clear_start(house: House, targets: Sequence[Thing], rng: np.random.Generator
 
 def _robot(line: Connection, settings: SimSettings, domain: int) -> None:
     """The life of the process."""
-    leave_ctrl_c()
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
-    leave_with_parent()
     from eagor.robots.go2.sim import SimulatedGo2
     from eagor.robots.go2.sim_live import LiveGo2
 
-    try:
-        with LiveGo2(SimulatedGo2(settings), domain, INTERFACE) as robot:
-            robot.wait_for_camera()
-            line.send(None)
-            with suppress(EOFError, OSError):
-                line.recv()  # until the parent closes it
-    except EagorError as error:
-        with suppress(OSError):
-            line.send(error)
+    with LiveGo2(SimulatedGo2(settings), domain, INTERFACE) as robot:
+        robot.wait_for_camera()
+        line.send(None)
+        line.recv()  # until the parent closes it
