@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from eagor.live.answers import Answer, Fault
-from eagor.live.events import FrameCame, PoseCame
+from eagor.live.events import Answer, Fault, FrameCame, PoseCame
 from eagor.media.frames import Pose
 from eagor.perception.colour import ColourPerception
 from eagor.robots.run_page import Plan, RobotPage, Sample, summary

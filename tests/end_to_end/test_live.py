@@ -15,7 +15,7 @@ from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
-from eagor.live.replay import Replay
+from eagor.live.recording import Replay
 from eagor.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")

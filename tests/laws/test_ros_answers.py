@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import DirectionTracker, ErpGrid, Evidence, RealHarmonics
-from eagor.live.answers import Answer, Fault
+from eagor.live.events import Answer, Fault
 from eagor.media.bags import messages as m
 from eagor.media.bags.ros_types import store
 from eagor.robots.node import answers as made

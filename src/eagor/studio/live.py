@@ -13,8 +13,7 @@ import numpy as np
 
 from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError
-from eagor.live.answers import Answer
-from eagor.live.events import Event, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.pictures import jpeg
 from eagor.studio.steps import FLOATS, belief_of, calibration_of, estimate_json, modes_json, stage

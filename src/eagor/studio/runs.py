@@ -20,7 +20,7 @@ from eagor.evaluation import ledger, studies
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import Told
-from eagor.live.replay import Replay
+from eagor.live.recording import Replay
 from eagor.media.bags.paths import is_bag
 from eagor.studio.recordings import recorded, report_of, walked
 from eagor.studio.replays import Redrawn, redraw

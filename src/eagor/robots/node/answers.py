@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
-from eagor.live.answers import Answer
+from eagor.live.events import Answer
 from eagor.media.bags.messages import (
     header,
     image_message,

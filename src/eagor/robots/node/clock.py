@@ -9,10 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from eagor.errors import DeviceError
-from eagor.live.ahead import deviation
-from eagor.live.answers import Answer
-from eagor.live.events import Event, FrameCame, PoseCame
-from eagor.live.playing import LoopClock
+from eagor.live.core import deviation
+from eagor.live.events import Answer, Event, FrameCame, PoseCame
+from eagor.live.sources import LoopClock
 from eagor.media.bags.messages import CLOCK, seconds
 from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph

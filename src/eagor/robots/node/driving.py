@@ -18,8 +18,7 @@ from typing import Any, Self
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.answers import Answer
-from eagor.live.events import Event, PoseCame
+from eagor.live.events import Answer, Event, PoseCame
 from eagor.media.bags.messages import message, vector
 from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph

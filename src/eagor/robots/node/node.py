@@ -19,9 +19,9 @@ import numpy as np
 
 from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
-from eagor.live.answers import Answer, Fault, Part
+from eagor.live.events import Answer, Fault, FaultLog, Part
 from eagor.live.loop import RATE, LiveLoop
-from eagor.live.news import News
+from eagor.live.sources import already_open
 from eagor.media.bags.messages import TEXT
 from eagor.media.cameras.rig import Rig
 from eagor.perception import Perception
@@ -121,7 +121,7 @@ class Node:
         self._frame = ""
         self._sim: SimClock | None = None
         self._rewound = ""  # what is to be said of a clock that went back
-        self._told = News()
+        self._told = FaultLog()
         self.answers = 0
 
     def run(self) -> None:
@@ -232,7 +232,7 @@ class Node:
             if s.cmd_vel is not None:
                 drive = Drive.on(self.graph, s.cmd_vel, self._mount, s.walking, lambda: loop.clock.now())
             loop = LiveLoop(
-                _Again(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
+                already_open(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
                 patience=s.patience, record=self._record(), clock=self._sim,
                 watchers=(stamps, *(() if drive is None else (drive.odometer, drive.gate))),
             )  # fmt: skip
@@ -285,7 +285,7 @@ class Node:
         if self.settings.poses != "odom":
             return self.settings.poses
         try:
-            return _Again(self._odometry(), self._odometry)
+            return already_open(self._odometry(), self._odometry)
         except DeviceError as error:
             raise DeviceError(f"{error}. Without odometry: --poses auto takes turns from the pictures") from error
 
@@ -335,14 +335,3 @@ class Node:
         if self._told.worth(Fault(part, text, self._now()), time.monotonic()):
             self._said(text)
         outbox.say(trouble(self._now(), text))
-
-
-class _Again:
-    """Opens a source: the first time, the one that is open already."""
-
-    def __init__(self, source: Any, opens: Callable[[], Any]) -> None:
-        self._source, self._opens = source, opens
-
-    def __call__(self) -> Any:
-        source, self._source = self._source, None
-        return self._opens() if source is None else source

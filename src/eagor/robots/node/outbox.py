@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.answers import Answer
+from eagor.live.events import Answer
 from eagor.media.bags.messages import IMAGE, POSE, VECTOR
 from eagor.robots.node import answers as made
 from eagor.robots.ros.graph import Graph, GraphWriter

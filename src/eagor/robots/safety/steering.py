@@ -13,8 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from eagor.live.answers import Answer
-from eagor.live.events import Event, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, FrameCame, PoseCame
 from eagor.robots.safety.guard import GuardState
 from eagor.robots.safety.walking import Sight, Walk, WalkSettings, Wish, walk
 from eagor.sphere import azimuth_elevation
