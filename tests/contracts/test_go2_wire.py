@@ -13,15 +13,13 @@ from processes import wait_for
 
 from eagor.errors import DeviceError
 from eagor.media.frames import PoseSource
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2 import idl, sport
-from eagor.robots.go2.low import Go2Low, Remote
 from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim_server import Go2Server
-from eagor.robots.go2.state import Go2State
+from eagor.robots.go2.sim import WireSettings
+from eagor.robots.go2.sim_live import Go2Server
+from eagor.robots.go2.state import Go2Low, Go2State, Remote
 from eagor.robots.go2.wire import SportFields, raw
-from eagor.robots.go2.wire_settings import WireSettings
 
 
 def robot(link: Link, wire: WireSettings | None = None, **settings) -> Go2Server:

@@ -20,12 +20,11 @@ import numpy as np
 import pytest
 from processes import alive, sessions_of, wait_for
 
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim_server import Go2Server
+from eagor.robots.go2.sim import WireSettings
+from eagor.robots.go2.sim_live import Go2Server
 from eagor.robots.go2.sport import SportClient
-from eagor.robots.go2.wire_settings import WireSettings
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -15,7 +15,7 @@ import pytest
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import free_domain
 
 pytestmark = pytest.mark.xdist_group("real time")
 

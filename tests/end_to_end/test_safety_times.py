@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from processes import wait_for
 
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import free_domain
 
 pytest.importorskip("cyclonedds")
 

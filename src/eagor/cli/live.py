@@ -38,7 +38,7 @@ from eagor.media.cameras import open_camera
 from eagor.media.frames import CameraSource, Pose
 from eagor.perception import is_model, rows_of
 from eagor.robots.poses import GO2, ROS, open_poses
-from eagor.robots.ros.playing import BagCamera
+from eagor.robots.ros.sources import BagCamera
 
 MOST_DRIFT = 90  # degrees
 MOST_RATE = 1000.0  # answers per second

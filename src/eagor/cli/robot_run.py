@@ -37,8 +37,7 @@ from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.deadman import DEADMEN
 from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import Limits
-from eagor.robots.safety.steering import Odometer, Step, steer
-from eagor.robots.safety.walking import WalkSettings
+from eagor.robots.safety.walking import Odometer, Step, WalkSettings, steer
 
 ROS, INTERFACE = "ros:", "lo"
 RATE = 20.0  # answers, and so commands, per second
@@ -168,8 +167,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
-    from eagor.robots.go2.sim import SimSettings, SimulatedGo2
-    from eagor.robots.go2.sim_camera import CameraSettings
+    from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2
     from eagor.robots.ros.sources import RosCamera
     from eagor.robots.safety.rehearsal import CAMERA, Rehearsal, clear_start
 

@@ -1,7 +1,8 @@
-"""What a Go2 is told: requests and responses of its services ``sport`` and ``obstacles_avoid``.
+"""What a Go2 is told: requests and responses of its services ``sport`` and ``obstacles_avoid``; who else tells it.
 
 Only the commands in `ALLOWED` are ever sent: walking, standing, lying down, asking. Jumps, flips and handstands (1030
-to 1032, 2041 to 2047) have no way out of this module.
+to 1032, 2041 to 2047) have no way out of this module. A robot obeys whoever spoke last, so the commands of others are
+listened to.
 """
 
 from __future__ import annotations
@@ -9,23 +10,18 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 
 __all__ = [
-    "ALLOWED",
-    "CODES",
-    "OK",
-    "SEND",
-    "TIMEOUT",
-    "AvoidClient",
-    "Service",
-    "SportClient",
-    "checked_velocity",
-    "in_words",
-]
+    "ALLOWED", "CODES", "OK", "SEND", "TIMEOUT", "AvoidClient", "ForeignCommand", "ForeignCommands", "Service",
+    "SportClient", "checked_velocity", "in_words",
+]  # fmt: skip
 
 OK, SEND, TIMEOUT = 0, 3102, 3104
 FLOAT32 = 3.4028234663852886e38  # the largest number of 32 bits
@@ -237,3 +233,53 @@ def checked_velocity(vx: float, vy: float, wz: float) -> tuple[float, float, flo
     if not all(abs(number) <= FLOAT32 for number in numbers):  # neither does NaN
         raise DeviceError(f"velocities {numbers}; wanted three finite numbers of 32 bits (m/s, m/s, rad/s)")
     return x, y, z
+
+
+# Requests that only ask, by service: versions, heights, the speed level, the state (Unitree's SDK).
+ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, AVOID_GET}}
+WORDS = {
+    "sport": {1001: "Damp", 1002: "BalanceStand", 1003: "StopMove", 1004: "StandUp", 1005: "StandDown", 1008: "Move"},
+    "obstacles_avoid": {1001: "SwitchSet", 1003: "Move", 1004: "UseRemoteCommandFromApi"},
+}
+
+
+@dataclass(frozen=True)
+class ForeignCommand:
+    """A command of somebody else. `when`: ``time.monotonic()`` of its arrival."""
+
+    when: float
+    service: str
+    api_id: int
+
+    @property
+    def words(self) -> str:
+        """The command and its topic: "Move on rt/api/sport/request"."""
+        name = WORDS[self.service].get(self.api_id, f"command {self.api_id}")
+        return f"{name} on rt/api/{self.service}/request"
+
+
+class ForeignCommands:
+    """Listens to the commands that `services` of a Go2 are given by others than `link`.
+
+    `newest`: the last of them; `count`: how many came.
+    The robot's own remote control does not speak on these topics: only how the robot moves tells of it.
+    """
+
+    def __init__(self, link: Link, services: Iterable[str] = ALLOWED) -> None:
+        from eagor.robots.go2.idl import Request
+
+        self.newest: ForeignCommand | None = None
+        self.count = 0
+        self._readers = [
+            link.subscribe(f"rt/api/{name}/request", Request, partial(self._came, name), own=False) for name in services
+        ]
+
+    def close(self) -> None:
+        """Stop listening."""
+        for reader in self._readers:
+            reader.close()
+
+    def _came(self, service: str, request: Any, _: float) -> None:
+        if (api_id := request.header.identity.api_id) not in ASKING[service]:
+            self.newest = ForeignCommand(time.monotonic(), service, api_id)
+            self.count += 1

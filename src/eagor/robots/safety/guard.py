@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING, Any, Self
 from eagor import errors
 from eagor.errors import DeviceError, EagorError
 from eagor.robots.safety.deadman import Deadman, Terminal, checked_deadman
-from eagor.robots.safety.faults import stamp_of
 from eagor.robots.safety.gate import Mode
-from eagor.robots.safety.limits import Limits, Velocity
+from eagor.robots.safety.limits import Limits, Velocity, stamp_of
 from eagor.robots.safety.lines import LineReader, as_line, cut, write_now
 
 if TYPE_CHECKING:
-    from eagor.robots.safety.standby import Standby
+    from eagor.robots.safety.body import Standby
 
 __all__ = ["Guard", "GuardState"]
 
@@ -103,7 +102,7 @@ class Guard:
     Call `command` and `status` again and again: the robot stands as soon as they are older than the limits. A program
     that hangs, or is killed, leaves a robot that stands. The other way round a thread of the program watches the
     guard's process: if that ends, or says nothing for `Limits.silence`, the thread sends StopMove itself, over a
-    connection that was opened beforehand (`eagor.robots.safety.standby`). If both processes are gone or frozen, nobody
+    connection that was opened beforehand (`eagor.robots.safety.body`). If both processes are gone or frozen, nobody
     sends anything any more; a Go2 then walks on until its last Move expires, which takes 1 to 2 s.
 
     Raises `DeviceError` if there is no robot or no switch.
@@ -140,7 +139,7 @@ class Guard:
 
     def __enter__(self) -> Self:
         if self.armed:  # a dry run has no voice, not even for StopMove
-            from eagor.robots.safety.standby import Standby
+            from eagor.robots.safety.body import Standby
 
             known = self._settings
             self._standby = Standby(known["domain"], known["interface"], avoid=known["avoid"])

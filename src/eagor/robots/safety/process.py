@@ -17,9 +17,8 @@ from typing import Any, Protocol
 
 from eagor.errors import EagorError
 from eagor.robots.safety.deadman import EMERGENCY, HOLD, RELEASE, Deadman, HeldKey, Keys
-from eagor.robots.safety.faults import Body, Inputs
 from eagor.robots.safety.gate import Gate, Mode, Output, State, Stop
-from eagor.robots.safety.limits import Limits, Velocity
+from eagor.robots.safety.limits import Body, Inputs, Limits, Velocity
 from eagor.robots.safety.lines import LineReader, as_line, cut, read_now, write_now
 
 __all__ = ["Robot", "Settings", "Watch", "main"]

@@ -7,6 +7,7 @@ DDS without ROS (`eagor.robots.ros.graph.DdsGraph`), or `rclpy` (the package ``e
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -21,26 +22,102 @@ from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
 from eagor.live.events import Answer, Fault, FaultLog, Part
 from eagor.live.loop import RATE, LiveLoop
-from eagor.live.sources import already_open
-from eagor.media.bags.messages import TEXT
+from eagor.live.sources import LoopClock, already_open
+from eagor.media.bags.messages import CLOCK, TEXT, seconds
 from eagor.media.cameras.rig import Rig
 from eagor.perception import Perception
-from eagor.robots.node.answers import trouble
-from eagor.robots.node.clock import SimClock, Stamps
-from eagor.robots.node.driving import Drive
-from eagor.robots.node.outbox import Outbox
-from eagor.robots.node.queries import after
+from eagor.robots.ros.driving import Drive
 from eagor.robots.ros.graph import Graph, GraphReader
 from eagor.robots.ros.odometry import BODY, unnamed
+from eagor.robots.ros.publishing import Outbox, Stamps, trouble
 from eagor.robots.ros.sources import RosCamera, RosPoses
 from eagor.robots.safety.walking import WalkSettings
 from eagor.tracking import TrackerConfig
 
-__all__ = ["DIRECTION", "QUERY", "Node", "NodeSettings"]
+__all__ = ["DIRECTION", "QUERY", "Node", "NodeSettings", "after"]
+
+MOST = 16  # queries at a time
+
+
+def after(now: Sequence[str], text: str) -> tuple[str, ...]:
+    """The queries that are followed after a message.
+
+    "red chair" replaces all by one; "red chair; blue ball" by two. "+blue ball" is followed as well, "-blue ball" no
+    longer. An empty text ends them all. At most `MOST` are followed; further ones are left out.
+    """
+    found, fresh = list(now), False
+    for part in (part.strip() for part in re.split(r"[;\n]", text)):
+        word = part.lstrip("+-").strip()
+        if not re.search(r"\w", word):
+            continue
+        if part.startswith("-"):
+            found = [each for each in found if each != word]
+            fresh = True
+            continue
+        if not part.startswith("+") and not fresh:
+            found, fresh = [], True
+        if word not in found:
+            found.append(word)
+    if not text.strip():
+        return ()
+    return tuple(found[:MOST])
+
 
 QUERY, DIRECTION, DIAGNOSTICS = "~/query", "~/direction", "/diagnostics"
 AGAIN = 2.0  # seconds before sources that are gone are looked for again
 IDLE = 1.0  # seconds between two words of a node that has nothing to do
+
+
+CLOCK_TOPIC = "/clock"
+FIRST = 10.0  # seconds of real time in which the first time has to be told
+WAITING = 0.1  # seconds after which who waits for it looks whether to go on
+
+
+class SimClock(LoopClock):
+    """What ``/clock`` said last, as nodes of ROS with ``use_sim_time`` take it: it stands while a simulation stands.
+
+    `back` is called in a thread, with the seconds, whenever the time goes back: a bag begins again, a simulation was
+    reset. `ended` says whether nobody wants the time any more. Raises `DeviceError` if nobody tells it within `wait`
+    seconds.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        back: Callable[[float], Any],
+        ended: Callable[[], bool] = lambda: False,
+        wait: float | None = None,
+    ) -> None:
+        wait = FIRST if wait is None else wait
+        self._now, self._back = math.nan, back
+        self._told = threading.Event()
+        self._reader = graph.subscribe(CLOCK_TOPIC, CLOCK, self._heard, depth=1)
+        for _ in range(math.ceil(wait / WAITING)):
+            if self._told.wait(WAITING) or ended():
+                return
+        self.close()
+        raise DeviceError(
+            f"nothing came on {CLOCK_TOPIC} within {wait:g} s, and use_sim_time is set: start the simulation, or play "
+            "the bag with --clock; or leave use_sim_time out"
+        )
+
+    def now(self) -> float:
+        return self._now
+
+    def slip(self) -> float:
+        """Nothing sets it but ``/clock`` itself."""
+        return 0.0
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._reader.close()
+
+    def _heard(self, received: Any, _: float) -> None:
+        now = seconds(received.clock)
+        if now < self._now:  # told first: nobody should ask for answers of a time that is gone
+            self._back(self._now - now)
+        self._now = now
+        self._told.set()
 
 
 @dataclass(frozen=True)
@@ -96,7 +173,7 @@ class Node:
     """Answers on a `graph` until `stop` is called.
 
     `perception`: for `LiveLoop`; or `choose`, which names one for the queries that are followed, and may raise
-    `QueryError`. `queries`: what is followed at first; others come on ``~/query`` (`eagor.robots.node.queries`).
+    `QueryError`. `queries`: what is followed at first; others come on ``~/query`` (`eagor.robots.ros.node`).
     `said` is told what goes wrong, in words. Topics: docs/how-to/ros2.md.
     """
 

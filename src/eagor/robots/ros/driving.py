@@ -22,12 +22,10 @@ from eagor.live.events import Answer, Event, PoseCame
 from eagor.media.bags.messages import message, vector
 from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph
-from eagor.robots.safety.faults import Body, Inputs, stamp_of
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
 from eagor.robots.safety.guard import GuardState
-from eagor.robots.safety.limits import STILL, Limits, Velocity
-from eagor.robots.safety.steering import Odometer, Steering, Step
-from eagor.robots.safety.walking import WalkSettings
+from eagor.robots.safety.limits import STILL, Body, Inputs, Limits, Velocity, stamp_of
+from eagor.robots.safety.walking import Odometer, Steering, Step, WalkSettings
 from eagor.sphere import heading
 
 __all__ = ["BASE", "TWIST", "Drive", "TwistGate"]
