@@ -373,7 +373,7 @@ def test_wrong_parameters_are_said(monkeypatch):
     assert "NodeSettings: poses = 'walk'; wanted odom, auto, level or still" in ros.said[0]
     ros = Ros({}, {"queries": ["red ball"], "use_sim_time": True})
     ros.install(monkeypatch)
-    monkeypatch.setattr("eagor.robots.ros.publishing.FIRST", 0.1)
+    monkeypatch.setattr("eagor.robots.ros.node.FIRST", 0.1)
     assert main([]) == 2
     assert "nothing came on /clock within 0.1 s" in ros.said[0]
     ros = Ros({"/odom": m.ODOMETRY}, {"queries": ["red ball"]})

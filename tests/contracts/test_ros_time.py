@@ -19,9 +19,9 @@ from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media.bags import messages as m
 from eagor.media.frames import Pose
 from eagor.robots.ros.graph import find_topic
-from eagor.robots.ros.node import Node, NodeSettings
+from eagor.robots.ros.node import Node, NodeSettings, SimClock
 from eagor.robots.ros.odometry import PoseReader
-from eagor.robots.ros.publishing import SimClock, Stamps
+from eagor.robots.ros.publishing import Stamps
 from eagor.robots.ros.sources import RosCamera, RosPoses
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Ball, Room, bearing, paint

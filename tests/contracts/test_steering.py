@@ -12,7 +12,7 @@ from eagor.media.frames import Pose
 from eagor.perception.colour import ColourPerception
 from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.gate import Mode
-from eagor.robots.safety.guard import GuardState
+from eagor.robots.safety.messages import GuardState
 from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 from eagor.tracking import DirectionTracker
 from eagor.worlds.painted import painted_room

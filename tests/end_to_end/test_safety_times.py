@@ -20,8 +20,9 @@ from go2_peer import Peer, Simulated
 from guard_driving import PEERS, TRIALS, Driver, Time, begun_by, bring_to_speed, measured, until
 
 from eagor.errors import DeviceError
-from eagor.robots.safety.guard import Guard, GuardState
+from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import Limits
+from eagor.robots.safety.messages import GuardState
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -141,7 +142,7 @@ def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
     def once():
         bring_to_speed(driver, peer)
         driver.mumbles = True
-        last = driver.guard._said.command
+        last = driver.guard._said["command"]
         took = measured(peer, last)
         driver.mumbles = False
         return took

@@ -23,8 +23,8 @@ from eagor.media.bags.messages import message, vector
 from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
-from eagor.robots.safety.guard import GuardState
 from eagor.robots.safety.limits import STILL, Body, Inputs, Limits, Velocity, stamp_of
+from eagor.robots.safety.messages import GuardState
 from eagor.robots.safety.walking import Odometer, Steering, Step, WalkSettings
 from eagor.sphere import heading
 
@@ -130,19 +130,7 @@ class TwistGate:
             self._state, output = self.gate.step(self._state, now, replace(inputs, acknowledged=self._state.stops))
             if output.send is not None:
                 self._send(STILL if isinstance(output.send, Stop) else output.send)
-            seen = inputs.body or Body(now, math.nan, math.nan, math.nan, math.nan)
-            self._guard = GuardState(
-                now,
-                output.mode,
-                output.send if isinstance(output.send, Velocity) else None,
-                stops=self._state.stops,
-                faults=tuple((fault.name, fault.words) for fault in output.faults),
-                remarks=output.remarks,
-                roll=seen.roll,
-                pitch=seen.pitch,
-                speed=seen.speed,
-                turn=seen.turn,
-            )
+            self._guard = GuardState.of(now, output, inputs.body, stops=self._state.stops)
 
     def _send(self, velocity: Velocity) -> None:
         twist = message(

@@ -15,6 +15,7 @@ from eagor.robots.dds import Link
 from eagor.robots.go2.sport import OK, AvoidClient, ForeignCommands, SportClient, in_words
 from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
 from eagor.robots.safety.limits import Body, Velocity
+from eagor.robots.safety.messages import Settings
 
 __all__ = ["Go2Body", "Standby"]
 
@@ -67,35 +68,28 @@ ABLE = (0, 1, 2, 3, 6, 9)  # modes from which it can walk
 
 
 class Go2Body:
-    """A Go2 as the guard sees it; a context manager. `avoid`: it walks around obstacles by itself.
+    """A Go2 as the guard sees it, by its `settings`; a context manager.
 
-    With `armed` False it never has a writer, so it cannot command anything. `aside`: seconds for which a command of
-    somebody else is a fault. Raises `DeviceError`, `MissingExtraError`.
+    One that is not armed never has a writer, so it cannot command anything. Raises `DeviceError`, `MissingExtraError`.
     """
 
-    def __init__(
-        self,
-        domain: int,
-        interface: str | None,
-        *,
-        armed: bool,
-        avoid: bool = False,
-        remote: bool = False,
-        aside: float = 2.0,
-    ) -> None:
+    def __init__(self, settings: Settings) -> None:
         self.body: Body | None = None
         self.mode: int | None = None
         self.acknowledged: int | None = None
         self.problem: str | None = None  # of the last command
         self._lateness = Lateness()
-        self._aside = aside
-        self._link = Link(domain, interface)
+        self._aside = settings.limits.aside
+        self._link = Link(settings.domain, settings.interface)
         # A robot that avoids obstacles may command its own walking.
-        self._others = ForeignCommands(self._link, ["obstacles_avoid"] if avoid else ["sport", "obstacles_avoid"])
+        self._others = ForeignCommands(
+            self._link, ["obstacles_avoid"] if settings.avoid else ["sport", "obstacles_avoid"]
+        )
         self._state = Go2State(self._link, received=self._received)
-        self._low = Go2Low(self._link) if remote else None
-        self._sport = SportClient(self._link, timeout=PATIENCE) if armed else None
-        self._avoid = AvoidClient(self._link, timeout=STARTING) if armed and avoid else None
+        self._low = Go2Low(self._link) if settings.deadman == "remote" else None
+        self._sport = SportClient(self._link, timeout=PATIENCE) if settings.armed else None
+        avoids = settings.armed and settings.avoid
+        self._avoid = AvoidClient(self._link, timeout=STARTING) if avoids else None
         self._stoppers = ThreadPoolExecutor(AT_ONCE, "StopMove")
         self._stops = 0
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from eagor._checks import above, require, within
 from eagor.live.events import Answer, Event, FrameCame, PoseCame
-from eagor.robots.safety.guard import GuardState
 from eagor.robots.safety.limits import STILL, Velocity
+from eagor.robots.safety.messages import GuardState
 from eagor.sphere import azimuth_elevation, heading
 from eagor.tracking.estimate import Estimate, Status
 
