@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -30,7 +30,8 @@ from eagor.worlds.render import Renderer
 from eagor.worlds.scene import Scene
 
 __all__ = [
-    "CameraSettings", "SimSettings", "SimulatedCamera", "SimulatedGo2", "WireSettings", "odometry_of", "sport_fields",
+    "CameraSettings", "SimSettings", "SimulatedCamera", "SimulatedGo2", "SimulatedWire", "WireSettings", "odometry_of",
+    "sport_fields",
 ]  # fmt: skip
 
 
@@ -66,6 +67,37 @@ class WireSettings:
     def robot_time(self, host: float, seconds: float) -> float:
         """The robot's clock at `host` on ours, `seconds` after its start."""
         return host + self.clock_offset + self.clock_drift * seconds
+
+
+class SimulatedWire:
+    """What is on its way to or from a simulated robot; `rng` draws what gets lost, and how long the rest takes.
+
+    Not for several threads.
+    """
+
+    def __init__(self, settings: WireSettings, rng: np.random.Generator) -> None:
+        self.settings, self._rng = settings, rng
+        self._numbers = itertools.count()
+        self._late: list[tuple[float, int, Any]] = []
+
+    def loses(self) -> bool:
+        """Whether the next message gets lost."""
+        return self.settings.drop > 0 and bool(self._rng.random() < self.settings.drop)
+
+    def delay(self) -> float:
+        """Seconds that the next message takes."""
+        low, high = self.settings.delay
+        return float(self._rng.uniform(low, high)) if high > 0 else 0.0
+
+    def put(self, when: float, message: Any) -> None:
+        """A message that arrives then."""
+        heapq.heappush(self._late, (when, next(self._numbers), message))
+
+    def arrived(self, now: float) -> Iterator[tuple[float, Any]]:
+        """What has arrived by now, in order, each with its time; it is taken away."""
+        while self._late and self._late[0][0] <= now:
+            when, _, message = heapq.heappop(self._late)
+            yield when, message
 
 
 def sport_fields(motion: Motion, stamp: float, error_code: int = 0) -> SportFields:
@@ -247,11 +279,10 @@ class SimulatedGo2:
             start = self._start(draws[1])
             slide, ahead = self.house.slide, self.house.ahead
         self.plant = Plant(settings.plant, draws[2], start, slide, ahead)
-        self._wire_rng = draws[3]
+        self.wire_rng = draws[3]
         self._clock = RelatedClock("Go2")
-        self._numbers = itertools.count()
-        self._commands: list[tuple[float, int, Callable[[], None]]] = []  # when they arrive
-        self._arriving: list[tuple[float, int, BodyState | Frame | SportFields]] = []
+        self._commands = SimulatedWire(settings.wire, self.wire_rng)  # to the robot
+        self._messages = SimulatedWire(settings.wire, self.wire_rng)  # from it: `Frame`, `SportFields`
         self._pictures = 0
 
     def _start(self, rng: np.random.Generator) -> tuple[float, float, float]:
@@ -278,13 +309,12 @@ class SimulatedGo2:
         end = self.plant.steps + round(seconds / self.settings.plant.step)
         came: list[BodyState | Frame] = []
         while self.plant.steps < end:
-            while self._commands and self._commands[0][0] <= self.now:
-                heapq.heappop(self._commands)[2]()
+            for _, command in self._commands.arrived(self.now):
+                command()
             self.plant.advance()
             self._send_state()
             self._send_picture()
-            while self._arriving and self._arriving[0][0] <= self.now:
-                when, _, message = heapq.heappop(self._arriving)
+            for when, message in self._messages.arrived(self.now):
                 if not isinstance(message, SportFields):
                     came.append(message)
                     continue
@@ -317,8 +347,8 @@ class SimulatedGo2:
         return self._do(self.plant.stand_down)
 
     def _do(self, command: Callable[[], None]) -> int:
-        if not self._lost():
-            heapq.heappush(self._commands, (self.now + self._delay(), next(self._numbers), command))
+        if not self._commands.loses():
+            self._commands.put(self.now + self._commands.delay(), command)
         return OK
 
     # --- truth ---
@@ -364,12 +394,12 @@ class SimulatedGo2:
         return True
 
     def _send_state(self) -> None:
-        if not self._lost():
+        if not self._messages.loses():
             stamp = self.settings.wire.robot_time(self.now, self.plant.seconds)
-            self._post(self.now + self._delay(), sport_fields(self.plant.odometry, stamp))
+            self._messages.put(self.now + self._messages.delay(), sport_fields(self.plant.odometry, stamp))
 
     def _send_picture(self) -> None:
-        if not self.picture_due() or self._lost():
+        if not self.picture_due() or self._messages.loses():
             return
         assert self.house is not None
         assert self.settings.camera is not None
@@ -377,15 +407,4 @@ class SimulatedGo2:
         ball = None if self.house.ball is None else self.house.ball.at(self.plant.seconds)
         panorama = self.camera.received(self.camera.picture(pose, ball))
         frame = Frame(self.now, panorama, f"picture {self._pictures}")
-        self._post(self.now + self.settings.camera.latency, frame)
-
-    def _post(self, when: float, message: BodyState | Frame | SportFields) -> None:
-        heapq.heappush(self._arriving, (when, next(self._numbers), message))
-
-    def _lost(self) -> bool:
-        drop = self.settings.wire.drop
-        return drop > 0 and bool(self._wire_rng.random() < drop)
-
-    def _delay(self) -> float:
-        low, high = self.settings.wire.delay
-        return float(self._wire_rng.uniform(low, high)) if high > 0 else 0.0
+        self._messages.put(self.now + self.settings.camera.latency, frame)

@@ -6,14 +6,13 @@ are limp then, and nobody answers commands to walk until a mode is selected agai
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import json
 import threading
 import time
 import warnings
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -21,9 +20,9 @@ import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 from eagor.robots.go2.plant import LIMP, Motion, Plant
-from eagor.robots.go2.sim import SimulatedGo2, WireSettings, odometry_of, sport_fields
+from eagor.robots.go2.sim import SimulatedGo2, SimulatedWire, WireSettings, odometry_of, sport_fields
 from eagor.robots.go2.sim_pictures import CAMERA_TOPIC, Moment, PictureProcess
-from eagor.robots.go2.sport import checked_velocity
+from eagor.robots.go2.sport import API_VERSION, Avoid, Sport, checked_velocity
 from eagor.robots.go2.state import SOURCES, Remote
 from eagor.robots.go2.wire import LowFields, raw
 
@@ -141,15 +140,13 @@ class Go2Server:
         self._requests: deque[tuple[str, int, dict[str, Any]]] = deque(maxlen=KEPT)
         self.asked = 0  # requests that came, except for the version
         self.skipped = 0  # steps that no state tells of: this machine was too slow
-        self._rng = rng or np.random.default_rng()
         self._every_step = every_step
         self.switches = ServiceSwitches(plant)
         self._joints, self._told = plant.joints, plant.steps  # at the last message of the motors
         self._avoid = {"enable": False, "is_remote_commands_from_api": False}
         self._turn = threading.RLock()
         self._ended = threading.Event()
-        self._late: list[tuple[float, int, Any, Any]] = []  # when to send, number, writer, message
-        self._numbers = itertools.count()
+        self._way = SimulatedWire(self.wire, rng or np.random.default_rng())  # of functions that send
         state = raw(idl.ShortSportModeState if self.wire.short else idl.SportModeState)
         low = raw(idl.LowState)
         self._state, self._low = state, low
@@ -257,7 +254,7 @@ class Go2Server:
     # --- requests ---
 
     def _request(self, service: str, request: Any) -> None:
-        if self._lost() or not self.switches.answers(service):
+        if self._way.loses() or not self.switches.answers(service):
             return
         identity = request.header.identity
         code, data = self._obey(service, identity.api_id, request.parameter)
@@ -269,7 +266,7 @@ class Go2Server:
 
     def _obey(self, service: str, api_id: int, parameter: str) -> tuple[int, str]:
         """The status code and the data of a request, after doing it."""
-        if api_id == 1:
+        if api_id == API_VERSION:
             return 0, VERSIONS[service]
         try:
             asked = json.loads(parameter) if parameter else {}
@@ -287,11 +284,12 @@ class Go2Server:
             return NOT_UNDERSTOOD, ""
 
     def _sport(self, api_id: int, asked: dict[str, Any]) -> tuple[int, str]:
-        plain = {
-            1001: self.plant.damp, 1002: self.plant.balance_stand, 1003: self.plant.stop, 1004: self.plant.stand_up,
-            1005: self.plant.stand_down, 1006: self.plant.recover,
+        plain: dict[int, Callable[[], None]] = {
+            Sport.DAMP: self.plant.damp, Sport.BALANCE_STAND: self.plant.balance_stand,
+            Sport.STOP_MOVE: self.plant.stop, Sport.STAND_UP: self.plant.stand_up,
+            Sport.STAND_DOWN: self.plant.stand_down, Sport.RECOVERY_STAND: self.plant.recover,
         }  # fmt: skip
-        if api_id == 1008:
+        if api_id == Sport.MOVE:
             self.plant.move(*checked_velocity(asked["x"], asked["y"], asked["z"]))
         elif api_id in plain:
             plain[api_id]()
@@ -300,15 +298,15 @@ class Go2Server:
         return 0, ""
 
     def _avoiding(self, api_id: int, asked: dict[str, Any]) -> tuple[int, str]:
-        if api_id == 1001:
+        if api_id == Avoid.SWITCH_SET:
             self._avoid["enable"] = bool(asked["enable"])
-        elif api_id == 1002:
+        elif api_id == Avoid.SWITCH_GET:
             return 0, json.dumps({"enable": self._avoid["enable"]})
-        elif api_id == 1003:
+        elif api_id == Avoid.MOVE:
             wanted = checked_velocity(asked["x"], asked["y"], asked["yaw"])
             if all(self._avoid.values()) and asked.get("mode", 0) == 0:
                 self.plant.move(*wanted, careful=True)
-        elif api_id == 1004:
+        elif api_id == Avoid.USE_REMOTE_COMMAND_FROM_API:
             self._avoid["is_remote_commands_from_api"] = bool(asked["is_remote_commands_from_api"])
         else:
             return NOT_KNOWN, ""
@@ -317,28 +315,21 @@ class Go2Server:
     # --- the wire ---
 
     def _send(self, topic: str, message: Any) -> None:
-        if not self._lost():
+        if not self._way.loses():
             self._give(self._writers[topic], message)
 
-    def _lost(self) -> bool:
-        return self.wire.drop > 0 and bool(self._rng.random() < self.wire.drop)
-
     def _give(self, writer: Any, message: Any) -> None:
-        low, high = self.wire.delay
-        if high == 0:
+        if self.wire.delay[1] == 0:
             writer.write(message)
             return
         with self._turn:
-            due = time.monotonic() + float(self._rng.uniform(low, high))
-            heapq.heappush(self._late, (due, next(self._numbers), writer, message))
+            self._way.put(time.monotonic() + self._way.delay(), partial(writer.write, message))
 
     def _send_late(self) -> None:
-        while True:
-            with self._turn:
-                if not self._late or self._late[0][0] > time.monotonic():
-                    return
-                _, _, writer, message = heapq.heappop(self._late)
-            writer.write(message)
+        with self._turn:
+            due = [*self._way.arrived(time.monotonic())]
+        for _, send in due:
+            send()
 
 
 TRUTH_THINGS = f"{TRUTH}/things"  # std_msgs/String: JSON of all things and where they are; no robot has this topic
@@ -367,7 +358,7 @@ class LiveGo2:
                 self.pictures = PictureProcess(settings.world, settings.seed, settings.camera, domain, interface)
             self._things = self.link.publish(TRUTH_THINGS, TEXT, transient=True, depth=1)
             self.server = Go2Server(
-                robot.plant, self.link, settings.wire, rng=robot._wire_rng, every_step=self._every_step
+                robot.plant, self.link, settings.wire, rng=robot.wire_rng, every_step=self._every_step
             )
         except BaseException:
             self.close()

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
 from typing import Any
 
@@ -26,13 +27,37 @@ __all__ = [
 OK, SEND, TIMEOUT = 0, 3102, 3104
 FLOAT32 = 3.4028234663852886e38  # the largest number of 32 bits
 API_VERSION = 1
-BALANCE_STAND, STOP_MOVE, STAND_UP, STAND_DOWN, MOVE = 1002, 1003, 1004, 1005, 1008
-AVOID_SET, AVOID_GET, AVOID_MOVE, AVOID_FROM_API = 1001, 1002, 1003, 1004
+
+
+class Sport(IntEnum):
+    """Commands of the service ``sport``, by their names in Unitree's SDK."""
+
+    DAMP = 1001
+    BALANCE_STAND = 1002
+    STOP_MOVE = 1003
+    STAND_UP = 1004
+    STAND_DOWN = 1005
+    RECOVERY_STAND = 1006
+    MOVE = 1008
+
+
+class Avoid(IntEnum):
+    """Commands of the service ``obstacles_avoid``."""
+
+    SWITCH_SET = 1001
+    SWITCH_GET = 1002
+    MOVE = 1003
+    USE_REMOTE_COMMAND_FROM_API = 1004
+
+
+COMMANDS: dict[str, type[IntEnum]] = {"sport": Sport, "obstacles_avoid": Avoid}
 # Numbers that a request of each service may have.
 ALLOWED = {
-    "sport": frozenset({API_VERSION, BALANCE_STAND, STOP_MOVE, STAND_UP, STAND_DOWN, MOVE}),
-    "obstacles_avoid": frozenset({API_VERSION, AVOID_SET, AVOID_GET, AVOID_MOVE, AVOID_FROM_API}),
+    "sport": frozenset({API_VERSION, *Sport} - {Sport.DAMP, Sport.RECOVERY_STAND}),
+    "obstacles_avoid": frozenset({API_VERSION, *Avoid}),
 }
+# Those that only ask: versions, heights, the speed level, the state.
+ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, Avoid.SWITCH_GET}}
 # Codes of responses, and those that a client gives itself (Unitree's SDK).
 CODES = {
     OK: "done",
@@ -168,23 +193,23 @@ class SportClient(Service):
     def move(self, vx: float, vy: float, wz: float) -> int:
         """Walk forward and left (metres per second), turn left (radians per second). Raises `DeviceError` for NaN."""
         x, y, z = checked_velocity(vx, vy, wz)
-        return self.tell(MOVE, {"x": x, "y": y, "z": z})
+        return self.tell(Sport.MOVE, {"x": x, "y": y, "z": z})
 
     def stop(self) -> int:
         """Stand still; 0 once the robot says so."""
-        return self.call(STOP_MOVE)[0]
+        return self.call(Sport.STOP_MOVE)[0]
 
     def balance_stand(self) -> int:
         """Stand, ready to walk."""
-        return self.call(BALANCE_STAND)[0]
+        return self.call(Sport.BALANCE_STAND)[0]
 
     def stand_up(self) -> int:
         """Stand up, with locked joints."""
-        return self.call(STAND_UP)[0]
+        return self.call(Sport.STAND_UP)[0]
 
     def stand_down(self) -> int:
         """Lie down."""
-        return self.call(STAND_DOWN)[0]
+        return self.call(Sport.STAND_DOWN)[0]
 
 
 class AvoidClient(Service):
@@ -203,7 +228,7 @@ class AvoidClient(Service):
 
     def on(self) -> bool | None:
         """Whether obstacles are heeded; None if the robot does not say."""
-        code, said = self.call(AVOID_GET)
+        code, said = self.call(Avoid.SWITCH_GET)
         try:
             return bool(json.loads(said)["enable"]) if code == OK else None
         except (ValueError, KeyError, TypeError):
@@ -212,15 +237,15 @@ class AvoidClient(Service):
     def move(self, vx: float, vy: float, wz: float) -> int:
         """As `SportClient.move`; the robot goes around obstacles, or stops before them."""
         x, y, yaw = checked_velocity(vx, vy, wz)
-        return self.tell(AVOID_MOVE, {"x": x, "y": y, "yaw": yaw, "mode": 0})
+        return self.tell(Avoid.MOVE, {"x": x, "y": y, "yaw": yaw, "mode": 0})
 
     def stop(self) -> int:
         """Walk no further; a `SportClient.stop` is answered, this is not."""
         return self.move(0.0, 0.0, 0.0)
 
     def _both(self, on: bool) -> int:
-        first = (AVOID_SET, {"enable": on})
-        second = (AVOID_FROM_API, {"is_remote_commands_from_api": on})
+        first = (Avoid.SWITCH_SET, {"enable": on})
+        second = (Avoid.USE_REMOTE_COMMAND_FROM_API, {"is_remote_commands_from_api": on})
         for api_id, parameter in (first, second) if on else (second, first):
             if (code := self.call(api_id, parameter)[0]) != OK:
                 return code
@@ -235,14 +260,6 @@ def checked_velocity(vx: float, vy: float, wz: float) -> tuple[float, float, flo
     return x, y, z
 
 
-# Requests that only ask, by service: versions, heights, the speed level, the state (Unitree's SDK).
-ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, AVOID_GET}}
-WORDS = {
-    "sport": {1001: "Damp", 1002: "BalanceStand", 1003: "StopMove", 1004: "StandUp", 1005: "StandDown", 1008: "Move"},
-    "obstacles_avoid": {1001: "SwitchSet", 1003: "Move", 1004: "UseRemoteCommandFromApi"},
-}
-
-
 @dataclass(frozen=True)
 class ForeignCommand:
     """A command of somebody else. `when`: ``time.monotonic()`` of its arrival."""
@@ -254,7 +271,10 @@ class ForeignCommand:
     @property
     def words(self) -> str:
         """The command and its topic: "Move on rt/api/sport/request"."""
-        name = WORDS[self.service].get(self.api_id, f"command {self.api_id}")
+        try:
+            name = COMMANDS[self.service](self.api_id).name.title().replace("_", "")
+        except ValueError:
+            name = f"command {self.api_id}"
         return f"{name} on rt/api/{self.service}/request"
 
 

@@ -23,8 +23,8 @@ from eagor.media.bags.messages import message, vector
 from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
-from eagor.robots.safety.limits import STILL, Body, Inputs, Limits, Velocity, stamp_of
-from eagor.robots.safety.messages import GuardState
+from eagor.robots.safety.limits import STILL, Body, Limits, Velocity
+from eagor.robots.safety.messages import GateClient, GuardState, inputs_from
 from eagor.robots.safety.walking import Odometer, Steering, Step, WalkSettings
 from eagor.sphere import heading
 
@@ -37,8 +37,8 @@ BASE = Limits(
 SPAN = 0.2  # seconds of odometry from which the base's speed is read
 
 
-class TwistGate:
-    """The gate in front of a Twist topic: what a guard is to a Go2 (`Guarding`). A context manager.
+class TwistGate(GateClient):
+    """The gate in front of a Twist topic: what a guard is to a Go2. A context manager.
 
     It is a watcher of the live loop, too, whose poses tell how the base moves. `mount(stamp)` gives `body_R_camera`.
     While the gate stands it sends nothing, so that others may drive; at a fault it sends zeros until the odometry says
@@ -50,7 +50,8 @@ class TwistGate:
         self._writer = graph.publish(topic, TWIST, reliable=True, depth=1)
         self._mount = mount
         self._turn = threading.Lock()
-        self._state, self._inputs = State(), Inputs()
+        self._state, self._said = State(), dict[str, Any]()
+        self._body: Body | None = None
         self._poses: deque[tuple[float, Pose]] = deque()
         self._guard = GuardState(time.monotonic(), Mode.STANDING)
         self._over = threading.Event()
@@ -77,32 +78,11 @@ class TwistGate:
 
     @property
     def state(self) -> GuardState:
-        """What the gate did at its last step."""
         return self._guard
 
-    def command(self, forward: float, left: float, turn: float) -> None:
-        """The wanted velocity from now on: m/s, m/s, rad/s (left is positive)."""
-        self._know(wanted=Velocity(forward, left, turn), command=time.monotonic())
-
-    def status(
-        self,
-        *,
-        image_age: float | None,
-        pose_age: float | None,
-        belief_age: float | None,
-        presence: float | None,
-        faults: Sequence[str] = (),
-    ) -> None:
-        """What is known now; ages in seconds since capture, None or infinite: nothing came yet."""
-        now = time.monotonic()
-        self._know(
-            image=stamp_of(now, image_age), pose=stamp_of(now, pose_age), belief=stamp_of(now, belief_age),
-            presence=presence, heartbeat=now, stated=tuple(faults),
-        )  # fmt: skip
-
-    def pose(self, age: float) -> None:
-        """A pose came, `age` seconds ago."""
-        self._know(pose=time.monotonic() - age)
+    def _say(self, **news: Any) -> None:
+        with self._turn:
+            self._said |= news
 
     # --- what the loop tells ---
 
@@ -113,24 +93,23 @@ class TwistGate:
             self._poses.append((now, event.pose))
             while len(self._poses) > 2 and event.pose.stamp - self._poses[1][1].stamp >= SPAN:
                 self._poses.popleft()
-            self._know(body=body_of(self._poses[0][1], event.pose, self._mount(event.pose.stamp), now))
+            body = body_of(self._poses[0][1], event.pose, self._mount(event.pose.stamp), now)
+            with self._turn:
+                self._body = body
 
     # --- the thread ---
-
-    def _know(self, **changes: Any) -> None:
-        with self._turn:
-            self._inputs = replace(self._inputs, **changes)
 
     def _serve(self) -> None:
         while not self._over.wait(self.gate.limits.period):
             now = time.monotonic()
             with self._turn:
-                inputs = self._inputs
+                inputs, body = inputs_from(self._said), self._body
             # Nobody acknowledges a Twist: the odometry alone says that the base stands.
-            self._state, output = self.gate.step(self._state, now, replace(inputs, acknowledged=self._state.stops))
+            inputs = replace(inputs, body=body, acknowledged=self._state.stops)
+            self._state, output = self.gate.step(self._state, now, inputs)
             if output.send is not None:
                 self._send(STILL if isinstance(output.send, Stop) else output.send)
-            self._guard = GuardState.of(now, output, inputs.body, stops=self._state.stops)
+            self._guard = GuardState.of(now, output, body, stops=self._state.stops)
 
     def _send(self, velocity: Velocity) -> None:
         twist = message(

@@ -88,19 +88,19 @@ def markers(answer: Answer, body_R_camera: np.ndarray, body: str, number: int = 
     rgb = PALETTE[number % len(PALETTE)]
     angle = answer.estimate.credible_angle
     told = f"{answer.query}: {_said(d)}, {answer.estimate.status}"
+    about = answer.query, answer.stamp, body
     made = [
-        _marker(answer, body, 0, ARROW, _pointing(d), scale=(REACH, 0.03, 0.06), colour=(*rgb, 1.0)),
-        _marker(answer, body, 1, TRIANGLES, np.eye(3), scale=(1, 1, 1), colour=(*rgb, 0.25), points=_cone(d, angle)),
-        _marker(
-            answer, body, 2, TEXT, np.eye(3), scale=(0, 0, 0.1), colour=(1, 1, 1, 1), place=1.1 * REACH * d, text=told
-        ),
+        _marker(*about, 0, ARROW, turn=_pointing(d), scale=(REACH, 0.03, 0.06), colour=(*rgb, 1.0)),
+        _marker(*about, 1, TRIANGLES, scale=(1, 1, 1), colour=(*rgb, 0.25), points=_cone(d, angle)),
+        _marker(*about, 2, TEXT, scale=(0, 0, 0.1), colour=(1, 1, 1, 1), place=1.1 * REACH * d, text=told),
     ]
     return message(MARKERS, markers=made)
 
 
 def gone(query: str, stamp: float, body: str) -> Any:
     """A MarkerArray that deletes the markers of a query."""
-    return message(MARKERS, markers=[_blank(query, stamp, body, number, DELETE) for number in range(IDS)])
+    made = [_marker(query, stamp, body, number, ARROW, action=DELETE) for number in range(IDS)]
+    return message(MARKERS, markers=made)
 
 
 def belief_image(answer: Answer, camera: str, rows: int = 64, encoding: Literal["mono8", "32FC1"] = "mono8") -> Any:
@@ -197,49 +197,41 @@ def _cone(d: np.ndarray, angle: float) -> list[Any]:
 
 
 def _marker(
-    answer: Answer,
+    query: str,
+    stamp: float,
     body: str,
     number: int,
     kind: int,
-    turn: np.ndarray,
     *,
-    scale: Sequence[float],
-    colour: Sequence[float],
+    action: int = ADD,
+    turn: np.ndarray | None = None,
     place: Any = (0, 0, 0),
+    scale: Sequence[float] = (0, 0, 0),
+    colour: Sequence[float] = (0, 0, 0, 0),
     points: Sequence[Any] = (),
     text: str = "",
 ) -> Any:
-    made = _blank(answer.query, answer.stamp, body, number, ADD)
-    made.type, made.pose, made.scale = kind, pose_part(turn, place), vector(scale)
-    made.color = message("std_msgs/msg/ColorRGBA", **dict(zip("rgba", map(float, colour), strict=True)))
-    made.points, made.text = list(points), text
-    return made
-
-
-def _blank(query: str, stamp: float, body: str, number: int, action: int) -> Any:
-    lasting = time_message(LASTING)
+    nothing, lasting = np.zeros(0, np.uint8), time_message(LASTING)
     return message(
         MARKER,
         header=header(stamp, body),
         ns=query,
         id=number,
-        type=ARROW,
+        type=kind,
         action=action,
-        pose=pose_part(np.eye(3)),
-        scale=vector((0, 0, 0)),
-        color=message("std_msgs/msg/ColorRGBA", r=0.0, g=0.0, b=0.0, a=0.0),
+        pose=pose_part(np.eye(3) if turn is None else turn, place),
+        scale=vector(scale),
+        color=message("std_msgs/msg/ColorRGBA", **dict(zip("rgba", map(float, colour), strict=True))),
         lifetime=message("builtin_interfaces/msg/Duration", sec=lasting.sec, nanosec=lasting.nanosec),
         frame_locked=False,
-        points=[],
+        points=list(points),
         colors=[],
         texture_resource="",
-        texture=message(
-            "sensor_msgs/msg/CompressedImage", header=header(0.0, ""), format="", data=np.zeros(0, np.uint8)
-        ),
+        texture=message("sensor_msgs/msg/CompressedImage", header=header(0.0, ""), format="", data=nothing),
         uv_coordinates=[],
-        text="",
+        text=text,
         mesh_resource="",
-        mesh_file=message("visualization_msgs/msg/MeshFile", filename="", data=np.zeros(0, np.uint8)),
+        mesh_file=message("visualization_msgs/msg/MeshFile", filename="", data=nothing),
         mesh_use_embedded_materials=False,
     )
 

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
@@ -19,8 +19,18 @@ from eagor import errors
 from eagor.errors import DeviceError, EagorError
 from eagor.robots.safety.deadman import Deadman, Terminal, checked_deadman
 from eagor.robots.safety.gate import Mode
-from eagor.robots.safety.limits import Limits, stamp_of
-from eagor.robots.safety.messages import REASONS, WORDS, GuardState, LineReader, Settings, as_line, cut, write_now
+from eagor.robots.safety.limits import Limits
+from eagor.robots.safety.messages import (
+    REASONS,
+    WORDS,
+    GateClient,
+    GuardState,
+    LineReader,
+    Settings,
+    as_line,
+    cut,
+    write_now,
+)
 
 if TYPE_CHECKING:
     from eagor.robots.safety.body import Standby
@@ -33,7 +43,7 @@ HANGS = 2.0  # seconds without a word from it after which it is given up
 STANDING_IN = 3.0  # seconds for which this process sends StopMove to a robot that acknowledges none
 
 
-class Guard:
+class Guard(GateClient):
     """The only way from a program to a Go2's legs; a context manager, which stops the robot when it is left.
 
     - `armed`: False is a dry run: the guard says what it would do, and never commands.
@@ -162,36 +172,6 @@ class Guard:
         assert self._process is not None
         return self._process.pid
 
-    def command(self, forward: float, left: float, turn: float) -> None:
-        """The wanted velocity from now on, for `Limits.command_age` seconds: m/s, m/s, rad/s (left is positive)."""
-        self._say(wanted=(forward, left, turn), command=time.monotonic())
-
-    def status(
-        self,
-        *,
-        image_age: float | None,
-        pose_age: float | None,
-        belief_age: float | None,
-        presence: float | None,
-        faults: Sequence[str] = (),
-    ) -> None:
-        """What the program knows now; ages in seconds since capture, None or infinite: nothing came yet.
-
-        `faults`: what is wrong, in words; the robot stands while there are any.
-        """
-        now = time.monotonic()
-        self._say(
-            image=stamp_of(now, image_age),
-            pose=stamp_of(now, pose_age),
-            belief=stamp_of(now, belief_age),
-            presence=presence,
-            stated=[cut(text, WORDS) for text in faults[:REASONS]],
-        )
-
-    def pose(self, age: float) -> None:
-        """A pose that was true `age` seconds ago has come; between two calls of `status`."""
-        self._say(pose=stamp_of(time.monotonic(), age))
-
     def stop(self) -> None:
         """Stand, until the next `command`."""
         self._say(wanted=None, command=None)
@@ -236,7 +216,8 @@ class Guard:
                 raise DeviceError("the guard is not running: use it in a with statement")
             self._said |= news
             try:
-                write_now(self._out, as_line(self._said | {"heartbeat": time.monotonic()}))
+                stated = [cut(text, WORDS) for text in self._said.get("stated", ())[:REASONS]]
+                write_now(self._out, as_line(self._said | {"stated": stated, "heartbeat": time.monotonic()}))
             except BrokenPipeError:
                 raise self._end() from None
 

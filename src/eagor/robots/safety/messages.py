@@ -11,17 +11,20 @@ import json
 import math
 import os
 import select
+import time
 import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from eagor.robots.safety.deadman import Deadman
 from eagor.robots.safety.gate import Mode, Output
-from eagor.robots.safety.limits import Body, Inputs, Limits, Velocity
+from eagor.robots.safety.limits import Body, Inputs, Limits, Velocity, stamp_of
 
 __all__ = [
-    "LONGEST", "REASONS", "WORDS", "GuardState", "LineReader", "Settings", "as_line", "cut", "inputs_from", "read_now",
-    "write_now",
+    "LONGEST", "REASONS", "WORDS", "GateClient", "GuardState", "LineReader", "Settings", "as_line", "cut",
+    "inputs_from", "read_now", "write_now",
 ]  # fmt: skip
 
 LONGEST = select.PIPE_BUF  # bytes: a pipe takes so many as a whole, or not at all (POSIX)
@@ -141,6 +144,50 @@ class GuardState:
             "remarks": tuple(message["remarks"]),
         }
         return cls(**values)
+
+
+class GateClient(ABC):
+    """What a program tells the gate that moves its robot, however that gets there."""
+
+    @property
+    @abstractmethod
+    def state(self) -> GuardState:
+        """What the gate did at its last step."""
+
+    @abstractmethod
+    def _say(self, **news: Any) -> None:
+        """Let the gate know these news (`inputs_from`), beside all that it was told before."""
+
+    def command(self, forward: float, left: float, turn: float) -> None:
+        """The wanted velocity from now on, for `Limits.command_age` seconds: m/s, m/s, rad/s (left is positive)."""
+        self._say(wanted=(forward, left, turn), command=time.monotonic())
+
+    def status(
+        self,
+        *,
+        image_age: float | None,
+        pose_age: float | None,
+        belief_age: float | None,
+        presence: float | None,
+        faults: Sequence[str] = (),
+    ) -> None:
+        """What the program knows now; ages in seconds since capture, None or infinite: nothing came yet.
+
+        `faults`: what is wrong, in words; the robot stands while there are any.
+        """
+        now = time.monotonic()
+        self._say(
+            image=stamp_of(now, image_age),
+            pose=stamp_of(now, pose_age),
+            belief=stamp_of(now, belief_age),
+            presence=presence,
+            stated=tuple(faults),
+            heartbeat=now,
+        )
+
+    def pose(self, age: float) -> None:
+        """A pose that was true `age` seconds ago has come; between two calls of `status`."""
+        self._say(pose=stamp_of(time.monotonic(), age))
 
 
 def as_line(message: dict[str, Any]) -> bytes:

@@ -13,19 +13,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
 from eagor._checks import above, require, within
 from eagor.live.events import Answer, Event, FrameCame, PoseCame
 from eagor.robots.safety.limits import STILL, Velocity
-from eagor.robots.safety.messages import GuardState
+from eagor.robots.safety.messages import GateClient, GuardState
 from eagor.sphere import azimuth_elevation, heading
 from eagor.tracking.estimate import Estimate, Status
 
 __all__ = [
-    "Doing", "Guarding", "Odometer", "Sight", "Steering", "Step", "Walk", "WalkSettings", "Wish", "steer", "walk",
+    "Doing", "Odometer", "Sight", "Steering", "Step", "Walk", "WalkSettings", "Wish", "steer", "walk",
 ]  # fmt: skip
 
 Doing = Literal["searching", "turning", "walking", "arrived", "holding"]
@@ -246,24 +246,6 @@ UNKNOWN = (math.inf, math.inf)  # a distance that is not known, and its spread
 POSES = 0.02  # seconds between two words to the guard that poses come
 
 
-class Guarding(Protocol):
-    """What steering needs of `eagor.robots.safety.guard.Guard`."""
-
-    @property
-    def state(self) -> GuardState: ...
-    def command(self, forward: float, left: float, turn: float) -> None: ...
-    def status(
-        self,
-        *,
-        image_age: float | None,
-        pose_age: float | None,
-        belief_age: float | None,
-        presence: float | None,
-        faults: Sequence[str] = (),
-    ) -> None: ...
-    def pose(self, age: float) -> None: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Step:
     """One answer, and what became of it.
@@ -285,7 +267,7 @@ class Odometer:
     It tells the guard of poses as they come, which is more often than answers are given. `now`: the loop's clock.
     """
 
-    def __init__(self, guard: Guarding, now: Callable[[], float]) -> None:
+    def __init__(self, guard: GateClient, now: Callable[[], float]) -> None:
         self.xy: tuple[float, float] | None = None
         self.panorama: np.ndarray | None = None
         self._guard, self._now = guard, now
@@ -312,7 +294,7 @@ class Steering:
     `odometer` has to be a watcher of the loop that gives the answers; `now` is that loop's clock.
     """
 
-    def __init__(self, guard: Guarding, odometer: Odometer, settings: WalkSettings, now: Callable[[], float]) -> None:
+    def __init__(self, guard: GateClient, odometer: Odometer, settings: WalkSettings, now: Callable[[], float]) -> None:
         self._guard, self._odometer, self._settings, self._now = guard, odometer, settings, now
         self._state, self._far, self._read = Walk(), UNKNOWN, -math.inf
 
@@ -341,7 +323,7 @@ class Steering:
         return Step(answer, self._odometer.panorama, sight, wish, self._guard.state)
 
 
-def steer(loop: Any, guard: Guarding, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
+def steer(loop: Any, guard: GateClient, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
     """Walk by the answers of `loop` (`eagor.live.loop.LiveLoop`, with one query) until it ends.
 
     `odometer` has to be one of its watchers. Raises what the loop and the guard raise.
