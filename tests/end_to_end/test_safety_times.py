@@ -85,6 +85,7 @@ def simulated():
         yield driver, robot
 
 
+@pytest.mark.slow  # each fault is tried with the tests' own robot, too
 @pytest.mark.parametrize("name", [name for name in TRIALS if name not in PEERS])
 def test_the_simulated_go2_stops_in_time_too(simulated, name):
     driver, robot = simulated
@@ -196,8 +197,10 @@ def gone(pid):
 
 
 @pytest.mark.parametrize(("whom", "how"), [
-    ("program", signal.SIGKILL), ("program", signal.SIGSTOP), ("program", signal.SIGTERM), ("both", signal.SIGINT),
-    ("guard", signal.SIGTERM), ("guard", signal.SIGINT), ("guard", signal.SIGHUP),
+    ("program", signal.SIGKILL), ("both", signal.SIGINT), ("guard", signal.SIGTERM),
+    *(pytest.param(*each, marks=pytest.mark.slow) for each in [
+        ("program", signal.SIGSTOP), ("program", signal.SIGTERM), ("guard", signal.SIGINT), ("guard", signal.SIGHUP),
+    ]),
 ])  # fmt: skip
 def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_process(whom, how):
     def once():
@@ -228,7 +231,12 @@ def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_proc
     in_time(once)
 
 
-@pytest.fixture(params=[(0.15, 0.0, 0.2), (0.5, 0.0, 0.4)], ids=["slow", "quick"])
+@pytest.fixture(
+    params=[
+        pytest.param((0.15, 0.0, 0.2), marks=pytest.mark.slow, id="slow"),
+        pytest.param((0.5, 0.0, 0.4), id="quick"),
+    ]
+)
 def driving(request):
     """A robot that walks, the guard and the program that walk it."""
     domain = free_domain()

@@ -181,6 +181,7 @@ def test_a_perception_whose_process_dies_is_started_anew(tmp_path):
     followed(loop, says("died (exit code 7)", "after 0.5 s"), well)
 
 
+@pytest.mark.slow
 def test_a_perception_that_always_dies_is_started_ever_more_rarely():
     loop = loop_of(Camera(), AlwaysDying())
     followed(loop, says("after 0.5 s"), says("after 1 s"), says("after 2 s"))
@@ -248,7 +249,7 @@ def test_queries_that_nobody_understands_end_the_loop():
         followed(loop_of(Camera(), Ignorant(), ["pet snail"]), lambda _: False)
 
 
-@pytest.mark.parametrize("spec", ["nonesuch", "onnx:/nowhere.onnx"])
+@pytest.mark.parametrize("spec", [pytest.param("nonesuch", marks=pytest.mark.slow), "onnx:/nowhere.onnx"])
 def test_a_perception_that_cannot_be_loaded_ends_the_loop_in_words(spec):
     with pytest.raises(EagorError, match=r"nonesuch|nowhere"):
         followed(loop_of(Camera(), spec), lambda _: False)
@@ -352,7 +353,7 @@ if __name__ == "__main__":
 
 
 @linux
-@pytest.mark.parametrize("perception", ["Seeing()", "Seeing(3600.0)"])
+@pytest.mark.parametrize("perception", ["Seeing()", pytest.param("Seeing(3600.0)", marks=pytest.mark.slow)])
 def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_path, perception):
     pytest.importorskip("rosbags")
     record, mark = tmp_path / "run", tmp_path / "mark"
