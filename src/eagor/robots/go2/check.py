@@ -10,7 +10,7 @@ import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 from eagor.robots.go2.sport import OK, ForeignCommands, SportClient, in_words
-from eagor.robots.go2.state import MODES, SOURCES, BodyState, Go2Low, Go2State
+from eagor.robots.go2.state import MODES, SOURCES, UNREADABLE, BodyState, Go2Low, Go2State
 from eagor.robots.go2.wire import LONG
 
 __all__ = ["Report", "examine"]
@@ -129,10 +129,7 @@ def _form(size: int) -> str:
 
 def _unheard(main: Go2State, topics: dict[str, str]) -> str:
     if main.topic in topics:
-        return (
-            f"{main.topic} is published, but in a form that is not known, or nothing arrives: the robot's firmware is "
-            "newer or another one than these, or a firewall holds back UDP"
-        )
+        return f"{main.topic} is published, but {UNREADABLE}"
     return f"nobody publishes {main.topic}: the robot's walking has not started; restart it, or look at its app"
 
 

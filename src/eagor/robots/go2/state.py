@@ -36,6 +36,10 @@ MODES = {
     0: "idle", 1: "standing", 2: "posing", 3: "walking", 5: "lying", 6: "standing with locked joints", 7: "limp",
     8: "getting up", 10: "sitting",
 }  # fmt: skip
+UNREADABLE = (  # a topic that is written, and of which nothing is heard
+    "in a form that is not known, or nothing arrives: the robot's firmware is newer or another one than these, or a "
+    "firewall holds back UDP"
+)
 KEPT = 2000  # states that wait for whoever iterates: 10 s at 200 Hz
 LOOK = 1.0  # seconds between looks at who publishes
 
@@ -84,11 +88,6 @@ class BodyState:
         )
 
     @property
-    def tilt(self) -> float:
-        """Radians between the body's vertical axis and the world's."""
-        return float(np.arccos(np.clip(self.world_R_body[2, 2], -1.0, 1.0)))
-
-    @property
     def speed(self) -> float:
         """Metres per second over the ground."""
         return float(np.hypot(self.velocity[0], self.velocity[1]))
@@ -117,7 +116,7 @@ class Go2State:
             raise DeviceError(f"there is no odometry {source!r} of a Go2; wanted one of {', '.join(SOURCES)}")
         self.topic = SOURCES[source]
         self.clock = RelatedClock("Go2")
-        self.count = self.dropped = self.doubtful = 0
+        self.count = self.dropped = 0
         self.news: deque[str] = deque(maxlen=20)  # about the robot's clock, in words
         self.bytes: int | None = None  # length of the message, which tells the firmware's form
         self._link, self._mount = link, np.asarray(mount, dtype=np.float64)
@@ -222,7 +221,6 @@ class Go2State:
             if news:
                 self.news.append(news)
             if stamp is None:
-                self.doubtful += 1
                 return
             state = replace(state, stamp=stamp)
         with self._turn:
@@ -251,10 +249,7 @@ class Go2State:
         """Why no state came."""
         where = f"domain {self._link.domain}, {self._link.interface or 'automatic interface'}"
         if kind := self._link.topics(0.5).get(self.topic):
-            return (
-                f"somebody publishes {self.topic} as {kind}, but in a form that is not known, or nothing arrives: the "
-                "robot's firmware is newer or another one than these, or a firewall holds back UDP"
-            )
+            return f"somebody publishes {self.topic} as {kind}, but {UNREADABLE}"
         return (
             f"no robot is heard within {timeout:g} s ({self.topic}, {where}): is it on, is this machine on its network "
             "(192.168.123.x), and is the interface right?"

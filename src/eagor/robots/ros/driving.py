@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -25,15 +25,13 @@ from eagor.robots.ros.graph import Graph
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
 from eagor.robots.safety.limits import STILL, Body, Limits, Velocity
 from eagor.robots.safety.messages import GateClient, GuardState, inputs_from
-from eagor.robots.safety.walking import Odometer, Steering, Step, WalkSettings
 from eagor.sphere import heading
 
-__all__ = ["BASE", "TWIST", "Drive", "TwistGate"]
+__all__ = ["BASE", "TWIST", "TwistGate", "body_of"]
 
 TWIST = "geometry_msgs/msg/Twist"
-BASE = Limits(
-    state_age=0.5, pose_age=0.5, silence=0.5
-)  # odometry of bases comes 10 to 50 times a second, over Wi-Fi late
+# Odometry of bases comes 10 to 50 times a second, over Wi-Fi late.
+BASE = Limits(state_age=0.5, pose_age=0.5, silence=0.5)
 SPAN = 0.2  # seconds of odometry from which the base's speed is read
 
 
@@ -117,29 +115,6 @@ class TwistGate(GateClient):
         )
         with suppress(EagorError):  # a reader that does not keep up: the next one comes soon
             self._writer.write(twist)
-
-
-@dataclass(eq=False)
-class Drive:
-    """A base that goes to the thing: watchers for a live loop, whose answers about one query go to `answered`."""
-
-    gate: TwistGate
-    odometer: Odometer
-    steering: Steering
-
-    @classmethod
-    def on(
-        cls, graph: Graph, topic: str, mount: Callable[[float], np.ndarray], settings: WalkSettings,
-        now: Callable[[], float],
-    ) -> Drive:  # fmt: skip
-        """A drive that writes to `topic`; `now`: the clock of the loop."""
-        gate = TwistGate(graph, topic, mount)
-        odometer = Odometer(gate, now)
-        return cls(gate, odometer, Steering(gate, odometer, settings, now))
-
-    def answered(self, answer: Answer, body_R_camera: np.ndarray) -> Step:
-        """Go by this answer."""
-        return self.steering.step(answer, body_R_camera)
 
 
 def body_of(before: Pose, pose: Pose, body_R_camera: np.ndarray, now: float) -> Body:

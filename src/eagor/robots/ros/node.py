@@ -21,20 +21,20 @@ import numpy as np
 from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
 from eagor.live.events import Answer, Fault, FaultLog, Part
-from eagor.live.loop import RATE, LiveLoop
+from eagor.live.loop import RATE, LiveLoop, Watcher
 from eagor.live.sources import LoopClock, already_open
 from eagor.media.bags.messages import CLOCK, TEXT, seconds
 from eagor.media.cameras.rig import Rig
 from eagor.perception import Perception
-from eagor.robots.ros.driving import Drive
+from eagor.robots.ros.driving import TwistGate
 from eagor.robots.ros.graph import Graph, GraphReader
 from eagor.robots.ros.odometry import BODY, unnamed
-from eagor.robots.ros.publishing import Outbox, Stamps, trouble
+from eagor.robots.ros.publishing import Outbox, OutgoingAnswer, Stamps, trouble
 from eagor.robots.ros.sources import RosCamera, RosPoses
-from eagor.robots.safety.walking import WalkSettings
+from eagor.robots.safety.walking import Odometer, Steering, WalkSettings
 from eagor.tracking import TrackerConfig
 
-__all__ = ["DIRECTION", "QUERY", "Node", "NodeSettings", "after"]
+__all__ = ["QUERY", "Node", "NodeSettings", "after"]
 
 MOST = 16  # queries at a time
 
@@ -63,7 +63,7 @@ def after(now: Sequence[str], text: str) -> tuple[str, ...]:
     return tuple(found[:MOST])
 
 
-QUERY, DIRECTION, DIAGNOSTICS = "~/query", "~/direction", "/diagnostics"
+QUERY = "~/query"
 AGAIN = 2.0  # seconds before sources that are gone are looked for again
 IDLE = 1.0  # seconds between two words of a node that has nothing to do
 
@@ -303,15 +303,20 @@ class Node:
         camera = self._camera()
         self._frame = s.camera or camera.frame
         loop: LiveLoop
-        drive, stamps = None, Stamps()
+        stamps = Stamps()
+        watchers: list[Watcher] = [stamps]
+        gate: TwistGate | None = None
+        steering: Steering | None = None
         try:
             poses = self._first_poses()
             if s.cmd_vel is not None:
-                drive = Drive.on(self.graph, s.cmd_vel, self._mount, s.walking, lambda: loop.clock.now())
+                gate = TwistGate(self.graph, s.cmd_vel, self._mount)
+                odometer = Odometer(gate, lambda: loop.clock.now())
+                steering = Steering(gate, odometer, s.walking, lambda: loop.clock.now())
+                watchers += [odometer, gate]
             loop = LiveLoop(
                 already_open(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
-                patience=s.patience, record=self._record(), clock=self._sim,
-                watchers=(stamps, *(() if drive is None else (drive.odometer, drive.gate))),
+                patience=s.patience, record=self._record(), clock=self._sim, watchers=watchers,
             )  # fmt: skip
         except BaseException:
             camera.close()
@@ -324,8 +329,8 @@ class Node:
                 else:
                     loop.stop()
         try:
-            with nullcontext() if drive is None else drive.gate:
-                loop.run(lambda answer: self._answered(answer, loop, outbox, drive, stamps))
+            with gate or nullcontext():
+                loop.run(lambda answer: self._answered(answer, loop, outbox, steering, stamps))
         finally:
             with self._news:
                 self._loop = None
@@ -366,7 +371,9 @@ class Node:
         except DeviceError as error:
             raise DeviceError(f"{error}. Without odometry: --poses auto takes turns from the pictures") from error
 
-    def _answered(self, answer: Answer, loop: LiveLoop, outbox: Outbox, drive: Drive | None, stamps: Stamps) -> None:
+    def _answered(
+        self, answer: Answer, loop: LiveLoop, outbox: Outbox, steering: Steering | None, stamps: Stamps
+    ) -> None:
         queries = loop.core.queries
         self.answers += 1
         self._say_faults(answer)
@@ -380,10 +387,11 @@ class Node:
         }  # fmt: skip
         if self._poses is not None:
             told["between_poses_deg"] = f"{math.degrees(between):.2f}"
-        if drive is not None and number == 0:
-            step = drive.answered(answer, mount)
+        if steering is not None and number == 0:
+            step = steering.step(answer, mount)
             told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}
-        outbox.put(told_of, answer.stamp, number, len(queries), mount, self._frame or self.settings.body, told)
+        camera = self._frame or self.settings.body
+        outbox.put(OutgoingAnswer(told_of, answer.stamp, number, len(queries), mount, camera, told))
 
     def _mount(self, stamp: float) -> np.ndarray:
         """body_R_camera."""

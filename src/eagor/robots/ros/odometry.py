@@ -108,13 +108,6 @@ class TransformTree:
         """The stamp of the newest transform of a moving frame."""
         return self._newest[frame]
 
-    def fixed(self, parent: str, child: str) -> Transform | None:
-        """Where `child` is in `parent`, if only fixed transforms connect them; else None."""
-        links = self.between(parent, child)
-        if links is None or any(frame in self._moving for frame in links):
-            return None
-        return self.at(parent, child, 0.0)
-
     def at(self, parent: str, child: str, stamp: float) -> Transform | None:
         """Where `child` is in `parent` at a time; None if they are not connected, or the time is too long ago.
 

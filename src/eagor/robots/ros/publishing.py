@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from eagor.errors import EagorError
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.live.core import deviation
-from eagor.live.events import Answer, Event, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, FrameCame, Part, PoseCame
 from eagor.media.bags.messages import (
     IMAGE,
     POSE,
@@ -39,8 +39,8 @@ from eagor.robots.ros.graph import Graph, GraphWriter
 from eagor.sphere import azimuth_elevation, world_R_body
 
 __all__ = [
-    "DIAGNOSTICS", "MARKERS", "NUMBERS", "Outbox", "Stamps", "belief_coefficients", "belief_image", "diagnostics",
-    "direction_message", "direction_pose", "gone", "markers", "topic_of", "trouble",
+    "DIAGNOSTICS", "MARKERS", "NUMBERS", "Outbox", "OutgoingAnswer", "Stamps", "belief_coefficients", "belief_image",
+    "diagnostics", "direction_message", "direction_pose", "gone", "markers", "topic_of", "trouble",
 ]  # fmt: skip
 
 MARKERS, MARKER = "visualization_msgs/msg/MarkerArray", "visualization_msgs/msg/Marker"
@@ -272,11 +272,13 @@ class Stamps:
 
 
 DIAGNOSED = 1.0  # seconds between two diagnostics
-PARTS = ("camera", "poses", "perception", "clock", "recording")
+PARTS: tuple[str, ...] = get_args(Part)
 
 
 @dataclass(frozen=True, eq=False)
-class _Item:
+class OutgoingAnswer:
+    """An `answer`, `given` then, to the query of this `number` of `count`; `told`: further values for diagnostics."""
+
     answer: Answer
     given: float
     number: int
@@ -299,10 +301,10 @@ class Outbox:
         self._graph, self._settings, self._now = graph, settings, now
         self._writers: dict[str, GraphWriter] = {}
         self._news = threading.Condition()
-        self._items: dict[str, _Item] = {}
+        self._items: dict[str, OutgoingAnswer] = {}
         self._words: list[Any] = []
         self._shown: set[str] = set()
-        self._newest: dict[str, _Item] = {}
+        self._newest: dict[str, OutgoingAnswer] = {}
         self._diagnosed = self._believed = 0.0
         self._closed = False
         for topic in ("~/direction", "~/direction_pose", "~/markers", "~/belief_image", "~/belief"):
@@ -316,19 +318,10 @@ class Outbox:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def put(
-        self,
-        answer: Answer,
-        given: float,
-        number: int,
-        count: int,
-        body_R_camera: np.ndarray,
-        camera: str,
-        told: Mapping[str, str],
-    ) -> None:
-        """Send the `answer`, `given` then, to the query of this `number` of `count`; it replaces one that waits."""
+    def put(self, answer: OutgoingAnswer) -> None:
+        """Send an answer; it replaces one to the same query that waits."""
         with self._news:
-            self._items[answer.query] = _Item(answer, given, number, count, body_R_camera, camera, told)
+            self._items[answer.answer.query] = answer
             self._news.notify()
 
     def say(self, diagnostic: Any) -> None:
@@ -368,7 +361,7 @@ class Outbox:
                     self._send("~/markers", gone(query, self._now(), self._settings.body))
                 return
 
-    def _publish(self, item: _Item) -> None:
+    def _publish(self, item: OutgoingAnswer) -> None:
         answer, turn, body = item.answer, item.body_R_camera, self._settings.body
         space = "~" if item.number == 0 else f"~/{topic_of(answer.query)}"
         if (direction := direction_message(answer, turn, body)) is not None:
@@ -383,7 +376,7 @@ class Outbox:
             self._send("~/belief_image", belief_image(answer, item.camera, encoding=self._settings.belief_encoding))
             self._send("~/belief", belief_coefficients(answer))
 
-    def _tidy(self, items: Mapping[str, _Item]) -> None:
+    def _tidy(self, items: Mapping[str, OutgoingAnswer]) -> None:
         """Take away the markers of what is no longer followed."""
         self._newest |= items
         newest = max(items.values(), key=lambda item: item.given)
@@ -393,7 +386,7 @@ class Outbox:
             self._send("~/markers", gone(query, newest.answer.stamp, self._settings.body))
             self._shown = self._shown - {query}
 
-    def _diagnose(self, items: Mapping[str, _Item]) -> None:
+    def _diagnose(self, items: Mapping[str, OutgoingAnswer]) -> None:
         now = max(item.given for item in items.values())
         if not _over(now - self._diagnosed, DIAGNOSED):
             return
