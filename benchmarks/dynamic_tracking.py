@@ -49,14 +49,12 @@ from eagor.perception import load
 from eagor.robots.dds import Link
 from eagor.robots.go2.house import House, load_house
 from eagor.robots.go2.plant import PlantSettings
-from eagor.robots.go2.sim import SimSettings, SimulatedGo2
-from eagor.robots.go2.sim_camera import CameraSettings
+from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2, WireSettings
+from eagor.robots.go2.sim_live import TRUTH as TRUTH_POSE
 from eagor.robots.go2.sim_live import TRUTH_THINGS, LiveGo2
 from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
-from eagor.robots.go2.sim_server import TRUTH as TRUTH_POSE
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
-from eagor.robots.go2.wire_settings import WireSettings
 from eagor.sphere import angular_distance, unit
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import NAMES, Method, make_method

@@ -32,7 +32,7 @@ sys.path.insert(0, TESTS)
 from go2_peer import Peer, Simulated
 from guard_driving import PEERS, TRIALS, Driver, Time, begun_by, bring_to_speed, fast_enough, measured
 
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import free_domain
 from eagor.robots.safety.guard import Guard
 
 LIMIT = 0.25  # seconds

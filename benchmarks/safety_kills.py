@@ -41,10 +41,9 @@ from go2_peer import Simulated
 from guard_driving import OTHER, fast_enough, until
 
 from eagor.errors import DeviceError
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import Link, free_domain
+from eagor.robots.go2.sim_live import TRUTH
 from eagor.robots.go2.sim_pictures import CAMERA_FRAME, CAMERA_TOPIC
-from eagor.robots.go2.sim_server import TRUTH
 from eagor.robots.go2.state import Go2State
 from eagor.robots.safety.guard import Guard, GuardState
 
@@ -84,8 +83,7 @@ def program(domain: int, speed: float) -> None:
     """The program that steers: says the numbers of its processes, and walks until somebody ends it."""
     from eagor.live.loop import LiveLoop
     from eagor.robots.ros.sources import RosCamera
-    from eagor.robots.safety.steering import Odometer, steer
-    from eagor.robots.safety.walking import WalkSettings
+    from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 
     network, topic = {"domain": domain, "interface": "lo"}, CAMERA_TOPIC.removeprefix("rt")
     with Link(domain, "lo") as link, Guard(armed=True, deadman="none", **network) as guard:

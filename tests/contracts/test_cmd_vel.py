@@ -8,8 +8,8 @@ import pytest
 
 from eagor.live.events import PoseCame
 from eagor.media.frames import Pose
-from eagor.robots.node import NodeSettings
-from eagor.robots.node.driving import BASE, TWIST, TwistGate, body_of
+from eagor.robots.ros.driving import BASE, TWIST, TwistGate, body_of
+from eagor.robots.ros.node import NodeSettings
 from eagor.robots.safety.gate import Mode
 from eagor.sphere import world_R_body
 

@@ -12,8 +12,7 @@ import pytest
 
 from eagor.errors import DeviceError, FormatError
 from eagor.media.bags.ros_types import _struct, encoded_type, store, topic_name
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import Link, free_domain
 
 pytestmark = pytest.mark.xdist_group("real time")
 

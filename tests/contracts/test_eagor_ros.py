@@ -20,7 +20,7 @@ import yaml
 from eagor.media.bags import messages as m
 from eagor.media.bags.ros_types import store
 from eagor.media.frames import Pose
-from eagor.robots.node import answers as made
+from eagor.robots.ros import publishing as made
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
 
@@ -373,7 +373,7 @@ def test_wrong_parameters_are_said(monkeypatch):
     assert "NodeSettings: poses = 'walk'; wanted odom, auto, level or still" in ros.said[0]
     ros = Ros({}, {"queries": ["red ball"], "use_sim_time": True})
     ros.install(monkeypatch)
-    monkeypatch.setattr("eagor.robots.node.clock.FIRST", 0.1)
+    monkeypatch.setattr("eagor.robots.ros.node.FIRST", 0.1)
     assert main([]) == 2
     assert "nothing came on /clock within 0.1 s" in ros.said[0]
     ros = Ros({"/odom": m.ODOMETRY}, {"queries": ["red ball"]})

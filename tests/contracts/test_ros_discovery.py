@@ -9,10 +9,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from eagor.media.bags import messages as m
 from eagor.media.bags.ros_types import encoded_type, hash_of
-from eagor.robots.dds import Link
-from eagor.robots.dds.discovery import INFO, TOPIC, announced
-from eagor.robots.dds.settings import free_domain
-from eagor.robots.ros.graph import DdsGraph
+from eagor.robots.dds import Link, free_domain
+from eagor.robots.ros.graph import DISCOVERY, DdsGraph, announced
+from eagor.robots.ros.graph import DISCOVERY_TYPE as INFO
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -45,8 +44,11 @@ def seen(link):
 def test_a_node_is_announced_with_its_name_and_endpoints_as_older_and_newer_nodes_read_it():
     domain, got = free_domain(), []
     with Link(domain, "lo") as other, DdsGraph(domain, "lo", "/robot1/eagor") as graph:
-        for kind in (encoded_type(INFO), encoded_type(INFO, newer=True)):  # a node of ROS takes both for the same type
-            other.subscribe(TOPIC, kind, lambda sample, _: got.append(sample.data), reliable=True, transient=True)
+        for kind in (
+            encoded_type(INFO),
+            encoded_type(INFO, newer=True),
+        ):  # a node of ROS takes both for the same type
+            other.subscribe(DISCOVERY, kind, lambda sample, _: got.append(sample.data), reliable=True, transient=True)
         graph.publish("~/direction", m.VECTOR)
         graph.subscribe("/odom", m.ODOMETRY, print)
         kinds = {"rt/robot1/eagor/direction": m.VECTOR, "rt/odom": m.ODOMETRY}
@@ -75,7 +77,7 @@ def test_a_node_is_announced_with_its_name_and_endpoints_as_older_and_newer_node
         for topic, told in ends.values():
             if topic in kinds:
                 assert told == b"typehash=" + NEWER.hash_rihs01(kinds[topic]).encode() + b";"
-        newer = other.publish(TOPIC, encoded_type(INFO, True), transient=True, user_data=hash_of(INFO))
+        newer = other.publish(DISCOVERY, encoded_type(INFO, True), transient=True, user_data=hash_of(INFO))
         until(lambda: newest(NEWER) == node, "a newer node has come")
         graph.publish("/diagnostics", m.TEXT)
         until(lambda: newest(NEWER) and newest(NEWER)[1][0][3][-1] == "rt/diagnostics", "a new endpoint is told")

@@ -14,13 +14,11 @@ import pytest
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
 from eagor.media.bags import messages as m
 from eagor.media.bags.reader import BagWriter
-from eagor.media.camera_sources import open_camera
+from eagor.media.cameras import open_camera
 from eagor.media.frames import Pose, check_camera
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros.graph import DdsGraph
-from eagor.robots.ros.playing import BagCamera, BagPoses
-from eagor.robots.ros.sources import RosCamera, RosPoses
+from eagor.robots.ros.sources import BagCamera, BagPoses, RosCamera, RosPoses
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
 
@@ -146,7 +144,7 @@ def test_topics_that_are_not_there_list_those_that_are():
         speaking(domain, speak),
         DdsGraph(domain, "lo") as graph,
     ):  # fmt: skip
-        from eagor.robots.ros import topics
+        from eagor.robots.ros import graph as topics
 
         pick = lambda kinds, asked: topics.find_topic(graph, kinds, asked, option="--image-topic", wait=1.0)  # noqa: E731
         with pytest.raises(DeviceError, match=r"has no topic /camera; it has /image \(sensor_msgs/msg/Image\), /odom"):

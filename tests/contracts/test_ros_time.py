@@ -18,11 +18,11 @@ from eagor.live.core import LiveCore, Settings
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media.bags import messages as m
 from eagor.media.frames import Pose
-from eagor.robots.node import Node, NodeSettings
-from eagor.robots.node.clock import SimClock, Stamps
+from eagor.robots.ros.graph import find_topic
+from eagor.robots.ros.node import Node, NodeSettings, SimClock
 from eagor.robots.ros.odometry import PoseReader
+from eagor.robots.ros.publishing import Stamps
 from eagor.robots.ros.sources import RosCamera, RosPoses
-from eagor.robots.ros.topics import find_topic
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Ball, Room, bearing, paint
 
@@ -114,7 +114,7 @@ def errors_of(robot, messages):
     ]
 
 
-@pytest.mark.parametrize("begins", [1_500_000_000.0, 12.0])
+@pytest.mark.parametrize("begins", [1_500_000_000.0, pytest.param(12.0, marks=pytest.mark.slow)])
 def test_directions_are_stamped_with_the_poses_that_they_were_turned_with(begins):
     """The robot's clock is years off. A direction is right for the pose of its stamp, while the robot turns fast."""
     with Robot(begins, speed=60.0) as robot, running(robot.graph):
@@ -193,7 +193,7 @@ def test_a_camera_whose_place_on_the_body_is_not_known_is_said(frame, poses, sai
         robot.graph.until(lambda: any(line.startswith(said) for line in told), told)
 
 
-@pytest.mark.parametrize("left", [{}, {"/image": m.IMAGE, "/odom": m.ODOMETRY}])
+@pytest.mark.parametrize("left", [pytest.param({}, marks=pytest.mark.slow), {"/image": m.IMAGE, "/odom": m.ODOMETRY}])
 def test_a_node_ends_at_once_though_the_robot_is_gone(monkeypatch, left):
     """It looks for a topic, or for a first message, which takes for ever here; and nothing is waited out."""
     monkeypatch.setattr("eagor.live.loop.STALLED", 0.3)

@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from eagor.live.answers import Answer, Fault
-from eagor.live.events import FrameCame, PoseCame
+from eagor.live.events import Answer, Fault, FrameCame, PoseCame
 from eagor.media.frames import Pose
 from eagor.perception.colour import ColourPerception
 from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.gate import Mode
-from eagor.robots.safety.guard import GuardState
-from eagor.robots.safety.steering import Odometer, steer
-from eagor.robots.safety.walking import WalkSettings
+from eagor.robots.safety.messages import GuardState
+from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 from eagor.tracking import DirectionTracker
 from eagor.worlds.painted import painted_room
 

@@ -139,7 +139,7 @@ def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):
 
 def test_a_bag_and_a_node_do_what_the_page_on_ros_says(tmp_path):
     """The bag, the command on it; then robot, node and listener, each a process, on a domain of their own."""
-    from eagor.robots.dds.settings import free_domain
+    from eagor.robots.dds import free_domain
 
     page, domain = DOCS / "how-to" / "ros2.md", str(free_domain())
     bag, robot, listener = [text for text, _ in blocks(page, "python")]

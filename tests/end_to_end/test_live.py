@@ -15,7 +15,7 @@ from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
-from eagor.live.replay import Replay
+from eagor.live.recording import Replay
 from eagor.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -171,7 +171,11 @@ def test_without_a_terminal_only_json_is_printed(film, capsys):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
 @pytest.mark.parametrize(
-    ("number", "code", "said"), [(signal.SIGINT, 130, b"interrupted"), (signal.SIGTERM, 143, b"terminated")]
+    ("number", "code", "said"),
+    [
+        (signal.SIGINT, 130, b"interrupted"),
+        pytest.param(signal.SIGTERM, 143, b"terminated", marks=pytest.mark.slow),
+    ],
 )
 def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
     """Also in the middle of a recording, which is whole then; nobody is left behind."""

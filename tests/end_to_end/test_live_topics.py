@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eagor.cli import main
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import free_domain
 from eagor.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")

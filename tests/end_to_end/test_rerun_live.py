@@ -10,8 +10,7 @@ from rerunreading import read
 
 from eagor import DirectionTracker, Evidence
 from eagor.drawing import rerun_log
-from eagor.live.answers import Answer, Fault
-from eagor.live.events import Asked, FrameCame, PoseCame
+from eagor.live.events import Answer, Asked, Fault, FrameCame, PoseCame
 from eagor.live.rerun import LiveLog
 from eagor.media.frames import Pose
 from eagor.sphere import world_R_body

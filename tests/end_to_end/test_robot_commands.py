@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 from processes import alive, sessions_of, wait_for
 
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
+from eagor.cli import main
+from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim_server import Go2Server
+from eagor.robots.go2.sim import WireSettings
+from eagor.robots.go2.sim_live import Go2Server
 from eagor.robots.go2.sport import SportClient
-from eagor.robots.go2.wire_settings import WireSettings
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -57,7 +57,9 @@ def simulated(domain, *words):
             process.communicate(timeout=60)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, code):
     domain = free_domain()
     with simulated(domain, "--target", "green sofa", "--seed", 7) as (process, said):
@@ -164,10 +166,11 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
         (("walk",), "unknown command 'walk'; wanted"),
     ],
 )
-def test_wrong_usage_is_one_line(words, said):
-    done = eagor("robot", *words)
-    assert (done.returncode, done.stdout) == (2, "")
-    errors = [line for line in done.stderr.splitlines() if line.startswith("eagor: error:")]
+def test_wrong_usage_is_one_line(words, said, capsys):
+    assert main(["robot", *words]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    errors = [line for line in printed.err.splitlines() if line.startswith("eagor: error:")]
     assert len(errors) == 1
     assert said in errors[0]
 

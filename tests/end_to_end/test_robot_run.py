@@ -15,7 +15,7 @@ import pytest
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import free_domain
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -68,7 +68,9 @@ def test_a_dry_run_moves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(("how", "everyone"), [
-    (signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGKILL, False),
+    (signal.SIGINT, True), (signal.SIGKILL, False),
+    pytest.param(signal.SIGINT, False, marks=pytest.mark.slow),
+    pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how, everyone):
     words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "600", "--report", str(tmp_path / "walk"))

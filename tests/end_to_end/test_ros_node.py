@@ -17,9 +17,8 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.media.bags import messages as m
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
-from eagor.robots.node import answers as made
+from eagor.robots.dds import Link, free_domain
+from eagor.robots.ros import publishing as made
 from eagor.sphere import angular_distance
 from eagor.worlds.painted import Room, bearing
 

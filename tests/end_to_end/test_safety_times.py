@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from processes import wait_for
 
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import free_domain
 
 pytest.importorskip("cyclonedds")
 
@@ -20,8 +20,9 @@ from go2_peer import Peer, Simulated
 from guard_driving import PEERS, TRIALS, Driver, Time, begun_by, bring_to_speed, measured, until
 
 from eagor.errors import DeviceError
-from eagor.robots.safety.guard import Guard, GuardState
+from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import Limits
+from eagor.robots.safety.messages import GuardState
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -84,6 +85,7 @@ def simulated():
         yield driver, robot
 
 
+@pytest.mark.slow  # each fault is tried with the tests' own robot, too
 @pytest.mark.parametrize("name", [name for name in TRIALS if name not in PEERS])
 def test_the_simulated_go2_stops_in_time_too(simulated, name):
     driver, robot = simulated
@@ -141,7 +143,7 @@ def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
     def once():
         bring_to_speed(driver, peer)
         driver.mumbles = True
-        last = driver.guard._said.command
+        last = driver.guard._said["command"]
         took = measured(peer, last)
         driver.mumbles = False
         return took
@@ -195,8 +197,10 @@ def gone(pid):
 
 
 @pytest.mark.parametrize(("whom", "how"), [
-    ("program", signal.SIGKILL), ("program", signal.SIGSTOP), ("program", signal.SIGTERM), ("both", signal.SIGINT),
-    ("guard", signal.SIGTERM), ("guard", signal.SIGINT), ("guard", signal.SIGHUP),
+    ("program", signal.SIGKILL), ("both", signal.SIGINT), ("guard", signal.SIGTERM),
+    *(pytest.param(*each, marks=pytest.mark.slow) for each in [
+        ("program", signal.SIGSTOP), ("program", signal.SIGTERM), ("guard", signal.SIGINT), ("guard", signal.SIGHUP),
+    ]),
 ])  # fmt: skip
 def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_process(whom, how):
     def once():
@@ -227,7 +231,12 @@ def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_proc
     in_time(once)
 
 
-@pytest.fixture(params=[(0.15, 0.0, 0.2), (0.5, 0.0, 0.4)], ids=["slow", "quick"])
+@pytest.fixture(
+    params=[
+        pytest.param((0.15, 0.0, 0.2), marks=pytest.mark.slow, id="slow"),
+        pytest.param((0.5, 0.0, 0.4), id="quick"),
+    ]
+)
 def driving(request):
     """A robot that walks, the guard and the program that walk it."""
     domain = free_domain()

@@ -11,9 +11,21 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import DeviceError
-from eagor.robots.go2.legs import AHEAD, ASIDE, JOINTS, LINK, joint_angles
-from eagor.robots.go2.plant import LIMP, LOCKED, LYING, STANDING, WALKING, Plant, PlantSettings
-from eagor.robots.go2.sim_state import sport_fields
+from eagor.robots.go2.plant import (
+    AHEAD,
+    ASIDE,
+    JOINTS,
+    LIMP,
+    LINK,
+    LOCKED,
+    LYING,
+    STANDING,
+    WALKING,
+    Plant,
+    PlantSettings,
+    joint_angles,
+)
+from eagor.robots.go2.sim import sport_fields
 from eagor.robots.go2.state import BodyState
 from eagor.sphere import check_rotation, world_R_body
 

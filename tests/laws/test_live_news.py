@@ -3,8 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eagor.live.answers import Fault
-from eagor.live.news import AGAIN, CALM, News
+from eagor.live.events import AGAIN, CALM, Fault, FaultLog
 
 
 def poses(age: float) -> Fault:
@@ -12,7 +11,7 @@ def poses(age: float) -> Fault:
 
 
 def test_a_fault_that_comes_and_goes_is_told_once_and_its_end_when_it_is_over():
-    news, lines = News(), []
+    news, lines = FaultLog(), []
     for tick in range(200):
         now = 0.1 * tick
         flaps = now < 10 and tick % 10 > 3  # poses come once a second
@@ -24,7 +23,7 @@ def test_a_fault_that_comes_and_goes_is_told_once_and_its_end_when_it_is_over():
 
 
 def test_other_words_and_other_parts_are_told_apart():
-    news = News()
+    news = FaultLog()
     gone, back = Fault("camera", "no picture for 1.0 s", 0.0), Fault("camera", "the stream broke off", 0.0)
     assert news.of([gone], 1.0) == [("no picture for 1.0 s", True)]
     assert news.of([back, poses(0.1)], 1.5) == [
@@ -37,7 +36,7 @@ def test_other_words_and_other_parts_are_told_apart():
 
 def told(there, step):
     """The lines about a fault that is there at the times ``step * k`` for which ``there(step * k)``."""
-    news = News()
+    news = FaultLog()
     return [
         (round(step * k, 3), *line)
         for k in range(round(3600 / step))
@@ -63,7 +62,7 @@ def test_a_part_that_comes_and_goes_for_an_hour_does_not_fill_the_log():
 @given(st.lists(st.booleans(), min_size=1, max_size=100))
 def test_no_fault_is_hidden(there):
     """Whenever something is wrong, it has been told since the part was last said to be well."""
-    news, open_ = News(), False
+    news, open_ = FaultLog(), False
     for tick, wrong in enumerate(there):
         for _, bad in news.of([poses(1.0)] if wrong else [], 0.7 * tick):
             open_ = bad

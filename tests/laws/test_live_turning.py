@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence, angular_distance
-from eagor.live.ahead import RecentPoses
-from eagor.live.core import LiveCore, Settings
+from eagor.live.core import LiveCore, RecentPoses, Settings
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media.frames import Pose
 from eagor.sphere import direction, unit, world_R_body

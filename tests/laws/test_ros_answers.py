@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import DirectionTracker, ErpGrid, Evidence, RealHarmonics
-from eagor.live.answers import Answer, Fault
+from eagor.live.events import Answer, Fault
 from eagor.media.bags import messages as m
 from eagor.media.bags.ros_types import store
-from eagor.robots.node import answers as made
-from eagor.robots.node.queries import after
+from eagor.robots.ros import publishing as made
+from eagor.robots.ros.node import after
 from eagor.sphere import angular_distance, direction, world_R_body
 
 NOW = 1_700_000_000.0

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from eagor.errors import EagorError
 from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.safety import Body, Gate, Inputs, Limits, Mode, State, Velocity
-from eagor.robots.safety.faults import faults_of
 from eagor.robots.safety.gate import Stop
-from eagor.robots.safety.rhythm import heard, look_age, picture_age
+from eagor.robots.safety.limits import faults_of, heard, look_age, picture_age
 
 LIMITS = Limits()
 PERIOD = LIMITS.period

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from strategies import HOSTILE
 
 from eagor.errors import DeviceError
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import free_domain
 from eagor.robots.safety.deadman import REPEAT, HeldKey, checked_deadman
 from eagor.robots.safety.guard import Guard
 

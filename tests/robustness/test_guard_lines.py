@@ -8,7 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import HOSTILE
 
-from eagor.robots.safety.lines import LONGEST, LineReader, as_line, cut, read_now, write_now
+from eagor.robots.safety.gate import Mode, Output, Stop
+from eagor.robots.safety.limits import Body, Fault, Limits, Velocity
+from eagor.robots.safety.messages import (
+    LONGEST,
+    GuardState,
+    LineReader,
+    Settings,
+    as_line,
+    cut,
+    read_now,
+    write_now,
+)
 
 values = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=20)
 messages = st.dictionaries(st.text(max_size=8), values | st.lists(values, max_size=3), max_size=6)
@@ -59,6 +70,22 @@ def test_the_worst_words_fit():
     worst = cut('"' * 400, 150)
     (message,) = LineReader().feed(as_line({"faults": [("parent", worst)] * 5, "remarks": [worst] * 5}))
     assert message["remarks"] == [worst] * 5
+
+
+@pytest.mark.parametrize("send", [None, Velocity(0.3, 0.0, -0.1), Stop(7)])
+def test_what_the_guard_did_comes_back_from_its_line(send):
+    output = Output(send, Mode.STOPPING, (Fault("tilt", "the robot is tilted"),), ("a remark",), would=send)
+    state = GuardState.of(1.5, output, Body(1.4, 0.1, 0.2, 0.3, 0.4), stops=7, posture=3, problem="Move: no answer")
+    (message,) = LineReader().feed(as_line(state.as_message()))
+    assert GuardState.from_message(message) == state
+    assert state.sent == (send if isinstance(send, Velocity) else None)
+    assert state.reasons == ("the robot is tilted", "a remark", "Move: no answer")
+    assert math.isnan(GuardState.of(1.5, output, None, stops=7).roll)
+
+
+def test_settings_come_back_from_their_text():
+    settings = Settings(True, "remote", 3, "eth0", True, 2.0, Limits(calm_codes=(0, 7)))
+    assert Settings.from_json(settings.to_json()) == settings
 
 
 def test_not_a_number_and_infinity_pass():

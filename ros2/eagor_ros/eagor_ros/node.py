@@ -1,4 +1,4 @@
-"""The node: parameters from ROS, all else from `eagor.robots.node`. rclpy is imported when it runs."""
+"""The node: parameters from ROS, all else from `eagor.robots.ros.node`. rclpy is imported when it runs."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def made(ros_node: Any) -> Any:
     """The node of eagor for an rclpy node, with its parameters. Raises `EagorError` for wrong ones."""
     from eagor.cli.looking import tracker_config
     from eagor.cli.ros import chosen
-    from eagor.robots.node import Node, NodeSettings
+    from eagor.robots.ros.node import Node, NodeSettings
     from eagor.robots.safety.walking import WalkSettings
     from eagor_ros.graph import RclpyGraph
 

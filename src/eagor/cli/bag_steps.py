@@ -22,8 +22,8 @@ from eagor.errors import PoseError
 from eagor.media.bags.reader import Bag
 from eagor.media.frames import Pose as GivenPose
 from eagor.media.panorama import PanoramaFile
-from eagor.robots.ros.playing import BagCamera, BagPoses
-from eagor.robots.ros.topics import MOTION, TF_STATIC
+from eagor.robots.ros.graph import MOTION, TF_STATIC
+from eagor.robots.ros.sources import BagCamera, BagPoses
 
 HOLE = 0.5  # seconds without a pose that are worth a word
 

@@ -10,7 +10,7 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,15 +31,14 @@ from eagor.cli.looking import (
 from eagor.cli.poses import read_poses
 from eagor.cli.steps import LEAST_ROWS
 from eagor.drawing.words import answer_in_words
-from eagor.live.answers import Answer
+from eagor.live.events import Answer, FaultLog
 from eagor.live.loop import LiveLoop, Watcher
-from eagor.live.news import News
-from eagor.live.sources import GivenPoses, MotionPoses
-from eagor.media.camera_sources import open_camera
+from eagor.live.sources import GivenPoses, MotionPoses, already_open
+from eagor.media.cameras import open_camera
 from eagor.media.frames import CameraSource, Pose
 from eagor.perception import is_model, rows_of
 from eagor.robots.poses import GO2, ROS, open_poses
-from eagor.robots.ros.playing import BagCamera
+from eagor.robots.ros.sources import BagCamera
 
 MOST_DRIFT = 90  # degrees
 MOST_RATE = 1000.0  # answers per second
@@ -130,7 +129,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     camera = opens()
     try:
         loop = LiveLoop(
-            _First(camera, opens) if camera.live else camera,
+            already_open(camera, opens) if camera.live else camera,
             spec,
             queries,
             poses=_poses(options, camera),
@@ -150,18 +149,6 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
     return loop
-
-
-class _First:
-    """Opens a camera: the first time, the one that is open already."""
-
-    def __init__(self, camera: CameraSource, opens: Callable[[], CameraSource]) -> None:
-        self._camera: CameraSource | None = camera
-        self._opens = opens
-
-    def __call__(self) -> CameraSource:
-        camera, self._camera = self._camera, None
-        return self._opens() if camera is None else camera
 
 
 def _check(options: Live) -> None:
@@ -230,7 +217,7 @@ class _Told:
         self._line = not options.json and sys.stdout.isatty()
         self._newest: dict[str, Answer] = {}
         self._shown = -math.inf
-        self._news = News()
+        self._news = FaultLog()
         self.last: str | None = None
 
     def add(self, answer: Answer) -> None:
@@ -274,7 +261,7 @@ def _in_line(answer: Answer) -> str:
 
 def _replay(options: Live) -> int:
     """``eagor live replay DIR``."""
-    from eagor.live.replay import Replay
+    from eagor.live.recording import Replay
 
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one recording: eagor live replay DIR")

@@ -28,17 +28,15 @@ from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.steps import LEAST_ROWS
 from eagor.errors import DeviceError
 from eagor.live.loop import LiveLoop
-from eagor.media.camera_sources import open_camera
-from eagor.media.frames import CameraSource, Pose
+from eagor.media.cameras import open_camera
+from eagor.media.frames import CameraSource
 from eagor.perception import is_model, rows_of
-from eagor.robots.dds import Link
-from eagor.robots.go2.state import Go2State
+from eagor.robots.poses import Go2Poses
 from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.deadman import DEADMEN
 from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import Limits
-from eagor.robots.safety.steering import Odometer, Step, steer
-from eagor.robots.safety.walking import WalkSettings
+from eagor.robots.safety.walking import Odometer, Step, WalkSettings, steer
 
 ROS, INTERFACE = "ros:", "lo"
 RATE = 20.0  # answers, and so commands, per second
@@ -99,7 +97,7 @@ def robot_run(options: RobotRun) -> int:
             place.camera,
             spec,
             [query],
-            poses=lambda: _Poses(place.domain, place.interface, options),
+            poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
             config=config,
             rate=RATE,
             patience=options.patience,
@@ -168,8 +166,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
-    from eagor.robots.go2.sim import SimSettings, SimulatedGo2
-    from eagor.robots.go2.sim_camera import CameraSettings
+    from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2
     from eagor.robots.ros.sources import RosCamera
     from eagor.robots.safety.rehearsal import CAMERA, Rehearsal, clear_start
 
@@ -199,21 +196,6 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
             robot.targets,
             plan,
         )
-
-
-class _Poses:
-    """The camera's poses by the robot's odometry, with the link that they come over."""
-
-    def __init__(self, domain: int, interface: str | None, options: RobotRun) -> None:
-        self._link = Link(domain, interface)
-        self._state = Go2State(self._link, options.odometry, mount=options.mount)
-
-    def __iter__(self) -> Iterator[Pose]:
-        return iter(self._state)
-
-    def close(self) -> None:
-        self._state.close()
-        self._link.close()
 
 
 def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:

@@ -13,10 +13,8 @@ from eagor.cli import terminal
 from eagor.cli.robot_options import RobotSim
 from eagor.robots.go2.house import ball_of
 from eagor.robots.go2.plant import PlantSettings
-from eagor.robots.go2.sim import SimSettings, SimulatedGo2
-from eagor.robots.go2.sim_camera import CameraSettings
+from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2, WireSettings
 from eagor.robots.go2.sim_live import LiveGo2
-from eagor.robots.go2.wire_settings import WireSettings
 from eagor.robots.ros.graph import default_domain
 from eagor.sphere import heading
 

@@ -14,8 +14,8 @@ from eagor.cli.ros_options import Ros
 from eagor.cli.steps import LEAST_ROWS
 from eagor.errors import QueryError
 from eagor.perception import is_model, rows_of
-from eagor.robots.node import Node, NodeSettings
 from eagor.robots.ros.graph import DdsGraph
+from eagor.robots.ros.node import Node, NodeSettings
 from eagor.robots.safety.walking import WalkSettings
 
 NAME = re.compile(r"(/[A-Za-z]\w*)+")

@@ -160,7 +160,7 @@ def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Pe
     from eagor.cli.bag_steps import BagFilm, odometry_of, with_odometry
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
-    from eagor.robots.ros.playing import BagCamera
+    from eagor.robots.ros.sources import BagCamera
 
     bag = Bag(place)
     looks = options.rate or RATE

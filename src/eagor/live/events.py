@@ -1,19 +1,112 @@
-"""What comes into the live loop, each with its time of arrival (seconds on the loop's clock).
+"""What comes into the live loop, what comes out, and what to tell a person of its faults.
 
-Stamps are those of the source, on its own clock; the core relates the clocks.
+Events have their time of arrival, in seconds on the loop's clock. Stamps are those of the source, on its own clock; the
+core relates the clocks.
 """
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.live.answers import Part
 from eagor.media.frames import Pose
+from eagor.tracking.estimate import Estimate
 
-__all__ = ["Asked", "Event", "EvidenceCame", "Following", "FrameCame", "PoseCame", "PosesLost", "Trouble"]
+__all__ = [
+    "AGAIN", "CALM", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following", "FrameCame",
+    "Part", "PoseCame", "PosesLost", "Trouble",
+]  # fmt: skip
+
+Part = Literal["camera", "poses", "perception", "clock", "recording"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong now with a `part` of the loop, in words, and since when (seconds, on the loop's clock)."""
+
+    part: Part
+    text: str
+    since: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Where the thing of one `query` is at the time `stamp` (seconds on the loop's clock), and how far to trust that.
+
+    `estimate`: in the body frame of that time. `pose_age`: seconds since the newest pose was true; None if the camera
+    is taken to stand still, infinite before the first pose. `look_age`: seconds since the newest evidence about this
+    query was captured, `image_age`: since the newest picture was; infinite before any. `faults`: what is wrong now,
+    longest first; empty if all is well.
+    """
+
+    stamp: float
+    query: str
+    estimate: Estimate
+    pose_age: float | None
+    look_age: float
+    image_age: float
+    faults: tuple[Fault, ...] = ()
+
+    @property
+    def direction(self) -> np.ndarray | None:
+        """The unit vector ``(3,)`` in the body frame; None while nothing is known."""
+        return self.estimate.direction
+
+    @property
+    def status_words(self) -> str:
+        """The status, and after a semicolon each fault: "tracking; no picture for 2.1 s"."""
+        return "; ".join([self.estimate.status, *(fault.text for fault in self.faults)])
+
+    def as_json(self, modes: int = 10, exact: bool = False) -> dict[str, Any]:
+        """This answer for a line of JSON, with at most so many candidates; what is not known is None.
+
+        `exact`: numbers are not rounded, so that answers can be compared bit for bit.
+        """
+        digits = None if exact else 6
+        e, distance = self.estimate, None
+        if e.direction is not None and e.status != "searching":
+            distance = e.distance
+        return {
+            "stamp": _number(self.stamp, digits),
+            "query": self.query,
+            **_angles(e.azimuth, e.elevation, digits),
+            "direction": None if e.direction is None else [_number(float(each), digits) for each in e.direction],
+            "credible_angle_deg": None if e.direction is None else _degrees(e.credible_angle, digits),
+            "presence": _number(e.presence, digits),
+            "distance_m": _number(distance, digits),
+            "status": e.status,
+            "modes": [
+                _angles(mode.azimuth, mode.elevation, digits) | {"weight": _number(mode.weight, digits)}
+                for mode in e.modes[:modes]
+            ],
+            "pose_age": _number(self.pose_age, digits),
+            "look_age": _number(self.look_age, digits),
+            "image_age": _number(self.image_age, digits),
+            "faults": [
+                {"part": each.part, "text": each.text, "since": _number(each.since, digits)} for each in self.faults
+            ],
+        }
+
+
+def _angles(azimuth: float | None, elevation: float | None, digits: int | None) -> dict[str, float | None]:
+    return {"azimuth_deg": _degrees(azimuth, digits), "elevation_deg": _degrees(elevation, digits)}
+
+
+def _degrees(angle: float | None, digits: int | None) -> float | None:
+    return None if angle is None else _number(math.degrees(angle), digits)
+
+
+def _number(value: float | None, digits: int | None) -> float | None:
+    """The number, rounded; None for what is not known, and for ages before anything came."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(value) if digits is None else round(float(value), digits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,3 +180,51 @@ class Asked:
 
 
 Event = FrameCame | PoseCame | PosesLost | EvidenceCame | Trouble | Following | Asked
+
+
+CALM = 3.0  # seconds without a fault after which a part counts as well again
+AGAIN = 30.0  # seconds after which a fault that lasts is told again
+
+
+@dataclass
+class _Bad:
+    """A part with faults: when each was told last, when one was seen last, and how long it has to be without."""
+
+    calm: float
+    told: dict[str, float] = field(default_factory=dict)
+    last: float = -math.inf
+
+
+class FaultLog:
+    """Turns the faults of answers, one after the other, into lines for a log.
+
+    A fault is told when it begins, and while it lasts every `AGAIN` seconds, but not again while its part has faults
+    every few seconds: words that differ in numbers alone are the same ("no picture for 2.1 s"). That a part is well
+    again is told after `CALM` seconds; if it was well for less than `AGAIN` seconds before, after `AGAIN`, so that a
+    part that comes and goes does not fill the log.
+    """
+
+    def __init__(self) -> None:
+        self._bad: dict[str, _Bad] = {}
+        self._well: dict[str, float] = {}  # when a part was said to be well
+
+    def of(self, faults: Sequence[Fault], now: float) -> list[tuple[str, bool]]:
+        """New lines at `now` (seconds, never going back), each with whether something is wrong."""
+        lines = [(fault.text, True) for fault in faults if self.worth(fault, now)]
+        for part in [part for part, bad in self._bad.items() if now - bad.last >= bad.calm]:
+            del self._bad[part]
+            self._well[part] = now
+            lines.append((f"{part}: all is well again", False))
+        return lines
+
+    def worth(self, fault: Fault, now: float) -> bool:
+        """Whether a fault that is there at `now` is worth a line."""
+        if fault.part not in self._bad:
+            soon = now - self._well.get(fault.part, -math.inf) < AGAIN
+            self._bad[fault.part] = _Bad(AGAIN if soon else CALM)
+        bad, words = self._bad[fault.part], re.sub(r"\d+(\.\d+)?", "#", fault.text)
+        bad.last = now
+        if now - bad.told.get(words, -math.inf) < AGAIN:
+            return False
+        bad.told[words] = now
+        return True

@@ -72,12 +72,13 @@ def _looked(
         looks = look_if_recorded(perception, seen, query, stamp, pose)
         for mask in covers:
             looks = tuple(look.covered(mask) for look in looks)
-        return "looked", query, _in_bytes(looks), time.perf_counter() - began
+        return "looked", query, looks_in_bytes(looks), time.perf_counter() - began
     except Exception as error:
         return "failed", query, _said(error), isinstance(error, QueryError)
 
 
-def _in_bytes(looks: tuple[Evidence, ...]) -> bytes:
+def looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:
+    """Looks as bytes of `eagor.tracking.checkpoint`, without what they say of their source where that cannot be."""
     try:
         return packed(looks)
     except FormatError:  # what it says of its source may be anything

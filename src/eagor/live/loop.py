@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Literal, Protocol
@@ -13,17 +14,12 @@ from typing import Any, Literal, Protocol
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
-from eagor.live.answers import Answer, Part
 from eagor.live.core import LiveCore, Settings, warm
-from eagor.live.events import Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, Trouble
-from eagor.live.fast import at_once
-from eagor.live.frozen import Frozen
+from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
-from eagor.live.playing import LoopClock, Pace, paced_frames, paced_poses
-from eagor.live.reading import Reader, opener
-from eagor.live.recorder import Pictures, Recorder
-from eagor.live.turns import Turns, TurnsThread
-from eagor.live.worker import Picture, Worker
+from eagor.live.recording import Pictures, Recorder
+from eagor.live.sources import FrozenCamera, LoopClock, Pace, Reader, opener, paced_frames, paced_poses
+from eagor.live.threads import PerceptionThread, Picture, VisualPoses, VisualPosesThread
 from eagor.media.frames import CameraSource, Frame, Pose, PoseSource
 from eagor.perception import Perception
 from eagor.tracking import TrackerConfig
@@ -77,7 +73,7 @@ class LiveLoop:
     `perception`: text for `eagor.perception.load`, or an object that can be pickled; it runs in a process of its own,
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
-    the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recorder`), with
+    the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recording`), with
     the `pictures` as "jpeg", "png" or "none". `acceleration`: see `Settings`. `mask`: what the camera never sees.
     `watchers` see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does,
     gives no answers meanwhile.
@@ -112,65 +108,66 @@ class LiveLoop:
                 raise TimeError(f"{name} = {value!r}; wanted a number above 0")
         if not queries:
             raise QueryError("there is no query; say what to look for, such as 'red chair'")
-        self.clock = clock or LoopClock()
-        self.rate, self.patience, self.fast, self.counts = rate, patience, fast, Counts()
-        open_camera, self._camera = opener(camera)
-        if self._camera is None:
-            assert open_camera is not None
-            self._camera = open_camera()
-        self.live = self._camera.live
-        sight = poses if isinstance(poses, str) else None
-        self._turns = None if sight is None else Turns(level=sight == "level")
-        self._poses: Any = (None, None) if sight is not None or poses is None else opener(poses)
-        config = config or TrackerConfig()
-        config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
-        self._settings = settings = Settings(
-            tuple(queries), config, poses is not None, self._camera.latency, acceleration
-        )
-        self.core = LiveCore(settings)
-        self._watchers = [*watchers]
-        self._recorder: Recorder | None = None
-        if record is not None:
-            self._recorder = Recorder(record, settings, lambda text: self._trouble("recording", text), pictures)
-            self._watchers.append(self._recorder)
-        masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
-        self._keeper = Keeper(perception, patience=patience, masks=masks)
+        self.clock, self.counts = clock or LoopClock(), Counts()
+        self.rate, self.fast = rate, fast
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._stopped = threading.Event()
-        self._pace = Pace(self.clock, self._stopped)
+        open_camera, opened = opener(camera)
+        self._camera: CameraSource = opened if open_camera is None else open_camera()
+        self.live = self._camera.live
+        self._visual_poses = VisualPoses(level=poses == "level") if poses in ("auto", "level") else None
+        self._frames, self._odometry = self._readers(open_camera, poses)
+        config = config or TrackerConfig()
+        config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
+        self._settings = Settings(tuple(queries), config, poses is not None, self._camera.latency, acceleration)
+        self.core = LiveCore(self._settings)
+        masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
+        self._keeper = Keeper(perception, patience=patience, masks=masks)
+        self._recorder: Recorder | None = None
+        if record is not None:
+            self._recorder = Recorder(record, self._settings, partial(self._trouble, "recording"), pictures)
+        self._watchers: list[Watcher] = [*watchers, *([] if self._recorder is None else [self._recorder])]
+        self._perception: PerceptionThread | None = None
+        self._seer: VisualPosesThread | None = None
+        # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
+        keeps_newest = getattr(self._camera, "keeps_newest", False)
+        self._on_demand = keeps_newest and self._visual_poses is None and record is None
+        self._last_frame = self.clock.now()  # its arrival
+        self._over = False
         self._fatal: EagorError | None = None
-        self._refused: dict[str, str] = {}
-        self._worker: Worker | None = None
-        self._seer: TurnsThread | None = None
-        self._frames: Reader[tuple[Frame, float]] = Reader(
+        self._refused: set[str] = set()
+        self._slip = 0.0
+        self._problem: str | None = None  # what the camera says of itself
+        self._frozen, self._froze = FrozenCamera(self.core.orientation), ""
+
+    def _readers(
+        self, open_camera: Callable[[], CameraSource] | None, poses: Poses
+    ) -> tuple[Reader[tuple[Frame, float]], Reader[Pose] | None]:
+        """The threads that read the camera, and the odometry if there is one; a recording at its own speed."""
+        pace = Pace(self.clock, self._stopped)
+        frames = Reader(
             "camera",
             self._camera,
             open_camera,
-            items=_as_told if self.live else lambda source: paced_frames(source, self._pace),
+            items=_as_told if self.live else partial(paced_frames, pace=pace),
             again=self.live,
             give=self._frame,
-            trouble=lambda text: self._trouble("camera", text),
+            trouble=partial(self._trouble, "camera"),
             ended=self._frames_ended,
         )
-        self._odometry: Reader[Pose] | None = None
-        if self._poses != (None, None):
-            self._odometry = Reader(
-                "poses",
-                self._poses[1],
-                self._poses[0],
-                items=iter if self.live else lambda source: paced_poses(source, self._pace),
-                again=self.live,
-                give=lambda pose: self._post(PoseCame(self.clock.now(), pose)),
-                trouble=lambda text: self._trouble("poses", text),
-                ended=lambda text: self._trouble("poses", text) if text else None,
-            )
-        # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
-        self._on_demand = getattr(self._camera, "keeps_newest", False) and self._turns is None and record is None
-        self._last_frame = self.clock.now()  # its arrival
-        self._over = False
-        self._slip = 0.0
-        self._problem: str | None = None  # what the camera says of itself
-        self._frozen, self._froze = Frozen(self.core.orientation), ""
+        if poses is None or isinstance(poses, str):
+            return frames, None
+        open_poses, opened = opener(poses)
+        return frames, Reader(
+            "poses",
+            opened,
+            open_poses,
+            items=iter if self.live else partial(paced_poses, pace=pace),
+            again=self.live,
+            give=lambda pose: self._post(PoseCame(self.clock.now(), pose)),
+            trouble=partial(self._trouble, "poses"),
+            ended=lambda text: self._trouble("poses", text) if text else None,
+        )
 
     def __iter__(self) -> Iterator[Answer]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
@@ -229,17 +226,17 @@ class LiveLoop:
 
     def _begin(self) -> None:
         self._trouble("perception", "the perception is being loaded")
-        self._worker = Worker(
+        self._perception = PerceptionThread(
             self._keeper,
             self.core.queries,
-            lambda picture, said: self._found(picture, said, self.clock.now()),
-            self._perception_ended,
-            self._ready,
-            self.core.orientation,
+            found=lambda picture, said: self._found(picture, said, self.clock.now()),
+            ready=self._ready,
+            ended=self._perception_ended,
+            pose=self.core.orientation,
         )
         warm(self._settings)  # while the perception is loaded
-        if self._turns is not None:
-            self._seer = TurnsThread(self._turns, self._post, self.clock.now)
+        if self._visual_poses is not None:
+            self._seer = VisualPosesThread(self._visual_poses, self._post, self.clock.now)
         if self.live:
             self._start_reading()
 
@@ -256,21 +253,48 @@ class LiveLoop:
             self._odometry.start()
 
     def _at_once(self) -> Iterator[Answer]:
-        """As fast as the perception looks at every picture."""
-        open_poses, poses = self._poses
-        if poses is None and open_poses is not None:
-            poses = open_poses()
-            self._poses = (open_poses, poses)
-        answers = at_once(
-            self._camera, poses or (), self._turns, self._keeper, self.core, self.rate,
-            self._taken, self._found,
-            lambda: [query for query in self.core.queries if query not in self._refused],
-        )  # fmt: skip
-        for answer in answers:
+        """As fast as the perception looks at every picture; time is that of the recording."""
+        for answer in self._answers_at_once():
             self._drain()
             if self._stopped.is_set():
                 return
             yield answer
+
+    def _answers_at_once(self) -> Iterator[Answer]:
+        """Answers at `rate` per second of the recording, in which evidence takes no time.
+
+        Raises `EagorError` if the perception cannot be started.
+        """
+        poses = iter(() if self._odometry is None else self._odometry.opened())
+        pose: Pose | None = next(poses, None)
+
+        def take_poses(until: float) -> None:
+            nonlocal pose
+            while pose is not None and pose.stamp <= until:
+                self._taken(PoseCame(pose.stamp, pose))
+                pose = next(poses, None)
+
+        begun, ticks, now = None, 0, 0.0
+        for failed in self._keeper.start():
+            raise EagorError(failed.text)
+        for frame in self._camera:
+            now = frame.stamp
+            begun = now if begun is None else begun
+            while (tick := begun + ticks / self.rate) < now:
+                take_poses(tick)
+                yield from self._taken(Asked(tick))
+                ticks += 1
+            take_poses(now)
+            self._taken(FrameCame(now, now, frame.name, frame.panorama))
+            picture = Picture(now, now, frame.panorama)
+            if self._visual_poses is not None:
+                for event in self._visual_poses.of(picture, lambda at=now: at):
+                    self._taken(event)
+            queries = [query for query in self.core.queries if query not in self._refused]
+            for said in self._keeper.look(frame.panorama, queries, now, self.core.orientation(now)):
+                self._found(picture, said, now)
+        if begun is not None:
+            yield from self._taken(Asked(now))
 
     def _drain(self) -> None:
         """Take in what has been posted, without waiting."""
@@ -311,8 +335,8 @@ class LiveLoop:
             case Asked():
                 self.counts.answers += answers
             case Following():
-                if self._worker is not None:
-                    self._worker.queries = event.queries
+                if self._perception is not None:
+                    self._perception.queries = event.queries
 
     def _post(self, event: Event) -> None:
         self._events.put(event)
@@ -341,7 +365,7 @@ class LiveLoop:
         """Whether a recording has ended, and all of it has been looked at."""
         if not self._over or (self._seer is not None and not self._seer.done):
             return False
-        return self._worker is not None and self._worker.idle and self._events.empty()
+        return self._perception is not None and self._perception.idle and self._events.empty()
 
     def _frames_ended(self, text: str) -> None:
         if text:
@@ -349,7 +373,7 @@ class LiveLoop:
             if not self.counts.frames:
                 self._fatal = ImageError(text)
         if self._seer is not None:
-            self._seer.end()
+            self._seer.pictures.end()
         self._over = True
 
     def _frame(self, item: tuple[Frame, float]) -> None:
@@ -362,11 +386,11 @@ class LiveLoop:
             self._post(Trouble(self._last_frame, "camera", froze, "frozen"))
         picture = Picture(frame.stamp, told, frame.panorama)
         if self._seer is not None:
-            self._seer.give(picture)
-        assert self._worker is not None
-        self._worker.give(picture)
+            self._seer.pictures.give(picture)
+        assert self._perception is not None
+        self._perception.pictures.give(picture)
         if self._on_demand:
-            self._worker.wait(ON_DEMAND)
+            self._perception.pictures.wait(ON_DEMAND)
 
     def _found(self, picture: Picture | None, said: Looked | Failed, now: float) -> None:
         """What the perception says."""
@@ -376,7 +400,7 @@ class LiveLoop:
             self._post(Trouble(now, "perception", about=said.query))
         elif isinstance(said, Failed):
             if said.refused and said.query is not None:
-                self._refused[said.query] = said.text
+                self._refused.add(said.query)
                 if all(query in self._refused for query in self.core.queries):
                     self._fatal = QueryError(said.text)
             self._post(Trouble(now, "perception", said.text, said.query or ""))
@@ -388,9 +412,9 @@ class LiveLoop:
     def _close(self) -> None:
         """End threads and processes, let go of devices, finish the recording."""
         self._stopped.set()
-        if self._worker is not None:
-            self._worker.stop()
-            self.counts.skipped = self._worker.skipped + getattr(self._frames.source, "dropped", 0)
+        if self._perception is not None:
+            self._perception.stop()
+            self.counts.skipped = self._perception.pictures.skipped + getattr(self._frames.source, "dropped", 0)
         self._keeper.close()
         self._frames.close(LEAVING)
         if self._seer is not None:

@@ -11,9 +11,7 @@ import numpy as np
 
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError
-from eagor.live.answers import Answer
-from eagor.live.events import Event, FrameCame, PoseCame
-from eagor.live.news import News
+from eagor.live.events import Answer, Event, FaultLog, FrameCame, PoseCame
 
 __all__ = ["LiveLog"]
 
@@ -37,7 +35,7 @@ class LiveLog:
         self._answers: tuple[Answer, ...] = ()
         self._taken = -math.inf
         self._ended = False
-        self._news = News()
+        self._news = FaultLog()
         self._thread = threading.Thread(target=self._draw, name="Rerun log", daemon=True)
         self._thread.start()
 

@@ -4,26 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import Any
 
 from eagor.errors import DeviceError
 from eagor.media.frames import Pose, PoseSource
 
-__all__ = ["GO2", "ROS", "open_poses"]
+__all__ = ["GO2", "ROS", "Go2Poses", "open_poses"]
 
 ROS, GO2 = "ros:", "go2"
 
 
-class _Go2Poses:
-    """The odometry of a Go2, with the link that it comes over."""
+class Go2Poses:
+    """The odometry of a Go2 (`Go2State`), with the link that it comes over.
 
-    def __init__(self, source: str, domain: int, interface: str | None) -> None:
+    `mount` ``(3,)``: where the camera is on the body, metres.
+    """
+
+    def __init__(
+        self, domain: int, interface: str | None, source: str = "sport", mount: tuple[float, float, float] = (0, 0, 0)
+    ) -> None:
         from eagor.robots.dds import Link
         from eagor.robots.go2.state import Go2State
 
         with ExitStack() as stack:
-            link: Any = stack.enter_context(Link(domain, interface))
-            self._state = Go2State(link, source) if source else Go2State(link)
+            link = stack.enter_context(Link(domain, interface))
+            self._state = Go2State(link, source, mount=mount)
             self._held = stack.pop_all()
 
     def __iter__(self) -> Iterator[Pose]:
@@ -50,5 +54,6 @@ def open_poses(
     if text.partition(":")[0] == GO2:
         from eagor.robots.ros.graph import default_domain
 
-        return _Go2Poses(text.partition(":")[2], default_domain() if domain is None else domain, interface)
+        source = text.partition(":")[2] or "sport"
+        return Go2Poses(default_domain() if domain is None else domain, interface, source)
     raise DeviceError(f"no poses are called {text!r}; wanted ros:/TOPIC or go2")

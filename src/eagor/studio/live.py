@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.answers import Answer
-from eagor.live.events import Event, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.pictures import jpeg
 from eagor.studio.steps import FLOATS, belief_of, calibration_of, estimate_json, modes_json, stage

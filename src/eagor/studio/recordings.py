@@ -14,7 +14,7 @@ from eagor.drawing.timeline import Thinned
 from eagor.errors import FormatError
 from eagor.live.core import LiveCore
 from eagor.live.events import FrameCame, PoseCame
-from eagor.live.replay import Replay
+from eagor.live.recording import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.pictures import jpeg
 from eagor.studio.replays import Advance, Redrawn

@@ -9,10 +9,8 @@ import numpy as np
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
-from eagor.robots.go2.low import Go2Low
-from eagor.robots.go2.others import Others
-from eagor.robots.go2.sport import OK, SportClient, in_words
-from eagor.robots.go2.state import MODES, SOURCES, BodyState, Go2State
+from eagor.robots.go2.sport import OK, ForeignCommands, SportClient, in_words
+from eagor.robots.go2.state import MODES, SOURCES, UNREADABLE, BodyState, Go2Low, Go2State
 from eagor.robots.go2.wire import LONG
 
 __all__ = ["Report", "examine"]
@@ -58,7 +56,7 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
     topics = link.topics(FINDING)  # before this process writes any itself
     states: list[BodyState] = []
     odometry = {name: Go2State(link, name, received=states.append if name == "sport" else None) for name in SOURCES}
-    low, sport, others = Go2Low(link), SportClient(link), Others(link)
+    low, sport, others = Go2Low(link), SportClient(link), ForeignCommands(link)
     time.sleep(FINDING)  # until readers and writers have found each other
     before = {name: source.count for name, source in odometry.items()}
     states.clear()
@@ -131,10 +129,7 @@ def _form(size: int) -> str:
 
 def _unheard(main: Go2State, topics: dict[str, str]) -> str:
     if main.topic in topics:
-        return (
-            f"{main.topic} is published, but in a form that is not known, or nothing arrives: the robot's firmware is "
-            "newer or another one than these, or a firewall holds back UDP"
-        )
+        return f"{main.topic} is published, but {UNREADABLE}"
     return f"nobody publishes {main.topic}: the robot's walking has not started; restart it, or look at its app"
 
 
@@ -147,7 +142,7 @@ def _slow(rates: dict[str, float]) -> list[str]:
     ]
 
 
-def _commanded(others: Others, states: list[BodyState]) -> list[str]:
+def _commanded(others: ForeignCommands, states: list[BodyState]) -> list[str]:
     """Whether somebody else commands the robot: on its topics, or because it moves and nobody here told it to."""
     if others.newest is not None:
         return [

@@ -7,12 +7,13 @@ process with Cyclone 0.10 that hears it, and such processes run on the robot (me
 # No `from __future__ import annotations`: cyclonedds reads the annotations themselves.
 
 from dataclasses import dataclass
+from typing import TypeVar, dataclass_transform
 
 from eagor._extras import need
 
 need("Unitree's messages", "robot", "cyclonedds")
 
-from cyclonedds.idl import IdlStruct  # noqa: E402
+from cyclonedds.idl import IdlStruct, make_idl_struct  # noqa: E402
 from cyclonedds.idl.annotations import autoid, final  # noqa: E402
 from cyclonedds.idl.types import array, byte, float32, int16, int32, int64, sequence, uint16, uint32  # noqa: E402
 
@@ -23,9 +24,16 @@ __all__ = [
 ]  # fmt: skip
 
 
-@dataclass
-@final
-@autoid("sequential")
+Kind = TypeVar("Kind", bound=type[IdlStruct])
+
+
+@dataclass_transform()
+def _message(kind: Kind) -> Kind:
+    """A message as Unitree's compiler makes it: it cannot grow, and its members are numbered in their order."""
+    return dataclass(final(autoid("sequential")(kind)))
+
+
+@_message
 class TimeSpec(IdlStruct, typename="unitree_go.msg.dds_.TimeSpec_"):
     """A time of the robot's clock."""
 
@@ -33,9 +41,7 @@ class TimeSpec(IdlStruct, typename="unitree_go.msg.dds_.TimeSpec_"):
     nanosec: uint32
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class IMUState(IdlStruct, typename="unitree_go.msg.dds_.IMUState_"):
     """`quaternion` w, x, y, z (world_R_body); rad/s, m/s^2 and radians in the body frame; degrees Celsius."""
 
@@ -46,9 +52,7 @@ class IMUState(IdlStruct, typename="unitree_go.msg.dds_.IMUState_"):
     temperature: byte
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class PathPoint(IdlStruct, typename="unitree_go.msg.dds_.PathPoint_"):
     """A point of a planned path."""
 
@@ -61,9 +65,7 @@ class PathPoint(IdlStruct, typename="unitree_go.msg.dds_.PathPoint_"):
     vyaw: float32
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class SportModeState(IdlStruct, typename="unitree_go.msg.dds_.SportModeState_"):
     """What the robot's walking says of itself: ``rt/sportmodestate``, ``rt/lf/sportmodestate``."""
 
@@ -85,32 +87,12 @@ class SportModeState(IdlStruct, typename="unitree_go.msg.dds_.SportModeState_"):
     path_point: array[PathPoint, 10]
 
 
-@dataclass
-@final
-@autoid("sequential")
-class ShortSportModeState(IdlStruct, typename="unitree_go.msg.dds_.SportModeState_"):
-    """The same without the planned path, as Unitree's ROS 2 package has it."""
-
-    stamp: TimeSpec
-    error_code: uint32
-    imu_state: IMUState
-    mode: byte
-    progress: float32
-    gait_type: byte
-    foot_raise_height: float32
-    position: array[float32, 3]
-    body_height: float32
-    velocity: array[float32, 3]
-    yaw_speed: float32
-    range_obstacle: array[float32, 4]
-    foot_force: array[int16, 4]
-    foot_position_body: array[float32, 12]
-    foot_speed_body: array[float32, 12]
+# The same without the planned path, as Unitree's ROS 2 package has it.
+_SHORT = {name: kind for name, kind in SportModeState.__annotations__.items() if name != "path_point"}
+ShortSportModeState = _message(make_idl_struct("ShortSportModeState", SportModeState.__idl_typename__, _SHORT))
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class MotorState(IdlStruct, typename="unitree_go.msg.dds_.MotorState_"):
     """One of the motors."""
 
@@ -127,9 +109,7 @@ class MotorState(IdlStruct, typename="unitree_go.msg.dds_.MotorState_"):
     reserve: array[uint32, 2]
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class BmsState(IdlStruct, typename="unitree_go.msg.dds_.BmsState_"):
     """The battery: `soc` in percent, `current` in milliamperes, voltages of the cells in millivolts."""
 
@@ -144,9 +124,7 @@ class BmsState(IdlStruct, typename="unitree_go.msg.dds_.BmsState_"):
     cell_vol: array[uint16, 15]
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class LowState(IdlStruct, typename="unitree_go.msg.dds_.LowState_"):
     """Motors, battery, remote control: ``rt/lowstate``, ``rt/lf/lowstate``. `tick`: milliseconds; no time of day."""
 
@@ -174,9 +152,7 @@ class LowState(IdlStruct, typename="unitree_go.msg.dds_.LowState_"):
     crc: uint32
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class RequestIdentity(IdlStruct, typename="unitree_api.msg.dds_.RequestIdentity_"):
     """A request's number, which its response repeats, and what is asked for."""
 
@@ -184,18 +160,14 @@ class RequestIdentity(IdlStruct, typename="unitree_api.msg.dds_.RequestIdentity_
     api_id: int64
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class RequestLease(IdlStruct, typename="unitree_api.msg.dds_.RequestLease_"):
     """Who may command; 0 without a lease."""
 
     id: int64
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class RequestPolicy(IdlStruct, typename="unitree_api.msg.dds_.RequestPolicy_"):
     """Whether a response is wanted."""
 
@@ -203,9 +175,7 @@ class RequestPolicy(IdlStruct, typename="unitree_api.msg.dds_.RequestPolicy_"):
     noreply: bool
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class RequestHeader(IdlStruct, typename="unitree_api.msg.dds_.RequestHeader_"):
     """What every request begins with."""
 
@@ -214,9 +184,7 @@ class RequestHeader(IdlStruct, typename="unitree_api.msg.dds_.RequestHeader_"):
     policy: RequestPolicy
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class Request(IdlStruct, typename="unitree_api.msg.dds_.Request_"):
     """``rt/api/SERVICE/request``; `parameter` is JSON."""
 
@@ -225,18 +193,14 @@ class Request(IdlStruct, typename="unitree_api.msg.dds_.Request_"):
     binary: sequence[byte]
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class ResponseStatus(IdlStruct, typename="unitree_api.msg.dds_.ResponseStatus_"):
     """0, or what went wrong (`eagor.robots.go2.sport.CODES`)."""
 
     code: int32
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class ResponseHeader(IdlStruct, typename="unitree_api.msg.dds_.ResponseHeader_"):
     """What every response begins with."""
 
@@ -244,9 +208,7 @@ class ResponseHeader(IdlStruct, typename="unitree_api.msg.dds_.ResponseHeader_")
     status: ResponseStatus
 
 
-@dataclass
-@final
-@autoid("sequential")
+@_message
 class Response(IdlStruct, typename="unitree_api.msg.dds_.Response_"):
     """``rt/api/SERVICE/response``; `data` is JSON or empty."""
 

@@ -9,25 +9,226 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
+from eagor._checks import require, stretch, whole, within
 from eagor._lazy import lazy
 from eagor.errors import DeviceError
 from eagor.media.clocks import RelatedClock
-from eagor.media.frames import Frame
-from eagor.robots.go2.house import House, Thing, ball_of, load_house
-from eagor.robots.go2.plant import Motion, Plant, PlantSettings
-from eagor.robots.go2.sim_camera import CameraSettings, SimulatedCamera
-from eagor.robots.go2.sim_state import sport_fields
+from eagor.media.frames import Frame, Pose
+from eagor.robots.go2.house import BALL_ID, House, Thing, ball_of, load_house
+from eagor.robots.go2.plant import GRAVITY, LIFT, WALKING, Motion, Plant, PlantSettings
 from eagor.robots.go2.sport import OK, checked_velocity
 from eagor.robots.go2.state import BodyState
 from eagor.robots.go2.wire import SportFields
-from eagor.robots.go2.wire_settings import WireSettings
+from eagor.worlds.ball import Ball, with_ball
+from eagor.worlds.render import Renderer
+from eagor.worlds.scene import Scene
 
-__all__ = ["SimSettings", "SimulatedGo2"]
+__all__ = [
+    "CameraSettings", "SimSettings", "SimulatedCamera", "SimulatedGo2", "SimulatedWire", "WireSettings", "odometry_of",
+    "sport_fields",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class WireSettings:
+    """How a simulated Go2's wire behaves.
+
+    `clock_offset`: seconds by which the robot's clock is ahead of this machine's at first; `clock_drift`: seconds per
+    second by which it gains. `drop`: share of messages that get lost, in both directions. `delay`: from and to how many
+    seconds messages take. `short`: states without the planned path. `battery`: per cent at the start.
+    """
+
+    clock_offset: float = 0.0
+    clock_drift: float = 0.0
+    drop: float = 0.0
+    delay: tuple[float, float] = (0.0, 0.0)
+    short: bool = False
+    battery: int = 87
+
+    def __post_init__(self) -> None:
+        require(
+            self,
+            {
+                "clock_offset": (within(self.clock_offset, -1e8, 1e8), "seconds"),
+                "clock_drift": (within(self.clock_drift, -0.01, 0.01), "at most 0.01 s per second"),
+                "drop": (within(self.drop, 0, 1), "a share, 0 to 1"),
+                "delay": (stretch(self.delay, 0, 10), "seconds (from, to), at most 10"),
+                "battery": (within(self.battery, 0, 100), "0 to 100"),
+            },
+            DeviceError,
+        )
+
+    def robot_time(self, host: float, seconds: float) -> float:
+        """The robot's clock at `host` on ours, `seconds` after its start."""
+        return host + self.clock_offset + self.clock_drift * seconds
+
+
+class SimulatedWire:
+    """What is on its way to or from a simulated robot; `rng` draws what gets lost, and how long the rest takes.
+
+    Not for several threads.
+    """
+
+    def __init__(self, settings: WireSettings, rng: np.random.Generator) -> None:
+        self.settings, self._rng = settings, rng
+        self._numbers = itertools.count()
+        self._late: list[tuple[float, int, Any]] = []
+
+    def loses(self) -> bool:
+        """Whether the next message gets lost."""
+        return self.settings.drop > 0 and bool(self._rng.random() < self.settings.drop)
+
+    def delay(self) -> float:
+        """Seconds that the next message takes."""
+        low, high = self.settings.delay
+        return float(self._rng.uniform(low, high)) if high > 0 else 0.0
+
+    def put(self, when: float, message: Any) -> None:
+        """A message that arrives then."""
+        heapq.heappush(self._late, (when, next(self._numbers), message))
+
+    def arrived(self, now: float) -> Iterator[tuple[float, Any]]:
+        """What has arrived by now, in order, each with its time; it is taken away."""
+        while self._late and self._late[0][0] <= now:
+            when, _, message = heapq.heappop(self._late)
+            yield when, message
+
+
+def sport_fields(motion: Motion, stamp: float, error_code: int = 0) -> SportFields:
+    """The state message of a body that moves so, at `stamp` seconds of the robot's clock."""
+    pose = motion.pose
+    assert pose.position is not None
+    (m00, _, _), (m10, _, _), (m20, m21, m22) = pose.world_R_body.tolist()
+    roll, pitch, yaw = math.atan2(m21, m22), -math.asin(max(-1.0, min(1.0, m20))), math.atan2(m10, m00)
+    second = math.floor(stamp)
+    return SportFields(
+        second,
+        min(int(1e9 * (stamp - second)), 999_999_999),
+        error_code,
+        _wxyz(roll, pitch, yaw),
+        tuple(motion.rates.tolist()),
+        (GRAVITY * m20, GRAVITY * m21, GRAVITY * m22),
+        (roll, pitch, yaw),
+        motion.mode,
+        gait_type=1 if motion.mode == WALKING else 0,
+        foot_raise_height=LIFT,
+        position=tuple(pose.position.tolist()),
+        body_height=float(pose.position[2]),
+        velocity=tuple(motion.velocity.tolist()),
+        yaw_speed=motion.yaw_rate,
+    )
+
+
+def _wxyz(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion of a body turned by `yaw`, then `pitch`, then `roll`: half angles, multiplied out."""
+    a, b, c = math.cos(roll / 2), math.cos(pitch / 2), math.cos(yaw / 2)
+    x, y, z = math.sin(roll / 2), math.sin(pitch / 2), math.sin(yaw / 2)
+    return a * b * c + x * y * z, x * b * c - a * y * z, a * y * c + x * b * z, a * b * z - x * y * c
+
+
+def odometry_of(motion: Motion, stamp: float, frame: str = "odom") -> Any:
+    """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
+    from eagor.media.bags.messages import odometry_message
+
+    pose = Pose(stamp, motion.pose.world_R_body, motion.pose.position)
+    return odometry_message(
+        pose, frame, velocity=pose.world_R_body.T @ motion.velocity, turning=np.asarray(motion.rates)
+    )
+
+
+MOUNT = (0.0, 0.0, 0.40)  # metres from the body's centre to the camera, body frame: a short stick on its back
+FIELD = math.radians(200.0)  # of each fisheye of an X3
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """A simulated Insta360 X3.
+
+    `kind`: what its pictures are: "erp" (equirectangular) or "fisheye" (both circles side by side, the front one left).
+    `rows`: of its panoramas, and of the circles. `rate`: pictures per second. `latency`: seconds from capture to
+    arrival. `mount` ``(3,)``: where it is on the body, metres. `quality`: of the JPEG, 1 to 100.
+    """
+
+    kind: Literal["erp", "fisheye"] = "erp"
+    rows: int = 128
+    rate: float = 5.0
+    latency: float = 0.15
+    mount: tuple[float, float, float] = MOUNT
+    quality: int = 90
+
+    def __post_init__(self) -> None:
+        require(
+            self,
+            {
+                "kind": (self.kind in ("erp", "fisheye"), "erp or fisheye"),
+                "rows": (whole(self.rows, 16, 4096) and self.rows % 2 == 0, "an even number of rows, 16 to 4096"),
+                "rate": (within(self.rate, 0.01, 60), "0.01 to 60 pictures per second"),
+                "latency": (within(self.latency, 0, 60), "0 to 60 s"),
+                "quality": (whole(self.quality, 1, 100), "1 to 100"),
+            },
+            DeviceError,
+        )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures."""
+        return 2 * self.rows, self.rows
+
+    def pose(self, body: Pose) -> Pose:
+        """The camera's pose on a body at this pose."""
+        assert body.position is not None
+        return Pose(body.stamp, body.world_R_body, body.position + body.world_R_body @ np.asarray(self.mount))
+
+
+class SimulatedCamera:
+    """Pictures of a scene, as the camera sends them."""
+
+    def __init__(self, scene: Scene, settings: CameraSettings) -> None:
+        self.settings = settings
+        self._renderer = Renderer(scene)
+        self._rig = None
+        if settings.kind == "fisheye":
+            from eagor.media.rigs import dual_fisheye
+
+            self._rig = dual_fisheye(*settings.size, FIELD)
+
+    def panorama(self, camera: Pose, ball: Ball | None = None) -> np.ndarray:
+        """The panorama ``(rows, 2 rows, 3)`` uint8 from the camera's pose, with the ball where there is one."""
+        return self._rendered(camera, ball, self.settings.rows)
+
+    def picture(self, camera: Pose, ball: Ball | None = None) -> np.ndarray:
+        """What it sends ``(H, W, 3)`` uint8: the panorama, or both fisheye circles."""
+        if self._rig is None:
+            return self.panorama(camera, ball)
+        from eagor.media.stitching import seen_by
+
+        (picture,) = seen_by(self._rig, self._rendered(camera, ball, self._rig.rows))
+        return picture
+
+    def received(self, picture: np.ndarray) -> np.ndarray:
+        """The panorama ``(rows, 2 rows, 3)`` that whoever receives such a picture makes of it."""
+        return picture if self._rig is None else self._stitcher.stitch(picture)
+
+    @lazy
+    def _stitcher(self):
+        from eagor.media.stitching import Stitcher
+
+        assert self._rig is not None
+        return Stitcher(self._rig, self.settings.rows)
+
+    def _rendered(self, camera: Pose, ball: Ball | None, rows: int) -> np.ndarray:
+        assert camera.position is not None
+        seen = self._renderer.panorama(camera.position, camera.world_R_body, rows, range=ball is not None, ids=False)
+        if ball is not None:
+            seen = with_ball(seen, camera.position, camera.world_R_body, ball, BALL_ID)
+        assert seen.rgb is not None
+        return seen.rgb
 
 
 @dataclass(frozen=True)
@@ -78,11 +279,10 @@ class SimulatedGo2:
             start = self._start(draws[1])
             slide, ahead = self.house.slide, self.house.ahead
         self.plant = Plant(settings.plant, draws[2], start, slide, ahead)
-        self._wire_rng = draws[3]
+        self.wire_rng = draws[3]
         self._clock = RelatedClock("Go2")
-        self._numbers = itertools.count()
-        self._commands: list[tuple[float, int, Callable[[], None]]] = []  # when they arrive
-        self._arriving: list[tuple[float, int, BodyState | Frame | SportFields]] = []
+        self._commands = SimulatedWire(settings.wire, self.wire_rng)  # to the robot
+        self._messages = SimulatedWire(settings.wire, self.wire_rng)  # from it: `Frame`, `SportFields`
         self._pictures = 0
 
     def _start(self, rng: np.random.Generator) -> tuple[float, float, float]:
@@ -109,13 +309,12 @@ class SimulatedGo2:
         end = self.plant.steps + round(seconds / self.settings.plant.step)
         came: list[BodyState | Frame] = []
         while self.plant.steps < end:
-            while self._commands and self._commands[0][0] <= self.now:
-                heapq.heappop(self._commands)[2]()
+            for _, command in self._commands.arrived(self.now):
+                command()
             self.plant.advance()
             self._send_state()
             self._send_picture()
-            while self._arriving and self._arriving[0][0] <= self.now:
-                when, _, message = heapq.heappop(self._arriving)
+            for when, message in self._messages.arrived(self.now):
                 if not isinstance(message, SportFields):
                     came.append(message)
                     continue
@@ -148,8 +347,8 @@ class SimulatedGo2:
         return self._do(self.plant.stand_down)
 
     def _do(self, command: Callable[[], None]) -> int:
-        if not self._lost():
-            heapq.heappush(self._commands, (self.now + self._delay(), next(self._numbers), command))
+        if not self._commands.loses():
+            self._commands.put(self.now + self._commands.delay(), command)
         return OK
 
     # --- truth ---
@@ -195,12 +394,12 @@ class SimulatedGo2:
         return True
 
     def _send_state(self) -> None:
-        if not self._lost():
+        if not self._messages.loses():
             stamp = self.settings.wire.robot_time(self.now, self.plant.seconds)
-            self._post(self.now + self._delay(), sport_fields(self.plant.odometry, stamp))
+            self._messages.put(self.now + self._messages.delay(), sport_fields(self.plant.odometry, stamp))
 
     def _send_picture(self) -> None:
-        if not self.picture_due() or self._lost():
+        if not self.picture_due() or self._messages.loses():
             return
         assert self.house is not None
         assert self.settings.camera is not None
@@ -208,15 +407,4 @@ class SimulatedGo2:
         ball = None if self.house.ball is None else self.house.ball.at(self.plant.seconds)
         panorama = self.camera.received(self.camera.picture(pose, ball))
         frame = Frame(self.now, panorama, f"picture {self._pictures}")
-        self._post(self.now + self.settings.camera.latency, frame)
-
-    def _post(self, when: float, message: BodyState | Frame | SportFields) -> None:
-        heapq.heappush(self._arriving, (when, next(self._numbers), message))
-
-    def _lost(self) -> bool:
-        drop = self.settings.wire.drop
-        return drop > 0 and bool(self._wire_rng.random() < drop)
-
-    def _delay(self) -> float:
-        low, high = self.settings.wire.delay
-        return float(self._wire_rng.uniform(low, high)) if high > 0 else 0.0
+        self._messages.put(self.now + self.settings.camera.latency, frame)

@@ -12,7 +12,7 @@ import numpy as np
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import DeviceError, EagorError
 from eagor.media.frames import Pose
-from eagor.robots.go2.sim_camera import CameraSettings
+from eagor.robots.go2.sim import CameraSettings
 from eagor.worlds.ball import Ball
 
 __all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "Moment", "PictureProcess"]
@@ -93,7 +93,7 @@ def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domai
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
     from eagor.media.bags.messages import COMPRESSED, compressed_message
     from eagor.robots.dds import Link
-    from eagor.robots.go2.sim_camera import SimulatedCamera
+    from eagor.robots.go2.sim import SimulatedCamera
     from eagor.sphere import world_R_body
     from eagor.worlds import load
     from eagor.worlds.scene import Scene

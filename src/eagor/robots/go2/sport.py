@@ -1,7 +1,8 @@
-"""What a Go2 is told: requests and responses of its services ``sport`` and ``obstacles_avoid``.
+"""What a Go2 is told: requests and responses of its services ``sport`` and ``obstacles_avoid``; who else tells it.
 
 Only the commands in `ALLOWED` are ever sent: walking, standing, lying down, asking. Jumps, flips and handstands (1030
-to 1032, 2041 to 2047) have no way out of this module.
+to 1032, 2041 to 2047) have no way out of this module. A robot obeys whoever spoke last, so the commands of others are
+listened to.
 """
 
 from __future__ import annotations
@@ -9,34 +10,54 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
 from typing import Any
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 
 __all__ = [
-    "ALLOWED",
-    "CODES",
-    "OK",
-    "SEND",
-    "TIMEOUT",
-    "AvoidClient",
-    "Service",
-    "SportClient",
-    "checked_velocity",
-    "in_words",
-]
+    "ALLOWED", "CODES", "OK", "SEND", "TIMEOUT", "AvoidClient", "ForeignCommand", "ForeignCommands", "Service",
+    "SportClient", "checked_velocity", "in_words",
+]  # fmt: skip
 
 OK, SEND, TIMEOUT = 0, 3102, 3104
 FLOAT32 = 3.4028234663852886e38  # the largest number of 32 bits
 API_VERSION = 1
-BALANCE_STAND, STOP_MOVE, STAND_UP, STAND_DOWN, MOVE = 1002, 1003, 1004, 1005, 1008
-AVOID_SET, AVOID_GET, AVOID_MOVE, AVOID_FROM_API = 1001, 1002, 1003, 1004
+
+
+class Sport(IntEnum):
+    """Commands of the service ``sport``, by their names in Unitree's SDK."""
+
+    DAMP = 1001
+    BALANCE_STAND = 1002
+    STOP_MOVE = 1003
+    STAND_UP = 1004
+    STAND_DOWN = 1005
+    RECOVERY_STAND = 1006
+    MOVE = 1008
+
+
+class Avoid(IntEnum):
+    """Commands of the service ``obstacles_avoid``."""
+
+    SWITCH_SET = 1001
+    SWITCH_GET = 1002
+    MOVE = 1003
+    USE_REMOTE_COMMAND_FROM_API = 1004
+
+
+COMMANDS: dict[str, type[IntEnum]] = {"sport": Sport, "obstacles_avoid": Avoid}
 # Numbers that a request of each service may have.
 ALLOWED = {
-    "sport": frozenset({API_VERSION, BALANCE_STAND, STOP_MOVE, STAND_UP, STAND_DOWN, MOVE}),
-    "obstacles_avoid": frozenset({API_VERSION, AVOID_SET, AVOID_GET, AVOID_MOVE, AVOID_FROM_API}),
+    "sport": frozenset({API_VERSION, *Sport} - {Sport.DAMP, Sport.RECOVERY_STAND}),
+    "obstacles_avoid": frozenset({API_VERSION, *Avoid}),
 }
+# Those that only ask: versions, heights, the speed level, the state.
+ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, Avoid.SWITCH_GET}}
 # Codes of responses, and those that a client gives itself (Unitree's SDK).
 CODES = {
     OK: "done",
@@ -172,23 +193,23 @@ class SportClient(Service):
     def move(self, vx: float, vy: float, wz: float) -> int:
         """Walk forward and left (metres per second), turn left (radians per second). Raises `DeviceError` for NaN."""
         x, y, z = checked_velocity(vx, vy, wz)
-        return self.tell(MOVE, {"x": x, "y": y, "z": z})
+        return self.tell(Sport.MOVE, {"x": x, "y": y, "z": z})
 
     def stop(self) -> int:
         """Stand still; 0 once the robot says so."""
-        return self.call(STOP_MOVE)[0]
+        return self.call(Sport.STOP_MOVE)[0]
 
     def balance_stand(self) -> int:
         """Stand, ready to walk."""
-        return self.call(BALANCE_STAND)[0]
+        return self.call(Sport.BALANCE_STAND)[0]
 
     def stand_up(self) -> int:
         """Stand up, with locked joints."""
-        return self.call(STAND_UP)[0]
+        return self.call(Sport.STAND_UP)[0]
 
     def stand_down(self) -> int:
         """Lie down."""
-        return self.call(STAND_DOWN)[0]
+        return self.call(Sport.STAND_DOWN)[0]
 
 
 class AvoidClient(Service):
@@ -207,7 +228,7 @@ class AvoidClient(Service):
 
     def on(self) -> bool | None:
         """Whether obstacles are heeded; None if the robot does not say."""
-        code, said = self.call(AVOID_GET)
+        code, said = self.call(Avoid.SWITCH_GET)
         try:
             return bool(json.loads(said)["enable"]) if code == OK else None
         except (ValueError, KeyError, TypeError):
@@ -216,15 +237,15 @@ class AvoidClient(Service):
     def move(self, vx: float, vy: float, wz: float) -> int:
         """As `SportClient.move`; the robot goes around obstacles, or stops before them."""
         x, y, yaw = checked_velocity(vx, vy, wz)
-        return self.tell(AVOID_MOVE, {"x": x, "y": y, "yaw": yaw, "mode": 0})
+        return self.tell(Avoid.MOVE, {"x": x, "y": y, "yaw": yaw, "mode": 0})
 
     def stop(self) -> int:
         """Walk no further; a `SportClient.stop` is answered, this is not."""
         return self.move(0.0, 0.0, 0.0)
 
     def _both(self, on: bool) -> int:
-        first = (AVOID_SET, {"enable": on})
-        second = (AVOID_FROM_API, {"is_remote_commands_from_api": on})
+        first = (Avoid.SWITCH_SET, {"enable": on})
+        second = (Avoid.USE_REMOTE_COMMAND_FROM_API, {"is_remote_commands_from_api": on})
         for api_id, parameter in (first, second) if on else (second, first):
             if (code := self.call(api_id, parameter)[0]) != OK:
                 return code
@@ -237,3 +258,48 @@ def checked_velocity(vx: float, vy: float, wz: float) -> tuple[float, float, flo
     if not all(abs(number) <= FLOAT32 for number in numbers):  # neither does NaN
         raise DeviceError(f"velocities {numbers}; wanted three finite numbers of 32 bits (m/s, m/s, rad/s)")
     return x, y, z
+
+
+@dataclass(frozen=True)
+class ForeignCommand:
+    """A command of somebody else. `when`: ``time.monotonic()`` of its arrival."""
+
+    when: float
+    service: str
+    api_id: int
+
+    @property
+    def words(self) -> str:
+        """The command and its topic: "Move on rt/api/sport/request"."""
+        try:
+            name = COMMANDS[self.service](self.api_id).name.title().replace("_", "")
+        except ValueError:
+            name = f"command {self.api_id}"
+        return f"{name} on rt/api/{self.service}/request"
+
+
+class ForeignCommands:
+    """Listens to the commands that `services` of a Go2 are given by others than `link`.
+
+    `newest`: the last of them; `count`: how many came.
+    The robot's own remote control does not speak on these topics: only how the robot moves tells of it.
+    """
+
+    def __init__(self, link: Link, services: Iterable[str] = ALLOWED) -> None:
+        from eagor.robots.go2.idl import Request
+
+        self.newest: ForeignCommand | None = None
+        self.count = 0
+        self._readers = [
+            link.subscribe(f"rt/api/{name}/request", Request, partial(self._came, name), own=False) for name in services
+        ]
+
+    def close(self) -> None:
+        """Stop listening."""
+        for reader in self._readers:
+            reader.close()
+
+    def _came(self, service: str, request: Any, _: float) -> None:
+        if (api_id := request.header.identity.api_id) not in ASKING[service]:
+            self.newest = ForeignCommand(time.monotonic(), service, api_id)
+            self.count += 1

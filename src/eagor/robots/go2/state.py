@@ -1,7 +1,12 @@
-"""Where a Go2 is and how it moves, as it says itself: its state messages, or its lidar's odometry."""
+"""What a Go2 says of itself: where it is and how it moves, its battery, its remote control.
+
+Places come from its state messages, or from its lidar's odometry; battery and remote control from ``rt/lf/lowstate``
+(20 Hz) or ``rt/lowstate``.
+"""
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections import deque
@@ -16,9 +21,9 @@ from eagor.errors import DeviceError, FormatError
 from eagor.media.clocks import RelatedClock
 from eagor.media.frames import Pose
 from eagor.robots.dds import Link, Reader
-from eagor.robots.go2.wire import LONG, SportFields, raw
+from eagor.robots.go2.wire import LONG, LowFields, SportFields, raw
 
-__all__ = ["MODES", "SOURCES", "BodyState", "Go2State"]
+__all__ = ["BUTTONS", "MODES", "SOURCES", "BodyState", "Go2Low", "Go2State", "LowReading", "Remote"]
 
 # Topics of the robot's own estimate of its pose, by the name that options give them.
 SOURCES = {
@@ -31,6 +36,10 @@ MODES = {
     0: "idle", 1: "standing", 2: "posing", 3: "walking", 5: "lying", 6: "standing with locked joints", 7: "limp",
     8: "getting up", 10: "sitting",
 }  # fmt: skip
+UNREADABLE = (  # a topic that is written, and of which nothing is heard
+    "in a form that is not known, or nothing arrives: the robot's firmware is newer or another one than these, or a "
+    "firewall holds back UDP"
+)
 KEPT = 2000  # states that wait for whoever iterates: 10 s at 200 Hz
 LOOK = 1.0  # seconds between looks at who publishes
 
@@ -79,11 +88,6 @@ class BodyState:
         )
 
     @property
-    def tilt(self) -> float:
-        """Radians between the body's vertical axis and the world's."""
-        return float(np.arccos(np.clip(self.world_R_body[2, 2], -1.0, 1.0)))
-
-    @property
     def speed(self) -> float:
         """Metres per second over the ground."""
         return float(np.hypot(self.velocity[0], self.velocity[1]))
@@ -112,7 +116,7 @@ class Go2State:
             raise DeviceError(f"there is no odometry {source!r} of a Go2; wanted one of {', '.join(SOURCES)}")
         self.topic = SOURCES[source]
         self.clock = RelatedClock("Go2")
-        self.count = self.dropped = self.doubtful = 0
+        self.count = self.dropped = 0
         self.news: deque[str] = deque(maxlen=20)  # about the robot's clock, in words
         self.bytes: int | None = None  # length of the message, which tells the firmware's form
         self._link, self._mount = link, np.asarray(mount, dtype=np.float64)
@@ -217,7 +221,6 @@ class Go2State:
             if news:
                 self.news.append(news)
             if stamp is None:
-                self.doubtful += 1
                 return
             state = replace(state, stamp=stamp)
         with self._turn:
@@ -246,10 +249,7 @@ class Go2State:
         """Why no state came."""
         where = f"domain {self._link.domain}, {self._link.interface or 'automatic interface'}"
         if kind := self._link.topics(0.5).get(self.topic):
-            return (
-                f"somebody publishes {self.topic} as {kind}, but in a form that is not known, or nothing arrives: the "
-                "robot's firmware is newer or another one than these, or a firewall holds back UDP"
-            )
+            return f"somebody publishes {self.topic} as {kind}, but {UNREADABLE}"
         return (
             f"no robot is heard within {timeout:g} s ({self.topic}, {where}): is it on, is this machine on its network "
             "(192.168.123.x), and is the interface right?"
@@ -269,3 +269,71 @@ def _finite(values: Any) -> np.ndarray:
     if not np.isfinite(array).all():
         raise FormatError(f"a state with the numbers {array.tolist()}; wanted finite ones")
     return array
+
+
+# The remote control's buttons by their bit in bytes 2 and 3, lowest first (Unitree's SDK: wireless_controller).
+BUTTONS = (
+    "R1", "L1", "start", "select", "R2", "L2", "F1", "F3", "A", "B", "X", "Y", "up", "right", "down", "left",
+)  # fmt: skip
+_STICKS = struct.Struct("<2x H f f f 4x f")  # buttons, left x, right x, right y, (unused), left y
+
+
+@dataclass(frozen=True)
+class Remote:
+    """The remote control: `pressed` buttons of `BUTTONS`, and its sticks, -1 to 1 (right and forward are positive)."""
+
+    pressed: frozenset[str] = frozenset()
+    left: tuple[float, float] = (0.0, 0.0)
+    right: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Remote:
+        """From the 40 bytes of `wireless_remote`."""
+        keys, left_x, right_x, right_y, left_y = _STICKS.unpack_from(data)
+        pressed = frozenset(name for bit, name in enumerate(BUTTONS) if keys >> bit & 1)
+        return cls(pressed, (left_x, left_y), (right_x, right_y))
+
+    def to_bytes(self) -> bytes:
+        """The 40 bytes."""
+        keys = sum(1 << bit for bit, name in enumerate(BUTTONS) if name in self.pressed)
+        return _STICKS.pack(keys, self.left[0], *self.right, self.left[1]).ljust(40, b"\0")
+
+
+@dataclass(frozen=True)
+class LowReading:
+    """`received`: when, on this machine's clock; `soc`: the battery's charge, per cent; `tick`: the robot's own, ms."""
+
+    received: float
+    tick: int
+    soc: int
+    volts: float
+    amperes: float
+    remote: Remote
+
+
+class Go2Low:
+    """The newest of what a Go2 says of its battery and remote control. `fast`: the topic of 500 Hz instead of 20 Hz."""
+
+    def __init__(self, link: Link, *, fast: bool = False) -> None:
+        from eagor.robots.go2.idl import LowState
+
+        self.topic = "rt/lowstate" if fast else "rt/lf/lowstate"
+        self.newest: LowReading | None = None
+        self._came = threading.Event()
+        self._reader = link.subscribe(self.topic, raw(LowState), self._received)
+
+    def wait(self, timeout: float = 5.0) -> LowReading:
+        """The newest reading; waits for the first. Raises `DeviceError` if none comes within `timeout` seconds."""
+        if not self._came.wait(timeout) or self.newest is None:
+            raise DeviceError(f"no robot tells its battery within {timeout:g} s ({self.topic}); is one here?")
+        return self.newest
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._reader.close()
+
+    def _received(self, message: object, when: float) -> None:
+        fields = LowFields.from_bytes(message.data)  # type: ignore[attr-defined]
+        remote = Remote.from_bytes(fields.wireless_remote)
+        self.newest = LowReading(when, fields.tick, fields.soc, fields.power_v, fields.power_a, remote)
+        self._came.set()

@@ -111,7 +111,7 @@ class LowFields:
     wireless_remote: bytes = field(default=bytes(40))
     power_v: float = 0.0  # volts
     power_a: float = 0.0  # amperes
-    angles: tuple[float, ...] = (0.0,) * MOTORS  # radians, of the motors as in `eagor.robots.go2.legs.JOINTS`
+    angles: tuple[float, ...] = (0.0,) * MOTORS  # radians, of the motors as in `eagor.robots.go2.plant.JOINTS`
     rates: tuple[float, ...] = (0.0,) * MOTORS  # radians per second
 
     @classmethod

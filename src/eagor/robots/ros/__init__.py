@@ -1,7 +1,8 @@
-"""ROS 2 without ROS: cameras and odometry on topics. Bags are in `eagor.media.bags`, the node in `eagor.robots.node`.
+"""ROS 2 without ROS: cameras and odometry on topics, and a node that answers on them. Bags: `eagor.media.bags`.
 
-`transforms`, `odometry`: poses from what robots publish. `topics`: which topic is meant. `graph`: the graph over DDS,
-or another. `sources`: live topics. `playing`: topics of a bag.
+`graph`: the graph over DDS, or another, and which of its topics is meant. `odometry`: poses from what robots publish.
+`sources`: cameras and odometry, live or of a bag. `node`: pictures, odometry and queries in; `publishing`: directions,
+markers, beliefs and diagnostics out; `driving`: velocities for a base.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from eagor.robots.safety.faults import Body, Fault, Inputs
 from eagor.robots.safety.gate import Gate, Mode, Output, State
-from eagor.robots.safety.limits import Limits, Velocity
+from eagor.robots.safety.limits import Body, Fault, Inputs, Limits, Velocity
 
 __all__ = ["Body", "Fault", "Gate", "Inputs", "Limits", "Mode", "Output", "State", "Velocity"]

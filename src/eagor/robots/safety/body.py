@@ -1,23 +1,66 @@
-"""The robot's side of the guard: what it tells a Go2, without ever waiting, and what it reads from it."""
+"""The robot's side of the guard: what is said to a Go2, without ever waiting, and what is read from it.
+
+The guard's process has a `Go2Body`. The program beside it has a `Standby`, for the case that this process is gone.
+"""
 
 from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from typing import Self
 
 from eagor.errors import DeviceError
 from eagor.media.clocks import Lateness
 from eagor.robots.dds import Link
-from eagor.robots.go2.low import Go2Low
-from eagor.robots.go2.others import Others
-from eagor.robots.go2.sport import OK, AvoidClient, SportClient, in_words
-from eagor.robots.go2.state import MODES, BodyState, Go2State
-from eagor.robots.safety.faults import Body
-from eagor.robots.safety.limits import Velocity
+from eagor.robots.go2.sport import OK, AvoidClient, ForeignCommands, SportClient, in_words
+from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
+from eagor.robots.safety.limits import Body, Velocity
+from eagor.robots.safety.messages import Settings
 
-__all__ = ["Go2Body"]
+__all__ = ["Go2Body", "Standby"]
 
-PATIENCE = 0.1  # seconds until a StopMove counts as not acknowledged; others are on their way meanwhile
+PATIENCE = 0.1  # seconds until a StopMove counts as not acknowledged; others follow at once, or are on their way
+
+
+class Standby:
+    """A second voice beside the guard, which can say StopMove and nothing else; a context manager.
+
+    It is opened beforehand: processes need a second to find each other on DDS, and a robot walks on meanwhile.
+    `avoid`: velocities go through the robot's obstacle avoidance, so that these are stopped as well. `sent`: StopMove
+    so far; `acknowledged`: whether the robot acknowledged the newest. Raises `DeviceError`, `MissingExtraError`.
+    """
+
+    def __init__(self, domain: int, interface: str | None, *, avoid: bool = False) -> None:
+        self.sent, self.acknowledged = 0, False
+        self._link = Link(domain, interface)
+        self._sport = SportClient(self._link, timeout=PATIENCE)
+        self._avoid = AvoidClient(self._link, timeout=PATIENCE) if avoid else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._avoid is not None and self.sent:  # whoever turned this on may be gone
+            self._avoid.end()
+        self._link.close()
+
+    def wait(self, timeout: float) -> None:
+        """Wait until the robot listens. Raises `DeviceError` if it does not within `timeout` seconds."""
+        if not self._sport.wait(timeout):
+            raise DeviceError(
+                f"the robot does not listen to this program's own StopMove within {timeout:g} s, which has to work if "
+                "the guard ends: relieve this machine's processor, look at the network, start the program again"
+            )
+
+    def stop(self) -> bool:
+        """Send StopMove; whether the robot acknowledged it, for which it has `PATIENCE`."""
+        if self._avoid is not None:
+            self._avoid.stop()
+        self.acknowledged = self._sport.stop() == OK
+        self.sent += 1
+        return self.acknowledged
+
+
 AT_ONCE = 4  # StopMove that may wait for their answers
 STARTING = 5.0  # seconds that commands before the first move may take
 LOCKED = 6  # `MODES`: stands with locked joints
@@ -25,35 +68,28 @@ ABLE = (0, 1, 2, 3, 6, 9)  # modes from which it can walk
 
 
 class Go2Body:
-    """A Go2 as the guard sees it; a context manager. `avoid`: it walks around obstacles by itself.
+    """A Go2 as the guard sees it, by its `settings`; a context manager.
 
-    With `armed` False it never has a writer, so it cannot command anything. `aside`: seconds for which a command of
-    somebody else is a fault. Raises `DeviceError`, `MissingExtraError`.
+    One that is not armed never has a writer, so it cannot command anything. Raises `DeviceError`, `MissingExtraError`.
     """
 
-    def __init__(
-        self,
-        domain: int,
-        interface: str | None,
-        *,
-        armed: bool,
-        avoid: bool = False,
-        remote: bool = False,
-        aside: float = 2.0,
-    ) -> None:
+    def __init__(self, settings: Settings) -> None:
         self.body: Body | None = None
         self.mode: int | None = None
         self.acknowledged: int | None = None
         self.problem: str | None = None  # of the last command
         self._lateness = Lateness()
-        self._aside = aside
-        self._link = Link(domain, interface)
+        self._aside = settings.limits.aside
+        self._link = Link(settings.domain, settings.interface)
         # A robot that avoids obstacles may command its own walking.
-        self._others = Others(self._link, ["obstacles_avoid"] if avoid else ["sport", "obstacles_avoid"])
+        self._others = ForeignCommands(
+            self._link, ["obstacles_avoid"] if settings.avoid else ["sport", "obstacles_avoid"]
+        )
         self._state = Go2State(self._link, received=self._received)
-        self._low = Go2Low(self._link) if remote else None
-        self._sport = SportClient(self._link, timeout=PATIENCE) if armed else None
-        self._avoid = AvoidClient(self._link, timeout=STARTING) if armed and avoid else None
+        self._low = Go2Low(self._link) if settings.deadman == "remote" else None
+        self._sport = SportClient(self._link, timeout=PATIENCE) if settings.armed else None
+        avoids = settings.armed and settings.avoid
+        self._avoid = AvoidClient(self._link, timeout=STARTING) if avoids else None
         self._stoppers = ThreadPoolExecutor(AT_ONCE, "StopMove")
         self._stops = 0
 

@@ -10,10 +10,18 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from eagor.robots.safety.faults import Fault, Inputs, faults_of
-from eagor.robots.safety.following import Following, follow
-from eagor.robots.safety.limits import STILL, Limits, Velocity
-from eagor.robots.safety.rhythm import Rhythm, heard
+from eagor.robots.safety.limits import (
+    STILL,
+    Fault,
+    Following,
+    Inputs,
+    Limits,
+    Rhythm,
+    Velocity,
+    faults_of,
+    follow,
+    heard,
+)
 
 __all__ = ["Gate", "Mode", "Output", "State", "Stop"]
 

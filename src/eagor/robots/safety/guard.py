@@ -2,96 +2,48 @@
 
 from __future__ import annotations
 
-import json
-import math
+import itertools
 import os
 import select
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from eagor import errors
 from eagor.errors import DeviceError, EagorError
 from eagor.robots.safety.deadman import Deadman, Terminal, checked_deadman
-from eagor.robots.safety.faults import stamp_of
 from eagor.robots.safety.gate import Mode
-from eagor.robots.safety.limits import Limits, Velocity
-from eagor.robots.safety.lines import LineReader, as_line, cut, write_now
+from eagor.robots.safety.limits import Limits
+from eagor.robots.safety.messages import (
+    REASONS,
+    WORDS,
+    GateClient,
+    GuardState,
+    LineReader,
+    Settings,
+    as_line,
+    cut,
+    write_now,
+)
 
 if TYPE_CHECKING:
-    from eagor.robots.safety.standby import Standby
+    from eagor.robots.safety.body import Standby
 
-__all__ = ["Guard", "GuardState"]
+__all__ = ["Guard"]
 
 STARTING = 20.0  # seconds beyond its patience for the process to start
 ENDING = 6.0  # seconds for it to end: it stops the robot first
 HANGS = 2.0  # seconds without a word from it after which it is given up
 STANDING_IN = 3.0  # seconds for which this process sends StopMove to a robot that acknowledges none
-STATED, WORDS = 5, 150  # faults that are passed on, and bytes of each
 
 
-@dataclass(frozen=True)
-class GuardState:
-    """What the guard did at its last step.
-
-    `time`: ``time.monotonic()``. `sent`: the velocity that was sent, if one was; `would`: the velocity that would have
-    been sent if the guard were armed; `stops`: StopMove sent so far. `faults`: name and words of each fault; `remarks`:
-    other reasons why the robot does not do what is wanted. `roll`, `pitch` (radians), `speed` (m/s), `turn` (rad/s): of
-    the robot, as it says itself; NaN before its first state. `posture`: its mode (`eagor.robots.go2.state.MODES`).
-    """
-
-    time: float
-    mode: Mode
-    sent: Velocity | None = None
-    would: Velocity | None = None
-    stops: int = 0
-    faults: tuple[tuple[str, str], ...] = ()
-    remarks: tuple[str, ...] = ()
-    roll: float = math.nan
-    pitch: float = math.nan
-    speed: float = math.nan
-    turn: float = math.nan
-    posture: int | None = None
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why the robot does not do what is wanted, in words."""
-        return tuple(words for _, words in self.faults) + self.remarks
-
-    @classmethod
-    def from_message(cls, message: dict[str, Any]) -> GuardState:
-        sent, would, body = message["sent"], message["would"], message["body"]
-        more = {} if body is None else dict(zip(("roll", "pitch", "speed", "turn"), body[1:], strict=True))
-        return cls(
-            message["time"], Mode(message["mode"]),
-            None if sent is None else Velocity(*sent), None if would is None else Velocity(*would),
-            message["stops"], tuple((name, words) for name, words in message["faults"]), tuple(message["remarks"]),
-            posture=message["posture"], **more,
-        )  # fmt: skip
-
-
-@dataclass
-class _Said:
-    """All that the parent knows now: every message says all of it, so that none is missed."""
-
-    wanted: tuple[float, float, float] | None = None
-    command: float | None = None
-    image: float | None = None
-    pose: float | None = None
-    belief: float | None = None
-    presence: float | None = None
-    stated: list[str] = field(default_factory=list)
-    emergency: bool = False
-    resets: int = 0
-
-
-class Guard:
+class Guard(GateClient):
     """The only way from a program to a Go2's legs; a context manager, which stops the robot when it is left.
 
     - `armed`: False is a dry run: the guard says what it would do, and never commands.
@@ -103,7 +55,7 @@ class Guard:
     Call `command` and `status` again and again: the robot stands as soon as they are older than the limits. A program
     that hangs, or is killed, leaves a robot that stands. The other way round a thread of the program watches the
     guard's process: if that ends, or says nothing for `Limits.silence`, the thread sends StopMove itself, over a
-    connection that was opened beforehand (`eagor.robots.safety.standby`). If both processes are gone or frozen, nobody
+    connection that was opened beforehand (`eagor.robots.safety.body`). If both processes are gone or frozen, nobody
     sends anything any more; a Go2 then walks on until its last Move expires, which takes 1 to 2 s.
 
     Raises `DeviceError` if there is no robot or no switch.
@@ -125,12 +77,12 @@ class Guard:
         deadman = checked_deadman(deadman, armed, interface)
         if not armed and deadman == "key" and not sys.stdin.isatty():
             deadman = "none"  # a dry run needs no switch
-        self._settings = {
-            "armed": armed, "deadman": deadman, "domain": domain, "interface": interface, "avoid": avoid,
-            "patience": patience, "limits": asdict(self.limits),
-        }  # fmt: skip
-        self._patience, self._watch = patience, watch
-        self._said, self._turn = _Said(), threading.Lock()
+        self._settings = Settings(armed, deadman, domain, interface, avoid, patience, self.limits)
+        self._watch = watch
+        # All that this program knows now: every message says all of it, so that none is missed.
+        self._said: dict[str, Any] = {}
+        self._resets = itertools.count(1)
+        self._turn = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._out = -1
         self._state: GuardState | None = None
@@ -140,17 +92,17 @@ class Guard:
 
     def __enter__(self) -> Self:
         if self.armed:  # a dry run has no voice, not even for StopMove
-            from eagor.robots.safety.standby import Standby
+            from eagor.robots.safety.body import Standby
 
-            known = self._settings
-            self._standby = Standby(known["domain"], known["interface"], avoid=known["avoid"])
-        self._terminal = Terminal() if self._settings["deadman"] == "key" else None
+            settings = self._settings
+            self._standby = Standby(settings.domain, settings.interface, avoid=settings.avoid)
+        self._terminal = Terminal() if self._settings.deadman == "key" else None
         inlet, self._out = os.pipe()
         there, outlet = os.pipe()
         os.set_blocking(inlet, False)
         os.set_blocking(self._out, False)
         os.set_blocking(outlet, False)
-        command = [sys.executable, "-m", "eagor.robots.safety.process", json.dumps(self._settings)]
+        command = [sys.executable, "-m", "eagor.robots.safety.process", self._settings.to_json()]
         try:
             self._process = subprocess.Popen(
                 [*command, str(inlet), str(outlet)], pass_fds=(inlet, outlet), stdin=subprocess.DEVNULL
@@ -160,7 +112,7 @@ class Guard:
             os.close(outlet)
         self._thread = threading.Thread(target=self._listen, args=(there,), name="guard", daemon=True)
         self._thread.start()
-        self._heard.wait(self._patience + STARTING)
+        self._heard.wait(self._settings.patience + STARTING)
         if self._state is None:
             code = self._process.poll()
             code = "it does not answer" if code is None else f"exit code {code}"
@@ -170,7 +122,7 @@ class Guard:
             )
         if self._standby is not None:
             try:
-                self._standby.wait(self._patience)
+                self._standby.wait(self._settings.patience)
             except DeviceError:
                 self.close()
                 raise
@@ -220,55 +172,17 @@ class Guard:
         assert self._process is not None
         return self._process.pid
 
-    def command(self, forward: float, left: float, turn: float) -> None:
-        """The wanted velocity from now on, for `Limits.command_age` seconds: m/s, m/s, rad/s (left is positive)."""
-        with self._turn:
-            self._said.wanted, self._said.command = (forward, left, turn), time.monotonic()
-            self._send()
-
-    def status(
-        self,
-        *,
-        image_age: float | None,
-        pose_age: float | None,
-        belief_age: float | None,
-        presence: float | None,
-        faults: Sequence[str] = (),
-    ) -> None:
-        """What the program knows now; ages in seconds since capture, None or infinite: nothing came yet.
-
-        `faults`: what is wrong, in words; the robot stands while there are any.
-        """
-        now = time.monotonic()
-        with self._turn:
-            said = self._said
-            said.image, said.pose, said.belief = (stamp_of(now, age) for age in (image_age, pose_age, belief_age))
-            said.presence, said.stated = presence, [cut(text, WORDS) for text in faults[:STATED]]
-            self._send()
-
-    def pose(self, age: float) -> None:
-        """A pose that was true `age` seconds ago has come; between two calls of `status`."""
-        with self._turn:
-            self._said.pose = stamp_of(time.monotonic(), age)
-            self._send()
-
     def stop(self) -> None:
         """Stand, until the next `command`."""
-        with self._turn:
-            self._said.wanted = self._said.command = None
-            self._send()
+        self._say(wanted=None, command=None)
 
     def emergency(self) -> None:
         """The emergency stop: nothing but `reset` leads out."""
-        with self._turn:
-            self._said.emergency = True
-            self._send()
+        self._say(emergency=True)
 
     def reset(self) -> None:
         """Release the emergency stop. The robot moves again after `Limits.settle` seconds, if it is commanded."""
-        with self._turn:
-            self._said.emergency, self._said.resets = False, self._said.resets + 1
-            self._send()
+        self._say(emergency=False, resets=next(self._resets))
 
     def close(self) -> None:
         """Stop the robot and end the process. May be called twice."""
@@ -295,15 +209,17 @@ class Guard:
             with standby:
                 pass
 
-    def _send(self) -> None:
-        """Write all that is known. A guard that does not read is one that hangs, which the thread notices."""
-        if self._process is None:
-            raise DeviceError("the guard is not running: use it in a with statement")
-        message = vars(self._said) | {"heartbeat": time.monotonic()}
-        try:
-            write_now(self._out, as_line(message))
-        except BrokenPipeError:
-            raise self._end() from None
+    def _say(self, **news: Any) -> None:
+        """Write all that is known, with these news. A guard that does not read hangs, which the thread notices."""
+        with self._turn:
+            if self._process is None:
+                raise DeviceError("the guard is not running: use it in a with statement")
+            self._said |= news
+            try:
+                stated = [cut(text, WORDS) for text in self._said.get("stated", ())[:REASONS]]
+                write_now(self._out, as_line(self._said | {"stated": stated, "heartbeat": time.monotonic()}))
+            except BrokenPipeError:
+                raise self._end() from None
 
     def _listen(self, there: int) -> None:
         """Take what the process says, in a thread, until it ends; stop the robot while it says nothing."""

@@ -6,68 +6,42 @@ ends by StopMove when it is interrupted, when its parent ends however that happe
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import FrameType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from eagor.errors import EagorError
-from eagor.robots.safety.deadman import EMERGENCY, HOLD, RELEASE, Deadman, HeldKey, Keys
-from eagor.robots.safety.faults import Body, Inputs
+from eagor.robots.safety.deadman import EMERGENCY, HOLD, RELEASE, HeldKey, Keys
 from eagor.robots.safety.gate import Gate, Mode, Output, State, Stop
-from eagor.robots.safety.limits import Limits, Velocity
-from eagor.robots.safety.lines import LineReader, as_line, cut, read_now, write_now
+from eagor.robots.safety.limits import Inputs
+from eagor.robots.safety.messages import (
+    GuardState,
+    LineReader,
+    Settings,
+    as_line,
+    cut,
+    inputs_from,
+    read_now,
+    write_now,
+)
 
-__all__ = ["Robot", "Settings", "Watch", "main"]
+if TYPE_CHECKING:
+    from eagor.robots.safety.body import Go2Body
+
+__all__ = ["Watch", "main"]
 
 ENDING = 3.0  # seconds that the last stop may take
 REMOTE_HOLD, REMOTE_EMERGENCY, REMOTE_RELEASE = "L1", "B", "start"
-WORDS = 150  # bytes of a reason that are passed on
-REASONS = 5  # faults, and as many remarks, that are passed on
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the process is told when it starts."""
-
-    armed: bool = False
-    deadman: Deadman = "none"
-    domain: int = 0
-    interface: str | None = None
-    avoid: bool = False
-    patience: float = 10.0  # seconds for the robot to be heard at first
-    limits: Limits = field(default_factory=Limits)
-
-    @classmethod
-    def from_json(cls, text: str) -> Settings:
-        known = json.loads(text)
-        limits = known.pop("limits")
-        return cls(**known, limits=Limits(**(limits | {"calm_codes": tuple(limits["calm_codes"])})))
-
-
-class Robot(Protocol):
-    """What the process needs of a robot: `eagor.robots.safety.body.Go2Body`, or a test's."""
-
-    body: Body | None
-    mode: int | None
-    acknowledged: int | None
-    problem: str | None
-
-    def move(self, wanted: Velocity) -> None: ...
-    def stop(self, number: int) -> None: ...
-    def faults(self) -> tuple[str, ...]: ...
-    @property
-    def pressed(self) -> frozenset[str] | None: ...
 
 
 class Watch:
     """One step after another: what the parent says and the robot's state go into the gate, its output to the robot."""
 
-    def __init__(self, settings: Settings, robot: Robot, keys: Keys | None = None) -> None:
+    def __init__(self, settings: Settings, robot: Go2Body, keys: Keys | None = None) -> None:
         self.settings, self.robot, self._keys = settings, robot, keys
         self.gate, self.state = Gate(settings.limits, settings.armed, obeys=not settings.avoid), State()
         self.ending: str | None = None  # why it ends
@@ -128,35 +102,9 @@ class Watch:
 
     def report(self, now: float, output: Output) -> dict[str, Any]:
         """What the parent is told about this step."""
-        would, body = output.would, self.robot.body
-        return {
-            "time": now,
-            "mode": output.mode,
-            "sent": None if not isinstance(output.send, Velocity) else output.send.parts,
-            "would": None if not isinstance(would, Velocity) else would.parts,
-            "stops": self.state.stops if self.settings.armed else 0,
-            "faults": [(fault.name, cut(fault.words, WORDS)) for fault in output.faults[:REASONS]],
-            "remarks": [cut(text, WORDS) for text in (*output.remarks, self.robot.problem or "")[:REASONS] if text],
-            "body": None if body is None else (body.stamp, body.roll, body.pitch, body.speed, body.turn),
-            "posture": self.robot.mode,
-        }
-
-
-def inputs_from(said: dict[str, Any]) -> Inputs:
-    """The parent's share of the inputs. What has another type than it should counts as not a number."""
-    try:
-        wanted = None if said.get("wanted") is None else Velocity(*map(float, said["wanted"]))
-        stated = tuple(str(text) for text in said.get("stated", ()))
-        command, image, pose, belief, presence, heartbeat = (
-            None if said.get(name) is None else float(said[name])
-            for name in ("command", "image", "pose", "belief", "presence", "heartbeat")
-        )
-    except (TypeError, ValueError):
-        return Inputs(stated=("what the program that steers says cannot be read",))
-    return Inputs(
-        wanted, command, image, pose, belief, presence, heartbeat,
-        stated=stated, emergency=bool(said.get("emergency", False)),
-    )  # fmt: skip
+        robot, stops = self.robot, self.state.stops if self.settings.armed else 0
+        state = GuardState.of(now, output, robot.body, stops=stops, posture=robot.mode, problem=robot.problem)
+        return state.as_message()
 
 
 def main(arguments: list[str]) -> int:
@@ -174,16 +122,7 @@ def main(arguments: list[str]) -> int:
             keys = stack.enter_context(Keys()) if settings.deadman == "key" else None
             from eagor.robots.safety.body import Go2Body
 
-            robot = stack.enter_context(
-                Go2Body(
-                    settings.domain,
-                    settings.interface,
-                    armed=settings.armed,
-                    avoid=settings.avoid,
-                    remote=settings.deadman == "remote",
-                    aside=settings.limits.aside,
-                )
-            )
+            robot = stack.enter_context(Go2Body(settings))
             robot.start(settings.patience)
             _watch(Watch(settings, robot, keys), inlet, outlet, told)
     except EagorError as error:

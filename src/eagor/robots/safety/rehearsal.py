@@ -15,13 +15,11 @@ from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import DeviceError
 from eagor.media.bags.messages import TEXT
-from eagor.robots.dds import Link
-from eagor.robots.dds.settings import free_domain
+from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.house import House, Thing
 from eagor.robots.go2.sim import SimSettings
-from eagor.robots.go2.sim_live import TRUTH_THINGS
+from eagor.robots.go2.sim_live import TRUTH, TRUTH_THINGS
 from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
-from eagor.robots.go2.sim_server import TRUTH
 
 __all__ = ["CAMERA", "INTERFACE", "Rehearsal", "clear_start"]
 

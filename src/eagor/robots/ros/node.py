@@ -7,6 +7,7 @@ DDS without ROS (`eagor.robots.ros.graph.DdsGraph`), or `rclpy` (the package ``e
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,28 +20,104 @@ import numpy as np
 
 from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
-from eagor.live.answers import Answer, Fault, Part
-from eagor.live.loop import RATE, LiveLoop
-from eagor.live.news import News
-from eagor.media.bags.messages import TEXT
+from eagor.live.events import Answer, Fault, FaultLog, Part
+from eagor.live.loop import RATE, LiveLoop, Watcher
+from eagor.live.sources import LoopClock, already_open
+from eagor.media.bags.messages import CLOCK, TEXT, seconds
 from eagor.media.rigs import Rig
 from eagor.perception import Perception
-from eagor.robots.node.answers import trouble
-from eagor.robots.node.clock import SimClock, Stamps
-from eagor.robots.node.driving import Drive
-from eagor.robots.node.outbox import Outbox
-from eagor.robots.node.queries import after
+from eagor.robots.ros.driving import TwistGate
 from eagor.robots.ros.graph import Graph, GraphReader
 from eagor.robots.ros.odometry import BODY, unnamed
+from eagor.robots.ros.publishing import Outbox, OutgoingAnswer, Stamps, trouble
 from eagor.robots.ros.sources import RosCamera, RosPoses
-from eagor.robots.safety.walking import WalkSettings
+from eagor.robots.safety.walking import Odometer, Steering, WalkSettings
 from eagor.tracking import TrackerConfig
 
-__all__ = ["DIRECTION", "QUERY", "Node", "NodeSettings"]
+__all__ = ["QUERY", "Node", "NodeSettings", "after"]
 
-QUERY, DIRECTION, DIAGNOSTICS = "~/query", "~/direction", "/diagnostics"
+MOST = 16  # queries at a time
+
+
+def after(now: Sequence[str], text: str) -> tuple[str, ...]:
+    """The queries that are followed after a message.
+
+    "red chair" replaces all by one; "red chair; blue ball" by two. "+blue ball" is followed as well, "-blue ball" no
+    longer. An empty text ends them all. At most `MOST` are followed; further ones are left out.
+    """
+    found, fresh = list(now), False
+    for part in (part.strip() for part in re.split(r"[;\n]", text)):
+        word = part.lstrip("+-").strip()
+        if not re.search(r"\w", word):
+            continue
+        if part.startswith("-"):
+            found = [each for each in found if each != word]
+            fresh = True
+            continue
+        if not part.startswith("+") and not fresh:
+            found, fresh = [], True
+        if word not in found:
+            found.append(word)
+    if not text.strip():
+        return ()
+    return tuple(found[:MOST])
+
+
+QUERY = "~/query"
 AGAIN = 2.0  # seconds before sources that are gone are looked for again
 IDLE = 1.0  # seconds between two words of a node that has nothing to do
+
+
+CLOCK_TOPIC = "/clock"
+FIRST = 10.0  # seconds of real time in which the first time has to be told
+WAITING = 0.1  # seconds after which who waits for it looks whether to go on
+
+
+class SimClock(LoopClock):
+    """What ``/clock`` said last, as nodes of ROS with ``use_sim_time`` take it: it stands while a simulation stands.
+
+    `back` is called in a thread, with the seconds, whenever the time goes back: a bag begins again, a simulation was
+    reset. `ended` says whether nobody wants the time any more. Raises `DeviceError` if nobody tells it within `wait`
+    seconds.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        back: Callable[[float], Any],
+        ended: Callable[[], bool] = lambda: False,
+        wait: float | None = None,
+    ) -> None:
+        wait = FIRST if wait is None else wait
+        self._now, self._back = math.nan, back
+        self._told = threading.Event()
+        self._reader = graph.subscribe(CLOCK_TOPIC, CLOCK, self._heard, depth=1)
+        for _ in range(math.ceil(wait / WAITING)):
+            if self._told.wait(WAITING) or ended():
+                return
+        self.close()
+        raise DeviceError(
+            f"nothing came on {CLOCK_TOPIC} within {wait:g} s, and use_sim_time is set: start the simulation, or play "
+            "the bag with --clock; or leave use_sim_time out"
+        )
+
+    def now(self) -> float:
+        return self._now
+
+    def slip(self) -> float:
+        """Nothing sets it but ``/clock`` itself."""
+        return 0.0
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._reader.close()
+
+    def _heard(self, received: Any, _: float) -> None:
+        now = seconds(received.clock)
+        if now < self._now:  # told first: nobody should ask for answers of a time that is gone
+            self._back(self._now - now)
+        self._now = now
+        self._told.set()
 
 
 @dataclass(frozen=True)
@@ -96,7 +173,7 @@ class Node:
     """Answers on a `graph` until `stop` is called.
 
     `perception`: for `LiveLoop`; or `choose`, which names one for the queries that are followed, and may raise
-    `QueryError`. `queries`: what is followed at first; others come on ``~/query`` (`eagor.robots.node.queries`).
+    `QueryError`. `queries`: what is followed at first; others come on ``~/query`` (`eagor.robots.ros.node`).
     `said` is told what goes wrong, in words. Topics: docs/how-to/ros2.md.
     """
 
@@ -121,7 +198,7 @@ class Node:
         self._frame = ""
         self._sim: SimClock | None = None
         self._rewound = ""  # what is to be said of a clock that went back
-        self._told = News()
+        self._told = FaultLog()
         self.answers = 0
 
     def run(self) -> None:
@@ -226,15 +303,20 @@ class Node:
         camera = self._camera()
         self._frame = s.camera or camera.frame
         loop: LiveLoop
-        drive, stamps = None, Stamps()
+        stamps = Stamps()
+        watchers: list[Watcher] = [stamps]
+        gate: TwistGate | None = None
+        steering: Steering | None = None
         try:
             poses = self._first_poses()
             if s.cmd_vel is not None:
-                drive = Drive.on(self.graph, s.cmd_vel, self._mount, s.walking, lambda: loop.clock.now())
+                gate = TwistGate(self.graph, s.cmd_vel, self._mount)
+                odometer = Odometer(gate, lambda: loop.clock.now())
+                steering = Steering(gate, odometer, s.walking, lambda: loop.clock.now())
+                watchers += [odometer, gate]
             loop = LiveLoop(
-                _Again(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
-                patience=s.patience, record=self._record(), clock=self._sim,
-                watchers=(stamps, *(() if drive is None else (drive.odometer, drive.gate))),
+                already_open(camera, self._camera), spec, queries, poses=poses, config=s.config, rate=s.rate,
+                patience=s.patience, record=self._record(), clock=self._sim, watchers=watchers,
             )  # fmt: skip
         except BaseException:
             camera.close()
@@ -247,8 +329,8 @@ class Node:
                 else:
                     loop.stop()
         try:
-            with nullcontext() if drive is None else drive.gate:
-                loop.run(lambda answer: self._answered(answer, loop, outbox, drive, stamps))
+            with gate or nullcontext():
+                loop.run(lambda answer: self._answered(answer, loop, outbox, steering, stamps))
         finally:
             with self._news:
                 self._loop = None
@@ -285,11 +367,13 @@ class Node:
         if self.settings.poses != "odom":
             return self.settings.poses
         try:
-            return _Again(self._odometry(), self._odometry)
+            return already_open(self._odometry(), self._odometry)
         except DeviceError as error:
             raise DeviceError(f"{error}. Without odometry: --poses auto takes turns from the pictures") from error
 
-    def _answered(self, answer: Answer, loop: LiveLoop, outbox: Outbox, drive: Drive | None, stamps: Stamps) -> None:
+    def _answered(
+        self, answer: Answer, loop: LiveLoop, outbox: Outbox, steering: Steering | None, stamps: Stamps
+    ) -> None:
         queries = loop.core.queries
         self.answers += 1
         self._say_faults(answer)
@@ -303,10 +387,11 @@ class Node:
         }  # fmt: skip
         if self._poses is not None:
             told["between_poses_deg"] = f"{math.degrees(between):.2f}"
-        if drive is not None and number == 0:
-            step = drive.answered(answer, mount)
+        if steering is not None and number == 0:
+            step = steering.step(answer, mount)
             told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}
-        outbox.put(told_of, answer.stamp, number, len(queries), mount, self._frame or self.settings.body, told)
+        camera = self._frame or self.settings.body
+        outbox.put(OutgoingAnswer(told_of, answer.stamp, number, len(queries), mount, camera, told))
 
     def _mount(self, stamp: float) -> np.ndarray:
         """body_R_camera."""
@@ -335,14 +420,3 @@ class Node:
         if self._told.worth(Fault(part, text, self._now()), time.monotonic()):
             self._said(text)
         outbox.say(trouble(self._now(), text))
-
-
-class _Again:
-    """Opens a source: the first time, the one that is open already."""
-
-    def __init__(self, source: Any, opens: Callable[[], Any]) -> None:
-        self._source, self._opens = source, opens
-
-    def __call__(self) -> Any:
-        source, self._source = self._source, None
-        return self._opens() if source is None else source

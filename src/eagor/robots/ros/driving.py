@@ -12,36 +12,31 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.answers import Answer
-from eagor.live.events import Event, PoseCame
+from eagor.live.events import Answer, Event, PoseCame
 from eagor.media.bags.messages import message, vector
 from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph
-from eagor.robots.safety.faults import Body, Inputs, stamp_of
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
-from eagor.robots.safety.guard import GuardState
-from eagor.robots.safety.limits import STILL, Limits, Velocity
-from eagor.robots.safety.steering import Odometer, Steering, Step
-from eagor.robots.safety.walking import WalkSettings
+from eagor.robots.safety.limits import STILL, Body, Limits, Velocity
+from eagor.robots.safety.messages import GateClient, GuardState, inputs_from
 from eagor.sphere import heading
 
-__all__ = ["BASE", "TWIST", "Drive", "TwistGate"]
+__all__ = ["BASE", "TWIST", "TwistGate", "body_of"]
 
 TWIST = "geometry_msgs/msg/Twist"
-BASE = Limits(
-    state_age=0.5, pose_age=0.5, silence=0.5
-)  # odometry of bases comes 10 to 50 times a second, over Wi-Fi late
+# Odometry of bases comes 10 to 50 times a second, over Wi-Fi late.
+BASE = Limits(state_age=0.5, pose_age=0.5, silence=0.5)
 SPAN = 0.2  # seconds of odometry from which the base's speed is read
 
 
-class TwistGate:
-    """The gate in front of a Twist topic: what a guard is to a Go2 (`Guarding`). A context manager.
+class TwistGate(GateClient):
+    """The gate in front of a Twist topic: what a guard is to a Go2. A context manager.
 
     It is a watcher of the live loop, too, whose poses tell how the base moves. `mount(stamp)` gives `body_R_camera`.
     While the gate stands it sends nothing, so that others may drive; at a fault it sends zeros until the odometry says
@@ -53,7 +48,8 @@ class TwistGate:
         self._writer = graph.publish(topic, TWIST, reliable=True, depth=1)
         self._mount = mount
         self._turn = threading.Lock()
-        self._state, self._inputs = State(), Inputs()
+        self._state, self._said = State(), dict[str, Any]()
+        self._body: Body | None = None
         self._poses: deque[tuple[float, Pose]] = deque()
         self._guard = GuardState(time.monotonic(), Mode.STANDING)
         self._over = threading.Event()
@@ -80,32 +76,11 @@ class TwistGate:
 
     @property
     def state(self) -> GuardState:
-        """What the gate did at its last step."""
         return self._guard
 
-    def command(self, forward: float, left: float, turn: float) -> None:
-        """The wanted velocity from now on: m/s, m/s, rad/s (left is positive)."""
-        self._know(wanted=Velocity(forward, left, turn), command=time.monotonic())
-
-    def status(
-        self,
-        *,
-        image_age: float | None,
-        pose_age: float | None,
-        belief_age: float | None,
-        presence: float | None,
-        faults: Sequence[str] = (),
-    ) -> None:
-        """What is known now; ages in seconds since capture, None or infinite: nothing came yet."""
-        now = time.monotonic()
-        self._know(
-            image=stamp_of(now, image_age), pose=stamp_of(now, pose_age), belief=stamp_of(now, belief_age),
-            presence=presence, heartbeat=now, stated=tuple(faults),
-        )  # fmt: skip
-
-    def pose(self, age: float) -> None:
-        """A pose came, `age` seconds ago."""
-        self._know(pose=time.monotonic() - age)
+    def _say(self, **news: Any) -> None:
+        with self._turn:
+            self._said |= news
 
     # --- what the loop tells ---
 
@@ -116,36 +91,23 @@ class TwistGate:
             self._poses.append((now, event.pose))
             while len(self._poses) > 2 and event.pose.stamp - self._poses[1][1].stamp >= SPAN:
                 self._poses.popleft()
-            self._know(body=body_of(self._poses[0][1], event.pose, self._mount(event.pose.stamp), now))
+            body = body_of(self._poses[0][1], event.pose, self._mount(event.pose.stamp), now)
+            with self._turn:
+                self._body = body
 
     # --- the thread ---
-
-    def _know(self, **changes: Any) -> None:
-        with self._turn:
-            self._inputs = replace(self._inputs, **changes)
 
     def _serve(self) -> None:
         while not self._over.wait(self.gate.limits.period):
             now = time.monotonic()
             with self._turn:
-                inputs = self._inputs
+                inputs, body = inputs_from(self._said), self._body
             # Nobody acknowledges a Twist: the odometry alone says that the base stands.
-            self._state, output = self.gate.step(self._state, now, replace(inputs, acknowledged=self._state.stops))
+            inputs = replace(inputs, body=body, acknowledged=self._state.stops)
+            self._state, output = self.gate.step(self._state, now, inputs)
             if output.send is not None:
                 self._send(STILL if isinstance(output.send, Stop) else output.send)
-            seen = inputs.body or Body(now, math.nan, math.nan, math.nan, math.nan)
-            self._guard = GuardState(
-                now,
-                output.mode,
-                output.send if isinstance(output.send, Velocity) else None,
-                stops=self._state.stops,
-                faults=tuple((fault.name, fault.words) for fault in output.faults),
-                remarks=output.remarks,
-                roll=seen.roll,
-                pitch=seen.pitch,
-                speed=seen.speed,
-                turn=seen.turn,
-            )
+            self._guard = GuardState.of(now, output, body, stops=self._state.stops)
 
     def _send(self, velocity: Velocity) -> None:
         twist = message(
@@ -153,29 +115,6 @@ class TwistGate:
         )
         with suppress(EagorError):  # a reader that does not keep up: the next one comes soon
             self._writer.write(twist)
-
-
-@dataclass(eq=False)
-class Drive:
-    """A base that goes to the thing: watchers for a live loop, whose answers about one query go to `answered`."""
-
-    gate: TwistGate
-    odometer: Odometer
-    steering: Steering
-
-    @classmethod
-    def on(
-        cls, graph: Graph, topic: str, mount: Callable[[float], np.ndarray], settings: WalkSettings,
-        now: Callable[[], float],
-    ) -> Drive:  # fmt: skip
-        """A drive that writes to `topic`; `now`: the clock of the loop."""
-        gate = TwistGate(graph, topic, mount)
-        odometer = Odometer(gate, now)
-        return cls(gate, odometer, Steering(gate, odometer, settings, now))
-
-    def answered(self, answer: Answer, body_R_camera: np.ndarray) -> Step:
-        """Go by this answer."""
-        return self.steering.step(answer, body_R_camera)
 
 
 def body_of(before: Pose, pose: Pose, body_R_camera: np.ndarray, now: float) -> Body:

@@ -1,7 +1,12 @@
-"""A process's place on a DDS domain: it writes topics, and reads them in threads of its own."""
+"""DDS, the transport of ROS 2 and of Unitree's robots: topics are written and read without ROS being installed.
+
+A `Link` is a process's place on a domain: it writes topics, and reads them in threads of its own.
+"""
 
 from __future__ import annotations
 
+import random
+import socket
 import threading
 import time
 import warnings
@@ -9,12 +14,73 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Self
 
+from eagor._checks import whole
 from eagor._extras import need
 from eagor.errors import DeviceError
 from eagor.media.bags.ros_types import encoded_type, hash_of, store, topic_name
-from eagor.robots.dds.settings import checked_domain, settings
 
-__all__ = ["Link", "Reader", "Writer"]
+__all__ = ["LAST_DOMAIN", "Link", "Reader", "Writer", "checked_domain", "free_domain"]
+
+LAST_DOMAIN = 232  # above, the ports that the standard derives from the number do not exist (DDSI-RTPS 9.6.1.1)
+PARTICIPANTS = 64  # most processes of one domain on this machine: each has ports of its own
+LOOPBACK = "lo"
+FIRST_PORT, PORTS = 7400, 250  # of domain 0, and per domain (DDSI-RTPS 9.6.1.1)
+LOOKED_AT = 8  # participants of a domain whose ports tell whether it is in use
+FREE = range(1, 120)  # above, ports meet those that the system gives away
+
+# The loopback interface has no multicast, so processes ask each other's ports one by one.
+_LOCAL = f"""<CycloneDDS><Domain Id="any">
+<General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
+<AllowMulticast>false</AllowMulticast></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery>
+</Domain></CycloneDDS>"""
+# Cyclone 0.10, which robots run, finds a newer one on the same machine only by an index (measured).
+_NETWORK = """<CycloneDDS><Domain Id="any">
+<General><Interfaces><NetworkInterface {which} multicast="default"/></Interfaces></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex></Discovery>
+</Domain></CycloneDDS>"""
+
+
+def checked_domain(domain: int) -> int:
+    """The domain's number. Raises `DeviceError` if no such domain can be."""
+    if not whole(domain, 0, LAST_DOMAIN):
+        raise DeviceError(f"DDS domain {domain!r}; wanted a whole number from 0 to {LAST_DOMAIN} (ROS_DOMAIN_ID)")
+    return int(domain)
+
+
+def _domain_xml(interface: str | None) -> str:
+    """Cyclone DDS's XML for a network interface ("eth0"); None lets it choose, "lo" stays on this machine.
+
+    Raises `DeviceError` if there is no such interface.
+    """
+    if interface is None:
+        return _NETWORK.format(which='autodetermine="true"', most=PARTICIPANTS)
+    known = [name for _, name in socket.if_nameindex()]
+    if interface not in known:
+        raise DeviceError(f"there is no network interface {interface!r}; this machine has {', '.join(known)}")
+    return _LOCAL if interface == LOOPBACK else _NETWORK.format(which=f'name="{interface}"', most=PARTICIPANTS)
+
+
+def free_domain() -> int:
+    """A DDS domain on which nobody of this machine listens, chosen at random: others may look for one right now.
+
+    Raises `DeviceError` if there is none.
+    """
+    for domain in random.SystemRandom().sample(FREE, len(FREE)):
+        if all(_is_free(FIRST_PORT + PORTS * domain + 10 + 2 * index) for index in range(LOOKED_AT)):
+            return domain
+    raise DeviceError("every DDS domain of this machine is in use: end some programs that use DDS")
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
 
 BLOCKED = 0.1  # seconds that a reliable writer waits for a reader that does not keep up
 WAIT = 0.2  # seconds after which a reader's thread looks whether it is to end
@@ -284,7 +350,7 @@ def _settle(domain: int, interface: str | None) -> None:
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 
-    xml = settings(interface)
+    xml = _domain_xml(interface)
     with _TURN:
         if domain in _DOMAINS:
             if _DOMAINS[domain][0] != interface:
