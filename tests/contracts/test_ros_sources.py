@@ -14,7 +14,7 @@ import pytest
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
 from eagor.media.bags import messages as m
 from eagor.media.bags.reader import BagWriter
-from eagor.media.cameras import open_camera
+from eagor.media.camera_sources import open_camera
 from eagor.media.frames import Pose, check_camera
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros.graph import DdsGraph

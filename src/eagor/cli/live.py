@@ -34,7 +34,7 @@ from eagor.drawing.words import answer_in_words
 from eagor.live.events import Answer, FaultLog
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.live.sources import GivenPoses, MotionPoses, already_open
-from eagor.media.cameras import open_camera
+from eagor.media.camera_sources import open_camera
 from eagor.media.frames import CameraSource, Pose
 from eagor.perception import is_model, rows_of
 from eagor.robots.poses import GO2, ROS, open_poses

@@ -28,7 +28,7 @@ from eagor.cli.robot_run_options import RobotRun
 from eagor.cli.steps import LEAST_ROWS
 from eagor.errors import DeviceError
 from eagor.live.loop import LiveLoop
-from eagor.media.cameras import open_camera
+from eagor.media.camera_sources import open_camera
 from eagor.media.frames import CameraSource
 from eagor.perception import is_model, rows_of
 from eagor.robots.poses import Go2Poses

@@ -19,7 +19,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger, studies
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
-from eagor.evaluation.study import Told
+from eagor.evaluation.study import LoadedRun
 from eagor.live.recording import Replay
 from eagor.media.bags.reader import is_bag
 from eagor.studio.recordings import recorded, report_of, walked
@@ -116,7 +116,7 @@ def opened(folder: Path) -> dict[str, Any]:
     return episodes_of(studies.read(folder))
 
 
-def episodes_of(run: Told) -> dict[str, Any]:
+def episodes_of(run: LoadedRun) -> dict[str, Any]:
     """The episodes of a bench run, as `opened` gives them."""
     methods = list(run.methods)
     episodes: dict[str, dict[str, Any]] = {}
@@ -176,7 +176,7 @@ def again(folder: Path, key: str | None, advance: Callable[[int], object] = lamb
     return episode_of(studies.read(folder), key, advance)
 
 
-def episode_of(run: Told, key: str | None, advance: Callable[[int], object] = lambda _: None) -> Redrawn:
+def episode_of(run: LoadedRun, key: str | None, advance: Callable[[int], object] = lambda _: None) -> Redrawn:
     """One episode of a bench run, as `again` gives it."""
     if key is None:
         key = episodes_of(run)["episodes"][0]["key"]
