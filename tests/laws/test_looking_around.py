@@ -17,10 +17,8 @@ from eagor.tasks.hstar.agents import EagorAgent
 from eagor.tasks.hstar.camera import View
 from eagor.tasks.hstar.looking import LENS, Look, TruthEye
 from eagor.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
-from eagor.tasks.looks import Chance, Space, apart, turned
-from eagor.tasks.searched_ground import RAYS, SearchedGround
+from eagor.tasks.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
 from eagor.tasks.searcher import Searcher
-from eagor.tasks.situation import Situation
 
 TURN = math.radians(30)
 ROWS, HEIGHT = 64, 1.25
@@ -118,7 +116,7 @@ def situation(yaw=0.0, chance=None, hfov=2 * math.pi):
     azimuths = math.pi - (np.arange(2 * ROWS) + 0.5) * math.pi / ROWS
     seen = np.broadcast_to(apart(azimuths) <= hfov / 2, (ROWS, 2 * ROWS))
     position = np.array([0.0, 0.0, HEIGHT])
-    return Situation(0.0, UNSURE, 1.0, None, position, world_R_body(yaw), below & seen, seen, chance)
+    return SteeringInput(0.0, UNSURE, 1.0, None, position, world_R_body(yaw), below & seen, seen, chance)
 
 
 def hstar_space(looked):

@@ -1,6 +1,6 @@
 """A search on a map from above: the floor that its looks showed, and in which steps nothing was believed yet.
 
-A record holds no looks. They are made again from its poses (`eagor.tasks.looked`).
+A record holds no looks. They are made again from its poses (`eagor.tasks.search_space`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from scipy.ndimage import label, map_coordinates
 from eagor.evaluation.charts import blank, colour_of, finished, style_of
 from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import Record
-from eagor.tasks.floor_seen import CELL, FLOOR, FloorSeen
-from eagor.tasks.looked import looked_along
+from eagor.tasks.floor_map import CELL, FLOOR, FloorMap
+from eagor.tasks.search_space import looked_along
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
@@ -71,7 +71,7 @@ def search_of(place: Place, record: Record, camera: Camera | None) -> Search | N
     return Search(np.array(trace["searching"], dtype=bool), found)
 
 
-def _on_plan(known: FloorSeen, ground: Walkable) -> np.ndarray:
+def _on_plan(known: FloorMap, ground: Walkable) -> np.ndarray:
     """`Search.found`, for the cells of the plan ``(rows, cols)``: smaller ones, between which it goes evenly."""
     rows, cols = np.indices(ground.free.shape)
     points = ground.origin + ground.cell * (np.stack([cols, rows], axis=-1) + 0.5)

@@ -26,9 +26,8 @@ from eagor.errors import WorldError
 from eagor.tasks.actions import answer_space, gymnasium, spaces
 from eagor.tasks.carrier import Carrier, Pose
 from eagor.tasks.episodes import PER_PLACE, Episode, Slot
-from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, load_place, pixels_of
+from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, cut, load_place, pixels_of
 from eagor.tasks.rules import Camera, Disturbances
-from eagor.tasks.views import cut
 from eagor.worlds.ball import Ball, with_ball
 from eagor.worlds.render import Frame
 

@@ -22,14 +22,13 @@ from eagor.tasks import task
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.eyes import Eye, is_privileged, look_around, open_eye, open_for, shared
 from eagor.tasks.listed import Listed, slot_of
-from eagor.tasks.looks import Chance
 from eagor.tasks.methods import BASE, ORACLE, Method, Steers, method_for, told
 from eagor.tasks.place_env import PlaceEnv
+from eagor.tasks.places import in_view, mask_of
 from eagor.tasks.rules import Camera, Disturbances, from_dict
-from eagor.tasks.situation import Situation, along_floor
-from eagor.tasks.steering import seeking, steering_for
+from eagor.tasks.search_space import Chance, SteeringInput, along_floor
+from eagor.tasks.searcher import seeking, steering_for
 from eagor.tasks.task import Played
-from eagor.tasks.views import in_view, mask_of
 
 STANDS = 1e-6  # metres of a step in which the body only turns: no metres at all would call stop
 MASS = 0.9  # of the credible regions whose coverage is measured
@@ -167,7 +166,7 @@ class Player:
             _note_answer(trace, method, direction, directions[-1])
             if watch is not None:
                 watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
-            now = Situation(
+            now = SteeringInput(
                 azimuth=float(azimuth_elevation(direction)[0]),
                 progress=1.0 if method is None or not steering.looks_down else method.progress(),
                 presence=1.0 if method is None or not steering.looks_down else method.presence(),
