@@ -29,8 +29,8 @@ from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.episodes import Slot, slots
-from eagor.tasks.eyes import shared
 from eagor.tasks.methods import told
+from eagor.tasks.models import shared
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 

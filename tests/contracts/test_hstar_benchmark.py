@@ -19,8 +19,8 @@ from PIL import Image
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.perception.endpoint.chat import ServedChat
 from eagor.perception.partial import look_at_view
+from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.tasks import benchmark
-from eagor.tasks.chat import IMAGE, Message, load_chat
 from eagor.tasks.hstar import data, looking
 from eagor.tasks.hstar.agents import VlmAgent
 from eagor.tasks.hstar.bench import HOS, HPS
@@ -32,6 +32,7 @@ from eagor.tasks.hstar.prompts import first_text, system_text
 from eagor.tasks.hstar.rules import window_of
 from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.hstar.words import head_of, phrase_of, tag_of, thing_of
+from eagor.tasks.models import load_chat
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
 

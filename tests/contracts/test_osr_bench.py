@@ -18,8 +18,8 @@ import osr_data
 import pytest
 
 from eagor.errors import EagorError, FormatError
+from eagor.perception.vlm.talk import IMAGE, Message, Said
 from eagor.tasks.benchmark import check_benchmark, load
-from eagor.tasks.chat import IMAGE, Message, Said
 from eagor.tasks.osr.agents import Eagor, Majority, Vlm
 from eagor.tasks.osr.data import SUFFIXES
 from eagor.tasks.osr.data import load as load_scenes

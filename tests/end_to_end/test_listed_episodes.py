@@ -12,8 +12,7 @@ from eagor.cli import main
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.evaluation import ledger, studies
-from eagor.tasks.listed import Listed, listed_slots, slot_of
-from eagor.tasks.listed_episode import plan, way_to_goal
+from eagor.tasks.listed import Listed, listed_slots, plan, slot_of, way_to_goal
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, NavigationRules

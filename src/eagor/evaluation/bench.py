@@ -16,10 +16,9 @@ from eagor.perception import rows_of
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot, slots
-from eagor.tasks.eyes import shared
-from eagor.tasks.fitted import fitted
 from eagor.tasks.listed import listed_slots, scene_files
-from eagor.tasks.methods import NAMES, ORACLE, make_method
+from eagor.tasks.methods import NAMES, ORACLE, fitted, make_method
+from eagor.tasks.models import shared
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
 from eagor.tasks.rules import Camera, Disturbances, as_dict, from_dict
 

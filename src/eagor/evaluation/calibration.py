@@ -30,7 +30,7 @@ from eagor.perception import load, rows_of
 from eagor.sphere import FORWARD
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
-from eagor.tasks.eyes import is_privileged
+from eagor.tasks.models import is_privileged
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict

@@ -14,7 +14,7 @@ from eagor.errors import EagorError
 from eagor.evaluation import ledger
 from eagor.evaluation.inputs import inputs_of
 from eagor.evaluation.units import Book, Told, Unit, WorkError, attempt_unit, load
-from eagor.tasks.eyes import release
+from eagor.tasks.models import release
 
 __all__ = ["Engine", "Outcome", "Unit", "WorkError", "carry_out", "run_units"]
 

@@ -20,9 +20,9 @@ from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 from eagor.tasks import task
 from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.eyes import Eye, is_privileged, look_around, open_eye, open_for, shared
 from eagor.tasks.listed import Listed, slot_of
 from eagor.tasks.methods import BASE, ORACLE, Method, Steers, method_for, told
+from eagor.tasks.models import Eye, is_privileged, look_around, open_eye, open_for, shared
 from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.places import in_view, mask_of
 from eagor.tasks.rules import Camera, Disturbances, from_dict

@@ -15,7 +15,7 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.sphere import world_R_body
 from eagor.tasks.benchmark import Record
-from eagor.tasks.eyes import recalibration
+from eagor.tasks.models import recalibration
 from eagor.tasks.places import Place
 
 

@@ -17,10 +17,9 @@ from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import WorldError
 from eagor.evidence import Evidence
 from eagor.queries import COLOURS
-from eagor.tasks.actions import gymnasium, spaces
-from eagor.tasks.eyes import is_privileged, look_around, open_for
 from eagor.tasks.methods import method_for, told
-from eagor.tasks.place_env import PlaceEnv
+from eagor.tasks.models import is_privileged, look_around, open_for
+from eagor.tasks.place_env import PlaceEnv, gymnasium, spaces
 from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment import CATEGORIES
 

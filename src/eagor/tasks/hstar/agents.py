@@ -18,13 +18,14 @@ from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, Histogr
 from eagor.conventions import hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import looked_at
-from eagor.tasks.chat import Chat, digest
+from eagor.perception.vlm.talk import Chat
 from eagor.tasks.hstar.camera import View
 from eagor.tasks.hstar.data import Episode
 from eagor.tasks.hstar.looking import Eye, Look
 from eagor.tasks.hstar.prompts import Talk
 from eagor.tasks.hstar.rules import Action, window_of
 from eagor.tasks.hstar.search import Answer, Search, SearchRules
+from eagor.tasks.models import digest
 from eagor.tasks.published import luck
 from eagor.tasks.searcher import Searcher
 

@@ -11,7 +11,6 @@ from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
-from eagor.tasks.chat import shared_chat
 from eagor.tasks.hstar import data as files
 from eagor.tasks.hstar import lmms
 from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
@@ -22,6 +21,7 @@ from eagor.tasks.hstar.play import CAUSES, judged
 from eagor.tasks.hstar.prompts import WINDOW
 from eagor.tasks.hstar.rules import FARTHEST_ANSWER, FORMS, MAX_TURNS, SCORINGS, checked_scoring, parse_action
 from eagor.tasks.hstar.search import SearchRules
+from eagor.tasks.models import shared_chat
 from eagor.tasks.published import finished
 
 OPTIONS = {

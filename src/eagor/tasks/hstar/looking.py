@@ -20,10 +20,10 @@ from eagor.perception.noise import Noise
 from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Report, displaced, drawn
 from eagor.sphere import world_R_body
-from eagor.tasks.eyes import shared
 from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view, without_cross
 from eagor.tasks.hstar.data import Episode, open_panorama
 from eagor.tasks.hstar.words import head_of, phrase_of, thing_of
+from eagor.tasks.models import shared
 from eagor.tasks.published import luck
 
 # Tuned on development apartments (benchmarks/search.py --fit).

@@ -11,7 +11,6 @@ import numpy as np
 
 from eagor.conventions import direction_from_hstar
 from eagor.sphere import angular_distance
-from eagor.tasks.chat import shared_chat
 from eagor.tasks.hstar.agents import LOOKING, RESPONDS, Agent, VlmAgent, make_agent
 from eagor.tasks.hstar.camera import visible_share
 from eagor.tasks.hstar.data import Episode
@@ -19,6 +18,7 @@ from eagor.tasks.hstar.looking import open_eye, open_perception
 from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Scoring, checked_scoring, submit_succeeds, window_of
 from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.hstar.words import head_of, tag_of
+from eagor.tasks.models import shared_chat
 from eagor.tasks.published import reader
 
 # In order of precedence: the first that applies is the cause.

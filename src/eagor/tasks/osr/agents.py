@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eagor._lazy import lazy
-from eagor.tasks.chat import Chat, Message
+from eagor.perception.vlm.talk import Chat, Message
 from eagor.tasks.osr.data import Question, Scene
 from eagor.tasks.osr.drawing import Drawings, draw, layout_from
 from eagor.tasks.osr.geometry import SURE, Placed, direction_between, nearest, place, place_on_circle

@@ -13,7 +13,7 @@ from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
-from eagor.tasks.chat import shared_chat
+from eagor.tasks.models import shared_chat
 from eagor.tasks.osr import lmms
 from eagor.tasks.osr.agents import AGENTS, LOOKING, Reply
 from eagor.tasks.osr.data import SUFFIXES, Scene, load, load_kept

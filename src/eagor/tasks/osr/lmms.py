@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from eagor.tasks.chat import IMAGE
+from eagor.perception.vlm.talk import IMAGE
 from eagor.tasks.osr.data import Question, load
 from eagor.tasks.osr.prompts import plain_text
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, score

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor.errors import EagorError
-from eagor.tasks.chat import shared_chat
+from eagor.tasks.models import shared_chat
 from eagor.tasks.osr.agents import AGENTS, Agent, Eagor, Majority, Reply, Vlm, constant, oracle, random
 from eagor.tasks.osr.data import Question, Scene, load
 from eagor.tasks.osr.layout import ERRORS, is_tied, products, steps, swapped

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.tasks.chat import IMAGE, Message
+from eagor.perception.vlm.talk import IMAGE, Message
 
 FORMS = ("vanilla", "think")
 
