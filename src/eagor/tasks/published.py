@@ -26,6 +26,8 @@ from eagor.tasks.benchmark import TALKING, Benchmark, Option, Record, read_optio
 from eagor.tasks.models import recalibration, shared_chat
 from eagor.tasks.places import Place
 
+_CALLED = ("doc_to_target", "doc_to_text", "doc_to_visual", "mean", "process_results")
+
 
 @dataclass(frozen=True)
 class Export:
@@ -151,9 +153,6 @@ def save_panorama(place: Place, position: np.ndarray, yaw: float, rows: int, pat
 def any_yaw(rng: np.random.Generator) -> float:
     """A uniform random angle (radians)."""
     return float(rng.uniform(-math.pi, math.pi))
-
-
-_CALLED = ("doc_to_target", "doc_to_text", "doc_to_visual", "mean", "process_results")
 
 
 def write_task(

@@ -59,6 +59,11 @@ _TEXT = re.compile(
     r"""["“”«»]|(?<!\w)'[^']+'|\b(?:sign|says?|saying|labell?ed|logo|number|letters?|word|text|reading|written|named|"""
     r"""called|brand)\b|\d"""
 )
+# Tuned on development apartments (benchmarks/search.py --fit).
+CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
+LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
+NARROWEST = resolved(15)  # radians, standard deviation of truth's reports: what a belief of the default degree holds
+WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
 
 
 def thing_of(task: str) -> str:
@@ -97,13 +102,6 @@ def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) ->
     if any(head_of(str(other["task"])) == head for other in others):
         return "multi_instance"
     return "plain" if head in COMMON or singular(head) in COMMON else "rare"
-
-
-# Tuned on development apartments (benchmarks/search.py --fit).
-CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
-LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
-NARROWEST = resolved(15)  # radians, standard deviation of truth's reports: what a belief of the default degree holds
-WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,6 +48,19 @@ LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
+Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in the world, and whether to stop with it
+# In order of precedence: the first that applies is the cause.
+CAUSES = {
+    "format": "no valid submission: replies could not be read",
+    "budget": "no submission within the turns",
+    "wrong_instance": "submitted another annotated target with the same noun",
+    "stopped_wrongly": "an answer at an earlier turn would have succeeded",
+    "never_in_view": "no part of the target was ever in view",
+    "fusion_error": "some view's strongest response was at the target, the answer was not",
+    "missed": "the target was in view and nothing responded there",
+    "false_detection": "something else responded, or was taken for it",
+}
+NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
 
 
 @dataclass(frozen=True)
@@ -120,9 +133,6 @@ def blind(yaw: float, pitch: float, probability: float = math.nan) -> Agent:
     """Submits one direction immediately."""
     answer = Answer(round(yaw) % 360, round(pitch), probability)
     return lambda view, last: Turn(_submit(answer), answer)
-
-
-Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in the world, and whether to stop with it
 
 
 class SweepAgent:
@@ -256,20 +266,6 @@ def _without_floor(look: Look) -> Evidence:
     floor = float(response[response >= 0].min())
     cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)
     return Evidence.from_response(np.clip(cleared, 0, 1), look.evidence.grid, look.evidence.calibration)
-
-
-# In order of precedence: the first that applies is the cause.
-CAUSES = {
-    "format": "no valid submission: replies could not be read",
-    "budget": "no submission within the turns",
-    "wrong_instance": "submitted another annotated target with the same noun",
-    "stopped_wrongly": "an answer at an earlier turn would have succeeded",
-    "never_in_view": "no part of the target was ever in view",
-    "fusion_error": "some view's strongest response was at the target, the answer was not",
-    "missed": "the target was in view and nothing responded there",
-    "false_detection": "something else responded, or was taken for it",
-}
-NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
 
 
 def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:

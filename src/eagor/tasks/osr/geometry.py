@@ -47,6 +47,7 @@ RECESS = {"window": 0.1}  # metres by which the middle of a thing lies behind th
 # Standard deviation of a range: metres, by what it was taken from, and the share of the range for outlines.
 SPREAD = {"depth": 0.1, "contact": 0.0, "support": 0.15, "wall": 0.05, "height": 0.6, "beyond": 0.4, "guess": 1.5}
 OUTLINE_SPREAD, OUTLINE_SHARE = 0.15, 0.05
+DRAWS = 16  # for each of the four orientations
 
 
 @dataclass(frozen=True)
@@ -270,9 +271,6 @@ def direction_between(P: Placed, O: Sequence[Placed], Q: Sequence[Placed]) -> st
     """The direction of the nearest Q from P facing the nearest O: "Front Left", and so on."""
     facing, asked = (np.subtract(nearest(P, things).xy, P.xy).tolist() for things in (O, Q))
     return named(*products(facing, asked))
-
-
-DRAWS = 16  # for each of the four orientations
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,6 +79,16 @@ _AFTER = {
         f"nothing else, between <answer> and </answer>. It is for questions that ask\n{_RULES}"
     ),
 }
+AGENTS = {
+    "eagor": "bearings from a belief, ranges from floor contacts, and geometry",
+    "vlm": "asks the model, with the map or without it (--set suffix=...)",
+    "constant": "gives the same answer to every question of a kind",
+    "majority": "gives the most frequent right answer of the other scenes",
+    "random": "draws a random answer of the right form",
+    "oracle": "knows the label (the official one, if both are asked for)",
+}
+LOOKING = ("eagor",)
+TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
 
 
 def plain_text(question: str, form: str) -> str:
@@ -94,17 +104,6 @@ def next_text(question: str, form: str) -> str:
 def with_picture(text: str, image: np.ndarray) -> list[Message]:
     """The conversation that shows the panorama with one prompt."""
     return [Message("user", f"{text}\n{IMAGE}", (image,))]
-
-
-AGENTS = {
-    "eagor": "bearings from a belief, ranges from floor contacts, and geometry",
-    "vlm": "asks the model, with the map or without it (--set suffix=...)",
-    "constant": "gives the same answer to every question of a kind",
-    "majority": "gives the most frequent right answer of the other scenes",
-    "random": "draws a random answer of the right form",
-    "oracle": "knows the label (the official one, if both are asked for)",
-}
-LOOKING = ("eagor",)
 
 
 @dataclass(frozen=True)
@@ -324,9 +323,6 @@ def _guess(question: Question) -> str:
     if question.skill == DIRECTION:
         return ("Front Left", "Front Right")[zlib.crc32(question.id.encode()) % 2]
     return question.names[1] if question.skill == DISTANCE and len(question.names) > 1 else "0"
-
-
-TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
 
 
 def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:

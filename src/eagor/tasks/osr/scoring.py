@@ -39,6 +39,11 @@ NO_CANDIDATE = "None of the candidates were found in the picture."
 ERRORS = (NO_POSITION, NOT_UNIQUE, NO_OBJECT, NO_CANDIDATE)
 DIRECTIONS = ("Front", "Back", "Left", "Right", "Front Left", "Front Right", "Back Left", "Back Right")
 _SIDES = {"Left": "Right", "Right": "Left"}
+COUNTING, DISTANCE, DIRECTION, MAP = "object_counting", "relative_distance", "relative_direction", "cognitive_map"
+SKILLS = (COUNTING, DISTANCE, DIRECTION, MAP)
+NEAR = 2.0  # cells: a thing of a map is right if it is at most this far from its place
+FAR = 15.0  # cells: the mean distance of a map without any match
+_HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
 
 
 def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
@@ -158,13 +163,6 @@ def grid_of(layout: Layout, size: int = SIZE) -> Grid:
             if 0 <= row < size and 0 <= column < size:
                 grid[row][column].append(name)
     return grid
-
-
-COUNTING, DISTANCE, DIRECTION, MAP = "object_counting", "relative_distance", "relative_direction", "cognitive_map"
-SKILLS = (COUNTING, DISTANCE, DIRECTION, MAP)
-NEAR = 2.0  # cells: a thing of a map is right if it is at most this far from its place
-FAR = 15.0  # cells: the mean distance of a map without any match
-_HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
 
 
 def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
