@@ -22,8 +22,7 @@ from eagor.worlds.lattice import Lattice
 from eagor.worlds.light import bake, hemisphere, light_of
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
-from eagor.worlds.sky import radiance
-from eagor.worlds.sources import SKY_GAIN
+from eagor.worlds.sources import SKY_GAIN, radiance
 
 SIZE = np.array([5.0, 4.0, 2.6])
 EYE = (2.2, 1.7, 1.4)
