@@ -1,8 +1,8 @@
 """Balls in stored views: the tracking task asks for them, and no apartment holds any.
 
-They are painted as the task paints them (`eagor.worlds.render`), standing on the floor. The stored views have no ranges;
-what hides a ball is read from the picture: a thing whose lowest visible point in the columns of the ball is lower than
-the ball's own foot stands nearer.
+They are painted as the task paints them (`eagor.worlds.render`), standing on the floor. The stored views have no
+ranges; what hides a ball is read from the picture: a thing whose lowest visible point in the columns of the ball is
+lower than the ball's own foot stands nearer.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ from eagor.worlds.sources import (
     leave_through,
     mean_colour,
     portals,
+    sky_radiance,
 )
 
 if TYPE_CHECKING:
