@@ -37,7 +37,6 @@ from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
 __all__ = ["export_glb", "import_glb"]
 
-
 FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
 
 # Words of node names without meaning: of modelling programs, and of places.
