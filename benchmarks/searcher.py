@@ -22,12 +22,12 @@ import numpy as np
 
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
-from eagor.tasks.floor_seen import CELL
+from eagor.tasks.floor_map import CELL
 from eagor.tasks.places import APARTMENT
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.tasks.search_space import SteeringInput
 from eagor.tasks.searcher import Searcher
-from eagor.tasks.situation import Situation
 
 EACH = 5  # episodes in an apartment
 
@@ -42,7 +42,7 @@ def main() -> int:
     largest = [0.0, 0.0]
     plain = Searcher.walk
 
-    def timed(self: Searcher, now: Situation) -> tuple[float, float]:
+    def timed(self: Searcher, now: SteeringInput) -> tuple[float, float]:
         begun = time.process_time()
         found = plain(self, now)
         spent.append(1000 * (time.process_time() - begun))

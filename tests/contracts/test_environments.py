@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 import eagor.tasks
 from eagor.errors import EagorError, WorldError
 from eagor.sphere import angular_distance
-from eagor.tasks import environments, tracking, waypoint
+from eagor.tasks import navigation, tracking, waypoint
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.play import Player
 from eagor.tasks.rules import (
@@ -325,7 +325,7 @@ def test_rules_at_their_bounds_can_be_written_read_and_played(task, rules):
 
 def test_bad_input_says_what_was_wanted():
     with pytest.raises(WorldError, match="render_mode"):
-        environments.MapFreeNavigationEnv(render_mode="human")
+        navigation.MapFreeNavigationEnv(render_mode="human")
     with pytest.raises(WorldError, match="actions"):
         make("navigation", actions="flying")
     env = make("navigation", panorama=None)

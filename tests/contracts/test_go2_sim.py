@@ -28,7 +28,7 @@ from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.sphere import world_R_body
-from eagor.worlds.ball import Ball
+from eagor.worlds.render import Ball
 
 pytestmark = pytest.mark.xdist_group("real time")
 

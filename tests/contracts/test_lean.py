@@ -157,8 +157,8 @@ def test_other_commands_name_their_extra(run, extra, command):
     "call",
     [
         "import eagor.tasks; eagor.tasks.register()",
-        "import eagor.tasks.environments",
-        "from eagor.tasks.simulated import NAVIGATION",
+        "import eagor.tasks.place_env",
+        "from eagor.tasks.navigation import NAVIGATION",
         "from eagor.tasks import task; task.load('waypoint')",
         "from eagor.perception.scout import ScoutPerception; ScoutPerception()",
         "from eagor import worlds; worlds.load('scene.glb')(0)",

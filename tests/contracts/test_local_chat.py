@@ -15,8 +15,7 @@ from eagor.perception.transformers import inputs
 from eagor.perception.transformers.chat import LocalChat, conversation
 from eagor.perception.vlm.families import FAMILIES, nearest_size
 from eagor.perception.vlm.prompts import IMAGE, Message
-from eagor.tasks.chat import load_chat, shared_chat
-from eagor.tasks.eyes import release
+from eagor.tasks.models import load_chat, release, shared_chat
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 families = pytest.mark.parametrize("family", vlm_models.LANGUAGE)

@@ -14,9 +14,8 @@ from eagor.perception.scout import COARSEST, ROWS, ScoutPerception, resized, tri
 from eagor.queries import COLOURS
 from eagor.tasks.places import Place
 from eagor.worlds.apartment import CATEGORIES, generate
-from eagor.worlds.ball import Ball, with_ball
 from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
+from eagor.worlds.render import Ball, Renderer, with_ball
 
 pytest.importorskip("onnxruntime")
 

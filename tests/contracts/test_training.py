@@ -17,7 +17,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorSta
 import eagor.tasks  # noqa: F401 (registers the environments)
 from eagor.errors import EagorError, WorldError
 from eagor.sphere import angular_distance, direction
-from eagor.tasks.actions import AZIMUTHS, ELEVATIONS, answer_from_indices, indices_of_answer
+from eagor.tasks.place_env import AZIMUTHS, ELEVATIONS, answer_from_indices, indices_of_answer
 from eagor.tasks.rules import Disturbances, NavigationRules, TrackingRules, WaypointRules
 from eagor.tasks.training import LEVEL, REACH, WORDS, ForTraining, WithEstimate
 

@@ -13,8 +13,7 @@ from contract_server import ContractServer, Reply
 from eagor.cli import main
 from eagor.evaluation import ledger
 from eagor.perception.transformers import loading
-from eagor.tasks.chat import shared_chat
-from eagor.tasks.eyes import shared
+from eagor.tasks.models import shared, shared_chat
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 SMALL = {"hstar-hos": ("--set", "resolution=36"), "osr": ("--set", "suffix=qa")}  # osr with the map: two turns

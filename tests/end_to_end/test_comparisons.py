@@ -17,7 +17,7 @@ from eagor.cli import main
 from eagor.evaluation import ledger, studies
 from eagor.tasks import play, task
 from eagor.tasks.episodes import slots
-from eagor.tasks.simulated import TRACKING
+from eagor.tasks.tracking import TRACKING
 
 OURS_ALONE = replace(TRACKING, name="mine", title="Mine")  # as a package would bring it
 RULES = {

@@ -8,7 +8,7 @@ from listed_rooms import room
 
 from eagor.cli import main
 from eagor.cli.export import sources_of
-from eagor.tasks.carrier import Carrier
+from eagor.tasks.place_env import Carrier
 from eagor.tasks.rules import Camera, Disturbances
 from eagor.worlds.glb import export_glb, import_glb
 from eagor.worlds.objectnav import read_episodes

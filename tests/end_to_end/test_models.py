@@ -28,7 +28,7 @@ from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.vlm.families import FAMILIES, Checkpoint
 from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
 from eagor.sphere import angular_distance, direction, world_R_body
-from eagor.tasks.eyes import shared
+from eagor.tasks.models import shared
 
 QWEN = "qwen2_5_vl"
 SMALL = "pixels=25088&seam=false"  # 112 x 224 pixels, 32 tokens

@@ -13,14 +13,12 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
-from eagor.tasks.hstar.agents import EagorAgent
 from eagor.tasks.hstar.camera import View
-from eagor.tasks.hstar.looking import LENS, Look, TruthEye
+from eagor.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
+from eagor.tasks.hstar.play import EagorAgent
 from eagor.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
-from eagor.tasks.looks import Chance, Space, apart, turned
-from eagor.tasks.searched_ground import RAYS, SearchedGround
+from eagor.tasks.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
 from eagor.tasks.searcher import Searcher
-from eagor.tasks.situation import Situation
 
 TURN = math.radians(30)
 ROWS, HEIGHT = 64, 1.25
@@ -118,7 +116,7 @@ def situation(yaw=0.0, chance=None, hfov=2 * math.pi):
     azimuths = math.pi - (np.arange(2 * ROWS) + 0.5) * math.pi / ROWS
     seen = np.broadcast_to(apart(azimuths) <= hfov / 2, (ROWS, 2 * ROWS))
     position = np.array([0.0, 0.0, HEIGHT])
-    return Situation(0.0, UNSURE, 1.0, None, position, world_R_body(yaw), below & seen, seen, chance)
+    return SteeringInput(0.0, UNSURE, 1.0, None, position, world_R_body(yaw), below & seen, seen, chance)
 
 
 def hstar_space(looked):
@@ -177,7 +175,9 @@ def test_the_next_views_look_where_nobody_has_looked():
 def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
     """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
     nothing = Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
-    agent = EagorAgent(SimpleNamespace(kind="hos"), lambda view: Look(nothing, view.world_R_view), SearchRules())
+    agent = EagorAgent(
+        SimpleNamespace(kind="hos"), lambda view: ViewEvidence(nothing, view.world_R_view), SearchRules()
+    )
     view, seen = View(17.4, 3.0), set()
     for _ in range(6):
         view = view.after(agent(view, False).action)
@@ -192,7 +192,7 @@ def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_
     """In H*Bench's degrees, yaw to the right: a degree less to turn is worth 1e-5 nats."""
     eye = TruthEye((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
     agent = EagorAgent(
-        SimpleNamespace(kind=kind), lambda view: Look(eye.look(view), view.world_R_view), SearchRules(sure=1.0)
+        SimpleNamespace(kind=kind), lambda view: ViewEvidence(eye.look(view), view.world_R_view), SearchRules(sure=1.0)
     )
     view = View(start, 0.0)
     for _ in range(6):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from eagor import Calibration, DetectorModel, Evidence
 from eagor.grids import ErpGrid
 from eagor.sphere import direction
-from eagor.tasks.looks import LEAST, Chance, information
+from eagor.tasks.search_space import LEAST, Chance, information
 
 GRID = ErpGrid(16, 32)
 

@@ -18,8 +18,7 @@ from eagor.evaluation.charts import STYLES
 from eagor.evaluation.page import DARK, LIGHT
 from eagor.evidence.detector import DetectorModel
 from eagor.sphere import FORWARD, world_R_body
-from eagor.tasks.fitted import FITTED
-from eagor.tasks.methods import EVERY, NAMES, SETTINGS, FilterMethod, TrackerMethod, make_method, tracker_config
+from eagor.tasks.methods import EVERY, FITTED, NAMES, SETTINGS, FilterMethod, TrackerMethod, make_method, tracker_config
 from eagor.tracking.config import TrackerConfig
 
 GRID = PatchGrid(18, 36)

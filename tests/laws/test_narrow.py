@@ -11,12 +11,11 @@ from eagor.cli import main
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.sphere import azimuth_elevation, direction
-from eagor.tasks.environments import MapFreeNavigationEnv
 from eagor.tasks.episodes import Slot
-from eagor.tasks.places import APARTMENT
+from eagor.tasks.navigation import MapFreeNavigationEnv
+from eagor.tasks.places import APARTMENT, in_view, mask_of
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
-from eagor.tasks.views import in_view, mask_of
 
 NARROW = Camera(hfov=100.0)
 

@@ -14,11 +14,11 @@ from eagor.conventions import wxyz_from_rotation
 from eagor.evaluation import scenes
 from eagor.evaluation.studies import write_report
 from eagor.sphere import world_R_body
-from eagor.tasks import looked
-from eagor.tasks.floor_seen import CONTACT, FLOOR, UNKNOWN
+from eagor.tasks import search_space
+from eagor.tasks.floor_map import CONTACT, FLOOR, UNKNOWN
 from eagor.tasks.places import Place
 from eagor.tasks.rules import Camera
-from eagor.worlds.opened import ground_of, view_of
+from eagor.worlds import ground_of, view_of
 
 CAMERA = Camera()
 WALL = thing("wall", (5.0, 0, 0), (5.1, 6, 2.5))  # without a door: nobody sees the room behind it
@@ -71,7 +71,7 @@ def cell(known, xy):
 
 
 def test_the_looks_of_a_record_show_the_floor_again(rooms):
-    known = looked.looked_along(rooms, np.array(poses()), CAMERA)
+    known = search_space.looked_along(rooms, np.array(poses()), CAMERA)
     for xy in [(1.0, 3.0), (4.0, 4.0), (2.0, 5.0)]:
         assert known.state[cell(known, xy)] == FLOOR
         assert known.worth[cell(known, xy)] < 0.1
@@ -87,7 +87,7 @@ def test_heights_are_above_the_floor_wherever_that_is():
         lift = np.array([0, 0, up])
         things = [*shell(5.0, 6.0), thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))]
         place = place_of([thing(each.category, each.low + lift, each.high + lift) for each in things])
-        return looked.looked_along(place, np.array(poses(CAMERA.height + up)), CAMERA)
+        return search_space.looked_along(place, np.array(poses(CAMERA.height + up)), CAMERA)
 
     low, high = lifted(0.0), lifted(2.0)
     assert (low.state == high.state).mean() > 0.99
@@ -95,9 +95,9 @@ def test_heights_are_above_the_floor_wherever_that_is():
 
 
 def test_a_long_way_is_looked_along_in_so_many_places(rooms, monkeypatch):
-    monkeypatch.setattr(looked, "MOST", 3)
+    monkeypatch.setattr(search_space, "MOST", 3)
     way = np.array(poses())
-    known = looked.looked_along(rooms, way, CAMERA)
+    known = search_space.looked_along(rooms, way, CAMERA)
     assert [known.stood[cell(known, pose[:2])] > 0 for pose in way[[0, -1]]] == [True, True]
     assert known.stood.max() < STEPS / 2
 
@@ -120,7 +120,7 @@ def test_a_search_is_shaded_where_it_looked_and_nowhere_else(rooms):
 
 def test_slivers_behind_walls_are_not_shaded(rooms, monkeypatch):
     def with_sliver(*given):
-        known = looked.looked_along(*given)
+        known = search_space.looked_along(*given)
         known.cover(np.array([5.0, 2.0]), np.array([6.0, 4.0]))
         row, col = cell(known, (5.3, 3.0))
         known.state[row : row + 5, col : col + 2] = FLOOR
@@ -192,7 +192,7 @@ def test_where_nobody_can_say_what_was_looked_at_nothing_is_shaded(rooms):
 def test_what_nobody_calls_a_floor_is_shown_as_well(rooms):
     things = [thing("parquet" if t.category == "floor" else t.category, t.low, t.high) for t in shell(9.0, 6.0)]
     bare = place_of([*things, WALL, thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))])
-    ways = [looked.looked_along(place, np.array(poses()), CAMERA) for place in (rooms, bare)]
+    ways = [search_space.looked_along(place, np.array(poses()), CAMERA) for place in (rooms, bare)]
     assert np.mean(ways[0].state != ways[1].state) < 0.02  # the lowest of a wall lies as high as the floor, too
 
 

@@ -9,16 +9,13 @@ from box_scenes import scene_of, shell, thing
 from eagor.errors import WorldError
 from eagor.evidence.detector import DetectorModel
 from eagor.sphere import world_R_body
-from eagor.tasks.approach import Approach
-from eagor.tasks.floor_seen import CELL, CONTACT, FLOOR, UNKNOWN, FloorSeen
-from eagor.tasks.looks import LEAST, Chance
+from eagor.tasks.floor_map import CELL, CONTACT, FLOOR, UNKNOWN, FloorMap
 from eagor.tasks.navigation import undone
-from eagor.tasks.places import Place
+from eagor.tasks.places import Place, in_view
+from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, NavigationRules
-from eagor.tasks.searcher import Searcher
-from eagor.tasks.situation import Situation
-from eagor.tasks.steering import Following, ground_of, seeking, steering_for
-from eagor.tasks.views import in_view
+from eagor.tasks.search_space import LEAST, Chance, SearchedGround, SteeringInput
+from eagor.tasks.searcher import Approach, Searcher, seeking, steering_for
 from eagor.tracking import TrackerConfig
 from eagor.worlds.ground import Ground
 from eagor.worlds.render import Renderer
@@ -48,7 +45,7 @@ class World:
         floor = self.place.floor_in(self.place.ids(position, self.rotation), position, self.rotation)
         seen = in_view(self.camera, len(floor))
         floor = floor if seen is None else floor & seen
-        return Situation(azimuth, progress, presence, distance, position, self.rotation, floor, seen, chance)
+        return SteeringInput(azimuth, progress, presence, distance, position, self.rotation, floor, seen, chance)
 
     def towards(self, goal):
         """The situation of a body that knows where the thing is, and whether it is there."""
@@ -80,7 +77,7 @@ def shown(known, xy):
 @pytest.mark.parametrize(("yaw", "tilt"), [(0.0, 0.0), (2.0, 0.0), (-1.0, 0.05)])
 def test_a_look_shows_floor_walls_and_what_is_hidden(yaw, tilt):
     """The camera may be turned and tilted: the floor is where it is."""
-    world, known = World(TWO_ROOMS, (2.0, 2.0), yaw, tilt), FloorSeen()
+    world, known = World(TWO_ROOMS, (2.0, 2.0), yaw, tilt), FloorMap()
     now = world.situation()
     known.look(now.floor, now.world_R_body, now.position)
     rows, cols = np.nonzero(known.state == FLOOR)
@@ -101,7 +98,7 @@ def test_a_look_shows_floor_walls_and_what_is_hidden(yaw, tilt):
 
 
 def test_the_grid_grows_and_keeps_what_it_knows():
-    known = FloorSeen()
+    known = FloorMap()
     known.cover(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
     known.walked(np.array([0.5, 0.5]), 0.18)
     before = shown(known, (0.5, 0.5))
@@ -199,7 +196,7 @@ class Nearest:
 @pytest.mark.parametrize(("away", "goes_on"), [(1.6, True), (0.6, False)])
 def test_a_place_is_given_up_only_from_close_by(away, goes_on):
     """With nothing between: from 1.6 m the thing may stand beyond reach, from 0.6 m it is not there."""
-    world, ground, approach = World(TWO_ROOMS, (2.0, 2.0)), ground_of(CAMERA), Approach()
+    world, ground, approach = World(TWO_ROOMS, (2.0, 2.0)), SearchedGround.about(CAMERA), Approach()
     target = np.array([2.0 + away, 2.0])
     now = world.towards(target)
     ground.look(now)
@@ -249,7 +246,7 @@ def test_with_a_narrow_camera_the_body_turns_first_and_then_walks():
 
 
 def test_floor_that_the_camera_does_not_show_stays_unknown():
-    world, ground = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), ground_of(NARROW)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), SearchedGround.about(NARROW)
     ground.look(world.situation())
     assert shown(ground.known, (3.5, 3.0)) == FLOOR
     assert shown(ground.known, (0.5, 3.0)) == UNKNOWN
@@ -261,7 +258,7 @@ def test_floor_that_the_camera_does_not_show_stays_unknown():
 
 @pytest.mark.parametrize(("recall", "repeats"), [(0.5, 0.0), (0.4, 0.75), (0.9, 0.5)])
 def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(recall, repeats):
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround.about(CAMERA)
     missed = []
     for _ in range(3):
         ground.look(world.situation(chance=Chance(recall, repeats)))
@@ -272,7 +269,7 @@ def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(recall, 
 
 
 def test_a_look_that_could_not_be_read_had_no_chance():
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround.about(CAMERA)
     ground.look(world.situation(chance=None))
     assert (ground.known.worth == 1).all()
     assert shown(ground.known, (2.6, 3.0)) == FLOOR
@@ -289,7 +286,7 @@ def test_it_searches_both_rooms_whatever_its_looks_can_find(chance):
 
 
 def test_mistakes_that_fade_are_not_repeated_later():
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), ground_of(CAMERA)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround.about(CAMERA)
     for _ in range(2):
         fading = DetectorModel(kept_for=1.0).habits
         ground.look(world.situation(chance=Chance(0.5, 0.9, fading, elapsed=50.0)))
@@ -318,7 +315,7 @@ def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
 
 def test_the_rule_chooses():
     assert isinstance(steering_for(NavigationRules(), Camera()), Searcher)
-    assert isinstance(steering_for(NavigationRules(policy="follow"), Camera()), Following)
+    assert isinstance(steering_for(NavigationRules(policy="follow"), Camera()), Policy)
     with pytest.raises(WorldError, match="follow or search"):
         NavigationRules(policy="wander")
 

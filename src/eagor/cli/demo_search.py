@@ -9,8 +9,8 @@ from eagor.cli import terminal
 from eagor.evaluation.published import OURS, PAPERS
 from eagor.perception import load, rows_of
 from eagor.tasks.episodes import Slot
-from eagor.tasks.eyes import is_privileged
 from eagor.tasks.methods import NAMES, TrackerMethod
+from eagor.tasks.models import is_privileged
 from eagor.tasks.places import APARTMENT
 from eagor.tasks.play import Player, Seen
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict

@@ -58,7 +58,7 @@ def beside_report(run: LoadedRun, out: Path) -> str | None:
     from eagor.perception import is_model
     from eagor.studio.export import built, write
     from eagor.studio.runs import episode_of, episodes_of
-    from eagor.tasks.eyes import release
+    from eagor.tasks.models import release
 
     try:
         if is_model(str(run.settings.get("perception", ""))) or not episodes_of(run)["playable"]:

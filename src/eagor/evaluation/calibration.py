@@ -43,15 +43,15 @@ from eagor.sphere import FORWARD
 from eagor.statistics import bootstrap_interval
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Slot
-from eagor.tasks.eyes import is_privileged
 from eagor.tasks.methods import BASE
+from eagor.tasks.models import is_privileged
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
 from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
-from eagor.worlds.ball import PAINTS
+from eagor.worlds.render import PAINTS
 
 TASKS = ("waypoint", "tracking")
 PER_PLACE = 2  # episodes of each task in an apartment: many apartments tell more than many episodes in one

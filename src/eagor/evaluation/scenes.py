@@ -1,7 +1,7 @@
 """Single episodes to look at, in a world made again: from above, and through the camera at six moments.
 
 The map of a search also has the floor that its looks showed, and in which steps nothing was believed yet. A record
-holds no looks: they are made again from its poses (`eagor.tasks.looked`).
+holds no looks: they are made again from its poses (`eagor.tasks.search_space`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from eagor.errors import WorldError
 from eagor.evaluation.charts import blank, colour_of, finished, look_of, style_of
 from eagor.evaluation.published import OURS, is_rival, ordered
 from eagor.evaluation.samples import Record, played_by
-from eagor.tasks.floor_seen import CELL, FLOOR, FloorSeen
-from eagor.tasks.looked import looked_along
+from eagor.tasks.floor_map import CELL, FLOOR, FloorMap
+from eagor.tasks.search_space import looked_along
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
@@ -85,7 +85,7 @@ def search_of(place: Place, record: Record, camera: Camera | None) -> Search | N
     return Search(np.array(trace["searching"], dtype=bool), found)
 
 
-def _on_plan(known: FloorSeen, ground: Walkable) -> np.ndarray:
+def _on_plan(known: FloorMap, ground: Walkable) -> np.ndarray:
     """`Search.found`, for the cells of the plan ``(rows, cols)``: smaller ones, between which it goes evenly."""
     rows, cols = np.indices(ground.free.shape)
     points = ground.origin + ground.cell * (np.stack([cols, rows], axis=-1) + 0.5)
@@ -308,7 +308,7 @@ def _panorama(place: Place, record: Record, pose: np.ndarray, step: int) -> str:
     ball = (episode.get("balls") or {step: None})[step]
     frame = place.renderer.panorama(pose[:3], turn, ROWS, ids=False, range=ball is not None)
     if ball is not None:
-        from eagor.worlds.ball import Ball, with_ball
+        from eagor.worlds.render import Ball, with_ball
 
         painted = Ball(np.array(ball), float(episode["radius"]), str(episode["colour"]))
         frame = with_ball(frame, pose[:3], turn, painted, len(place.scene.instances))

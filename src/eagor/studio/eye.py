@@ -31,7 +31,7 @@ from eagor.studio.orders import Built, Close, Opened, Panorama, Refused, See, Se
 from eagor.studio.pictures import jpeg
 from eagor.studio.reels import Reel
 from eagor.studio.steps import calibration_of
-from eagor.tasks.eyes import is_privileged
+from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking.config import TrackerConfig
 from eagor.worlds.photograph import Photograph

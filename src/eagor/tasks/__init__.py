@@ -12,9 +12,9 @@ from eagor._extras import need
 __all__ = ["ENVIRONMENTS", "register"]
 
 ENVIRONMENTS = {
-    "Eagor/WaypointFollowing-v0": "WaypointFollowingEnv",
-    "Eagor/MapFreeNavigation-v0": "MapFreeNavigationEnv",
-    "Eagor/TargetTracking-v0": "TargetTrackingEnv",
+    "Eagor/WaypointFollowing-v0": "eagor.tasks.waypoint:WaypointFollowingEnv",
+    "Eagor/MapFreeNavigation-v0": "eagor.tasks.navigation:MapFreeNavigationEnv",
+    "Eagor/TargetTracking-v0": "eagor.tasks.tracking:TargetTrackingEnv",
 }
 
 
@@ -23,9 +23,9 @@ def register() -> None:
     need("a simulated task", "sim", "gymnasium")
     import gymnasium
 
-    for name, kind in ENVIRONMENTS.items():
+    for name, entry_point in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point=f"eagor.tasks.environments:{kind}")
+            gymnasium.register(name, entry_point=entry_point)
 
 
 if find_spec("gymnasium"):  # the published benchmarks in this package do not need it

@@ -14,13 +14,16 @@ import numpy as np
 from eagor import metrics
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
+from eagor.tasks import episode_files
 from eagor.tasks.episodes import Episode, Slot, choose_target, heading_to
+from eagor.tasks.place_env import Actions, PlaceEnv, as_walk, walking_space
 from eagor.tasks.places import Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
-from eagor.tasks.task import Played
+from eagor.tasks.task import COVERAGE, Column, Played, Task
 
 # (visible at the start, winding path), cyclic: two thirds visible, half winding.
 STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
+MOVED = 1e-4  # metres (and 1e-5 of the coordinates): less is no move in habitat-lab's distance to the goal
 ONLY_TURNED = 1e-4  # metres, as poses are rounded
 TRIES = 40  # starts tried per target and stratum
 
@@ -137,3 +140,83 @@ def undone(places: np.ndarray, step: float) -> float:
     apart = np.linalg.norm(places[1:, None] - places[None, :-1], axis=-1)
     earlier = np.arange(len(places) - 1) < np.arange(len(places) - 1)[:, None]
     return float(np.mean(np.any((apart < step / 2) & earlier, axis=1)))
+
+
+class MapFreeNavigationEnv(PlaceEnv):
+    """Reach the target: `rules` set the distance, the number of steps, and whether stop has to be called.
+
+    `actions`: "continuous" (heading, distance) turns the body to the heading and walks; "discrete" are Habitat's stop,
+    forward, left, right. The reward is the geodesic progress of the step in metres, plus 1 on success.
+    """
+
+    task = "navigation"
+
+    def __init__(self, rules: NavigationRules | None = None, actions: Actions = "continuous", **settings: Any) -> None:
+        super().__init__(**settings)
+        self.rules, self.actions = rules or NavigationRules(), actions
+        self.action_space = walking_space(actions, self.camera)
+
+    def plan(self, slot: Slot) -> Episode:
+        return plan(slot, self.camera, self.rules)
+
+    def _start(self) -> None:
+        self._stopped = False
+        self._measured: np.ndarray | None = None
+        self._left = self._distance_to_goal()
+
+    def _distance_to_goal(self) -> float:
+        if self.rules.goal == "footprint":
+            return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
+        # habitat-lab's DistanceToGoal measures anew only where the body has moved.
+        if self._measured is None or not np.allclose(self._measured, self.body.xy, atol=MOVED):
+            self._measured = self.body.xy
+            return float(episode_files.way_to_goal(self.place, self.episode).distance(self.body.xy))
+        return self._left
+
+    def _target(self) -> np.ndarray | None:
+        if not isinstance(self.episode, episode_files.FileEpisode):
+            return super()._target()
+        return min(self.episode.goals, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
+
+    def _measures(self) -> dict[str, Any]:
+        scores = score(self.rules, self.episode.shortest, self._left, self.body.walked, self._stopped)
+        return {"distance_to_goal": self._left, **scores}
+
+    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
+        turn, length, stop = as_walk(action, self.actions, self.camera)
+        before = self._left
+        self._walk(turn, length, self.rules.sliding)
+        self._left = self._distance_to_goal()
+        reached = self._left < self.rules.success_distance
+        self._stopped = (stop and self.rules.stop == "call") or (reached and self.rules.stop == "reach")
+        terminated, truncated = self._stopped, self.body.steps >= self.rules.max_steps and not self._stopped
+        info = self._info()
+        gained = before - self._left if math.isfinite(before) and math.isfinite(self._left) else 0.0
+        return self._observation(), gained + info["success"], terminated, truncated, info
+
+
+NAVIGATION = Task(
+    name="navigation",
+    title="Map-Free Navigation",
+    what="start facing away from the thing, and search and walk until it is reached",
+    environment=MapFreeNavigationEnv,
+    rules=NavigationRules,
+    measure=measure,
+    columns=(
+        Column("sr", "SR", "%", "high", "success", "episodes that end at the target", scale=100.0, share=True),
+        Column("spl", "SPL", "%", "high", "spl", "success weighted by path length", scale=100.0),
+        Column("soft_spl", "SoftSPL", "%", "high", "soft_spl", "progress weighted by path length", scale=100.0),
+        Column("steps", "Steps", "", "low", "steps", "mean number of steps"),
+        Column("undone", "Undone", "%", "low", "undone", "steps that lead back to where the body was", scale=100.0),
+        Column("mae", "MAE", "°", "low", "mae", "mean direction error"),
+        Column(
+            "seam_success", "Seam", "%", "high", "success", "success where the true bearing crossed the seam",
+            scale=100.0, share=True, only_if="seam_crossings",
+        ),
+        COVERAGE,
+    ),
+    headline="sr",
+    strata={"visible": "Target in sight at the start", "way": "Way to the target"},
+    walked=True,
+    listed=episode_files.plan,
+)  # fmt: skip

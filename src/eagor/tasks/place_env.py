@@ -1,4 +1,4 @@
-"""The common base of the environments: a camera in a place, what it sees, and how it walks.
+"""The common base of the environments: a camera in a place, what it sees, how it walks, and how it answers.
 
 Observations (Dict):
 
@@ -12,30 +12,196 @@ Observations (Dict):
 `num_steps`), the ``query``, the ``episode_id`` (``episode`` is left to the statistics of Gymnasium and
 Stable-Baselines3), and two privileged entries that agents must not use: ``instances`` (``ids``, the instance
 in each direction, and at reset ``labels``) and ``truth`` (true pose, direction, distance, visibility).
+
+Actions are flat, a Box or whole numbers:
+
+| actions | walk | walk and answer |
+|---|---|---|
+| "continuous" | heading (radians, left), metres | answer x, y, z (body frame), heading, metres |
+| "discrete" | Habitat's stop, forward, left, right | one of these, and the answer's azimuth and elevation as indices |
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from eagor import conventions
-from eagor.errors import WorldError
-from eagor.tasks.actions import answer_space, gymnasium, spaces
-from eagor.tasks.carrier import Carrier, Pose
+from eagor._extras import how_to_install
+from eagor.errors import MissingExtraError, WorldError
+from eagor.sphere import azimuth_elevation, direction, world_R_body
 from eagor.tasks.episodes import PER_PLACE, Episode, Slot
-from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, load_place, pixels_of
+from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, cut, load_place, pixels_of
 from eagor.tasks.rules import Camera, Disturbances
-from eagor.tasks.views import cut
-from eagor.worlds.ball import Ball, with_ball
-from eagor.worlds.render import Frame
+from eagor.worlds.render import Ball, Frame, with_ball
 
+try:
+    import gymnasium as gymnasium  # for the modules that build on these spaces
+    from gymnasium import spaces
+except ImportError as error:
+    raise MissingExtraError(f"a simulated task needs gymnasium: {how_to_install('sim')}") from error
+
+
+Actions = Literal["continuous", "discrete"]
+STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order
+# Answers as indices: directions 5 degrees apart, so none is farther than 3.6 degrees from one of them.
+AZIMUTHS, ELEVATIONS = 72, 37
+BOBS_PER_SECOND = 2.0
 FAR = 100.0  # metres: ranges in observations are clipped to this
 EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
 POSE_BOUNDS = np.array([EXTENT] * 3 + [1.0] * 4)
 VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, if the rules do not say
+
+
+def answer_space() -> spaces.Box:
+    """A direction ``(3,)`` in the body frame, of any length."""
+    return spaces.Box(-1.0, 1.0, (3,), np.float32)
+
+
+def walking_space(actions: str, camera: Camera) -> spaces.Box | spaces.Discrete:
+    """Habitat's discrete actions, or (heading, distance): radians to the left, and metres up to one step."""
+    if actions == "discrete":
+        return spaces.Discrete(4)
+    if actions == "continuous":
+        low, high = np.array([-math.pi, 0.0], np.float32), np.array([math.pi, camera.step], np.float32)
+        return spaces.Box(low, high, dtype=np.float32)
+    raise WorldError(f"actions = {actions!r}; wanted 'continuous' (heading, distance) or 'discrete' (Habitat's four)")
+
+
+def answering_walk_space(actions: str, camera: Camera) -> spaces.Box | spaces.MultiDiscrete:
+    """Answer and walk in one action: a Box ``(5,)``, or three whole numbers (walk, azimuth, elevation)."""
+    walk, answer = walking_space(actions, camera), answer_space()
+    if isinstance(walk, spaces.Box):
+        low, high = np.concatenate([answer.low, walk.low]), np.concatenate([answer.high, walk.high])
+        return spaces.Box(low, high, dtype=np.float32)
+    return spaces.MultiDiscrete([int(walk.n), AZIMUTHS, ELEVATIONS])
+
+
+def as_walk(action: Any, actions: str, camera: Camera) -> tuple[float, float, bool]:
+    """An action as (turn in radians, metres, stop). (heading, 0) means stop, as the discrete action 0 does."""
+    if actions == "discrete":
+        turn = {LEFT: math.radians(camera.turn), RIGHT: -math.radians(camera.turn)}.get(int(action), 0.0)
+        return turn, camera.step if int(action) == FORWARD else 0.0, int(action) == STOP
+    heading, distance = (float(value) for value in np.asarray(action, dtype=np.float64).reshape(2))
+    if not (math.isfinite(heading) and math.isfinite(distance)):
+        raise WorldError(f"action {action!r}; wanted a finite heading (radians) and distance (metres)")
+    distance = min(max(distance, 0.0), camera.step)
+    return heading, distance, distance == 0.0
+
+
+def as_answer_and_walk(action: Any, actions: str) -> tuple[np.ndarray, Any]:
+    """The answer ``(3,)`` and the walk (for `as_walk`) in an action of `answering_walk_space`.
+
+    Raises `WorldError` for another shape, and for indices that there are not.
+    """
+    size, said = (3, "walk, azimuth, elevation") if actions == "discrete" else (5, "x, y, z, heading, distance")
+    values = None if isinstance(action, dict) else np.asarray(action)
+    if values is None or values.shape != (size,):
+        raise WorldError(f"action {action!r}; wanted {size} numbers ({said})")
+    if actions == "discrete":
+        return answer_from_indices(int(values[1]), int(values[2])), int(values[0])
+    return np.asarray(values[:3], dtype=np.float64), values[3:]
+
+
+def answer_from_indices(azimuth: int, elevation: int) -> np.ndarray:
+    """The direction ``(3,)`` of an answer in whole numbers: azimuth 5 degrees times the first, elevation from -90 on.
+
+    Raises `WorldError` for an index that there is not.
+    """
+    if not (0 <= azimuth < AZIMUTHS and 0 <= elevation < ELEVATIONS):
+        raise WorldError(
+            f"answer ({azimuth}, {elevation}); wanted an azimuth from 0 to {AZIMUTHS - 1} and an elevation from 0 to "
+            f"{ELEVATIONS - 1}"
+        )
+    return direction(2 * math.pi * azimuth / AZIMUTHS, math.pi * (elevation / (ELEVATIONS - 1) - 0.5))
+
+
+def indices_of_answer(answer: np.ndarray) -> tuple[int, int]:
+    """The whole numbers (azimuth, elevation) whose direction is nearest to `answer` ``(3,)`` in both angles."""
+    azimuth, elevation = (float(angle) for angle in azimuth_elevation(np.asarray(answer, dtype=np.float64)))
+    row = round((elevation / math.pi + 0.5) * (ELEVATIONS - 1))
+    return round(azimuth / (2 * math.pi) * AZIMUTHS) % AZIMUTHS, min(max(row, 0), ELEVATIONS - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Camera pose: `position` ``(3,)`` metres, `world_R_body` ``(3, 3)``."""
+
+    position: np.ndarray
+    world_R_body: np.ndarray
+
+    def towards(self, point: np.ndarray) -> tuple[np.ndarray, float]:
+        """Direction ``(3,)`` in the body frame and distance (metres) of a point in the world frame."""
+        offset = self.world_R_body.T @ (np.asarray(point) - self.position)
+        distance = float(np.linalg.norm(offset))
+        return (offset / distance if distance > 0 else np.array([1.0, 0.0, 0.0])), distance
+
+
+@dataclass
+class Carrier:
+    """Moves on the floor along its heading, with bobbing and swaying; `rng` draws the odometry's drift.
+
+    `floor`: the height of the ground under it, metres, which the odometry measures.
+    """
+
+    camera: Camera
+    disturbances: Disturbances
+    rng: np.random.Generator
+    xy: np.ndarray
+    yaw: float
+    floor: float = 0.0
+    steps: int = 0
+    walked: float = 0.0
+    _believed_xy: np.ndarray = field(init=False)
+    _believed_yaw: float = field(init=False)
+    _scale: float = field(init=False)
+    _phase: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._believed_xy, self._believed_yaw = self.xy.copy(), self.yaw
+        self._scale = 1.0 + self.disturbances.scale_drift * float(self.rng.standard_normal())
+        self._phase = float(self.rng.uniform(0, 2 * math.pi))
+
+    @property
+    def stamp(self) -> float:
+        """Seconds since the start."""
+        return self.steps * self.camera.seconds
+
+    def move(self, xy: np.ndarray, yaw: float, floor: float = 0.0) -> None:
+        """One step, to the given place and heading; `floor`: the height of the ground there."""
+        step, turned = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
+        length = float(np.hypot(*step))
+        slip = math.radians(self.disturbances.yaw_drift) * math.sqrt(length) * float(self.rng.standard_normal())
+        # The odometry's measurement: the step in the body frame, with errors in scale and heading.
+        off = self._believed_yaw - self.yaw
+        c, s = math.cos(off), math.sin(off)
+        self._believed_xy = self._believed_xy + self._scale * np.array(
+            [c * step[0] - s * step[1], s * step[0] + c * step[1]]
+        )
+        self._believed_yaw += turned + slip
+        self.walked += math.hypot(length, floor - self.floor)
+        self.xy, self.yaw, self.floor = np.asarray(xy, dtype=np.float64), yaw, floor
+        self.steps += 1
+
+    @property
+    def pose(self) -> Pose:
+        """The true camera pose."""
+        return self._pose(self.xy, self.yaw)
+
+    @property
+    def odometry(self) -> Pose:
+        """The camera pose according to the odometry."""
+        return self._pose(self._believed_xy, self._believed_yaw)
+
+    def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
+        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * self.stamp * 0.93  # 0.93: not in step with panoramas
+        height = self.floor + self.camera.height + self.disturbances.bob * math.sin(phase)
+        sway = math.radians(self.disturbances.sway)
+        turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
+        return Pose(np.array([xy[0], xy[1], height]), turned)
 
 
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):

@@ -1,9 +1,15 @@
-"""Places: a scene with its ground plan and its renderer, cached while in use."""
+"""Places: a scene with its ground plan and its renderer, cached while in use; and what a camera shows of them.
+
+The worlds render panoramas for every camera, so that all perceptions and methods get what they know. Of a camera that
+does not see all around the picture is 4:3, straight ahead: outside of it there is nothing in the panorama, and a look
+says nothing there.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,9 +17,12 @@ import numpy as np
 
 from eagor import worlds
 from eagor._lazy import lazy
-from eagor.grids import ErpGrid
+from eagor.evidence import BodyMask
+from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.queries import COLOURS, Query
-from eagor.worlds.opened import ground_of, view_of
+from eagor.tasks.rules import Camera
+from eagor.worlds import ground_of, view_of
+from eagor.worlds.render import Frame
 from eagor.worlds.scene import STRUCTURE, Scene
 from eagor.worlds.walkable import Walkable, Way
 
@@ -25,6 +34,8 @@ LOOK_ROWS = 64  # of the id panoramas that decide visibility, and that `truth` r
 FLOORS = ("floor", "rug")  # categories that one walks on
 LEVEL = 0.02  # metres: where nothing is called a floor, it is what lies as high as the ground, to within this
 UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # never targets
+SHAPE = 3, 4  # rows and columns of the picture, up to a factor
+MASK_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +132,38 @@ def load_place(world: str, seed: int, radius: float) -> Place:
 def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:
     """The number of pixels of an id image that show one of the targets."""
     return int(sum(np.count_nonzero(ids == target) for target in targets))
+
+
+def in_view(camera: Camera, rows: int) -> np.ndarray | None:
+    """The pixels ``(rows, 2 rows)`` of a panorama in the body frame that the camera shows, bool; None: all of them."""
+    return None if camera.around else _in_view(camera.hfov, rows)
+
+
+def mask_of(camera: Camera) -> BodyMask | None:
+    """What the camera can see, as evidence is covered with it; None: everything."""
+    return None if camera.around else _mask(camera.hfov)
+
+
+def cut(frame: Frame, camera: Camera) -> Frame:
+    """A rendered panorama without what the camera does not show: the mean colour, no range, no thing (-1)."""
+    if camera.around:
+        return frame
+    parts: dict[str, np.ndarray] = {}
+    for name, nothing in (("rgb", None), ("range", math.inf), ("ids", -1)):
+        whole = getattr(frame, name)
+        if whole is None:
+            continue
+        seen = _in_view(camera.hfov, len(whole))
+        parts[name] = whole.copy()
+        parts[name][~seen] = np.rint(whole[seen].mean(axis=0)) if nothing is None else nothing
+    return replace(frame, **parts)
+
+
+@lru_cache(maxsize=8)
+def _in_view(hfov: float, rows: int) -> np.ndarray:
+    return PerspectiveGrid(*SHAPE, math.radians(hfov)).project(ErpGrid(rows, 2 * rows).directions)[2]
+
+
+@lru_cache(maxsize=4)
+def _mask(hfov: float) -> BodyMask:
+    return BodyMask(_in_view(hfov, MASK_ROWS))

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from eagor.tasks.search_space import SteeringInput
+
 SPACING = 0.15  # metres between the nodes of the planning lattice
 TOUCH = 0.07  # a step that falls short by more than this share collided
 STANDOFF, HALF = 0.1, 0.3  # metres from the colliding body to the noted wall, and half of the wall's length
@@ -28,16 +30,25 @@ Node = tuple[int, int]
 
 @dataclass
 class Policy:
-    """Chooses headings for one episode. `step` in metres; `detour`: whether to find ways around obstacles."""
+    """Walks along the estimate, whatever it is worth, for one episode.
+
+    `step` in metres; `detour`: whether to find ways around obstacles. It never searches, and reads no floor.
+    """
 
     step: float
     detour: bool = True
+    searching: bool = False
+    looks_down: bool = False
     # The plan's frame has its origin where the episode began, and its x axis along the body's heading there.
     _start: tuple[np.ndarray, float] | None = None
     _last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
     _walls: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # both ends of each noted wall
     _extra: dict[tuple[Node, Node], float] = field(default_factory=dict)  # metres that walls add to edges
     _visits: dict[Node, float] = field(default_factory=dict)
+
+    def walk(self, now: SteeringInput) -> tuple[float, float]:
+        """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
+        return self.heading(now.azimuth, now.position[:2], now.yaw), self.step
 
     def heading(self, azimuth: float, xy: np.ndarray, yaw: float) -> float:
         """The heading to walk in, radians from straight ahead, in (-pi, pi]; without `detour` just the azimuth.

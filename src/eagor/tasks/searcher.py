@@ -6,31 +6,139 @@ read. A look from another place costs the way there; the best ratio is the next 
 with expected information as in Bourgault et al., 2002).
 
 The body begins to walk to the thing when that is likely to bring it nearer. It goes on although looks miss the thing,
-as long as that may be hidden from here, by the floor that is known.
+as long as that may be hidden from here, by the floor that is known. It comes to the place from another side where it
+stood beside it in vain: a wall may be between. A place around which it has tried all sides is given up. Where it was
+held up too often on the way, nothing is learnt of the place: it searches for as many steps as it has tried, and then,
+if the thing is still believed to be there, it tries again (`Approach`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from eagor.tasks.approach import REACHED, Approach
-from eagor.tasks.floor_seen import FLOOR, FloorSeen
-from eagor.tasks.floor_ways import Ways
-from eagor.tasks.looks import Space, apart, turned
-from eagor.tasks.searched_ground import SearchedGround
-from eagor.tasks.situation import Situation
+from eagor.tasks.floor_map import BESIDE, CELL, CONTACT, FLOOR, NEAR, FloorMap, Ways
+from eagor.tasks.policy import Policy, held_back
+from eagor.tasks.rules import Camera
+from eagor.tasks.search_space import SearchedGround, Space, Steering, SteeringInput, apart, turned
+from eagor.tracking import TrackerConfig
 
+HALF = 0.1  # metres to each side of the way on which it was held up: there it would be, too
+OPEN_SIGHT = 0.5  # of sight that is left: looks that miss the thing then count
+PATIENCE = 30  # times that the body is held up on its way to a place before it gives it up
+REACHED = 0.3  # metres from a goal
+RANGE = 5.0  # metres to a target whose distance is unknown
+ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distance: its logarithm) means the same place
 NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
 WORTH = 0.4  # a goal is given up when it is worth less than this share of what it promised, per metre left
 FACED = 1e-6  # radians
 STANDING = 0.25  # metres that a standing body counts for a step of a turn
 NEARER = 1e-5  # nats per degree: where every turn costs the same, the nearest of looks that tell as much
-
 Where = TypeVar("Where", bound=Space)
+
+
+@dataclass
+class Approach:
+    """Where the thing should be, and what became of going there. For one episode.
+
+    `kept` ``(2,)``: the place, metres, world frame. `tried`: where the body stood beside it, and was not there. `held`:
+    how often the body was held up on its way; `steps`: of the way so far. `given_up`: places ``(2,)`` where the thing
+    should have been, and was not, each with the step from which it is tried again; `clock`: the steps so far.
+    """
+
+    kept: np.ndarray | None = None
+    tried: list[np.ndarray] = field(default_factory=list)
+    held: int = 0
+    steps: int = 0
+    given_up: list[tuple[np.ndarray, float]] = field(default_factory=list)
+    clock: int = 0
+
+    def hides(self, ground: SearchedGround, now: SteeringInput) -> bool:
+        """Whether the thing, if it is where it should be, cannot be seen from here: looks that miss it say nothing."""
+        if self.kept is None or not _agrees(now, self.kept):
+            return False
+        return ground.sight(self.kept) < OPEN_SIGHT
+
+    def target(self, ground: SearchedGround, now: SteeringInput) -> np.ndarray | None:
+        """Where the thing should be ``(2,)``, as believed; None if the body has been there in vain.
+
+        The way to it is kept until the belief moves away from it.
+        """
+        kept = self.kept if self.kept is not None and _agrees(now, self.kept) else None
+        if kept is None:
+            self._begin()
+            kept = now.here + (now.distance if now.distance is not None else _free(ground.known, now)) * now.ahead
+        if self._in_vain(kept) and now.distance is None:
+            kept = now.here + RANGE * now.ahead  # not in front of the next obstacle: behind it
+        self.kept = kept
+        return None if self._in_vain(kept) else kept
+
+    def beside(
+        self, ground: SearchedGround, now: SteeringInput, ways: Ways, target: np.ndarray
+    ) -> tuple[int, int] | None:
+        """The cell from which to come to the target: another one than where the body stood and did not meet it.
+
+        None if there is no other: where the target's distance is not known, or it is close and nothing stands between.
+        """
+        self.steps += 1
+        end = ways.nearest(target, self.tried)
+        if end is not None and float(np.hypot(*(ground.known.centres(np.array(end)) - now.here))) < REACHED:
+            self.tried.append(now.here)
+            close = float(np.hypot(*(target - now.here))) < BESIDE
+            there = now.distance is not None and (not close or ground.sight(target) < OPEN_SIGHT)
+            end = ways.nearest(target, self.tried) if there else None
+        if end is None:
+            self.given_up.append((target, math.inf))
+        elif self.held > PATIENCE:
+            self.given_up.append((target, self.clock + self.steps))
+            self._begin()
+            return None
+        return end
+
+    def _begin(self) -> None:
+        """The way to a place begins, for the first time or anew."""
+        self.tried, self.held, self.steps = [], 0, 0
+
+    def feel(self, known: FloorMap, before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> None:
+        """Learn from a step of a body that meant to move by `meant` ``(2,)``: something stands where it was held up.
+
+        All in metres, world frame; `step`: the length of a whole step.
+        """
+        lost = held_back(before, meant, here, step)
+        if lost is None:
+            return
+        self.held += 1
+        normal = lost / float(np.hypot(*lost))
+        along = np.array([-normal[1], normal[0]])
+        ahead = np.linspace(0.5, 1.2, 3)[:, None, None] * step * normal
+        beside = np.linspace(-HALF, HALF, 3)[None, :, None] * along
+        points = (here + ahead + beside).reshape(-1, 2)
+        known.held_up(points[np.any(known.cells(points) != known.cells(here), axis=1)])
+
+    def _in_vain(self, place: np.ndarray) -> bool:
+        return any(self.clock < until and float(np.hypot(*(place - at))) < NEAR for at, until in self.given_up)
+
+
+def _agrees(now: SteeringInput, place: np.ndarray) -> bool:
+    """Whether what is believed now still means this place ``(2,)``."""
+    to = place - now.here
+    away = float(np.hypot(*to))
+    if now.distance is not None and abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) > FARTHER:
+        return False
+    return float(to @ now.ahead) > math.cos(ALIKE) * away
+
+
+def _free(known: FloorMap, now: SteeringInput) -> float:
+    """Metres to where something stands first towards the estimate, as far as is known; `RANGE` if nothing does."""
+    metres = np.arange(0.3, RANGE, CELL / 2)
+    cells = known.cells(now.here + metres[:, None] * now.ahead)
+    inside = known.inside(cells)
+    cells = np.where(inside[:, None], cells, 0)
+    stands = inside & (known.state[cells[:, 0], cells[:, 1]] == CONTACT)
+    return float(metres[stands.argmax()]) if stands.any() else RANGE
 
 
 @dataclass
@@ -59,7 +167,7 @@ class Searcher(Generic[Where]):
     _approach: Approach = field(default_factory=Approach)
 
     @property
-    def known(self: Searcher[SearchedGround]) -> FloorSeen:
+    def known(self: Searcher[SearchedGround]) -> FloorMap:
         """What looks have shown of the floor."""
         return self.space.known
 
@@ -76,7 +184,7 @@ class Searcher(Generic[Where]):
             self._facing = self._best_here(facing)[0]
         return self._facing
 
-    def walk(self: Searcher[SearchedGround], now: Situation) -> tuple[float, float]:
+    def walk(self: Searcher[SearchedGround], now: SteeringInput) -> tuple[float, float]:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
         ground = self.space
         ground.look(now)
@@ -103,7 +211,7 @@ class Searcher(Generic[Where]):
         self._last = (now.here, metres * np.array([math.cos(aim), math.sin(aim)])) if metres else None
         return turn, metres
 
-    def _believes(self: Searcher[SearchedGround], now: Situation) -> bool:
+    def _believes(self: Searcher[SearchedGround], now: SteeringInput) -> bool:
         """Whether the body goes where the thing should be.
 
         It begins to when the thing is likely there, and goes on while the thing would be there if it is here at all,
@@ -113,7 +221,7 @@ class Searcher(Generic[Where]):
             return True
         return not self.searching and now.progress >= self.handover and self._approach.hides(self.space, now)
 
-    def _search(self: Searcher[SearchedGround], metres: np.ndarray, now: Situation) -> tuple[int, int] | None:
+    def _search(self: Searcher[SearchedGround], metres: np.ndarray, now: SteeringInput) -> tuple[int, int] | None:
         """The cell to go to while nothing is believed: the old goal as long as it is worth it, or the best one.
 
         None: rather turn, to `_facing`.
@@ -175,3 +283,18 @@ class Searcher(Generic[Where]):
     def _costs(self, angles: np.ndarray) -> np.ndarray:
         """Metres that one could walk in the time that it takes to turn by angles (radians)."""
         return np.ceil(angles / self.turn - 1e-9) * (self.step or STANDING)
+
+
+def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
+    """The tracker's configuration for a body that searches: what is out of sight may come into sight at any step."""
+    if getattr(rules, "policy", "follow") == "follow":
+        return tracker
+    return replace(tracker, target_motion=replace(tracker.target_motion, birth=rules.appears))
+
+
+def steering_for(rules: Any, camera: Camera) -> Steering:
+    """The steering that the rules ask for; a task whose rules do not speak of it follows."""
+    if getattr(rules, "policy", "follow") == "follow":
+        return Policy(camera.step, getattr(rules, "detour", True))
+    turn = math.inf if camera.around else math.radians(camera.turn)
+    return Searcher(SearchedGround.about(camera), camera.step, rules.handover, turn)

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 GROUP = "eagor.tasks"
 BUILT_IN = {
-    "waypoint": "eagor.tasks.simulated:WAYPOINT",
-    "navigation": "eagor.tasks.simulated:NAVIGATION",
-    "tracking": "eagor.tasks.simulated:TRACKING",
+    "waypoint": "eagor.tasks.waypoint:WAYPOINT",
+    "navigation": "eagor.tasks.navigation:NAVIGATION",
+    "tracking": "eagor.tasks.tracking:TRACKING",
 }
 
 
@@ -57,6 +57,15 @@ class Column:
         if value is None or (self.only_if and not metrics.get(self.only_if)):
             return None
         return self.scale * float(value)
+
+
+# Of several of the built-in tasks.
+COVERAGE = Column(
+    "coverage", "Coverage", "%", None, "coverage", "share of steps with the truth inside the 90 % region; 90 is right",
+    scale=100.0,
+)  # fmt: skip
+JUMP = "jump of the estimate from step to step that the true motion does not explain"
+CALM = "an estimate that hardly moves hardly jumps: compare the errors, too"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +111,7 @@ class Task:
     - `measure`: the figures of one method in one episode; None where one does not apply. `columns`: of the table;
       `headline`: the key of the most important one; `strata`: keys of `Episode.stratum` to report separately, and
       their titles.
-    - `listed`: makes the episode of a file (`eagor.tasks.listed_episode`) of the slot, the file, the camera and the
+    - `listed`: makes the episode of a file (`eagor.tasks.episode_files`) of the slot, the file, the camera and the
       rules; None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
     - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
       success, spl and mae are among its figures. Otherwise all methods get the same evidence.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -12,18 +13,22 @@ from eagor import metrics
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot
+from eagor.tasks.place_env import AnsweringEnv
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tasks.rules import Camera, TrackingRules
-from eagor.tasks.task import Played
-from eagor.worlds.ball import PAINTS, Ball, with_ball
-from eagor.worlds.render import Frame
-from eagor.worlds.routes import follow_path, stroll
+from eagor.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
+from eagor.worlds.render import PAINTS, Ball, Frame, with_ball
+from eagor.worlds.walkable import follow_path, stroll
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
 RADIUS = (0.2, 0.32)  # metres, range for the balls
 TRIES = 60  # plans tried until one shows the ball often enough; after that, the best of them
 EVERY = 4  # steps between checks whether a plan shows the ball
 _BALL = 1 << 20  # an id that no instance has
+_HOLD = (
+    "a filter with a short memory gives up the old place sooner; ours weighs all past evidence, which keeps hidden "
+    "targets"
+)
 SEEN_PIXELS = 6  # of a 64 x 128 panorama: the ball is in plain view at the start
 
 
@@ -201,3 +206,50 @@ def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         return 2 * np.outer(across, across) - np.eye(3)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     return np.eye(3) + cross + cross @ cross / (1 + cosine)
+
+
+class TargetTrackingEnv(AnsweringEnv):
+    """Name the direction of a ball while it moves, while the camera moves, or after it was away."""
+
+    task = "tracking"
+
+    def __init__(self, rules: TrackingRules | None = None, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.rules = rules or TrackingRules()
+
+    def plan(self, slot: Slot) -> Episode:
+        return plan(slot, self.camera, self.rules)
+
+    def _ball(self) -> Ball | None:
+        place = self.episode.balls[min(self.body.steps, len(self.episode.balls) - 1)]
+        return Ball(np.array(place), self.episode.radius, self.episode.colour) if place is not None else None
+
+    @property
+    def labels(self) -> tuple[Any, ...]:
+        return (*super().labels, BallLabel("ball", self.episode.colour))
+
+    def _target(self) -> np.ndarray | None:
+        ball = self._ball()
+        return None if ball is None else ball.centre
+
+
+TRACKING = Task(
+    name="tracking",
+    title="Target Direction Estimation",
+    what="name the direction of a ball that moves, or is away, or that the camera walks past",
+    environment=TargetTrackingEnv,
+    rules=TrackingRules,
+    measure=measure,
+    columns=(
+        Column("error", "Error", "°", "low", "error", "mean direction error"),
+        Column("tc", "TC", "°/step", "low", "tc", f"{JUMP} (rotation and translation)", why=CALM),
+        Column("time_lost", "Time lost", "%", "low", "time_lost", "share of steps at which the target is lost"),
+        Column(
+            "recovery", "Recovery", "s", "low", "recovery", "from the target's return until it is found again",
+            why=_HOLD,
+        ),
+        COVERAGE,
+    ),
+    headline="error",
+    strata={"scenario": "Scenario"},
+)  # fmt: skip

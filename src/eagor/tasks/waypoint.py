@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,10 +16,11 @@ from eagor import metrics
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot, choose_target
+from eagor.tasks.place_env import AnsweringEnv, answering_walk_space, as_answer_and_walk, as_walk
 from eagor.tasks.places import Place, load_place
 from eagor.tasks.rules import LEGS, Camera, WaypointRules
-from eagor.tasks.task import Played
-from eagor.worlds.routes import follow_path, initial_heading
+from eagor.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
+from eagor.worlds.walkable import follow_path, initial_heading
 
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
 SLACK = 30.0  # degrees by which turns may finally miss their ranges if nothing fits
@@ -188,3 +190,87 @@ def measure(played: Played) -> dict[str, float | None]:
         "mae": metrics.mean_error(errors),
         "coverage": played.coverage,
     }
+
+
+class WaypointFollowingEnv(AnsweringEnv):
+    """Follow a route of four legs and name the direction at each step.
+
+    - ``actions="guided"``: the body is carried along the route, and the action is the answer ``(3,)``.
+    - ``actions="continuous"`` or ``"discrete"``: the agent walks by itself, and the action is a walk and an answer in
+      one: 5 numbers, or 3 whole numbers (`eagor.tasks.place_env`). ``info["waypoint"]`` gives the end of the current
+      leg: heading (radians), distance (metres) and leg. The episode ends at the last one, or after three times the
+      steps of the route.
+    """
+
+    task = "waypoint"
+    reach = 0.3  # metres from a waypoint at which it counts as reached
+
+    def __init__(
+        self,
+        rules: WaypointRules | None = None,
+        actions: Literal["guided", "continuous", "discrete"] = "guided",
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.rules, self.actions = rules or WaypointRules(), actions
+        if actions != "guided":
+            self.action_space = answering_walk_space(actions, self.camera)
+
+    def plan(self, slot: Slot) -> Episode:
+        return plan(slot, self.camera, self.rules)
+
+    def _start(self) -> None:
+        super()._start()
+        legs, route = self.episode.legs, self.episode.route
+        last = [i for i, leg in enumerate(legs) if i + 1 == len(legs) or legs[i + 1] != leg]
+        self._ends = [(legs[i], np.array(route[i][:2])) for i in last]
+        self._leg = 0
+
+    def _measures(self) -> dict[str, Any]:
+        guided = self.actions == "guided"
+        leg = self.episode.legs[min(self.body.steps, len(self.episode.legs) - 1)] if guided else None
+        name, end = self._ends[min(self._leg, len(self._ends) - 1)]
+        offset = end - self.body.xy
+        heading = math.remainder(math.atan2(offset[1], offset[0]) - self.body.yaw, 2 * math.pi)
+        ahead = {"heading": heading, "distance": float(np.hypot(*offset)), "leg": leg or name}
+        return {**super()._measures(), "waypoint": ahead}
+
+    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
+        if self.actions == "guided":
+            return super().step(action)
+        answer, walk = as_answer_and_walk(action, self.actions)
+        turn, length, _ = as_walk(walk, self.actions, self.camera)
+        reward = self._judge(answer)
+        self._walk(turn, length, slide=True)
+        while self._leg < len(self._ends) and np.hypot(*(self._ends[self._leg][1] - self.body.xy)) < self.reach:
+            self._leg += 1
+        over = self._leg == len(self._ends)
+        late = self.body.steps >= 3 * len(self.episode.route) and not over
+        return self._observation(), reward, over, late, self._info()
+
+
+WAYPOINT = Task(
+    name="waypoint",
+    title="Waypoint Following",
+    what="name the direction at every step of a given route of four legs",
+    environment=WaypointFollowingEnv,
+    rules=WaypointRules,
+    measure=measure,
+    columns=(
+        Column("L1", "L1", "°", "low", "L1", "mean error on the first leg"),
+        Column("L2", "L2", "°", "low", "L2", "mean error on the second leg"),
+        Column("L3", "L3", "°", "low", "L3", "mean error on the third leg"),
+        Column("L4", "L4", "°", "low", "L4", "mean error on the fourth leg"),
+        Column("delta", "Δ", "°", "low", "delta", "growth of the error, L4 minus L1, mean over the episodes"),
+        Column("occ", "Occ", "°", "low", "occ", "mean error while the target is hidden"),
+        Column("seam", "Seam", "°", "low", "seam", "mean error where the true bearing crosses the seam"),
+        Column("tc", "TC", "°/step", "low", "tc", f"{JUMP} (rotation and translation)", why=CALM),
+        Column(
+            "tc_rotation", "TC, rotation", "°/step", "low", "tc_rotation",
+            f"{JUMP} (rotation alone: parallax counts as a jump, so an estimate that ignores it scores low)",
+            why="it rewards an estimate that ignores parallax: the paper defines it so, we do not optimise it",
+        ),
+        COVERAGE,
+    ),
+    headline="L4",
+)  # fmt: skip

@@ -25,8 +25,7 @@ from eagor.robots.go2.plant import GRAVITY, LIFT, WALKING, Motion, Plant, PlantS
 from eagor.robots.go2.sport import OK, checked_velocity
 from eagor.robots.go2.state import BodyState
 from eagor.robots.go2.wire import SportFields
-from eagor.worlds.ball import Ball, with_ball
-from eagor.worlds.render import Renderer
+from eagor.worlds.render import Ball, Renderer, with_ball
 from eagor.worlds.scene import Scene
 
 __all__ = [

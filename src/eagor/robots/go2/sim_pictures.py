@@ -13,7 +13,7 @@ from eagor._processes import Worker, WorkerEnded
 from eagor.errors import DeviceError, EagorError
 from eagor.media.frames import Pose
 from eagor.robots.go2.sim import CameraSettings
-from eagor.worlds.ball import Ball
+from eagor.worlds.render import Ball
 
 __all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "Moment", "PictureProcess"]
 

@@ -24,7 +24,7 @@ from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
 from eagor.tasks.hstar.camera import HFOV_DEG, View, headings_of, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
-from eagor.tasks.looks import information
+from eagor.tasks.search_space import information
 
 STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)
@@ -104,7 +104,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The state after some looks: an `eagor.tasks.looks.Space`. Immutable: `seen` returns a new one.
+    """The state after some looks: an `eagor.tasks.search_space.Space`. Immutable: `seen` returns a new one.
 
     Per cell of `CELLS`: `shown` is the visible fraction so far, 0 to 1; `stale` the fraction of the next look that
     repeats earlier ones. A look counts for less towards the border of its view, as its evidence does there

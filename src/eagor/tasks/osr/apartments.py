@@ -17,13 +17,21 @@ from pathlib import Path
 import numpy as np
 
 from eagor.sphere import world_R_body
-from eagor.tasks.osr.drawing import layout_from
-from eagor.tasks.osr.geometry import FloorLine
-from eagor.tasks.osr.layout import Layout, count_label, direction_label, distance_label, grid_of
-from eagor.tasks.osr.looking import Body, Room, write_room
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
+from eagor.tasks.osr.geometry import FloorLine, layout_from
+from eagor.tasks.osr.scoring import (
+    COUNTING,
+    DIRECTION,
+    DISTANCE,
+    MAP,
+    Layout,
+    count_label,
+    direction_label,
+    distance_label,
+    grid_of,
+)
+from eagor.tasks.osr.sightings import Body, Room, write_room
 from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.published import any_yaw, save_panorama
+from eagor.tasks.published import save_panorama
 from eagor.tasks.rules import Camera
 from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
@@ -68,7 +76,8 @@ def views(seed: int, height: float = 1.5) -> Iterator[View]:
             spot = _spot(place, room.name, rng)
             if spot is None:
                 break
-            found = _view(place, room.name, spot, height, any_yaw(rng), f"{seed:04d}_{number}")
+            yaw = float(rng.uniform(-math.pi, math.pi))
+            found = _view(place, room.name, spot, height, yaw, f"{seed:04d}_{number}")
             if len(found.counts) >= LEAST:
                 yield found
                 break

@@ -1,15 +1,17 @@
 """Episodes that a file lists: ObjectNav of HM3D or MP3D, or what ``eagor export habitat`` writes.
 
 They are played in Habitat (``--world habitat``), in the scene that the file names below the folder of scenes. In our
-own world only episodes of ours can be played: they say which apartment or exported GLB they were made for.
+own world only episodes of ours can be played: they say which apartment or exported GLB they were made for. `plan` makes
+one ready to be played: where it starts, what counts as reached, how long the shortest way is.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,21 +19,25 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.tasks.episodes import Slot
-from eagor.tasks.places import APARTMENT, SEEDS
+from eagor.sphere import heading, world_R_body
+from eagor.tasks.episodes import Episode, Slot
+from eagor.tasks.places import APARTMENT, SEEDS, Place, load_place, pixels_of
+from eagor.tasks.rules import Camera, NavigationRules
 from eagor.worlds import FILES
-from eagor.worlds.objectnav import SceneEpisodes, read_episodes
-
-__all__ = ["HABITAT", "STOREY", "Listed", "listed_slots", "read_file", "scene_files", "slot_of"]
+from eagor.worlds.objectnav import Episode as ObjectNavEpisode
+from eagor.worlds.objectnav import Goal, SceneEpisodes, check_scene, read_episodes
+from eagor.worlds.scene import Scene
+from eagor.worlds.walkable import Way
 
 HABITAT = "habitat"  # the world in which scenes of others can be played
 _APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
 STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
 _PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
+OFF = 0.5  # metres that a start may lie above or below the ground: meshes float by the height of a voxel, or two
 
 
 @dataclass(frozen=True)
-class Listed(Slot):
+class FileSlot(Slot):
     """An episode of a file: the `episode`-th of its `scene` (the scene_id there)."""
 
     scene: str = ""
@@ -50,10 +56,10 @@ class Listed(Slot):
 
 def slot_of(values: dict[str, Any]) -> Slot:
     """The slot of a unit of work, from JSON."""
-    return Listed(**values) if "scene" in values else Slot(**values)
+    return FileSlot(**values) if "scene" in values else Slot(**values)
 
 
-def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[Listed]:
+def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[FileSlot]:
     """The slots of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
 
     `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). `scenes`: the folder
@@ -81,7 +87,8 @@ def listed_slots(task: str, file: Path | str, count: int | None, world: str, sce
     # One scene after the other, and of a scene one storey after the other: opening one takes seconds.
     chosen.sort(key=lambda turn: (places[turn[1]], homes[turn[1]][turn[0]][0], turn[0]))
     return [
-        Listed(task, *homes[scene][index], index, number, scene, index) for number, (index, scene) in enumerate(chosen)
+        FileSlot(task, *homes[scene][index], index, number, scene, index)
+        for number, (index, scene) in enumerate(chosen)
     ]
 
 
@@ -191,3 +198,112 @@ def _mark(path: Path) -> tuple[str, int, int]:
     except OSError:
         return str(path), 0, 0
     return str(path), found.st_mtime_ns, found.st_size
+
+
+@dataclass(frozen=True, eq=False)
+class FileEpisode(Episode):
+    """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
+
+    `listed`: how long the shortest way is according to the file, and its number there.
+    """
+
+    goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    view_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    listed: dict[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        return super().as_json() | {"slot": asdict(self.slot)}
+
+
+def plan(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> FileEpisode:
+    """The episode of this slot, ready to be played.
+
+    Raises `WorldError` if the scene is another one than the episode was made for, the start is not on free ground, or
+    no way leads from there to a goal.
+    """
+    found = next((each for each in read_file(file) if each.episodes[0].scene == slot.scene), None)
+    if found is None or slot.episode >= len(found.episodes):
+        raise WorldError(f"{file} has no episode {slot.episode} in {slot.scene}; it has changed: start the run anew")
+    episode = found.episodes[slot.episode]
+    name = f"episode {slot.episode} of {slot.scene}"
+    place = load_place(slot.world, slot.seed, camera.radius)
+    if isinstance(place.scene, Scene):
+        check_scene([episode], place.scene, place.ground)
+    zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
+    start = _start(place, episode, name, zero)
+    things, views = _on_this_storey(found.goals[episode.category], float(episode.position[2]))
+    targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
+    if rules.goal == "view_points" and len(views) == 0:
+        raise WorldError(
+            f"{name} has no view points on the storey of its start; --set goal=footprint measures to the thing itself"
+        )
+    if rules.goal == "footprint" and not targets:
+        raise WorldError(f"{name}: {place.scene.source} names no {episode.category}; leave goal at view_points")
+    planned = FileEpisode(
+        slot=slot,
+        scene=place.scene.source,
+        scene_hash=place.scene.hash,
+        query=episode.category,
+        targets=targets,
+        start=(float(start[0]), float(start[1])),
+        yaw=heading(episode.world_R_body),
+        shortest=math.inf,
+        goals=np.array([thing.position for thing in things]) - [0.0, 0.0, zero],
+        view_points=views,
+        listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
+    )
+    way = way_to_goal(place, planned) if rules.goal == "view_points" else place.way_to(targets)
+    shortest = float(way.distance(start))
+    if not math.isfinite(shortest):
+        raise WorldError(
+            f"{name}: no way leads from ({start[0]:.2f}, {start[1]:.2f}) to "
+            f"{'a view point of ' * (rules.goal == 'view_points')}any {episode.category}; leave it out, or use the "
+            "body that it was made for"
+        )
+    ends = views[:, :2] if rules.goal == "view_points" else planned.goals[:, :2]
+    straight = float(np.hypot(*(ends - start).T).min())
+    shown = pixels_of(place.ids(place.eye(start, camera.height), world_R_body(0.0)), targets)
+    kind = {
+        "visible": shown >= rules.visible_pixels,
+        "way": "winding" if shortest > rules.winding_above * straight else "direct",
+        "category": episode.category,
+    }
+    return FileEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
+
+
+def way_to_goal(place: Place, episode: FileEpisode) -> Way:
+    """Geodesic distance to the nearest view point of any goal."""
+    return place.way_to_points(episode.view_points[:, :2])
+
+
+def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> np.ndarray:
+    """The start ``(2,)`` on free ground, which may be a cell away: files of others hold rounded numbers.
+
+    `zero`: the height of our z = 0 in the file.
+    """
+    xy = episode.position[:2]
+    found = place.ground.snap(xy, within=place.ground.cell)
+    if found is None:
+        near = place.ground.snap(xy)
+        away = (
+            "nothing is free there" if near is None else f"the nearest free place is {np.hypot(*(near - xy)):.2f} m off"
+        )
+        raise WorldError(
+            f"{name} starts at ({xy[0]:.2f}, {xy[1]:.2f}), which is not on free ground for a body of radius "
+            f"{place.ground.radius:g} m in {place.scene.source}: {away}. Use the scene and the radius it was made for"
+        )
+    ground = zero + place.ground.height(found)
+    if abs(ground - episode.position[2]) > OFF:
+        raise WorldError(
+            f"{name} starts at the height {episode.position[2]:.2f} m, but the ground there is at {ground:.2f} m in "
+            f"{place.scene.source}: it is on another storey. Choose the world that holds its storey: --world habitat "
+            "does so by itself, habitat:SCENE?storey=HEIGHT by hand"
+        )
+    return found
+
+
+def _on_this_storey(things: Sequence[Goal], height: float) -> tuple[list[Goal], np.ndarray]:
+    """The goals with view points on the storey of this height (all, if none has), and these points ``(n, 3)``."""
+    here = [thing.view_positions[np.abs(thing.view_positions[:, 2] - height) <= STOREY] for thing in things]
+    found = [thing for thing, views in zip(things, here, strict=True) if len(views)]
+    return found or list(things), np.concatenate(here)
