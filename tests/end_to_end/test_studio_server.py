@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from eagor.cli import main
-from eagor.studio.export import built
+from eagor.studio.runs import built
 from eagor.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")

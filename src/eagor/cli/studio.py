@@ -36,7 +36,7 @@ def studio(options: Studio) -> int:
         raise terminal.UsageError(f"--{mistaken[0]} is for --source SOURCE, which is not given")
     need("eagor studio", "studio", "starlette", "uvicorn", "websockets")
     settings = _settings(options)
-    from eagor.studio.running import serve
+    from eagor.studio.server import serve
 
     taken = _listening(options.host, options.port)
     port = taken.getsockname()[1]

@@ -37,7 +37,7 @@ def export(options: Studio) -> int:
         raise terminal.UsageError(f"--out {out} ends in {out.suffix or 'nothing'}; wanted a page, .html")
     checked_out(out)
     need("an exported episode", "sim", "gymnasium", "trimesh")
-    from eagor.studio.export import export as write
+    from eagor.studio.runs import export as write
 
     with terminal.progress("playing the episode again", None) as advance:
         found = write(folder, out, options.episode, options.methods, lambda _: advance())
@@ -56,8 +56,7 @@ def beside_report(run: Told, out: Path) -> str | None:
     would load the model, or ask its server.
     """
     from eagor.perception import is_model
-    from eagor.studio.export import built, write
-    from eagor.studio.runs import episode_of, episodes_of
+    from eagor.studio.runs import built, episode_of, episodes_of, write
     from eagor.tasks.eyes import release
 
     try:

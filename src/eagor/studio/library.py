@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from eagor._processes import leave_ctrl_c, leave_with_parent
 from eagor.errors import EagorError
 from eagor.studio.backends import Backend
-from eagor.studio.kept import weighed
+from eagor.studio.caching import weighed
 from eagor.studio.messages import PageError
 
 if TYPE_CHECKING:

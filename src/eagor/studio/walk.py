@@ -8,14 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from eagor.studio.following import SOONEST, Following
-from eagor.studio.houses import House
-from eagor.studio.orders import Built, Panorama, Refused, See, Seen
-from eagor.studio.rivals import OFFERED, Rivals
-from eagor.studio.session import Opening, Outbox
-from eagor.studio.steps import FLOATS, error_deg, estimate_json, evidence_of, modes_json, stage
-from eagor.studio.walking import Body, Walker
-from eagor.studio.wire import Blob, Message, rounded
+from eagor.studio.houses import Body, House, Walker
+from eagor.studio.messages import Blob, Message, rounded
+from eagor.studio.session import Built, Opening, Outbox, Panorama, Refused, See, Seen
+from eagor.studio.steps import (
+    FLOATS,
+    OFFERED,
+    SOONEST,
+    Following,
+    Rivals,
+    error_deg,
+    estimate_json,
+    evidence_of,
+    modes_json,
+    stage,
+)
 from eagor.tasks.methods import BASE
 from eagor.tasks.rules import NavigationRules
 from eagor.worlds.walkable import Way
