@@ -16,10 +16,10 @@ from typing import Any
 
 from eagor._processes import leave_ctrl_c, leave_with_parent, starting
 from eagor.studio.backends import run
+from eagor.studio.following import SOONEST, warm
 from eagor.studio.messages import Message
 from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.session import Close, Opening, Outbox, Session
-from eagor.studio.steps import SOONEST, warm
 from eagor.studio.walk import WalkSession
 from eagor.tasks.methods import BASE
 

@@ -183,7 +183,7 @@ class Restart(FromPage):
 
 
 _KINDS = {
-    kind.__struct_config__.tag: kind for kind in (Open, Ask, Drive, Camera, Pause, Seek, Degree, Compare, Restart)
+    str(kind.__struct_config__.tag): kind for kind in (Open, Ask, Drive, Camera, Pause, Seek, Degree, Compare, Restart)
 }
 
 

@@ -81,7 +81,7 @@ def redraw(run: Told, case: str, advance: Advance = lambda _: None) -> Redrawn:
     place = load_place(slot.world, slot.seed, player.camera.radius)
     made = player.method(shown, slot)
     assert isinstance(made, TrackerMethod)
-    config = made.tracker.config
+    config = made.config
     found = Redrawn(_scene(run, episode, place, methods, shown, calibration_of(player.perception, config)))
     seen: list[Seen] = []
 

@@ -18,7 +18,7 @@ from eagor.media.frames import Frame, Pose
 from eagor.robots.ros.odometry import BODY, PoseReader
 from eagor.robots.ros.topics import MOTION, PICTURES, TF, TF_STATIC, pick
 
-__all__ = ["BagCamera", "BagPoses", "apart"]
+__all__ = ["BagCamera", "BagPoses", "apart", "bag_odometry"]
 
 
 def apart(rate: float | None) -> float:
@@ -177,3 +177,10 @@ class BagPoses:
             for _, _, _, received in self.bag.messages([TF_STATIC]):
                 reader.transforms(received, True)
         return reader
+
+
+def bag_odometry(bag: Bag, topic: str | None, camera: BagCamera) -> BagPoses | None:
+    """The odometry of a bag, as poses of its camera; None if no topic is named and it has none."""
+    if topic is None and not any(kind in MOTION and name != TF_STATIC for name, kind in bag.topics.items()):
+        return None
+    return BagPoses(bag, topic, camera=camera.frame)
