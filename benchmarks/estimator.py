@@ -179,8 +179,8 @@ class Told(TrackerMethod):
     def see(self, evidence: Evidence) -> None:
         super().see(evidence)
         told = (self.ranges or {}).get(float(evidence.stamp or 0.0))
-        track = self.tracker._tracks["target"]
-        state, moment = self.tracker._take_in(track), track.moments[-1]
+        track = self.follower.tracker._tracks["target"]
+        state, moment = self.follower.tracker._take_in(track), track.moments[-1]
         still = state.hypotheses.standing
         if told is None or moment.stamp != evidence.stamp or not isinstance(still.coarse, RangedBelief):
             return
@@ -242,7 +242,7 @@ def play(recording: Recording, player: Player, variant: str) -> dict[str, Any]:
         recording = replace(recording, moments=moments)
     method: Any = player.method(OURS if variant in READINGS or variant == TOLD else variant, slot)
     if variant == TOLD:
-        method = Told(method.tracker, ranges=ranges_of(recording, player.camera.radius))
+        method = Told(method.follower, ranges=ranges_of(recording, player.camera.radius))
     scored = Scored(method, [])
     judged = player.judge(recording, scored)  # type: ignore[arg-type]
     judged["metrics"]["log"] = float(np.mean(scored.noted)) if scored.noted else None

@@ -13,7 +13,7 @@ from eagor import _extras
 from eagor._extras import how_to_install
 from eagor._parquet import _kind, as_parquet
 from eagor.cli import main
-from eagor.cli.tables import COLUMNS, columns_of, row_of, table
+from eagor.cli.answers import COLUMNS, columns_of, row_of, table
 from eagor.cli.terminal import UsageError
 from eagor.errors import MissingExtraError
 from eagor.perception.replay import write_record

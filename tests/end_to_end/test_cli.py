@@ -1,4 +1,7 @@
-"""The commands as people run them: processes with exit codes, one stream for results and one for everything else."""
+"""The commands as people run them: exit codes, one stream for results and one for everything else.
+
+They run in this process, but for start-up, Ctrl-C, pipes, and what the environment decides.
+"""
 
 import csv
 import io
@@ -9,17 +12,20 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from eagor._extras import how_to_install
-from eagor.cli import joined, machine, main
-from eagor.cli.columns import SHORT
+from eagor.cli import joined, main, models
+from eagor.cli.answers import SHORT
 from eagor.cli.models import how_to_find
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
 from eagor.drawing.words import distance_in_words, in_words
@@ -46,9 +52,29 @@ def command(*words):
     return [sys.executable, "-m", "eagor", *map(str, words)]
 
 
-def eagor(*words, env=None):
-    """Run the command to its end."""
+@dataclass(frozen=True)
+class Done:
+    """What a command has said."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def process(*words, env=None):
+    """Run the command to its end, as a process of its own."""
     return subprocess.run(command(*words), capture_output=True, text=True, timeout=300, env=ENVIRONMENT | (env or {}))
+
+
+def eagor(*words, env=None):
+    """Run the command to its end; here, unless it is to have an environment of its own."""
+    if env is not None:
+        return process(*words, env=env)
+    said = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)]
+    with redirect_stdout(said[0]), redirect_stderr(said[1]), patch.dict(os.environ, ENVIRONMENT):
+        os.environ.pop("EAGOR_DEBUG", None)
+        code = main([*map(str, words)])
+    return Done(code, *(each.buffer.getvalue().decode() for each in said))
 
 
 def refused(*words, code=2):
@@ -130,7 +156,7 @@ GOOD = "stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n1,10,0,0\n2,20,0,0\n"
 
 
 def test_help_lists_the_commands():
-    done = eagor("--help")
+    done = process("--help")
     assert done.returncode == 0
     for text in ("--version", "3 finished but some could not be run"):
         assert text in done.stdout
@@ -212,8 +238,8 @@ def test_doctor():
     [("openai", "endpoint"), ("tenacity", "endpoint"), ("onnxruntime", "scout"), ("gymnasium", "scout")],
 )
 def test_the_doctor_says_what_an_extra_lacks(monkeypatch, capsys, package, who):
-    there = machine.version_of
-    monkeypatch.setattr(machine, "version_of", lambda name: None if name == package else there(name))
+    there = models.version_of
+    monkeypatch.setattr(models, "version_of", lambda name: None if name == package else there(name))
     assert main(["doctor"]) == 0
     out = capsys.readouterr().out
     extra = "sim" if who == "scout" else who
@@ -438,7 +464,7 @@ def test_a_detector_that_does_not_know_the_query_is_not_recommended(room, no_mod
 
 
 def test_packages_that_are_missing_come_first(monkeypatch):
-    monkeypatch.setattr(machine, "version_of", lambda name: None)
+    monkeypatch.setattr(models, "version_of", lambda name: None)
     assert f"everyday things: {how_to_install('photos')}; then eagor models get coco" in how_to_find("chair")
     monkeypatch.setattr(query_words, "find_spec", lambda name: None)
     assert f"For any words: {how_to_install('vlm')}; then --perception google/owlv2" in how_to_find("door")
@@ -726,26 +752,26 @@ def test_the_demo_leaves_a_report(tmp_path):
 
 
 def test_a_method_has_one_colour_in_both_pictures_of_the_demo(monkeypatch):
-    from eagor.cli import demo
+    from eagor.cli import demo_apartment
 
     trace = {"error_deg": [3.0, 2.0], "pose": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]}
     search = SimpleNamespace(methods={name: {"trace": trace} for name in NAMES}, episode={"targets": (0,)})
     ground = SimpleNamespace(free=np.ones((2, 2)), structure=np.zeros((2, 2)), origin=(0, 0), cell=1.0)
     place = SimpleNamespace(ground=ground, scene=SimpleNamespace(instances=[SimpleNamespace(centre=np.zeros(3))]))
-    monkeypatch.setattr(demo, "draw_errors", lambda stamps, errors: list(errors))
-    monkeypatch.setattr(demo, "draw_map", lambda walls, free, extent, paths, target: list(paths))
-    assert demo._errors(search) == demo._map(search, place)  # colours are given in this order
+    monkeypatch.setattr(demo_apartment, "draw_errors", lambda stamps, errors: list(errors))
+    monkeypatch.setattr(demo_apartment, "draw_map", lambda walls, free, extent, paths, target: list(paths))
+    assert demo_apartment._errors(search) == demo_apartment._map(search, place)  # colours are given in this order
 
 
 @pytest.mark.parametrize(("drawn", "said"), [(True, "drawn from one seed"), (False, "depends on the picture")])
 def test_the_demo_says_of_mistakes_and_collisions_what_is_so(drawn, said):
-    from eagor.cli import demo_search
+    from eagor.cli import demo_apartment
 
     methods = {name: {"metrics": {"collisions": 3 + k, "steps": 32}} for k, name in enumerate(("eagor", "centroid"))}
     search = SimpleNamespace(methods=methods, perception="mine", drawn=drawn)
-    assert said in demo_search.mistakes(search)
-    assert "through the same perception, mine." in demo_search.mistakes(search)
-    assert "3 in the 32 steps of our tracker, 3 to 4 over all methods" in demo_search.collisions(search)
+    assert said in demo_apartment.mistakes(search)
+    assert "through the same perception, mine." in demo_apartment.mistakes(search)
+    assert "3 in the 32 steps of our tracker, 3 to 4 over all methods" in demo_apartment.collisions(search)
 
 
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):

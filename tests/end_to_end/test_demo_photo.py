@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eagor.cli import demo_photo, main, photo_looks
+from eagor.cli import demo_photo, main
 from eagor.cli.terminal import RunError, UsageError
 from eagor.media.panorama import turn
 from eagor.perception import load
@@ -32,17 +32,17 @@ def photo(tmp_path_factory):
 @pytest.fixture(scope="module")
 def played(photo):
     image = np.asarray(Image.open(photo))
-    return photo_looks.play(image, load("colour"), "colour", "red ball")
+    return demo_photo.play(image, load("colour"), "colour", "red ball")
 
 
 def test_the_camera_turns_all_around_and_tumbles():
-    poses = photo_looks.poses()
-    assert len(poses) == photo_looks.LOOKS
+    poses = demo_photo.poses()
+    assert len(poses) == demo_photo.LOOKS
     for pose in poses:
         np.testing.assert_allclose(pose @ pose.T, np.eye(3), atol=1e-12)
     tilts = [math.degrees(math.acos(min(1.0, pose[2, 2]))) for pose in poses]
-    assert max(tilts[: photo_looks.LEVEL - 1]) < 1e-6
-    assert max(tilts) > photo_looks.TILT - 5
+    assert max(tilts[: demo_photo.LEVEL - 1]) < 1e-6
+    assert max(tilts) > demo_photo.TILT - 5
     for azimuth in range(-180, 180, 30):  # wherever a thing is, the seam passes it
         there = direction(math.radians(azimuth), 0.0)
         seen = np.unwrap([float(azimuth_elevation(pose.T @ there)[0]) for pose in poses])
@@ -57,7 +57,7 @@ def test_what_is_seen_is_the_photograph_turned(played, photo):
 
 def test_every_method_is_followed_in_the_frame_of_the_photograph(played):
     assert list(played.directions) == list(NAMES)
-    assert {each.shape for each in played.directions.values()} == {(photo_looks.LOOKS, 3)}
+    assert {each.shape for each in played.directions.values()} == {(demo_photo.LOOKS, 3)}
     assert math.degrees(angular_distance(played.answer, RED_BALL)) < 3
     errors = np.degrees(angular_distance(played.directions["eagor"], RED_BALL))
     assert errors[3:].max() < 6
@@ -71,7 +71,7 @@ def test_the_command_leaves_a_report(photo, tmp_path, capsys):
     out, err = capsys.readouterr()
     assert err == ""
     found = json.loads(out)
-    assert (found["perception"], found["query"], found["looks"]) == ("colour", "red ball", photo_looks.LOOKS)
+    assert (found["perception"], found["query"], found["looks"]) == ("colour", "red ball", demo_photo.LOOKS)
     there = direction(math.radians(found["azimuth_deg"]), math.radians(found["elevation_deg"]))
     assert math.degrees(angular_distance(there, RED_BALL)) < 3
     assert set(found["methods"]) == set(NAMES)
@@ -97,7 +97,7 @@ def test_moments_for_pictures_are_few_and_in_order(played):
     chosen = demo_photo.highlights(played)
     assert [index for index, _ in chosen] == sorted({index for index, _ in chosen})
     assert len(chosen) <= 6
-    assert (chosen[0], chosen[-1][0]) == ((0, "the first"), photo_looks.LOOKS - 1)
+    assert (chosen[0], chosen[-1][0]) == ((0, "the first"), demo_photo.LOOKS - 1)
 
 
 class Knows:
@@ -118,23 +118,23 @@ class Knows:
 
 def test_without_a_query_the_surest_class_is_taken():
     room = painted_room(128, 256)
-    assert photo_looks.best_query(Views(Knows()), room) == "ball"
-    assert photo_looks.best_query(Views(Knows(0.2)), room) == "cup"
+    assert demo_photo.best_query(Views(Knows()), room) == "ball"
+    assert demo_photo.best_query(Views(Knows(0.2)), room) == "cup"
     with pytest.raises(RunError, match="sees nothing that it knows"):
-        photo_looks.best_query(Views(Knows(0)), room)
+        demo_photo.best_query(Views(Knows(0)), room)
     with pytest.raises(UsageError, match="say what to look for with --query"):
-        photo_looks.best_query(load("colour"), room)
+        demo_photo.best_query(load("colour"), room)
 
 
 def test_a_thing_that_is_never_seen_ends_the_run():
     with pytest.raises(RunError, match="saw no 'ball' in any of 24 looks"):
-        photo_looks.play(painted_room(128, 256), Views(Knows(0), size=64), "mine", "ball")
+        demo_photo.play(painted_room(128, 256), Views(Knows(0), size=64), "mine", "ball")
 
 
 def test_a_large_photograph_is_shrunk():
-    rows = photo_looks.rows_for(Views(Knows()), np.zeros((4096, 8192, 3), np.uint8))
-    assert rows <= photo_looks.MOST_ROWS
-    assert photo_looks.rows_for(Views(Knows()), np.zeros((200, 400, 3), np.uint8)) == 200
+    rows = demo_photo.rows_for(Views(Knows()), np.zeros((4096, 8192, 3), np.uint8))
+    assert rows <= demo_photo.MOST_ROWS
+    assert demo_photo.rows_for(Views(Knows()), np.zeros((200, 400, 3), np.uint8)) == 200
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,10 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from eagor.cli import main
-from eagor.cli.poses import Pose
-from eagor.cli.steps import with_file
 from eagor.grids import ErpGrid
 from eagor.media.panorama import turn
+from eagor.media.pose_files import FramePose
+from eagor.media.posed_frames import posed_by_file
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
@@ -462,9 +462,9 @@ def test_a_path_need_not_be_ascii(tmp_path, answers):
 
 def test_a_log_of_many_poses_is_known_from_its_beginning():
     """Two minutes at 200 a second, more than a tracker remembers."""
-    poses = [Pose(k / 200, world_R_body(math.radians(k / 100)), None, None) for k in range(24_000)]
+    poses = [FramePose(k / 200, world_R_body(math.radians(k / 100)), None, None) for k in range(24_000)]
     frames = [(stamp, str(stamp), lambda: None) for stamp in (0.5025, 60.0, 119.0)]
-    steps = [*with_file(SimpleNamespace(frames=lambda: iter(frames)), poses, Path("log.csv"))]
+    steps = [*posed_by_file(SimpleNamespace(frames=lambda: iter(frames)), poses, Path("log.csv"))]
     seen = [step.pose for step in steps if step.frame]
     for pose, (stamp, _, _) in zip(seen, frames, strict=True):
         assert np.allclose(pose.world_R_body, world_R_body(math.radians(2 * stamp)), atol=1e-9)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from eagor._extras import how_to_install
 from eagor.belief import Belief
-from eagor.cli import machine, main
+from eagor.cli import main, models
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation.labelled_apartments import apartment_labels
 from eagor.grids import ErpGrid, PerspectiveGrid
@@ -544,13 +544,13 @@ def test_doctor_says_which_models_fit(eagor):
     ],
 )
 def test_where_a_checkpoint_fits(memory, gpus, place):
-    here = machine.Machine(memory, tuple(("card", size) for size in gpus))
+    here = models.Machine(memory, tuple(("card", size) for size in gpus))
     assert here.place(Checkpoint("some/model", 8.3)) == place  # 20 GB in 16 bits
 
 
 def test_doctor_says_what_to_install(eagor, monkeypatch):
     there = {"torch": None, "transformers": "4.57.1", "accelerate": "1.10.0", "openai": None, "tenacity": "9.2"}
-    monkeypatch.setattr(machine, "version_of", lambda name: there.get(name, "1.0"))
+    monkeypatch.setattr(models, "version_of", lambda name: there.get(name, "1.0"))
     code, out, _ = eagor("doctor")
     assert code == 0
     assert "local models lack torch, transformers 5.24 or newer (there is 4.57.1): pip install torch==2.13.0" in out

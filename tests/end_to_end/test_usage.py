@@ -8,7 +8,7 @@ import typing
 import pytest
 
 from eagor.cli import _parse, main, usage
-from eagor.cli.options import Command
+from eagor.cli.commands import Command
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from eagor.studio.kept import Kept, weighed
+from eagor.studio.caching import Kept, weighed
 
 MEGABYTE = 1 << 20
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
-from eagor.cli.demo_search import SPOKEN
+from eagor.cli.demo_apartment import SPOKEN
 from eagor.drawing.charts import CURVES
 from eagor.errors import EagorError, TimeError
 from eagor.evaluation.charts import STYLES
@@ -98,7 +98,7 @@ def test_names_with_settings():
     assert (read.floor, read.scale_to_max) == (0.2, False)
     method = make_method("eagor:degree=7", np.random.default_rng(0))
     assert isinstance(method, TrackerMethod)
-    assert method.tracker.config.degree == 7
+    assert method.config.degree == 7
     assert isinstance(make_method("grid", np.random.default_rng(0)), FilterMethod)
 
 
@@ -161,19 +161,19 @@ def test_every_fitted_setting_makes_a_method():
 
 
 def test_how_targets_move_is_set_in_degrees_and_rates():
-    config = make_method("eagor:wander=3+12,stop=0.1,drift=0.5", np.random.default_rng(0)).tracker.config
+    config = make_method("eagor:wander=3+12,stop=0.1,drift=0.5", np.random.default_rng(0)).config
     assert config.target_motion == replace(
         TrackerConfig().target_motion, wander=(math.radians(3), math.radians(12)), stop=0.1
     )
     assert config.drift == pytest.approx(math.radians(0.5))
-    assert make_method("eagor:wander=0", np.random.default_rng(0)).tracker.config.target_motion.wander == ()
+    assert make_method("eagor:wander=0", np.random.default_rng(0)).config.target_motion.wander == ()
 
 
 def test_a_variant_varies_the_detector_of_the_perception():
     own = DetectorModel(0.6, 0.3, math.radians(4), look_alikes=0.2)
 
     def varied(text):
-        return make_method(f"eagor:{text}", np.random.default_rng(0), detector=own).tracker.config.detector
+        return make_method(f"eagor:{text}", np.random.default_rng(0), detector=own).config.detector
 
     unknown = DetectorModel(None, 0.3, math.radians(7), look_alikes=0)
     assert varied("detection_probability=?,dspread=7,look_alikes=0") == unknown
@@ -183,7 +183,7 @@ def test_a_variant_varies_the_detector_of_the_perception():
     assert varied("kept_for=2.5,kept_within=?") == replace(own, kept_for=2.5, kept_within=None)
     habits = varied("habit=2+1.5,look_alike_habit=0.5+3")
     assert habits == replace(own, habit=(2.0, 1.5), look_alike_habit=(0.5, 3.0))
-    assert make_method("eagor:degree=7", np.random.default_rng(0), detector=own).tracker.config.detector is None
+    assert make_method("eagor:degree=7", np.random.default_rng(0), detector=own).config.detector is None
 
 
 def test_before_any_look_the_answer_is_forward():
@@ -197,8 +197,8 @@ def test_before_any_look_the_answer_is_forward():
 def test_a_variant_varies_the_calibration_of_the_perception():
     ours = Calibration(0.3, 0.07, 1.5)
     varied = make_method("eagor:temperature=4", np.random.default_rng(0), "truth", ours)
-    assert varied.tracker.config.calibration == Calibration(0.3, 0.07, 4.0)
-    assert make_method("eagor", np.random.default_rng(0), "truth", ours).tracker.config.calibration is None
+    assert varied.config.calibration == Calibration(0.3, 0.07, 4.0)
+    assert make_method("eagor", np.random.default_rng(0), "truth", ours).config.calibration is None
 
 
 def test_every_method_has_settings_words_and_looks_of_its_own():

@@ -14,19 +14,14 @@ from starlette.datastructures import Headers
 
 from eagor.errors import EagorError
 from eagor.studio import runs
-from eagor.studio.channel import Channel
-from eagor.studio.export import page_of
 from eagor.studio.guard import Gate
-from eagor.studio.houses import outlines
-from eagor.studio.messages import LONGEST, PageError, read
-from eagor.studio.orders import Opened, Refused, See, Turn
-from eagor.studio.picture import PictureSession
+from eagor.studio.houses import Body, Walker, outlines
+from eagor.studio.hub import Channel, Slot
+from eagor.studio.messages import LONGEST, Blob, Message, PageError, merged, packed, read, rounded
+from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.replays import Redrawn
-from eagor.studio.session import Opening, Outbox
-from eagor.studio.slots import Slot
-from eagor.studio.video import VideoSession
-from eagor.studio.walking import Body, Walker
-from eagor.studio.wire import Blob, Message, merged, packed, rounded
+from eagor.studio.runs import page_of
+from eagor.studio.session import Opened, Opening, Outbox, Refused, See, Turn
 
 
 def unpacked(frame):
@@ -353,7 +348,7 @@ def test_the_policy_walks_to_the_answer_and_stops_on_arrival():
 def test_words_from_outside_cannot_leave_their_place_in_the_page(monkeypatch, tmp_path):
     template = tmp_path / "export.html"
     template.write_text('<p>page</p><script type="application/json" id="episode"></script><p>end</p>')
-    monkeypatch.setattr("eagor.studio.export._template", lambda: template)
+    monkeypatch.setattr("eagor.studio.runs._template", lambda: template)
     scene = {"title": "</script><script>alert(1)</script><!--\u2028", "methods": [{"name": "eagor"}], "method": "eagor"}
     text = page_of(Redrawn(scene, [{"stamp": 0.0, "world_R_camera": [], "error_deg": math.nan}], {0: b"\xff\xd8"}))
     assert text.count("</script>") == 1

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from eagor.studio import eye
-from eagor.studio.orders import Built, Close, Opened, See
+from eagor.studio.session import Built, Close, Opened, See
 
 
 @pytest.fixture

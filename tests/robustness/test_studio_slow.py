@@ -10,7 +10,8 @@ import pytest
 import uvicorn
 from websockets.sync.client import connect
 
-from eagor.studio import running, uploads
+from eagor.studio import server as web_server
+from eagor.studio import uploads
 from eagor.studio.guard import Gate
 from eagor.studio.hub import Settings, Studio
 from eagor.studio.messages import PageError
@@ -22,7 +23,7 @@ LONG = 120.0  # seconds after which a test gives up
 @contextlib.contextmanager
 def serving(app, **options):
     """The port at which `app` is served as the studio is, in a thread."""
-    server = uvicorn.Server(running.configured(app, lifespan="off", log_config=None, **options))
+    server = uvicorn.Server(web_server.configured(app, lifespan="off", log_config=None, **options))
     taken = socket.socket()
     taken.bind(("127.0.0.1", 0))
     taken.listen()
@@ -46,11 +47,11 @@ async def patient(scope, receive, send):
     if scope["type"] == "websocket":
         await receive()
         await send({"type": "websocket.accept"})
-        await asyncio.sleep(5 * running.PATIENCE)
+        await asyncio.sleep(5 * web_server.PATIENCE)
         await send({"type": "websocket.send", "text": "still here"})
         await receive()
         return
-    await asyncio.sleep(5 * running.PATIENCE)
+    await asyncio.sleep(5 * web_server.PATIENCE)
     await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})
     await send({"type": "http.response.body", "body": b"ok"})
 
@@ -68,14 +69,14 @@ def answered(line):
 
 @pytest.mark.parametrize("begun", [b"", b"GET / HT", HEAD])
 def test_a_head_that_does_not_end_is_let_go(monkeypatch, begun):
-    monkeypatch.setattr(running, "PATIENCE", 0.3)
+    monkeypatch.setattr(web_server, "PATIENCE", 0.3)
     with serving(patient) as port, connected(port) as line:
         line.sendall(begun)
         assert answered(line) == b""
 
 
 def test_a_head_that_trickles_is_let_go(monkeypatch):
-    monkeypatch.setattr(running, "PATIENCE", 0.3)
+    monkeypatch.setattr(web_server, "PATIENCE", 0.3)
     with serving(patient) as port, connected(port) as line:
         line.settimeout(0.05)
         line.sendall(HEAD)
@@ -92,7 +93,7 @@ def test_a_head_that_trickles_is_let_go(monkeypatch):
 
 
 def test_a_slow_answer_and_a_second_request_are_not_cut(monkeypatch):
-    monkeypatch.setattr(running, "PATIENCE", 0.3)
+    monkeypatch.setattr(web_server, "PATIENCE", 0.3)
     with serving(patient, timeout_keep_alive=60) as port, connected(port) as line:
         for _ in range(2):
             line.sendall(HEAD + b"\r\n")
@@ -105,7 +106,7 @@ def test_a_slow_answer_and_a_second_request_are_not_cut(monkeypatch):
 
 
 def test_a_websocket_stays(monkeypatch):
-    monkeypatch.setattr(running, "PATIENCE", 0.3)
+    monkeypatch.setattr(web_server, "PATIENCE", 0.3)
     with serving(patient) as port, connect(f"ws://127.0.0.1:{port}/", open_timeout=LONG) as line:
         assert line.recv(timeout=LONG) == "still here"
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 from strategies import HOSTILE
 
-from eagor.cli.poses import read_poses
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
 from eagor.evaluation import ledger, predictions
 from eagor.evaluation.replayed import read_truth
 from eagor.evidence import Evidence
+from eagor.media.pose_files import read_poses
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.onnx import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
@@ -234,7 +234,7 @@ def test_poses_that_are_read_at_once_are_those_of_each_line(tmp_path, monkeypatc
         lines.append(", ".join(str(cells[name]) for name in head.split(",")))
     file.write_text("\n".join(lines))
     found = read_poses(file)
-    monkeypatch.setattr("eagor.cli.poses._at_once", lambda *_: None)
+    monkeypatch.setattr("eagor.media.pose_files._at_once", lambda *_: None)
     for one, other in zip(found, read_poses(file), strict=True):
         assert (one.stamp, one.frame) == (other.stamp, other.frame)
         np.testing.assert_allclose(one.world_R_body, other.world_R_body, atol=1e-15)

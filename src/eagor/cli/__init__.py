@@ -1,4 +1,4 @@
-"""The command line. Each command is a frozen dataclass in `eagor.cli.options` and a function in its own module.
+"""The command line. Each command is a frozen dataclass of options and a function, in one module; `commands` has all.
 
 Exit codes:
 
@@ -20,8 +20,8 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr, suppress
-from importlib import import_module
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from typing import Any
 
 # Our matrices are small: threads in the matrix library cost far more than they gain (several times the time of the demo
 # on shared cores). The library reads this when NumPy is first imported; a value that is set already counts.
@@ -46,6 +46,14 @@ Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some c
 `eagor --version` prints the version, `eagor --tyro-print-completion bash` (zsh, fish) a completion script."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
+COMPLETION = "--tyro-print-completion"
+# tyro completes a file after an option, but not in place of a positional argument. Bash and fish can offer files there
+# if nothing else fits.
+_FILES_TOO = {
+    "bash": ("complete -F ", "complete -o default -F "),
+    "zsh": ("", ""),
+    "fish": ("complete --no-files ", "complete "),
+}
 _LISTS = ("--set", "--methods", "--categories", "--queries")  # options that take several values
 
 
@@ -82,17 +90,15 @@ def _run(arguments: list[str]) -> int:
     if arguments in (["--version"], ["-V"]):
         print(f"eagor {__version__}")
         return 0
-    if arguments[:1] == ["--tyro-print-completion"]:
-        from eagor.cli.completion import script
-
-        print(script(arguments, _parse), end="")
+    if arguments[:1] == [COMPLETION]:
+        print(_completion(arguments), end="")
         return 0
     try:
         command = _parse(joined(arguments))
     except SystemExit as stop:  # tyro has printed a text: help, or a mistake that we cannot explain
         return stop.code if isinstance(stop.code, int) else 2
-    module, _, function = command.runs.partition(":")
-    return getattr(import_module(module), function)(command)
+    command: Any = getattr(command, "action", command)  # `bench run` is an action of `bench`
+    return getattr(sys.modules[type(command).__module__], command.runs)(command)
 
 
 def joined(arguments: list[str]) -> list[str]:
@@ -121,7 +127,7 @@ def _parse(arguments: list[str]):
     """The command with its options. Raises `UsageError`, or `SystemExit` after a text of tyro's own."""
     import tyro
 
-    from eagor.cli.options import Command
+    from eagor.cli.commands import Command
 
     said = io.StringIO()
     try:
@@ -141,3 +147,14 @@ def _parse(arguments: list[str]):
                 raise terminal.UsageError(line) from None
         print(said.getvalue(), end="", file=sys.stderr)
         raise
+
+
+def _completion(arguments: Sequence[str]) -> str:
+    """tyro's script for the shell that `arguments` name, which completes files too. Raises `UsageError`."""
+    if len(arguments) != 2 or arguments[1] not in _FILES_TOO:
+        raise terminal.UsageError(f"{COMPLETION} needs a shell: bash, zsh or fish")
+    printed = io.StringIO()
+    with redirect_stdout(printed), suppress(SystemExit):
+        _parse(list(arguments))
+    old, new = _FILES_TOO[arguments[1]]
+    return printed.getvalue().replace(old, new) if old else printed.getvalue()

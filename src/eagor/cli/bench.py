@@ -2,18 +2,180 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli import terminal
-from eagor.cli.options import Bench, BenchInfo, BenchList, BenchRun, BenchScore, pairs_of
-from eagor.cli.results import COMMANDS as RESULTS
-from eagor.cli.shared_options import given
+from eagor.cli.options import (
+    Common,
+    DataOfRun,
+    Detector,
+    Flag,
+    ForceRun,
+    Labels,
+    Rows,
+    Scoring,
+    TaskOfRun,
+    Whole,
+    bare,
+    given,
+    pairs_of,
+)
+from eagor.cli.results import BenchCompare, BenchExport, BenchFailures, BenchReport
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
     from eagor.evaluation.study import Planned, Study
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRun(Common):
+    """Run a simulated task or a benchmark and record each episode. Run the same command again to resume.
+
+    Every method plays a simulated task: waypoint (name the direction along a route), navigation (walk to the object),
+    tracking (follow a moving ball). One agent plays a benchmark with published data (hstar-hos, hstar-hps, osr), which
+    needs --data; `eagor bench list` shows agents and options.
+    """
+
+    runs: ClassVar[str] = "run"
+
+    task: Annotated[str, Positional, arg(metavar="TASK")]
+    """waypoint, navigation, tracking, an installed task, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
+    perception: Annotated[str | None, bare("NAME")] = None
+    (
+        "The detector: scout (default of simulated tasks), a small network on the rendered pictures; truth, a noisy "
+        "detector with the ground truth of the simulator or the annotations (truth:ideal has no noise, "
+        "truth:miss=0.5,spread=4 sets it); a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
+        "endpoint:MODEL@http://HOST:PORT/v1); or another."
+    )
+    data: Annotated[Path | None, bare("DIR")] = None
+    """Benchmarks: the folder with the published files."""
+    agent: Annotated[str | None, bare("NAME")] = None
+    """Benchmarks: the agent (default: eagor)."""
+    model: Annotated[str | None, bare("MODEL")] = None
+    (
+        "Benchmarks: the model of the agent vlm: FOLDER or hub name on this machine, or MODEL@ADDRESS on a server; "
+        "options after ?."
+    )
+    scoring: Scoring = None
+    labels: Labels = None
+    limit: Annotated[int | None, bare("N")] = None
+    """Benchmarks: only the first N cases."""
+    shard: Annotated[str | None, bare("I/N")] = None
+    """Benchmarks: every N-th case from the I-th on, for several machines, which may share one --out."""
+    engine: Literal["processes", "threads", "ray"] = "processes"
+    """Kind of --workers: processes; threads, for perceptions and models on servers; ray, for a Ray cluster."""
+    address: Annotated[str | None, bare("ADDRESS")] = None
+    """Address of the Ray cluster (default: RAY_ADDRESS, else this machine)."""
+    methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
+    (
+        "The methods (default: all eight, and for a vision-language model plain, its own answer); variants such as "
+        "eagor:degree=7,decode=mean; in navigation also oracle."
+    )
+    episodes: Annotated[int | None, bare("N")] = None
+    """Number of episodes; five in each apartment (default: 20, or all of --episodes-file)."""
+    episodes_file: Annotated[Path | None, bare("FILE.json.gz")] = None
+    (
+        "navigation: play the ObjectNav episodes of this file (HM3D, MP3D, `eagor export habitat`), judged as Habitat "
+        "does. Ours are played in our own world too, others need --world habitat."
+    )
+    scenes: Annotated[Path | None, bare("DIR")] = None
+    """With --episodes-file: the folder of its scenes (default: the nearest scene_datasets above the file)."""
+    seed: Annotated[int | None, bare("N")] = None
+    (
+        "The first apartment (default 2000). 0 to 1999 are for development, 2000 to 9999 for results. Benchmarks: seed "
+        "of truth and of random agents (default 0)."
+    )
+    out: Annotated[Path | None, bare("RUN")] = None
+    """The folder of the run (default: runs/TASK-PERCEPTION-SEED). Finished episodes in it are not played again."""
+    workers: Whole = 1
+    """Number of parallel workers."""
+    ablations: Flag = False
+    (
+        "Run also variants of our method and of the published one: degree, decode, calibration, shells (in navigation: "
+        "the oracle, which is told the true direction)."
+    )
+    walking: Flag = False
+    """The camera bobs and sways, and the odometry drifts."""
+    latency: Whole = 0
+    """Delay of responses in steps."""
+    set: Annotated[tuple[str, ...], bare("RULE=VALUE ...")] = ()
+    (
+        "Rules to change, such as success_distance=0.5 max_steps=200 stop=call sliding=false. Benchmarks: other "
+        "options, such as sure=0.8."
+    )
+    world: Annotated[str, arg(metavar="WORLD")] = "apartment"
+    """apartment, an installed world, or a GLB file."""
+    rows: Rows = None
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
+    """Calibration of our tracker, from `eagor calibrate`."""
+    detector: Detector = None
+    force: ForceRun = False
+    retry_failed: Flag = False
+    """Run failed episodes again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchList(Common):
+    """List simulated tasks and benchmarks, with their agents and options."""
+
+    runs: ClassVar[str] = "listed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchInfo(Common):
+    """Describe a folder with a benchmark's published files."""
+
+    runs: ClassVar[str] = "info"
+
+    data: Annotated[Path, Positional, arg(metavar="DATA")]
+    """The folder."""
+    task: Annotated[str | None, bare("NAME")] = None
+    """The benchmark (default: all that can read the folder)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchScore(Common):
+    """Score predictions from elsewhere, or a run by other rules; nothing is run."""
+
+    runs: ClassVar[str] = "score"
+
+    predictions: Annotated[Path, Positional, arg(metavar="PRED")]
+    (
+        'A JSON lines file with one object per case: its id ("case"; or "doc_id", its number) and the answer '
+        '("submit": [yaw, pitch], "text": the model\'s text, ...; samples of lmms-eval work). Or the folder of a run.'
+    )
+    task: TaskOfRun = None
+    data: DataOfRun = None
+    scoring: Scoring = None
+    labels: Labels = None
+    set: Annotated[tuple[str, ...], bare("OPTION=VALUE ...")] = ()
+    """Other options of the benchmark."""
+    out: Annotated[Path | None, bare("RUN")] = None
+    """Save the records as a run, for report, compare and failures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Run and compare methods, in simulated apartments and on published benchmarks."""
+
+    action: Annotated[
+        Annotated[BenchRun, subcommand("run")]
+        | Annotated[BenchReport, subcommand("report")]
+        | Annotated[BenchList, subcommand("list")]
+        | Annotated[BenchInfo, subcommand("info")]
+        | Annotated[BenchScore, subcommand("score")]
+        | Annotated[BenchCompare, subcommand("compare")]
+        | Annotated[BenchFailures, subcommand("failures")]
+        | Annotated[BenchExport, subcommand("export")],
+        # Without a name, its options are listed with those of every command, and its text appears once in the help.
+        # (Help would show a comment above the field.)
+        arg(name=""),
+    ]
+
 
 SEED = 2000
 PERCEPTION = "scout"
@@ -23,12 +185,6 @@ SIMULATED_ONLY = (
     "methods", "episodes", "episodes_file", "scenes", "ablations", "walking", "latency", "world", "rows", "detector",
 )  # fmt: skip
 FLAGS = ("scoring", "labels")  # options of benchmarks that have a flag of their own
-
-
-def bench(options: Bench) -> int:
-    """Run the command; returns its exit code."""
-    commands = {BenchList: listed, BenchInfo: info, BenchRun: run, BenchScore: score, **RESULTS}
-    return commands[type(options.action)](options.action)
 
 
 def listed(options: BenchList) -> int:
@@ -166,7 +322,7 @@ def score(options: BenchScore) -> int:
 
 
 def _simulated(options: BenchRun) -> Planned:
-    from eagor.cli.looking import calibrated, check_looks, checked_rows
+    from eagor.cli.checks import calibrated, check_looks, checked_rows
     from eagor.evaluation import bench
     from eagor.tasks.methods import default_methods
     from eagor.tasks.rules import Disturbances
@@ -200,7 +356,7 @@ def _simulated(options: BenchRun) -> Planned:
 
 
 def _published(options: BenchRun) -> Planned:
-    from eagor.cli.looking import calibrated
+    from eagor.cli.checks import calibrated
     from eagor.evaluation.benchmarks import BenchmarkRun
 
     if options.data is None:

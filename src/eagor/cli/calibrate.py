@@ -8,23 +8,26 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.looking import (
+from eagor.cli.checks import (
     check_looks,
     check_not_read,
     checked_out,
     checked_query,
     checked_rows,
-    closing,
     make_perception,
+    mask_of,
     perception_for,
+    say_of_replay,
 )
-from eagor.cli.options import Calibrate, Track
-from eagor.cli.shared_options import given
+from eagor.cli.options import Common, Force, Mask, Rows, Whole, bare, given
+from eagor.cli.track import Track
 from eagor.errors import EagorError, PoseError
 
 if TYPE_CHECKING:
@@ -34,6 +37,58 @@ if TYPE_CHECKING:
     from eagor.evaluation.replayed import Pose
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.vlm.labelled import Labelled
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(Common):
+    """Calibrate a perception by log score, fit a detector on footage or labels, or find a model's heads."""
+
+    runs: ClassVar[str] = "calibrate"
+
+    words: Annotated[tuple[str, ...], Positional, arg(metavar="WHAT|FRAMES")] = ("responses",)
+    (
+        "responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...). Or "
+        "footage without labels, as for track: fit the error model of a detector on it; needs --queries."
+    )
+    perception: Annotated[str | None, bare("NAME")] = None
+    (
+        "The perception (default: scout; for footage, what suits the queries). For heads a model (FOLDER, "
+        "Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."
+    )
+    queries: Annotated[tuple[str, ...], arg(metavar="QUERY ...", help_behavior_hint="")] = ()
+    """footage: what to look for; the more, the better. Some of it may be absent."""
+    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
+    """footage: how the camera turned and moved, as for track. With --replay: a CSV, which tells what comes again."""
+    rate: Annotated[float | None, bare("HZ")] = None
+    """footage: looks per second, as for track."""
+    mask: Mask = None
+    force: Force = False
+    replay: Annotated[Path | None, bare("FILE.jsonl")] = None
+    """Fit the error model of the detector that wrote this replay file (docs/replay-format.md); needs --truth."""
+    truth: Annotated[Path | None, bare("FILE.jsonl")] = None
+    """The true directions for --replay: lines of stamp, query and targets (docs/replay-format.md)."""
+    out: Annotated[Path | None, bare("FILE.json")] = None
+    (
+        "File for the calibration (default: calibration-PERCEPTION.json; pass it to other commands as --calibration) "
+        "or for the heads (default: heads-MODEL.json; pass it to a model as FOLDER?heads=FILE.json)."
+    )
+    labels: Annotated[Path | None, bare("FILE.jsonl")] = None
+    """heads: labelled panoramas of your own (docs/models.md), instead of apartments."""
+    take: Whole = 3
+    """heads: number of heads."""
+    episodes: Whole = 60
+    (
+        "Number of episodes. responses: alternately routes past an object and balls, two of each in an apartment. "
+        "heads: panoramas, four in an apartment."
+    )
+    seed: Whole = 100
+    """The first apartment; 0 to 1999 are for development."""
+    trials: Whole = 96
+    """Number of settings to try."""
+    workers: Whole = 1
+    """Number of processes."""
+    rows: Rows = None
+
 
 RESPONSES_ONLY = ("trials", "workers")
 HEADS_ONLY = ("labels", "take")
@@ -124,8 +179,7 @@ def replay(options: Calibrate, what: str) -> int:
 
 def _poses(path: str) -> Callable[[float], Pose]:
     """The camera's pose at any stamp, from a file of poses."""
-    from eagor.cli.poses import interpolated, read_poses, usable
-    from eagor.cli.steps import BEYOND
+    from eagor.media.pose_files import BEYOND, interpolated, read_poses, usable
 
     if path == "level":
         raise terminal.UsageError("--poses level needs pictures; wanted a CSV file of poses with --replay, or none")
@@ -178,10 +232,10 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
     """The looks at footage, for each query; a group for each query, and a new one where the poses are lost."""
     import numpy as np
 
-    from eagor.cli.following import look_at
     from eagor.cli.track import journey_of
     from eagor.evaluation.labelled_looks import LabelledLook
     from eagor.evaluation.replayed import joined
+    from eagor.perception.footage import HiddenParts, look_at
 
     perception, found, lost, bad = make_perception(spec), [], 0, 0
     track = Track(
@@ -190,7 +244,8 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
     )  # fmt: skip
     journey = journey_of(track, [Path(word) for word in options.words], perception)
     with terminal.progress("looking", journey.count, shown=not options.json) as advance:
-        for step, looks, problem in look_at(journey.steps, perception, queries, options.mask):
+        hidden = HiddenParts(mask_of(options.mask), terminal.log)
+        for step, looks, problem in look_at(journey.frames, perception, queries, hidden):
             lost += step.lost
             if problem is not None:
                 terminal.warning(f"{step.frame} is left out: {problem}")
@@ -205,8 +260,7 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
                     )
             advance()
     for query in queries:
-        if (said := closing(perception, query, sum(look.group.startswith(f"{query}, ") for look in found))) is not None:
-            terminal.log(said)
+        say_of_replay(perception, query, sum(look.group.startswith(f"{query}, ") for look in found))
     if not found:
         raise terminal.RunError(f"none of the frames could be used{'; the reasons are above' if bad else ''}")
     return found

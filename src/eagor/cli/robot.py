@@ -1,20 +1,269 @@
-"""``eagor robot``: to the module of its command."""
+"""``eagor robot``: a simulated Go2 on the network; whether a Go2 can be heard and spoken to."""
 
 from __future__ import annotations
 
-from importlib import import_module
+import math
+import threading
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from eagor.cli.robot_options import Robot, RobotCheck, RobotSim
-from eagor.cli.robot_run_options import RobotRun
+from tyro.conf import arg, subcommand
 
-RUNS = {
-    RobotRun: "eagor.cli.robot_run:robot_run",
-    RobotSim: "eagor.cli.robot_sim:sim",
-    RobotCheck: "eagor.cli.robot_check:check",
-}
+from eagor._checks import above, within
+from eagor.cli import terminal
+from eagor.cli.options import Common, Flag, Whole, bare
+from eagor.cli.robot_run import RobotRun
+
+if TYPE_CHECKING:
+    from eagor.robots.go2.check import Report
+    from eagor.robots.go2.sim import SimSettings
+    from eagor.robots.go2.sim_live import LiveGo2
 
 
-def robot(options: Robot) -> int:
-    """Run the command; returns its exit code."""
-    module, _, function = RUNS[type(options.action)].partition(":")
-    return getattr(import_module(module), function)(options.action)
+Domain = Annotated[int | None, bare("N")]
+Seconds = Annotated[float, arg(metavar="SECONDS")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSim(Common):
+    """Simulate a Go2 with a 360-degree camera in a house, on the network as a real one; until Ctrl-C.
+
+    It obeys whoever speaks to it, and has the faults of a real one: it trots, drifts, and needs its time. Only this
+    machine can hear it, unless you name a network interface.
+    """
+
+    runs: ClassVar[str] = "sim"
+
+    seed: Whole = 7
+    """Seed of the house and of all that is random."""
+    world: Annotated[str, arg(metavar="WORLD")] = "apartment"
+    """apartment, an installed world, or a GLB file."""
+    domain: Domain = None
+    """DDS domain (default: ROS_DOMAIN_ID, else 0). A real robot is on 0."""
+    interface: Annotated[str, arg(metavar="NAME")] = "lo"
+    """Network interface; lo stays on this machine."""
+    target: Annotated[str | None, bare("QUERY")] = None
+    (
+        'What is to be found: it starts some metres away from it. "red ball" (blue, yellow, green) brings a ball along '
+        "that rolls about."
+    )
+    speed: Annotated[float, arg(metavar="M_PER_S")] = 0.3
+    """Speed of the ball; 0: it lies."""
+    camera: Literal["erp", "fisheye", "none"] = "erp"
+    """Pictures of the camera: panoramas, both circles of a dual fisheye side by side, or none."""
+    rows: Whole = 128
+    """Rows of its pictures."""
+    rate: Annotated[float, arg(metavar="HZ")] = 5.0
+    """Pictures per second, as far as this machine can draw them."""
+    latency: Seconds = 0.15
+    """Time from capture to arrival of a picture."""
+    clock_offset: Seconds = 0.0
+    """By how much the robot's clock is ahead of this machine's."""
+    drop: Annotated[float, arg(metavar="SHARE")] = 0.0
+    """Share of the robot's messages, both ways, that get lost."""
+    delay: Seconds = 0.0
+    """Time that its messages take at most; each takes another one."""
+    short: Flag = False
+    """States in the short form of some firmware, without a planned path."""
+    lying: Flag = False
+    """It lies at first: it has to be told to stand up, and then takes some seconds."""
+    seconds: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="", aliases=("--duration",))] = None
+    """Stop after this time (default: at Ctrl-C)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotCheck(Common):
+    """Listen for a Go2: what it says, how fast, and whether it answers. Moves nothing.
+
+    Exit codes: 0 it can be used, 1 it is there but something is wrong, 2 nobody is there.
+    """
+
+    runs: ClassVar[str] = "check"
+
+    domain: Domain = None
+    """DDS domain (default: ROS_DOMAIN_ID, else 0). A real robot is on 0."""
+    interface: Annotated[str | None, bare("NAME")] = None
+    """Network interface to the robot, such as eth0; lo for a simulated one (default: the library chooses)."""
+    seconds: Seconds = 3.0
+    """How long to listen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """A Unitree Go2, real or simulated."""
+
+    action: Annotated[
+        Annotated[RobotRun, subcommand("run")]
+        | Annotated[RobotSim, subcommand("sim")]
+        | Annotated[RobotCheck, subcommand("check")],
+        arg(name=""),  # as in `Bench`
+    ]
+
+
+def check(options: RobotCheck) -> int:
+    """Run the command; exit code 1 if something is wrong."""
+    from eagor.robots.dds import Link
+    from eagor.robots.go2.check import examine
+    from eagor.robots.ros.graph import default_domain
+
+    if not within(options.seconds, 0.5, 600):
+        raise terminal.UsageError(f"--seconds {options.seconds:g}: wanted 0.5 to 600")
+    domain = default_domain() if options.domain is None else options.domain
+    with Link(domain, options.interface) as link:
+        report = examine(link, options.seconds)
+    if options.json:
+        terminal.emit(asdict(report) | {"usable": not report.problems})
+    else:
+        terminal.facts(_heard(report))
+        for problem in report.problems:
+            terminal.say(f"problem: {problem}")
+        print("it cannot be used like this" if report.problems else "a Go2 that can be used")
+    return terminal.FAILED if report.problems else terminal.OK
+
+
+def _heard(report: Report) -> dict[str, str]:
+    """The report in words; only what was heard."""
+    found = {"topics": ", ".join(report.topics)}
+    if report.rates:
+        found["messages per second"] = ", ".join(f"{topic} {rate:g}" for topic, rate in report.rates.items())
+    if report.firmware is not None:
+        found["firmware"] = report.firmware
+    if report.mode is not None:
+        found["robot"] = report.mode + (f", error {report.error_code}" if report.error_code else "")
+    if report.clock is not None:
+        way = "ahead of" if report.clock > 0 else "behind"
+        found["its clock"] = f"{abs(report.clock):.3f} s {way} this machine's, or less by the time that messages take"
+    if report.lateness is not None:
+        found["lateness of states"] = "median {:.1f} ms, one in a hundred {:.1f} ms".format(
+            *(1000 * part for part in report.lateness)
+        )
+    if report.battery is not None:
+        found["battery"] = f"{report.battery} %, {report.volts:.1f} V"
+    if report.sport_version is not None and report.answer is not None:
+        found["walking service"] = f"version {report.sport_version}, answers in {1000 * report.answer:.1f} ms"
+    if report.commands:
+        found["commands of others"] = str(report.commands)
+    found["cameras"] = ", ".join(report.cameras) or "none on DDS"
+    return found
+
+
+def sim(options: RobotSim) -> int:
+    """Run the command."""
+    from eagor.robots.go2.sim import SimulatedGo2
+    from eagor.robots.go2.sim_live import LiveGo2
+    from eagor.robots.ros.graph import default_domain
+
+    settings = settings_of(options)
+    if options.seconds is not None and not above(options.seconds, 0):
+        raise terminal.UsageError(f"--seconds {options.seconds:g}: wanted more than 0")
+    if not options.json:
+        terminal.log(f"building the house (seed {options.seed})")
+    robot = SimulatedGo2(settings)
+    domain = default_domain() if options.domain is None else options.domain
+    with LiveGo2(robot, domain, options.interface) as live:
+        if not options.json:
+            terminal.log("waiting for the camera" if live.pictures else "without a camera")
+        live.wait_for_camera()
+        if options.json:
+            terminal.emit(_facts(live, options))
+        else:
+            _tell(live, options)
+        begun = time.monotonic()
+        try:
+            _until(options.seconds, live)
+        finally:
+            _sum_up(live, time.monotonic() - begun)
+    return terminal.OK
+
+
+def settings_of(options: RobotSim) -> SimSettings:
+    """What is simulated with these options. Raises `UsageError`, `DeviceError`."""
+    from eagor.robots.go2.plant import PlantSettings
+    from eagor.robots.go2.sim import CameraSettings, SimSettings, WireSettings
+
+    if not within(options.speed, 0, 3):
+        raise terminal.UsageError(f"--speed {options.speed:g}: wanted 0 to 3 metres per second")
+    camera = None
+    if options.camera != "none":
+        camera = CameraSettings(options.camera, options.rows, options.rate, options.latency)
+    return SimSettings(
+        world=options.world,
+        seed=options.seed,
+        target=options.target,
+        speed=options.speed,
+        plant=PlantSettings(upright=not options.lying),
+        wire=WireSettings(
+            clock_offset=options.clock_offset, drop=options.drop, delay=(0.0, options.delay), short=options.short
+        ),
+        camera=camera,
+    )
+
+
+def _facts(live: LiveGo2, options: RobotSim) -> dict[str, Any]:
+    from eagor.sphere import heading
+
+    robot = live.robot
+    pose = robot.truth.pose
+    assert pose.position is not None
+    yaw = math.degrees(heading(pose.world_R_body))
+    return {
+        "domain": live.link.domain,
+        "interface": options.interface,
+        "world": None if robot.house is None else robot.house.scene.source,
+        "start": {"position": pose.position.round(3).tolist(), "yaw_deg": round(yaw, 1)},
+        "target": options.target,
+        "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in robot.targets],
+        "things": dict(sorted(Counter(thing.name for thing in robot.things()).items())),
+        "topics": live.topics,
+    }
+
+
+def _tell(live: LiveGo2, options: RobotSim) -> None:
+    from eagor.robots.go2.house import ball_of
+    from eagor.sphere import heading
+
+    robot = live.robot
+    pose = robot.truth.pose
+    assert pose.position is not None
+    x, y, _ = pose.position
+    yaw = math.degrees(heading(pose.world_R_body))
+    where = "only this machine" if options.interface == "lo" else f"all on {options.interface}"
+    found = {
+        "simulated Go2": f"DDS domain {live.link.domain} on {options.interface}, which {where} can hear",
+        "house": "" if robot.house is None else robot.house.scene.source,
+        "start": f"x {x:.2f} m, y {y:.2f} m, heading {yaw:.0f} degrees",
+        "posture": "lying" if options.lying else "standing, ready to walk",
+    }
+    for each in robot.targets:
+        _, distance = robot.bearing(each)
+        rolls = f", which rolls at {options.speed:g} m/s" if ball_of(options.target) and options.speed else ""
+        found["target"] = f"{each.name}{rolls}, {distance:.1f} m away"
+    count = Counter(thing.name for thing in robot.things())
+    found["things"] = ", ".join(name if number == 1 else f"{number} {name}s" for name, number in sorted(count.items()))
+    terminal.facts(found)
+    print("topics")
+    terminal.columns(live.topics)
+    print("end it with Ctrl-C" if options.seconds is None else f"it ends after {options.seconds:g} s", flush=True)
+
+
+def _until(seconds: float | None, live: LiveGo2) -> None:
+    """Wait; Ctrl-C and SIGTERM come as KeyboardInterrupt."""
+    end = math.inf if seconds is None else time.monotonic() + seconds
+    waiting = threading.Event()
+    while (left := end - time.monotonic()) > 0:
+        waiting.wait(min(0.5, left))
+        if live.pictures is not None and not live.pictures.alive:
+            raise terminal.RunError("the camera's process has ended; start the robot again")
+
+
+def _sum_up(live: LiveGo2, seconds: float) -> None:
+    pictures = live.pictures
+    drawn = (
+        "" if pictures is None else f", {pictures.drawn} pictures ({pictures.skipped} that could not be drawn in time)"
+    )
+    skipped = f", {live.server.skipped} steps late" if live.server.skipped else ""
+    terminal.log(
+        f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {live.server.asked} commands{drawn}{skipped}"
+    )

@@ -9,34 +9,112 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-import numpy as np
+from tyro.conf import Positional, arg
 
-from eagor._files import written
 from eagor._version import __version__
 from eagor.cli import terminal
-from eagor.cli.looking import (
+from eagor.cli.checks import (
     check_looks,
     checked_folder,
+    checked_latency,
     checked_query,
-    make_perception,
+    checked_seconds,
+    mask_of,
     perception_for,
+    rows_for,
     tracker_config,
 )
-from eagor.cli.robot_run_options import RobotRun
-from eagor.cli.steps import LEAST_ROWS
+from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Whole, bare
 from eagor.errors import DeviceError
-from eagor.live.loop import LiveLoop
-from eagor.media.camera_sources import open_camera
-from eagor.media.frames import CameraSource
-from eagor.perception import is_model, rows_of
-from eagor.robots.poses import Go2Poses
-from eagor.robots.run_page import Plan, RobotPage, Sample, summary
-from eagor.robots.safety.deadman import DEADMEN
-from eagor.robots.safety.guard import Guard
-from eagor.robots.safety.limits import Limits
-from eagor.robots.safety.walking import Odometer, Step, WalkSettings, steer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from eagor.live.loop import LiveLoop
+    from eagor.media.frames import CameraSource, Pose
+    from eagor.robots.run_page import Plan, RobotPage, Sample
+    from eagor.robots.safety.limits import Limits
+    from eagor.robots.safety.walking import Step, WalkSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotRun(Common):
+    """Walk a Unitree Go2 to an object. Without --arm nothing is commanded: a dry run says what it would do.
+
+    Read docs/how-to/robot-safety.md before the first --arm. --sim does all of it with a simulated robot.
+    """
+
+    runs: ClassVar[str] = "robot_run"
+
+    query: Annotated[str, Positional, arg(metavar="QUERY")]
+    """What to walk to, in words."""
+    sim: Flag = False
+    """A simulated Go2 in a built-in apartment, on this machine alone (interface lo, a free DDS domain)."""
+    arm: Flag = False
+    """Let the robot move. Somebody has to hold the dead-man switch."""
+    deadman: Annotated[Literal["key", "remote", "none"] | None, bare("SWITCH")] = None
+    (
+        "What is held while it may move: key (the space bar of this terminal; x stops for good, r releases that), "
+        "remote (L1 of the robot's remote control; B stops for good, start releases that), none (only with --sim). "
+        "Default: key; with --sim none."
+    )
+    source: Annotated[str | None, bare("SOURCE")] = None
+    """The camera, as for `eagor live`: /dev/video0, rtsp://HOST/PATH, ros:/image_topic, ...; with --sim its own."""
+    interface: Annotated[str | None, bare("NAME")] = None
+    """Network interface to the robot, such as eth0 (this machine has 192.168.123.x on it)."""
+    domain: Whole = 0
+    """DDS domain of the robot."""
+    distance: Annotated[float, arg(metavar="METRES")] = 1.0
+    """Stop at this distance over the ground, from the camera."""
+    speed: Annotated[float, arg(metavar="M/S")] = 0.4
+    """Fastest walk that is wanted; the gate never lets more than 0.5 through."""
+    avoid: Flag = False
+    """Let the robot walk around obstacles by itself (its own obstacle avoidance)."""
+    blind: Annotated[float, arg(metavar="METRES")] = 3.0
+    """How far to walk while the distance is not known."""
+    calm: Annotated[tuple[int, ...], bare("CODE ...")] = ()
+    """Error codes of the robot that are no error: some firmware tells its mode there."""
+    belief_age: Annotated[float, arg(metavar="SECONDS")] = 3.0
+    (
+        "Age of the newest look beyond which it stands, at most: three usual intervals between looks are less for a "
+        "quick detector. A detector needs less than half of that per look."
+    )
+    seconds: Annotated[float | None, bare("SECONDS")] = None
+    """Stop after this time (default: 120 with --sim, else at Ctrl-C)."""
+    stay: Flag = False
+    """Go on when it has arrived: follow the thing if it moves (default: end 2 s after it has arrived)."""
+    report: Annotated[Path | None, bare("DIR")] = None
+    """Folder for report.html and run.json (default: eagor-walk with --sim, else none)."""
+    perception: Annotated[str | None, bare("NAME")] = None
+    """The detector: colour, coco, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
+    patience: Annotated[float, arg(metavar="SECONDS")] = 10.0
+    """Time that one look may take; then the detector is ended and started anew."""
+    latency: Annotated[float, arg(metavar="SECONDS")] = 0.15
+    """Time from capture to arrival of the camera's pictures."""
+    rig: Annotated[Path | None, bare("FILE.yaml")] = None
+    """The lenses, if the pictures are those of fisheye or ordinary lenses."""
+    rows: Annotated[int | None, bare("N")] = None
+    """Rows of the panoramas at most."""
+    mount: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.4)
+    """Where the camera is on the body: metres forward, left and up from the body's centre."""
+    odometry: Annotated[Literal["sport", "slow", "lidar"], arg(metavar="NAME")] = "sport"
+    """Odometry of the robot: sport (its state, 200 Hz), slow (the same at 20 Hz), lidar."""
+    seed: Whole = 602
+    """--sim: the apartment, 0 to 1999, and what chance decides."""
+    start: Annotated[tuple[float, float, float] | None, bare("X Y DEG")] = None
+    """--sim: where it starts, metres, and its heading (default: somewhere with a free way to the object)."""
+    world: Name = "apartment"
+    """--sim: apartment, an installed world, or a GLB file."""
+    degree: Whole = 15
+    """Degree of the spherical harmonics, 1 to 63."""
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
+    """Calibration of the perception and of forgetting, from `eagor calibrate`."""
+    detector: Detector = None
+    mask: Mask = None
+    force: Force = False
+
 
 ROS, INTERFACE = "ros:", "lo"
 RATE = 20.0  # answers, and so commands, per second
@@ -59,12 +137,19 @@ class Place:
     interface: str | None
     camera: Callable[[], CameraSource]
     truth: Callable[[], tuple[np.ndarray, np.ndarray] | None] = lambda: None
-    targets: Callable[[], np.ndarray] = lambda: np.zeros((0, 3))
+    targets: Callable[[], np.ndarray | tuple[()]] = tuple
     plan: Plan | None = None
 
 
 def robot_run(options: RobotRun) -> int:
     """Run the command; returns its exit code."""
+    from eagor.live.loop import LiveLoop
+    from eagor.robots.run_page import RobotPage
+    from eagor.robots.safety.deadman import DEADMEN
+    from eagor.robots.safety.guard import Guard
+    from eagor.robots.safety.limits import Limits
+    from eagor.robots.safety.walking import Odometer, WalkSettings, steer
+
     query = checked_query(options.query)
     _check(options)
     # In a rendered house the network for such pictures is better than a colour alone.
@@ -72,11 +157,7 @@ def robot_run(options: RobotRun) -> int:
     check_looks(spec)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     config = replace(config, floor_height=FLOOR)
-    mask = None
-    if options.mask is not None:
-        from eagor.perception.partial import read_mask
-
-        mask = read_mask(options.mask)
+    mask = mask_of(options.mask)
     folder = options.report or (Path("eagor-walk") if options.sim else None)
     if folder is not None:
         checked_folder(folder, "--report")
@@ -97,7 +178,7 @@ def robot_run(options: RobotRun) -> int:
             place.camera,
             spec,
             [query],
-            poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
+            poses=lambda: _Poses(place.domain, place.interface, options),
             config=config,
             rate=RATE,
             patience=options.patience,
@@ -135,15 +216,15 @@ def _check(options: RobotRun) -> None:
             "--deadman none is only for simulated robots (--sim, --interface lo): a real one moves while somebody "
             "holds a switch"
         )
-    if options.seconds is not None and not 0 < options.seconds < math.inf:
-        raise terminal.UsageError(f"--seconds {options.seconds:g}; wanted seconds above 0")
-    if not 0 <= options.latency < math.inf:
-        raise terminal.UsageError(f"--latency {options.latency:g}; wanted seconds, 0 or more")
+    checked_seconds(options.seconds)
+    checked_latency(options.latency)
 
 
 @contextmanager
 def _real(options: RobotRun, spec: str) -> Iterator[Place]:
-    rows = options.rows or max(LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
+    from eagor.media.camera_sources import open_camera
+
+    rows = rows_for(spec, options.rows)
     source = options.source
     assert source is not None
 
@@ -166,11 +247,14 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
+    import numpy as np
+
     from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2
     from eagor.robots.ros.sources import RosCamera
+    from eagor.robots.run_page import Plan
     from eagor.robots.safety.rehearsal import CAMERA, Rehearsal, clear_start
 
-    rows = options.rows or max(PICTURE, 0 if is_model(spec) else rows_of(make_perception(spec)))
+    rows = rows_for(spec, options.rows, PICTURE)
     camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
     start = options.start and (*options.start[:2], math.radians(options.start[2]))
     settings = SimSettings(options.world, options.seed, query, start=start, camera=camera)
@@ -198,6 +282,24 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
         )
 
 
+class _Poses:
+    """The camera's poses by the robot's odometry, with the link that they come over."""
+
+    def __init__(self, domain: int, interface: str | None, options: RobotRun) -> None:
+        from eagor.robots.dds import Link
+        from eagor.robots.go2.state import Go2State
+
+        self._link = Link(domain, interface)
+        self._state = Go2State(self._link, options.odometry, mount=options.mount)
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._state)
+
+    def close(self) -> None:
+        self._state.close()
+        self._link.close()
+
+
 def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:
     """Walk until it is over; why it is."""
     begun, there, said, spoke = time.monotonic(), None, None, -math.inf
@@ -220,6 +322,10 @@ def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Plac
 
 
 def _sample(step: Step, seconds: float, place: Place) -> Sample:
+    import numpy as np
+
+    from eagor.robots.run_page import Sample
+
     estimate, state = step.answer.estimate, step.state
     known = estimate.direction is not None
     far = step.sight.distance if step.sight.distance is not None and math.isfinite(step.sight.distance) else None
@@ -227,7 +333,7 @@ def _sample(step: Step, seconds: float, place: Place) -> Sample:
     if (truth := place.truth()) is not None:
         at, world_R_body = truth
         true_xy = float(at[0]), float(at[1])
-        targets = place.targets()
+        targets = np.asarray(place.targets())
         if estimate.direction is not None and len(targets):
             ways = (targets - at) / np.linalg.norm(targets - at, axis=1, keepdims=True)
             error = float(np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1)).min())
@@ -243,6 +349,9 @@ def _leave(
     folder: Path, page: RobotPage, options: RobotRun, walking: WalkSettings, limits: Limits, why: str | None
 ) -> None:
     """The report: report.html and run.json."""
+    from eagor._files import written
+    from eagor.robots.run_page import summary
+
     folder.mkdir(parents=True, exist_ok=True)
     record = {
         "query": options.query, "ended": why, "armed": options.arm, "simulated": options.sim, "used": page.used,
@@ -267,6 +376,8 @@ def _plain(value: Any) -> Any:
 
 def _end(options: RobotRun, page: RobotPage, folder: Path | None, why: str | None) -> int:
     """Say how it ended; the exit code."""
+    from eagor.robots.run_page import summary
+
     if not page.samples:
         raise terminal.RunError("there was no answer")
     facts, last = summary(page.samples), page.samples[-1]

@@ -4,15 +4,65 @@ from __future__ import annotations
 
 import secrets
 import socket
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import Positional, arg
 
 from eagor._extras import need
 from eagor.cli import terminal
-from eagor.cli.shared_options import given
-from eagor.cli.studio_options import Studio
+from eagor.cli.checks import checked_out, make_perception
+from eagor.cli.live import Live, asked, loop_of
+from eagor.cli.options import Common, Flag, RigFile, bare, given
+from eagor.errors import EagorError
 
 if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+    from eagor.evaluation.study import LoadedRun
     from eagor.studio.hub import LiveSource, Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Studio(Common):
+    """Open a page in the browser: walk in an apartment, look through runs and pictures, watch a camera, live.
+
+    `eagor studio export RUN --out page.html` writes one episode of a run as a page that needs no server.
+    """
+
+    runs: ClassVar[str] = "studio"
+
+    words: Annotated[tuple[str, ...], Positional, bare("[export RUN]")] = ()
+    """Nothing, for the page; or: export, and the folder of a run."""
+    port: Annotated[int, arg(metavar="N")] = 8360
+    """Port to listen at; 0: any free one."""
+    open: Flag = False
+    """Open the page in the browser of this desktop."""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address to listen at. Other machines reach the page only with another one, which needs --token."""
+    token: Annotated[str | None, bare("TEXT")] = None
+    """What everybody has to know who opens the page (at least 16 letters); auto: one is made and printed."""
+    folder: Annotated[Path, arg(name="runs", metavar="DIR")] = Path("runs")
+    """The folder with the runs to choose from; the folder of a run itself works, too."""
+    perception: Annotated[str | None, bare("NAME")] = None
+    """A further detector to choose, as for locate; --source looks with it (default: as for live)."""
+    seed: Annotated[int, arg(metavar="N")] = 602
+    """The apartment that is built first, 0 to 9999."""
+    source: Annotated[str | None, bare("SOURCE")] = None
+    """A live camera, a video, a folder or a bag to watch, as for live."""
+    query: Annotated[str | None, bare("QUERY")] = None
+    """With --source: what to look for at first."""
+    poses: Annotated[str, arg(metavar="SOURCE")] = "auto"
+    """With --source: how the camera turns and moves, as for live (auto, level, still, ros:/odom, go2, CSV)."""
+    rig: RigFile = None
+    out: Annotated[Path | None, bare("FILE.html")] = None
+    """With export: the page to write."""
+    episode: Annotated[str | None, bare("NAME")] = None
+    """With export: the episode, as bench failures names it (default: the worst one)."""
+    methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
+    """With export: the methods to show (default: all that the run has, at most 8)."""
+
 
 SHORTEST = 16  # letters of a token
 WAITING = 1 << 14  # bytes on their way to a page
@@ -25,8 +75,6 @@ FOR_SOURCE = ("query", "poses", "rig")
 def studio(options: Studio) -> int:
     """Run the command; returns its exit code."""
     if options.words[:1] == ("export",):
-        from eagor.cli.studio_export import export
-
         return export(options)
     if options.words:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted nothing, or: export RUN")
@@ -36,7 +84,7 @@ def studio(options: Studio) -> int:
         raise terminal.UsageError(f"--{mistaken[0]} is for --source SOURCE, which is not given")
     need("eagor studio", "studio", "starlette", "uvicorn", "websockets")
     settings = _settings(options)
-    from eagor.studio.running import serve
+    from eagor.studio.server import serve
 
     taken = _listening(options.host, options.port)
     port = taken.getsockname()[1]
@@ -71,17 +119,12 @@ def _settings(options: Studio) -> Settings:
     live = None if options.source is None else _live(options, options.source)
     settings = Settings(Gate(options.host, token), options.folder, options.perception, options.seed, live)
     if options.perception is not None:
-        from eagor.cli.looking import make_perception
-
         make_perception(options.perception)  # raises for what does not exist, before anything is started
     return settings
 
 
 def _live(options: Studio, source: str) -> LiveSource:
     """The source, as ``eagor live`` would open it. Raises `UsageError`, `QueryError`."""
-    from eagor.cli import live
-    from eagor.cli.live_options import Live
-    from eagor.cli.studio_live import SERVE
     from eagor.studio.hub import LiveSource
 
     if options.query is None:
@@ -89,7 +132,7 @@ def _live(options: Studio, source: str) -> LiveSource:
     wanted = Live(
         words=(source, options.query), poses=options.poses, rig=options.rig, perception=options.perception, rate=RATE
     )
-    live.asked(wanted)
+    asked(wanted)
     return LiveSource(source, SERVE, (wanted,))
 
 
@@ -109,3 +152,75 @@ def _listening(host: str, port: int) -> socket.socket:
             "there: choose another port, or 0 for any free one"
         ) from error
     return taken
+
+
+EPISODE = "episode.html"  # beside a report
+FOR_SERVING = ("port", "open", "host", "token", "folder", "perception", "seed", "source", "query", "poses", "rig")
+
+
+def export(options: Studio) -> int:
+    """Run the command; returns its exit code."""
+    if len(options.words) != 2:
+        raise terminal.UsageError("wanted the folder of one run: eagor studio export RUN --out page.html")
+    if mistaken := given(options, FOR_SERVING):
+        name = "runs" if mistaken[0] == "folder" else mistaken[0]
+        raise terminal.UsageError(f"--{name} is for the page in the browser; leave it out with export")
+    folder, out = Path(options.words[1]), options.out
+    if not folder.is_dir():
+        raise terminal.UsageError(f"there is no folder {folder}; name the folder of a run")
+    if out is None:
+        raise terminal.UsageError("say where to write the page: --out page.html")
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise terminal.UsageError(f"--out {out} ends in {out.suffix or 'nothing'}; wanted a page, .html")
+    checked_out(out)
+    need("an exported episode", "sim", "gymnasium", "trimesh")
+    from eagor.studio.runs import export as write
+
+    with terminal.progress("playing the episode again", None) as advance:
+        found = write(folder, out, options.episode, options.methods, lambda _: advance())
+    size = out.stat().st_size
+    if options.json:
+        terminal.emit({"page": str(out), "bytes": size, "title": found.scene["title"], "steps": len(found.steps)})
+    else:
+        print(f"{found.scene['title']}, {len(found.steps)} steps: {out} ({size / 1e6:.1f} MB)")
+    return terminal.OK
+
+
+def beside_report(run: LoadedRun, out: Path) -> str | None:
+    """Write ``episode.html`` of a run's worst episode into `out`; its name, or None where that cannot be.
+
+    A report is not lost for it: what is wrong is said as a warning. A run with a model gets none: to play it again
+    would load the model, or ask its server.
+    """
+    from eagor.perception import is_model
+    from eagor.studio.runs import built, episode_of, episodes_of, write
+    from eagor.tasks.models import release
+
+    try:
+        if is_model(str(run.settings.get("perception", ""))) or not episodes_of(run)["playable"]:
+            return None
+    except (EagorError, OSError, KeyError, IndexError, TypeError, AttributeError):  # the report says what is wrong
+        return None
+    if not built():
+        terminal.warning(f"no {EPISODE}: the studio's page has not been built in this clone (make page)")
+        return None
+    try:
+        with terminal.progress("playing the worst episode again", None) as advance:
+            write(episode_of(run, None, lambda _: advance()), out / EPISODE)
+    except (EagorError, ImportError, OSError, KeyError, IndexError, TypeError) as error:
+        terminal.warning(f"no {EPISODE}: {error if isinstance(error, EagorError) else repr(error)}")
+        return None
+    finally:
+        release()
+    return EPISODE
+
+
+SERVE = "eagor.cli.studio:serve"
+
+
+def serve(line: Connection, options: Live) -> None:
+    """The life of the process; `options` as of ``eagor live``."""
+    from eagor.studio.live import watch
+
+    source, _ = asked(options)
+    watch(line, source, options.perception or "", lambda watchers: loop_of(options, watchers))

@@ -13,36 +13,95 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.columns import header, line
-from eagor.cli.following import RIVALS, Result, follow, make_rivals
-from eagor.cli.looking import (
-    ShapeError,
+from eagor.cli.answers import header, line, methods_as_dict, table
+from eagor.cli.checks import (
     check_not_read,
+    checked_drift,
     checked_folder,
+    checked_modes,
     checked_out,
     checked_query,
-    closing,
     keep_picture,
     make_perception,
+    mask_of,
     perception_for,
+    say_of_replay,
     say_of_video,
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import Track
-from eagor.cli.poses import Pose, read_poses
-from eagor.cli.shared_options import given
-from eagor.cli.steps import LEAST_ROWS, Film, Source, Step, images, is_video, thinned, with_file, with_imu, with_sight
-from eagor.cli.stitched import film_of
-from eagor.cli.tables import table
-from eagor.drawing.words import answer_in_words
+from eagor.cli.options import Common, Detector, Flag, Floor, Force, Mask, Modes, Out, Rerun, RigFile, Whole, bare, given
 from eagor.errors import ImageError, PoseError
-from eagor.perception import Perception, rows_of
 
-MOST_DRIFT = 90  # degrees
+if TYPE_CHECKING:
+    from eagor.media.footage import Frames
+    from eagor.media.pose_files import FramePose
+    from eagor.media.posed_frames import PosedFrame
+    from eagor.perception import Perception
+    from eagor.perception.footage import FollowedFrame, Method
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track(Common):
+    """Follow an object through a 360-degree video, or a sequence of panoramas."""
+
+    runs: ClassVar[str] = "track"
+
+    words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
+    """A video, a folder of panoramas, several image files (sorted by name), or a ROS 2 bag; then what to look for."""
+    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
+    (
+        "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
+        "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. CSV: a "
+        "file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch "
+        "nose DOWN); also x,y,z (metres) and frame (file name)."
+    )
+    rate: Annotated[float | None, bare("HZ")] = None
+    (
+        "Looks per second of a video or bag (default: 2). For images with --poses auto or level: how many per second "
+        "were taken (default: 1)."
+    )
+    start: Annotated[float, arg(metavar="SECONDS")] = 0.0
+    """Where to begin in a video or bag."""
+    end: Annotated[float | None, bare("SECONDS")] = None
+    """Where to stop in a video or bag (default: at its end)."""
+    image_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
+    odom_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
+    video: Annotated[Path | None, bare("FILE.mp4")] = None
+    """Write a video with the answer drawn in: .mp4, .mkv, .webm, .gif or .webp."""
+    fps: Annotated[float | None, bare("HZ")] = None
+    """Frames per second of --video (default: 10). Between looks the belief moves with the camera."""
+    page: Annotated[Path | None, bare("FILE.html")] = None
+    """Write one self-contained web page: the frames with the answers, a time line, a table."""
+    perception: Annotated[str | None, bare("NAME")] = None
+    """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
+    floor: Floor = None
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
+    """Calibration of the perception and of forgetting, from `eagor calibrate`."""
+    detector: Detector = None
+    drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
+    """Heading drift of the poses in the first second, degrees; it grows with the square root of time."""
+    compare: Flag = False
+    """Run the baselines on the same evidence as well."""
+    degree: Whole = 15
+    """Degree of the spherical harmonics, 1 to 63."""
+    modes: Modes = 10
+    picture: Annotated[Path | None, arg(name="pictures", metavar="DIR", help_behavior_hint="")] = None
+    """Draw each frame with the belief into this folder."""
+    rerun: Rerun = None
+    out: Out = None
+    mask: Mask = None
+    rig: RigFile = None
+    force: Force = False
+
+
 SEEN = {
     "auto": "orientations from the pictures themselves",
     "level": "headings from the pictures themselves, which are taken as level",
@@ -52,6 +111,8 @@ RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
 
 def track(options: Track) -> int:
     """Run the command; returns its exit code."""
+    from eagor.perception.footage import HiddenParts, follow
+
     if len(options.words) < 2:
         raise terminal.UsageError(
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
@@ -65,19 +126,18 @@ def track(options: Track) -> int:
     check_not_read(options.page, "--page", places)
     check_not_read(options.rerun, "--rerun", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
-    if options.modes < 1:
-        raise terminal.UsageError(f"--modes {options.modes}; wanted 1 or more")
+    checked_modes(options.modes)
     perception = make_perception(spec)
     journey = journey_of(options, places, perception)
-    floor, drift = _checked_floor(options.floor, journey), _checked_drift(options.drift)
-    config = replace(config, floor_height=floor, drift=drift)
+    floor = _checked_floor(options.floor, journey)
+    config = replace(config, floor_height=floor, drift=checked_drift(options.drift))
     run = _Run(options, query, spec, perception, journey.begins)
-    rivals = partial(make_rivals, spec) if options.compare else dict
+    rivals = partial(_rivals, spec) if options.compare else dict
     with ExitStack() as stack:
         keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
         advance = stack.enter_context(terminal.progress("looking", journey.count, shown=not options.json))
-        results = follow(journey.steps, perception, query, config, rivals, options.mask)
-        for result in _until_it_breaks(results, run):
+        hidden = HiddenParts(mask_of(options.mask), terminal.log)
+        for result in _until_it_breaks(follow(journey.frames, perception, query, config, rivals, hidden), run):
             run.add(result)
             for each in keep:
                 each(result)
@@ -85,14 +145,33 @@ def track(options: Track) -> int:
     return run.close(journey)
 
 
+def _rival_names() -> tuple[str, ...]:
+    """The other methods, in the order of the columns."""
+    from eagor.tasks.methods import NAMES
+
+    return tuple(name for name in NAMES if name != "eagor")
+
+
+def _rivals(perception: str) -> dict[str, Method]:
+    """Every other method by name, with its settings for `perception`."""
+    import numpy as np
+
+    from eagor.tasks.methods import make_method
+
+    return {name: make_method(name, np.random.default_rng(0), perception) for name in _rival_names()}
+
+
+# --- where frames and poses come from -------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Journey:
     """Where the frames and the poses come from: `told` says it in words; `poses` are those of a file, if any."""
 
-    steps: Iterator[Step]
+    frames: Iterator[PosedFrame]
     count: int | None
     told: str
-    poses: Sequence[Pose] = ()
+    poses: Sequence[FramePose] = ()
     shown: float | None = None  # frames per second
     span: float | None = None  # seconds from the first frame to the last, if known
     begins: float = 0.0  # the stamp of the first frame, where stamps are those of another clock
@@ -101,249 +180,103 @@ class Journey:
 
 def journey_of(options: Track, places: Sequence[Path], perception: Perception) -> Journey:
     """The stream that the options name; what a video tells of itself is said on stderr."""
-    by_file = options.poses not in ("auto", "level")
-    poses: tuple[Pose, ...] = read_poses(options.poses) if by_file else ()
+    from eagor.media.bags.reader import is_bag
+    from eagor.media.footage import LEAST_ROWS, is_video
+    from eagor.media.pose_files import read_poses
+    from eagor.perception import rows_of
+
+    poses = () if options.poses in SEEN else read_poses(options.poses)
     for name in ("rate", "fps"):
         if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
-    from eagor.media.bags.reader import is_bag
-
+    rows = max(rows_of(perception), LEAST_ROWS)
     if len(places) == 1 and is_bag(places[0]):
-        return _recorded(options, places[0], poses, perception)
+        return _of_bag(options, places[0], poses, rows)
     if given(options, ("image_topic", "odom_topic")):
         raise terminal.UsageError(f"--image-topic and --odom-topic are for a ROS 2 bag; {places[0]} is none")
     if is_video(places, options.rig):
-        looks = options.rate or RATE
-        shown = looks if options.video is None else max(looks, options.fps or FPS)
-        rows = max(rows_of(perception), LEAST_ROWS)
-        video = _video(options, places, shown, rows)
-        say_of_video(places[0].name, video.facts, video.duration)
-        source: Source = Film(video, options.force)
-        motion, end = video.motion, options.end or video.duration
-        span = None if end is None else end - options.start
-    else:
-        if given(options, wrong := ("start", "end", "fps")):
-            raise terminal.UsageError(f"--{given(options, wrong)[0]} is for a video; these are images")
-        if by_file and options.rate is not None:
-            raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
-        source, motion, looks = images(places, options.rate or 1.0, options.force, options.rig), None, None
-        shown = None if by_file else options.rate or 1.0
-        span = poses[-1].stamp - poses[0].stamp if poses else (source.count - 1) / (options.rate or 1.0)
-    if by_file:
-        steps, told = with_file(source, poses, Path(options.poses)), f"poses from {options.poses}"
-    elif motion is not None and options.poses == "auto":
-        steps, told = with_imu(source, motion), "orientations from the video's IMU"
-    else:
-        from eagor._extras import need
-
-        need("the rotation from pictures", "photos", "cv2")
-        steps, told = with_sight(source, options.poses == "level"), SEEN[options.poses]
-    if looks is not None:
-        terminal.log(f"{looks:g} looks per second (--rate), {told}")
-    elif not by_file:
-        many = "1 image" if source.count == 1 else f"{source.count} images"
-        terminal.log(f"{many}, taken at {options.rate or 1.0:g} per second (--rate), {told}")
-    return Journey(thinned(steps, looks), source.count, told, poses, shown, span)
+        return _of_video(options, places, poses, rows)
+    return _of_images(options, places, poses)
 
 
-def _video(options: Track, places: Sequence[Path], rate: float, rows: int) -> Any:
-    """The video, stitched with ``--rig``."""
-    if options.rig is not None:
-        return film_of(places, options.rig, rate=rate, start=options.start, end=options.end, rows=rows)
-    from eagor.media.video import Video
+def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
+    from eagor.media.footage import FrameCheck, VideoFrames, open_video
+    from eagor.media.posed_frames import thinned
 
-    return Video(places[0], rate=rate, start=options.start, end=options.end, rows=rows)
+    looks, shown = _rates(options)
+    video = open_video(places, options.rig, rate=shown, start=options.start, end=options.end, rows=rows)
+    say_of_video(places[0].name, video.facts, video.duration)
+    source = VideoFrames(video, FrameCheck(options.force, terminal.log))
+    frames, told = _posed(options, source, poses, video.motion)
+    terminal.log(f"{looks:g} looks per second (--rate), {told}")
+    end = options.end or video.duration
+    span = None if end is None else end - options.start
+    return Journey(thinned(frames, looks), source.count, told, poses, shown, span)
 
 
-def _recorded(options: Track, place: Path, poses: Sequence[Pose], perception: Perception) -> Journey:
-    """The stream of a ROS 2 bag."""
-    from eagor.cli.bag_steps import BagFilm, odometry_of, with_odometry
+def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:
+    from eagor.media.footage import FrameCheck, images
+
+    if wrong := given(options, ("start", "end", "fps")):
+        raise terminal.UsageError(f"--{wrong[0]} is for a video; these are images")
+    if poses and options.rate is not None:
+        raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
+    rate = options.rate or 1.0
+    source = images(places, rate, FrameCheck(options.force, terminal.log), options.rig)
+    frames, told = _posed(options, source, poses)
+    if poses:
+        return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
+    many = "1 image" if source.count == 1 else f"{source.count} images"
+    terminal.log(f"{many}, taken at {rate:g} per second (--rate), {told}")
+    return Journey(frames, source.count, told, poses, rate, (source.count - 1) / rate)
+
+
+def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
-    from eagor.robots.ros.sources import BagCamera
+    from eagor.media.footage import BagFrames, FrameCheck
+    from eagor.media.posed_frames import posed_by_odometry, thinned
+    from eagor.robots.ros.sources import BagCamera, bag_odometry
 
-    bag = Bag(place)
-    looks = options.rate or RATE
-    shown = looks if options.video is None else max(looks, options.fps or FPS)
-    rig = None
+    bag, (looks, shown), rig = Bag(place), _rates(options), None
     if options.rig is not None:
         from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
-    camera = BagCamera(bag, options.image_topic, rows=max(rows_of(perception), LEAST_ROWS), rig=rig)
-    source = BagFilm(camera, shown, options.start, options.end, options.force)
+    camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
-    odometry = None if poses or options.poses == "level" else odometry_of(bag, options.odom_topic, camera)
-    if poses:
-        steps, told = with_file(source, poses, Path(options.poses)), f"poses from {options.poses}"
-    elif odometry is not None:
-        steps, told = with_odometry(source, odometry), f"poses from {odometry.topic}"
+    odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)
+    if odometry is not None:
+        frames, told = posed_by_odometry(source, odometry, terminal.log), f"poses from {odometry.topic}"
     else:
-        from eagor._extras import need
-
-        need("the rotation from pictures", "photos", "cv2")
-        steps, told = with_sight(source, options.poses == "level"), SEEN[options.poses]
+        frames, told = _posed(options, source, poses)
     terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
     terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
-    return Journey(
-        thinned(steps, looks, camera.begins),
-        None,
-        told,
-        poses,
-        shown,
-        None,
-        camera.begins,
-        odometry is not None and odometry.kind != IMU,
-    )
+    placed = odometry is not None and odometry.kind != IMU
+    return Journey(thinned(frames, looks, camera.begins), None, told, poses, shown, None, camera.begins, placed)
 
 
-def _until_it_breaks(results: Iterator[Result], run: _Run) -> Iterator[Result]:
-    """The results; where the frames end in an error after some, it is kept for the end: nothing computed is lost."""
-    try:
-        yield from results
-    except (ImageError, PoseError) as error:
-        if not run.frames or isinstance(error, ShapeError):
-            raise
-        run.broken = str(error)
+def _rates(options: Track) -> tuple[float, float]:
+    """Looks and frames per second of a video or a bag: a video of the answers shows more than what is looked at."""
+    looks = options.rate or RATE
+    return looks, looks if options.video is None else max(looks, options.fps or FPS)
 
 
-class _Run:
-    """What the command says and counts on the way."""
+def _posed(
+    options: Track, source: Frames, poses: Sequence[FramePose], motion: Any = None
+) -> tuple[Iterator[PosedFrame], str]:
+    """The frames with the poses of a file, those of an IMU, or those that the pictures tell; and which, in words."""
+    from eagor._extras import need
+    from eagor.media.posed_frames import posed_by_file, posed_by_imu, posed_by_sight
 
-    def __init__(self, options: Track, query: str, spec: str, perception: Perception, begins: float) -> None:
-        self.options, self.query, self.spec, self.perception = options, query, spec, perception
-        self.begins = begins
-        self.frames = self.bad = self.looked = 0
-        self.entries: list[dict[str, Any]] = []
-        self.broken: str | None = None
-
-    def add(self, result: Result) -> None:
-        """Print and count one result; frames that were not looked at are only drawn."""
-        self.frames += 1
-        if self.frames == 1 and not self.options.json:
-            print(header(RIVALS if self.options.compare else ()), flush=True)
-        if result.lost:
-            terminal.warning(f"{result.frame} does not fit to the frames before it: the belief starts anew")
-        if result.evidence and not self.looked:
-            warn_of_detector(self.options.detector, result.evidence)
-        if result.problem is not None:
-            terminal.warning(f"{result.frame} is left out: {result.problem}")
-            self.bad += 1
-        self.looked += len(result.evidence)
-        if not result.told:
-            return
-        if self.options.json:
-            self.entries.append(result.as_json(self.options.modes))
-        else:
-            print(line(replace(result, stamp=result.stamp - self.begins)), flush=True)
-
-    def close(self, journey: Journey) -> int:
-        """Print the rest; returns the exit code."""
-        if self.options.json:
-            summary = {"query": self.query, "perception": self.spec, "poses": journey.told, "frames": self.entries}
-            terminal.emit(summary | {"left_out": self.bad})
-        if self.broken is not None:
-            terminal.warning(f"the frames end early: {self.broken}")
-        if self.frames == 0:
-            raise terminal.RunError("there was no frame to look at")
-        if self.bad == self.frames:
-            raise terminal.RunError(f"none of the {self.bad} frames could be used; the reasons are above")
-        if (said := closing(self.perception, self.query, self.looked)) is not None:
-            terminal.log(said)
-        if self.looked == 0:
-            stamps = f" ({journey.poses[0].stamp:g} to {journey.poses[-1].stamp:g} s)" if journey.poses else ""
-            raise terminal.RunError(
-                f"{self.spec} has no record for any of the {self.frames} frames; its stamps must use the clock of the "
-                f"frames{stamps}"
-            )
-        if self.bad:
-            terminal.log(f"{self.bad} of {self.frames} frames were left out")
-        return terminal.INCOMPLETE if self.bad or self.broken else terminal.OK
-
-
-Sink = Callable[[Result], None]
-
-
-def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
-    """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
-    if options.out:
-        yield _listed(options.out, RIVALS if options.compare else (), options.modes)
-    if options.picture:
-        yield nullcontext(_painter(options.picture, query, options.modes))
-    if options.video:
-        yield _filmed(options.video, query, journey)
-    if options.rerun:
-        yield _logged(options.rerun, query)
-    if options.page:
-        used = {"perception": spec, "poses": journey.told}
-        used |= {"calibration": str(options.calibration)} if options.calibration else {}
-        yield _paged(options.page, query, used, journey)
-
-
-@contextmanager
-def _listed(path: Path, rivals: Sequence[str], modes: int) -> Iterator[Sink]:
-    with table(path, rivals) as write:
-        yield lambda result: write(result.as_json(modes)) if result.told else None
-
-
-@contextmanager
-def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
-    from eagor.drawing.video import BeliefVideo
-
-    with BeliefVideo(checked_out(path, "--video"), rate=journey.shown, span=journey.span) as video:
-
-        def add(result: Result) -> None:
-            if result.panorama is not None:
-                video.add(
-                    result.panorama,
-                    result.estimate,
-                    stamp=result.stamp - journey.begins,
-                    query=query,
-                    problem=result.problem,
-                )
-
-        yield add
-
-
-@contextmanager
-def _logged(path: Path, query: str) -> Iterator[Sink]:
-    from eagor.drawing.rerun_log import RerunLog
-
-    with RerunLog(checked_out(path, "--rerun"), f"{query}: {path.name}") as log:
-
-        def add(result: Result) -> None:
-            if result.panorama is not None or result.told:
-                log.add(
-                    result.panorama, result.estimate, stamp=result.stamp, query=query, position=result.position,
-                    others=result.others, problem=result.problem,
-                )  # fmt: skip
-
-        yield add
-
-
-@contextmanager
-def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> Iterator[Sink]:
-    from eagor.drawing.page import BeliefPage
-
-    with BeliefPage(checked_out(path, "--page"), query=query, used=used, span=journey.span) as page:
-
-        def add(result: Result) -> None:
-            if not result.told:
-                return
-            if result.lost:
-                page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
-            at, problem = result.stamp - journey.begins, result.problem
-            page.add(result.panorama, result.estimate, stamp=at, name=result.frame, problem=problem)
-
-        yield add
-
-
-def _checked_drift(drift: float) -> float:
-    """``--drift`` in radians."""
-    if not 0 <= drift <= MOST_DRIFT:
-        raise terminal.UsageError(f"--drift {drift:g}; wanted degrees from 0 to {MOST_DRIFT}")
-    return math.radians(drift)
+    if poses:
+        return posed_by_file(source, poses, Path(options.poses)), f"poses from {options.poses}"
+    if motion is not None and options.poses == "auto":
+        return posed_by_imu(source, motion), "orientations from the video's IMU"
+    need("the rotation from pictures", "photos", "cv2")
+    return posed_by_sight(source, options.poses == "level"), SEEN[options.poses]
 
 
 def _checked_floor(floor: float | None, journey: Journey) -> float | None:
@@ -362,17 +295,176 @@ def _checked_floor(floor: float | None, journey: Journey) -> float | None:
     return floor
 
 
-def _painter(folder: Path, query: str, most: int) -> Callable[[Result], None]:
+# --- what is said and written ---------------------------------------------------------------------------------------
+
+
+def _until_it_breaks(results: Iterator[FollowedFrame], run: _Run) -> Iterator[FollowedFrame]:
+    """The results; where the frames end in an error after some, it is kept for the end: nothing computed is lost."""
+    from eagor.media.footage import ShapeError
+
+    try:
+        yield from results
+    except (ImageError, PoseError) as error:
+        if not run.frames or isinstance(error, ShapeError):
+            raise
+        run.broken = str(error)
+
+
+def _entry(result: FollowedFrame, modes: int) -> dict[str, Any]:
+    """A frame for ``--json`` and for files, with at most so many candidates."""
+    entry = {"frame": result.frame, "stamp": result.stamp, **result.estimate.as_dict(modes)}
+    entry["looks"] = len(result.evidence)
+    if result.lost:
+        entry["lost"] = True
+    if result.problem is not None:
+        entry["problem"] = result.problem
+    if result.others:
+        entry["methods"] = methods_as_dict(result.others)
+    return entry
+
+
+class _Run:
+    """What the command says and counts on the way."""
+
+    def __init__(self, options: Track, query: str, spec: str, perception: Perception, begins: float) -> None:
+        self.options, self.query, self.spec, self.perception = options, query, spec, perception
+        self.begins = begins
+        self.frames = self.bad = self.looked = 0
+        self.entries: list[dict[str, Any]] = []
+        self.broken: str | None = None
+
+    def add(self, result: FollowedFrame) -> None:
+        """Print and count one result; frames that were not looked at are only drawn."""
+        self.frames += 1
+        if self.frames == 1 and not self.options.json:
+            print(header(_rival_names() if self.options.compare else ()), flush=True)
+        if result.lost:
+            terminal.warning(f"{result.frame} does not fit to the frames before it: the belief starts anew")
+        if result.evidence and not self.looked:
+            warn_of_detector(self.options.detector, result.evidence)
+        if result.problem is not None:
+            terminal.warning(f"{result.frame} is left out: {result.problem}")
+            self.bad += 1
+        self.looked += len(result.evidence)
+        if not result.told:
+            return
+        if self.options.json:
+            self.entries.append(_entry(result, self.options.modes))
+        else:
+            print(line(result, self.begins), flush=True)
+
+    def close(self, journey: Journey) -> int:
+        """Print the rest; returns the exit code."""
+        if self.options.json:
+            summary = {"query": self.query, "perception": self.spec, "poses": journey.told, "frames": self.entries}
+            terminal.emit(summary | {"left_out": self.bad})
+        if self.broken is not None:
+            terminal.warning(f"the frames end early: {self.broken}")
+        if self.frames == 0:
+            raise terminal.RunError("there was no frame to look at")
+        if self.bad == self.frames:
+            raise terminal.RunError(f"none of the {self.bad} frames could be used; the reasons are above")
+        say_of_replay(self.perception, self.query, self.looked)
+        if self.looked == 0:
+            stamps = f" ({journey.poses[0].stamp:g} to {journey.poses[-1].stamp:g} s)" if journey.poses else ""
+            raise terminal.RunError(
+                f"{self.spec} has no record for any of the {self.frames} frames; its stamps must use the clock of the "
+                f"frames{stamps}"
+            )
+        if self.bad:
+            terminal.log(f"{self.bad} of {self.frames} frames were left out")
+        return terminal.INCOMPLETE if self.bad or self.broken else terminal.OK
+
+
+Sink = Callable[["FollowedFrame"], None]
+
+
+def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
+    """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
+    if options.out:
+        yield _listed(options.out, _rival_names() if options.compare else (), options.modes)
+    if options.picture:
+        yield nullcontext(_painter(options.picture, query, options.modes))
+    if options.video:
+        yield _filmed(options.video, query, journey)
+    if options.rerun:
+        yield _logged(options.rerun, query)
+    if options.page:
+        used = {"perception": spec, "poses": journey.told}
+        used |= {"calibration": str(options.calibration)} if options.calibration else {}
+        yield _paged(options.page, query, used, journey)
+
+
+@contextmanager
+def _listed(path: Path, rivals: Sequence[str], modes: int) -> Iterator[Sink]:
+    with table(path, rivals) as write:
+        yield lambda result: write(_entry(result, modes)) if result.told else None
+
+
+@contextmanager
+def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
+    from eagor.drawing.video import BeliefVideo
+
+    with BeliefVideo(checked_out(path, "--video"), rate=journey.shown, span=journey.span) as video:
+
+        def add(result: FollowedFrame) -> None:
+            if result.panorama is not None:
+                video.add(
+                    result.panorama,
+                    result.estimate,
+                    stamp=result.stamp - journey.begins,
+                    query=query,
+                    problem=result.problem,
+                )
+
+        yield add
+
+
+@contextmanager
+def _logged(path: Path, query: str) -> Iterator[Sink]:
+    from eagor.drawing.rerun_log import RerunLog
+
+    with RerunLog(checked_out(path, "--rerun"), f"{query}: {path.name}") as log:
+
+        def add(result: FollowedFrame) -> None:
+            if result.panorama is not None or result.told:
+                log.add(
+                    result.panorama, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    others=result.others, problem=result.problem,
+                )  # fmt: skip
+
+        yield add
+
+
+@contextmanager
+def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> Iterator[Sink]:
+    from eagor.drawing.page import BeliefPage
+
+    with BeliefPage(checked_out(path, "--page"), query=query, used=used, span=journey.span) as page:
+
+        def add(result: FollowedFrame) -> None:
+            if not result.told:
+                return
+            if result.lost:
+                page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
+            at, problem = result.stamp - journey.begins, result.problem
+            page.add(result.panorama, result.estimate, stamp=at, name=result.frame, problem=problem)
+
+        yield add
+
+
+def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], None]:
     """A function that draws a frame with its belief into `folder`; unreadable frames are skipped.
 
     Pictures are numbered as the lines of the table, and show at most `most` candidates.
     """
     from eagor.drawing import draw_belief
+    from eagor.drawing.words import answer_in_words
 
     checked_folder(folder, "--pictures")
     numbers = count()
 
-    def draw(result: Result) -> None:
+    def draw(result: FollowedFrame) -> None:
         if not result.told:
             return
         number = next(numbers)

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from tyro.conf import Positional
 
-from eagor.cli.options import Command
+from eagor.cli.commands import Command
 
 _NUMBER = re.compile(r"-(?:[0-9.]|inf|nan)", re.IGNORECASE)  # a value, although it begins with a dash
 _VIDEOS = (".mp4", ".mkv", ".webm", ".mov", ".insv")

@@ -33,7 +33,6 @@ from eagor.errors import EagorError, QueryError, WorldError
 from eagor.evaluation.detector_em import expected_look_alikes, short
 from eagor.evaluation.detector_fit import fitted_model
 from eagor.evaluation.labelled_looks import LabelledLook
-from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.metrics import angular_error_deg
@@ -50,7 +49,7 @@ from eagor.tasks.play import MASS, Player, Recording
 from eagor.tasks.rules import Camera, Disturbances, as_dict
 from eagor.tasks.tracking import TrackingEpisode
 from eagor.tracking.config import MotionModel, TrackerConfig
-from eagor.tracking.tracker import DirectionTracker
+from eagor.tracking.follower import Follower
 from eagor.worlds.render import PAINTS
 
 TASKS = ("waypoint", "tracking")
@@ -261,18 +260,20 @@ def development_slots(count: int, seed: int) -> list[Slot]:
 
 def score(recording: Recording, config: TrackerConfig, regions: bool = False) -> Score:
     """A tracker with this configuration on one recording; with `regions`, coverage is read as well."""
-    tracker, absent = DirectionTracker(config), DirectionTracker(config)
+    follower, absent = Follower(config), Follower(config)
     direction, error, inside = [], [], []
     presence: tuple[list[float], list[float]] = ([], [])
     for index, moment in enumerate(recording.moments):
-        _tell(tracker, moment.stamp, moment.world_R_body, moment.position, moment.evidence, config)
-        _tell(absent, moment.stamp, moment.world_R_body, moment.position, moment.other, config)
+        for each, evidence in ((follower, moment.evidence), (absent, moment.other)):
+            each.move(moment.stamp, moment.world_R_body, moment.position)
+            if evidence is not None:
+                each.look(evidence)
         if index % EVERY:
             continue
         if moment.other is not None:
             presence[1].append(math.log(max(1 - absent.estimate(moment.stamp).presence, SMALLEST)))
         if recording.truth["present"][index]:
-            estimate, true = tracker.estimate(moment.stamp), recording.directions[index]
+            estimate, true = follower.estimate(moment.stamp), recording.directions[index]
             presence[0].append(math.log(max(estimate.presence, SMALLEST)))
             direction.append(float(estimate.log_density(true)))
             said = FORWARD if estimate.direction is None else estimate.direction
@@ -281,15 +282,6 @@ def score(recording: Recording, config: TrackerConfig, regions: bool = False) ->
                 inside.append(estimate.mass_above(true) < MASS)
     told = (np.array(presence[0]), np.array(presence[1] or [0.0]))
     return Score(recording.episode.slot.seed, np.array(direction), told, np.array(error), np.array(inside))
-
-
-def _tell(
-    tracker: DirectionTracker, stamp: float, world_R_body: np.ndarray, position: np.ndarray,
-    evidence: Evidence | None, config: TrackerConfig,
-) -> None:  # fmt: skip
-    tracker.add_pose(stamp, world_R_body, position if config.ranges is not None else None)
-    if evidence is not None:
-        tracker.observe(evidence)
 
 
 def fit(

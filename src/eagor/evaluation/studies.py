@@ -74,7 +74,7 @@ def write_report(
 
     Returns the path of its page. `open_place` makes a world again from its name, its seed and the body's radius, for
     pictures (`eagor.tasks.places.load_place` where it is None). `episode`: the name of a page beside it on which an
-    episode can be watched (`eagor.studio.export`), to link to. Raises `EagorError` where there are no records, or of
+    episode can be watched (`eagor.studio.runs`), to link to. Raises `EagorError` where there are no records, or of
     several studies; `FormatError` for a folder that is no run's; `StorageError`.
     """
     named = [Path(folders)] if isinstance(folders, str | Path) else [Path(folder) for folder in folders]

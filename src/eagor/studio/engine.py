@@ -16,12 +16,10 @@ from typing import Any
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError
 from eagor.studio.following import SOONEST, warm
-from eagor.studio.orders import Close
-from eagor.studio.picture import PictureSession
-from eagor.studio.session import Opening, Outbox, Session
-from eagor.studio.video import VideoSession
+from eagor.studio.messages import Message
+from eagor.studio.picture import PictureSession, VideoSession
+from eagor.studio.session import Close, Opening, Outbox, Session
 from eagor.studio.walk import WalkSession
-from eagor.studio.wire import Message
 from eagor.tasks.methods import BASE
 
 __all__ = ["serve"]

@@ -10,9 +10,9 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,21 +22,60 @@ import numpy as np
 
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
+from eagor.media.frames import Frame
 from eagor.media.panorama import read_photograph
+from eagor.media.rotation import VisualOdometer
+from eagor.media.video import Video
 from eagor.perception import load, rows_of
 from eagor.perception.replay import look_if_recorded
+from eagor.studio.caching import Kept, given_back
 from eagor.studio.houses import House, house_of, place_of
-from eagor.studio.kept import Kept, given_back
-from eagor.studio.orders import Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned
-from eagor.studio.pictures import jpeg
-from eagor.studio.reels import Reel
+from eagor.studio.messages import jpeg
+from eagor.studio.session import LOOKS, Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned
 from eagor.studio.steps import calibration_of
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking.config import TrackerConfig
 from eagor.worlds.photograph import Photograph
 
-__all__ = ["serve"]
+__all__ = ["ROWS", "Reel", "serve"]
+
+ROWS = 512  # of a frame, at most
+
+
+@dataclass(eq=False)
+class Reel:
+    """The frames of a video from `start` on (seconds), `LOOKS` per second at most.
+
+    The camera's rotation is that of the file's motion track, if it has one, else that of the pictures themselves.
+    """
+
+    path: Path
+    start: float = 0.0
+    _video: Video = field(init=False)
+    _frames: Iterator[Frame] = field(init=False)
+    _odometer: VisualOdometer = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._video = Video(self.path, rate=LOOKS, start=self.start, rows=ROWS)
+        self._frames, self._odometer = iter(self._video), VisualOdometer()
+
+    def next(self) -> tuple[Frame, np.ndarray, bool] | None:
+        """The next frame, the camera's rotation ``(3, 3)`` there, and whether the world starts anew; None at the end.
+
+        Raises `EagorError` for a file that is cut off.
+        """
+        frame = next(self._frames, None)
+        if frame is None:
+            return None
+        if (motion := self._video.motion) is not None:
+            try:
+                return frame, motion.world_R_body(frame.stamp), False
+            except EagorError:  # the track is shorter than the video
+                pass
+        turned = self._odometer.add(frame.panorama)
+        return frame, np.asarray(turned.world_R_body), turned.lost
+
 
 FIRST_ROWS = 256  # of the first panorama of an apartment
 PHOTO_ROWS = 768  # of a photograph that is sent, at most

@@ -1,4 +1,4 @@
-"""The server's state: which pages watch what, and the processes that work for them.
+"""The server's state: which pages watch what, what waits for each of them, and the processes that work for them.
 
 Nothing is computed here. Sessions run in the engine's process, a live source in its own, runs are read in a third.
 """
@@ -8,24 +8,142 @@ from __future__ import annotations
 import asyncio
 import itertools
 import time
+from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from eagor._extras import how_to_install
 from eagor._version import __version__
+from eagor.perception import short_name
 from eagor.studio.backends import Backend
-from eagor.studio.channel import Channel
 from eagor.studio.guard import Gate
 from eagor.studio.library import Library
-from eagor.studio.messages import LONGEST, PageError
-from eagor.studio.offers import Offer, offers
-from eagor.studio.session import SEED, Opening
-from eagor.studio.slots import Slot
+from eagor.studio.messages import LONGEST, SEED, Message, PageError, merged
+from eagor.studio.session import Opening
 from eagor.studio.uploads import BYTES, PIXELS, Uploads
-from eagor.studio.wire import Message
 
-__all__ = ["LiveSource", "Page", "Settings", "Studio"]
+__all__ = ["Channel", "LiveSource", "Offer", "Page", "Settings", "Slot", "Studio", "offers"]
+
+WALK, PICTURE = "walk", "picture"
+_BUILT_IN = {
+    "scout": ("a small network for the rendered apartments", (WALK,)),
+    "truth": ("told by the simulator, with a detector's mistakes", (WALK,)),
+    "coco": ("a small network for 80 everyday things in photographs", (PICTURE,)),
+    "colour": ("where the colour is that the query names", (WALK, PICTURE)),
+}
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A perception: its `name` for opening, and `words` about it; `problem`: why it is not `ready` (else empty)."""
+
+    name: str
+    words: str
+    views: tuple[str, ...]
+    ready: bool = True
+    problem: str = ""
+
+
+def offers(given: str | None = None) -> list[Offer]:
+    """The built-in ones, and the `given` one of the command line first."""
+    found = [Offer(name, words, views, not (why := _missing(name)), why) for name, (words, views) in _BUILT_IN.items()]
+    if given is None or given in _BUILT_IN:
+        return sorted(found, key=lambda offer: offer.name != given)
+    return [Offer(given, f"{short_name(given)}, given with --perception", (WALK, PICTURE)), *found]
+
+
+def _missing(name: str) -> str:
+    if name == "coco":
+        from eagor.perception.coco import COCO
+
+        if not COCO.path.is_file():
+            return "Its weights are not here: run eagor models get coco, then reload the page."
+        if find_spec("onnxruntime") is None:
+            return f"It needs onnxruntime: {how_to_install('photos')}"
+    if name in ("scout", "truth"):
+        lacking = [each for each in ("onnxruntime", "trimesh", "gymnasium") if find_spec(each) is None]
+        if lacking:
+            return f"It needs {' and '.join(lacking)}: {how_to_install('sim')}"
+    return ""
+
+
+WAITING = 32  # scenes, problems and words; older ones are dropped
+
+
+class Slot:
+    """Filled and emptied in the loop's thread. However slow its page is, it never grows."""
+
+    def __init__(self) -> None:
+        self._said: deque[Message] = deque(maxlen=WAITING)
+        self._step: Message | None = None
+        self._news = asyncio.Event()
+
+    def put(self, message: Message) -> None:
+        """A step replaces the one before it (`merged`); a new scene drops the steps of the old one."""
+        if message.header["type"] == "step":
+            self._step = merged(self._step, message)
+        else:
+            if message.header["type"] == "scene":
+                self._step = None
+            self._said.append(message)
+        self._news.set()
+
+    def clear(self) -> None:
+        """Forget all: another view is opened."""
+        self._said.clear()
+        self._step = None
+        self._news.clear()
+
+    async def get(self) -> Message:
+        """The next message, once there is one: words before steps."""
+        while not self._said and self._step is None:  # cleared, perhaps, since it was woken
+            await self._news.wait()
+        if self._said:
+            message = self._said.popleft()
+        else:
+            assert self._step is not None
+            message, self._step = self._step, None
+        if not self._said and self._step is None:
+            self._news.clear()
+        return message
+
+
+@dataclass(eq=False)
+class Channel:
+    """The slots of those who watch, and what was said last."""
+
+    slots: list[Slot] = field(default_factory=list)
+    _said: dict[str, Message] = field(default_factory=dict)
+    _step: Message | None = None
+
+    def join(self, slot: Slot) -> None:
+        """Watch from now on."""
+        self.slots.append(slot)
+        for message in self._said.values():
+            slot.put(message)
+        if self._step is not None:
+            slot.put(self._step)
+
+    def leave(self, slot: Slot) -> None:
+        """Watch no more."""
+        if slot in self.slots:
+            self.slots.remove(slot)
+
+    def put(self, message: Message) -> None:
+        """Give a message to all."""
+        if message.header["type"] == "step":
+            self._step = merged(self._step, message)
+        else:
+            self._said[message.header["type"]] = message
+            if message.header["type"] == "scene":
+                self._step = None
+                self._said.pop("status", None)  # what was said while it was being opened
+        for slot in self.slots:
+            slot.put(message)
+
 
 ENGINE = "eagor.studio.engine:serve"
 RATE, BURST = 60.0, 120.0  # messages per second of a page, and at once

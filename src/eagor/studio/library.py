@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from eagor.errors import EagorError
 from eagor.studio.backends import Backend
-from eagor.studio.kept import weighed
+from eagor.studio.caching import weighed
 from eagor.studio.messages import PageError
 
 if TYPE_CHECKING:

@@ -14,9 +14,8 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
 from eagor.live.loop import LiveLoop, Watcher
-from eagor.studio.pictures import jpeg
+from eagor.studio.messages import Blob, Message, jpeg, rounded
 from eagor.studio.steps import FLOATS, belief_of, calibration_of, estimate_json, modes_json, stage
-from eagor.studio.wire import Blob, Message, rounded
 from eagor.worlds.photograph import Photograph
 
 __all__ = ["Shown", "watch"]

@@ -1,19 +1,101 @@
-"""What a page may say, checked field by field: the browser is not trusted."""
+"""Messages between the server and a page.
+
+To the page: a header in JSON, and blobs (pictures, coefficients) after it, in one binary frame. A frame is the length
+of the header (uint32, little-endian), the header in UTF-8, and the blobs back to back, as the header's ``blobs`` lists
+them: name, type and bytes of each.
+
+From the page: JSON objects, checked field by field, because the browser is not trusted.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import io
+import json
+import math
+import struct
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
-from eagor._json import number, parsed, shown, whole
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from PIL import Image
+
+from eagor._json import parsed, shown
 from eagor.errors import EagorError
 
-__all__ = ["LATE", "LONGEST", "PageError", "read"]
+__all__ = ["LATE", "LONGEST", "SEED", "Blob", "Message", "PageError", "jpeg", "merged", "packed", "read", "rounded"]
+
+CARRIED = ("panorama", "belief", "evidence")  # parts that stay wanted until they have been sent
+
+
+@dataclass(frozen=True)
+class Blob:
+    """Bytes of a media type, such as image/jpeg, or float32 (little-endian)."""
+
+    type: str
+    content: bytes
+
+
+@dataclass(frozen=True)
+class Message:
+    """A `header` with a "type", and `blobs` by name."""
+
+    header: dict[str, Any]
+    blobs: dict[str, Blob] = field(default_factory=dict)
+
+
+def packed(message: Message) -> bytes:
+    """The message as one binary frame. Raises `ValueError` for numbers that JSON does not have."""
+    listed = [{"name": name, "type": b.type, "bytes": len(b.content)} for name, b in message.blobs.items()]
+    text = json.dumps(message.header | {"blobs": listed}, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    head = text.encode()
+    return b"".join([struct.pack("<I", len(head)), head, *(blob.content for blob in message.blobs.values())])
+
+
+def merged(unsent: Message | None, newer: Message) -> Message:
+    """The `newer` step, with what an `unsent` one before it had and it has not: pictures and beliefs.
+
+    So a client that is slow misses steps, but never the newest picture or belief.
+    """
+    if unsent is None:
+        return newer
+    header, blobs = dict(newer.header), dict(newer.blobs)
+    for name in CARRIED:
+        if name in unsent.header and name not in header:
+            header[name] = unsent.header[name]
+            if name in unsent.blobs:
+                blobs[name] = unsent.blobs[name]
+    return Message(header, blobs)
+
+
+def rounded(value: Any, digits: int = 5) -> Any:
+    """Numbers rounded, arrays as lists, and None for what is not finite; also inside of lists and dicts."""
+    if isinstance(value, dict):
+        return {key: rounded(each, digits) for key, each in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [rounded(each, digits) for each in value]
+    if isinstance(value, float):
+        return round(value, digits) if math.isfinite(value) else None
+    return value
+
+
+QUALITY = 80
+
+
+def jpeg(panorama: np.ndarray) -> bytes:
+    """A picture ``(H, W, 3)`` uint8 as JPEG."""
+    buffer = io.BytesIO()
+    Image.fromarray(panorama).save(buffer, "JPEG", quality=QUALITY)
+    return buffer.getvalue()
+
 
 LONGEST = 16_384  # bytes of a message
 LATE = 0.5  # seconds that a body moves at once at most: what was held up makes no leap
-QUERY = 200  # characters
-NAMES = 16  # methods
+NO_CONTROL = r"^[^\x00-\x1f]*\Z"  # a text of one line
+SEED = 602  # the apartment of `eagor demo`: its search was chosen because it is instructive
 
 
 class PageError(EagorError):
@@ -24,81 +106,84 @@ class PageError(EagorError):
         self.problem, self.change, self.status = problem, change, status
 
 
-def _text(most: int) -> Callable[[Any], str]:
-    def read(value: Any) -> str:
-        if not isinstance(value, str) or len(value) > most or any(ord(each) < 32 for each in value):
-            raise ValueError(f"{shown(value)} is not a text of at most {most} characters")
-        return " ".join(value.split())
+# --- what a page may say -------------------------------------------------------------------------------------------
 
-    return read
-
-
-def _one_of(*choices: str) -> Callable[[Any], str]:
-    def read(value: Any) -> str:
-        if value not in choices:
-            raise ValueError(f"{shown(value)} is none of {', '.join(choices)}")
-        return value
-
-    return read
+Name = Annotated[str, Meta(max_length=64, pattern=NO_CONTROL)]
+Query = Annotated[str, Meta(max_length=200, pattern=NO_CONTROL)]
+Seed = Annotated[int, Meta(ge=0, le=9999)]
+Methods = Annotated[list[Name], Meta(max_length=16)]
+Angle = Annotated[float, Meta(ge=-100, le=100)]  # radians, or radians per second
 
 
-def _between(low: float, high: float) -> Callable[[Any], float]:
-    def read(value: Any) -> float:
-        found = number(value)
-        if not low <= found <= high:
-            raise ValueError(f"{found:g} is not from {low:g} to {high:g}")
-        return found
-
-    return read
+class FromPage(Struct, tag_field="type", tag=str.lower):
+    """A message of a page: its type is the name of its class, its fields are checked as they are annotated."""
 
 
-def _whole(low: int, high: int) -> Callable[[Any], int]:
-    def read(value: Any) -> int:
-        found = whole(value)
-        if not low <= found <= high:
-            raise ValueError(f"{found} is not from {low} to {high}")
-        return found
+class Open(FromPage):
+    """Show a view."""
 
-    return read
-
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{shown(value)} is not true or false")
-    return value
+    view: Literal["walk", "picture", "live"]
+    query: Query = ""
+    perception: Name = ""
+    seed: Seed | None = None
+    drive: Literal["policy", "person"] = "policy"
+    id: Name = ""
+    methods: Methods = []
 
 
-def _names(value: Any) -> list[str]:
-    if not isinstance(value, list) or len(value) > NAMES:
-        raise ValueError(f"{shown(value)} is not a list of at most {NAMES} names")
-    return [_text(64)(each) for each in value]
+class Ask(FromPage, tag="query"):
+    """Look for something else."""
+
+    text: Query
 
 
-_QUERY, _NAME, _ANGLE = _text(QUERY), _text(64), _between(-100.0, 100.0)
-# The fields of each message: how each is read, and its default (no default: it has to be there).
-_FIELDS: dict[str, dict[str, tuple[Any, ...]]] = {
-    "open": {
-        "view": (_one_of("walk", "picture", "live"),),
-        "query": (_QUERY, ""),
-        "perception": (_NAME, ""),
-        "seed": (_whole(0, 9999), None),
-        "drive": (_one_of("policy", "person"), "policy"),
-        "id": (_NAME, ""),
-        "methods": (_names, []),
-    },
-    "query": {"text": (_QUERY,)},
-    "drive": {
-        "by": (_one_of("policy", "person"), "person"),
-        "forward": (_between(-10.0, 10.0), 0.0),
-        "turn": (_between(-100.0, 100.0), 0.0),
-        "seconds": (_between(0.0, LATE), 0.0),
-    },
-    "camera": {"yaw": (_ANGLE, 0.0), "pitch": (_ANGLE, 0.0), "roll": (_ANGLE, 0.0)},
-    "pause": {"on": (_flag,)},
-    "seek": {"frame": (_whole(0, 10**9),)},
-    "degree": {"L": (_whole(1, 31),)},
-    "methods": {"names": (_names,)},
-    "restart": {},
+class Drive(FromPage):
+    """Who moves the body, and how the person has moved it: metres and radians per second, for so many seconds."""
+
+    by: Literal["policy", "person"] = "person"
+    forward: Annotated[float, Meta(ge=-10, le=10)] = 0.0
+    turn: Angle = 0.0
+    seconds: Annotated[float, Meta(ge=0, le=LATE)] = 0.0
+
+
+class Camera(FromPage):
+    """Where the camera points in a photograph."""
+
+    yaw: Angle = 0.0
+    pitch: Angle = 0.0
+    roll: Angle = 0.0
+
+
+class Pause(FromPage):
+    """Stand still, or go on."""
+
+    on: bool
+
+
+class Seek(FromPage):
+    """Go to a frame of a video."""
+
+    frame: Annotated[int, Meta(ge=0, le=10**9)]
+
+
+class Degree(FromPage):
+    """Believe with harmonics of this degree."""
+
+    L: Annotated[int, Meta(ge=1, le=31)]
+
+
+class Compare(FromPage, tag="methods"):
+    """Run these methods beside ours."""
+
+    names: Methods
+
+
+class Restart(FromPage):
+    """Begin again."""
+
+
+_KINDS = {
+    str(kind.__struct_config__.tag): kind for kind in (Open, Ask, Drive, Camera, Pause, Seek, Degree, Compare, Restart)
 }
 
 
@@ -110,21 +195,21 @@ def read(text: str | bytes) -> dict[str, Any]:
         found = parsed(text, strict=True)
     except ValueError as error:
         raise PageError(f"A message came that is no JSON ({error}).", "Send one JSON object per message.") from None
-    kinds = ", ".join(_FIELDS)
-    kind = found.get("type") if isinstance(found, dict) else None
-    if not isinstance(kind, str) or kind not in _FIELDS:
-        raise PageError(f"A message of the type {shown(kind)} came; known are {kinds}.", "Reload the page.")
-    message: dict[str, Any] = {"type": kind}
-    for name, (reads, *default) in _FIELDS[kind].items():
-        if found.get(name) is None:
-            if not default:
-                raise PageError(f"A message {kind!r} came without {name!r}.", "Reload the page.")
-            message[name] = default[0]
-            continue
-        try:
-            message[name] = reads(found[name])
-        except ValueError as error:
-            raise PageError(f"In a message {kind!r}, {name} is wrong: {error}.", "Reload the page.") from None
-    if kind in ("query",) and not any(each.isalnum() for each in message["text"]):
+    name = found.get("type") if isinstance(found, dict) else None
+    if not isinstance(name, str) or name not in _KINDS:
+        raise PageError(f"A message of the type {shown(name)} came; known are {', '.join(_KINDS)}.", "Reload the page.")
+    try:
+        told = msgspec.convert({key: each for key, each in found.items() if each is not None}, _KINDS[name])
+    except (msgspec.ValidationError, OverflowError) as error:
+        raise PageError(f"In a message {name!r} something is wrong: {error}.", "Reload the page.") from None
+    message = {key: _tidy(each) for key, each in msgspec.to_builtins(told).items()}
+    if name == "query" and not any(each.isalnum() for each in message["text"]):
         raise PageError("The query has no words.", "Say what to look for, such as 'red chair'.")
     return message
+
+
+def _tidy(value: Any) -> Any:
+    """Texts with one space between words."""
+    if isinstance(value, list):
+        return [_tidy(each) for each in value]
+    return " ".join(value.split()) if isinstance(value, str) else value

@@ -1,4 +1,4 @@
-"""A photograph to look around in: the camera turns as the person drags, and the belief stays with the world."""
+"""Sessions of a photograph, in which the person turns the camera, and of a video, which is played."""
 
 from __future__ import annotations
 
@@ -10,37 +10,32 @@ from typing import Any
 import numpy as np
 
 from eagor.sphere import angular_distance, world_R_body
-from eagor.studio.following import SOONEST, Following
-from eagor.studio.orders import Opened, Refused, See, Seen
-from eagor.studio.rivals import OFFERED, Rivals
-from eagor.studio.session import Opening, Outbox
-from eagor.studio.steps import FLOATS, estimate_json, evidence_of, modes_json, stage
-from eagor.studio.wire import Blob, Message, rounded
-from eagor.tasks.methods import BASE
+from eagor.studio.following import SOONEST, FollowingSession
+from eagor.studio.messages import rounded
+from eagor.studio.session import LOOKS, Opened, Opening, Outbox, Refused, See, Seen, Turn, Turned
 
-__all__ = ["PictureSession"]
+__all__ = ["PictureSession", "VideoSession"]
 
 BETWEEN = 0.5  # seconds from one look to the next: time goes on with looks alone
 TICK = 1e-3  # of such a second, from one step to the next
 TURNED = math.radians(5)  # of the camera, which are worth another look
 SOON = 0.02  # seconds
+OTHER_FILE, OTHER_QUERY = "Drop another file.", "Ask for something else, or choose another perception."
 
 
-class PictureSession:
+class PictureSession(FollowingSession):
     """One person's view of one photograph; see `eagor.studio.session.Session`.
 
     A photograph does not change, so its time passes with looks: each is half a second after the one before.
     """
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
+        super().__init__(number, opening, out)
         assert opening.picture is not None
-        self.number, self.opening, self._out = number, opening, out
-        self.due = math.inf
-        self._picture: Path = opening.picture
-        self._query, self._degree = opening.query, BASE.degree
+        self._file: Path = opening.picture
         self._angles = (0.0, 0.0, 0.0)
         self._opened: Opened | None = None
-        self._seeing = self._paused = False
+        self._seeing = False
         out.eye(("picture", number, opening.picture, opening.perception))
         out.status(number, f"Reading {opening.name or 'the picture'}.")
 
@@ -52,25 +47,15 @@ class PictureSession:
         elif isinstance(said, Seen):
             self._seeing = False
             if said.query == self._query and said.stamp in self._poses:
-                pose = self._poses.pop(said.stamp)
-                for evidence in said.looks:
-                    self._following.look(evidence)
-                self._rivals.look(said.stamp, pose, None, said.looks)
-                if said.looks:
-                    header, blob = evidence_of(said.looks[0], pose, said.stamp, self._degree)
-                    self._parts["evidence"], self._blobs["evidence"] = header, blob
-                self._fresh = True
+                self._take(said.looks, said.stamp, self._poses.pop(said.stamp))
             self.due = now
         elif isinstance(said, Refused):
             self._seeing = False
+            if not self._concerns(said):
+                self.due = now
+                return
             fatal = said.part == "picture"
-            if said.part == "query":
-                self._refused = said.query
-                if said.query != self._query:
-                    self.due = now
-                    return
-            change = "Drop another file." if fatal else "Ask for something else, or choose another perception."
-            self._out.problem(self.number, said.problem, change, fatal)
+            self._out.problem(self.number, said.problem, OTHER_FILE if fatal else OTHER_QUERY, fatal)
 
     def told(self, message: dict[str, Any], now: float) -> None:
         """What the page says; its fields have been checked."""
@@ -81,15 +66,10 @@ class PictureSession:
             self._angles = (message["yaw"], message["pitch"], message["roll"])
         elif self._opened is None:
             return
-        elif kind == "query":
-            self._query = message["text"]
-            self.opening = replace(self.opening, query=self._query)
-            self._follow(now)
-        elif kind == "degree":
-            self._degree = message["L"]
+        elif self._changes(message):
             self._follow(now)
         elif kind == "methods":
-            self._rivals.choose(message["names"])
+            self._compare(message)
         elif kind == "restart":
             self._angles = (0.0, 0.0, 0.0)
             self._follow(now)
@@ -102,63 +82,23 @@ class PictureSession:
         if self._opened is None or self._paused:
             return 0.0
         self._stamp += TICK
-        pose = self._pose()
+        yaw, pitch, roll = self._angles
+        pose = world_R_body(yaw, -pitch, roll)
         self._following.pose(self._stamp, pose, None)
         self._see(pose)
         estimate = self._following.answer(self._stamp, 0.0)
-        yaw, pitch, roll = self._angles
-        header: dict[str, Any] = {
-            "type": "step",
-            **stage(estimate, self._stamp, None),
-            "attitude": {"yaw": rounded(yaw), "pitch": rounded(pitch), "roll": rounded(roll)},
-            "estimate": estimate_json(estimate, self._following.entropy),
-            "modes": modes_json(estimate),
-            "rivals": self._rivals.answers(pose, None),
-            "truth": {"direction": None},
-            "error_deg": None,
-            "goal": None,
-            **self._parts,
-        }
-        header["look"]["fresh"], self._fresh = self._fresh, False
-        if self._following.news:
-            header["belief"] = self._following.belief
-            self._blobs["belief"] = Blob(FLOATS, self._following.coefficients)
-            self._following.news = False
-        self._out.step(self.number, Message(header, self._blobs))
-        self._parts, self._blobs = {}, {}
+        attitude = {"yaw": rounded(yaw), "pitch": rounded(pitch), "roll": rounded(roll)}
+        self._step(estimate, self._stamp, attitude=attitude)
         return self._following.took
-
-    def _pose(self) -> np.ndarray:
-        yaw, pitch, roll = self._angles
-        return world_R_body(yaw, -pitch, roll)
 
     def _follow(self, now: float) -> None:
         """Follow the query, with nothing known."""
         assert self._opened is not None
-        self._following = Following(replace(BASE, degree=self._degree))
-        self._rivals = Rivals(self.opening.perception)
-        self._rivals.choose(self.opening.methods)
-        self._stamp, self._poses, self._looked_from = 0.0, {}, None
-        self._refused, self._fresh = None, False
-        here = {"stamp": 0.0, "world_R_camera": [1, 0, 0, 0, 1, 0, 0, 0, 1]}
-        self._parts: dict[str, Any] = {"panorama": here}
-        self._blobs: dict[str, Blob] = {"panorama": Blob("image/jpeg", self._opened.jpeg)}
-        scene = {
-            "type": "scene",
-            "view": "picture",
-            "title": self.opening.name or "Picture",
-            "session": str(self.number),
-            "query": self._query,
-            "targets": [],
-            "facts": list(self._opened.facts),
-            "plan": None,
-            "degree": self._degree,
-            "calibration": self._opened.calibrated,
-            "perception": self.opening.perception,
-            "methods": list(OFFERED),
-            "region": 0.9,
-        }
-        self._out.send(self.number, Message(scene))
+        self._forget()
+        self._stamp, self._poses, self._looked_from, self._refused = 0.0, {}, None, None
+        self._picture(0.0, np.eye(3), self._opened.jpeg)
+        title, facts = self.opening.name or "Picture", list(self._opened.facts)
+        self._scene("picture", title, self._opened.calibrated, facts=facts)
         self.due = now
 
     def _see(self, pose: np.ndarray) -> None:
@@ -172,7 +112,106 @@ class PictureSession:
         self._following.pose(self._stamp, pose, None)
         self._looked_from, self._seeing = pose, True
         self._poses = {self._stamp: pose}
-        job = See(
-            self.number, self._stamp, pose, None, self.opening.perception, self._query, 0, picture=self._picture
-        )  # fmt: skip
+        job = See(self.number, self._stamp, pose, None, self.opening.perception, self._query, 0, picture=self._file)
         self._out.eye(job)
+
+
+class VideoSession(FollowingSession):
+    """One person's view of one video; see `eagor.studio.session.Session`. Its time is that of the video.
+
+    It is played as fast as it can be looked at, at its own speed at most; one can pause and seek.
+    """
+
+    def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
+        super().__init__(number, opening, out)
+        assert opening.picture is not None
+        self._file: Path = opening.picture
+        self._opened: Opened | None = None
+        self._over = self._asking = False
+        self._start: float | None = 0.0  # where to seek with the next frame
+        self._anchor: tuple[float, float] | None = None  # time of the video, and ours
+        out.eye(("video", number, opening.perception))
+        out.status(number, f"Reading {opening.name or 'the video'}.")
+
+    def saw(self, said: Any, now: float) -> None:
+        """What the eye says."""
+        if isinstance(said, Opened):
+            self._opened = said
+            self._show_all()
+            self.due = now
+        elif isinstance(said, Turned):
+            self._asking = False
+            if said.over:
+                self._over = True
+                self._out.status(self.number, "The video has ended. Seek, or restart it.")
+            elif self._start is None:  # else it is from before a seek
+                self._show(said, now)
+            else:
+                self.due = now
+        elif isinstance(said, Refused):
+            fatal = said.part == "picture"
+            self._asking = self._asking and not fatal
+            if self._concerns(said):
+                self._out.problem(self.number, said.problem, OTHER_FILE if fatal else OTHER_QUERY, fatal)
+
+    def told(self, message: dict[str, Any], now: float) -> None:
+        """What the page says; its fields have been checked."""
+        kind = message["type"]
+        if kind == "pause":
+            self._paused = message["on"]
+            self._anchor = None  # time has stood still
+        elif kind == "seek":
+            self._seek(message["frame"] / LOOKS)
+        elif kind == "restart":
+            self._seek(0.0)
+        elif kind == "methods":
+            self._compare(message)
+        elif self._opened is None:
+            return
+        elif self._changes(message):
+            self._show_all()
+        self.due = min(self.due, now) if self._opened is not None else self.due
+
+    def tick(self, now: float, soonest: float = SOONEST) -> float:
+        """Ask for the next frame; one frame is shown after a seek even while the video is paused."""
+        self.due = math.inf
+        wanted = self._start is not None or not (self._paused or self._over)
+        if self._opened is None or self._asking or not wanted:
+            return 0.0
+        query = None if self._refused == self._query else self._query
+        self._out.eye(Turn(self.number, self._file, self.opening.perception, query, self._start))
+        self._start, self._asking = None, True
+        return 0.0
+
+    def _seek(self, seconds: float) -> None:
+        """Go to a time; the belief begins anew there."""
+        last = max(0.0, (self.opening.frames - 1) / LOOKS)
+        self._start, self._over = min(seconds, last), False
+        self._begin()
+
+    def _begin(self) -> None:
+        self._forget()
+        self._anchor = None
+
+    def _show_all(self) -> None:
+        """Begin, and say what is shown."""
+        assert self._opened is not None
+        self._begin()
+        self._scene("picture", self.opening.name or "Video", self._opened.calibrated, frames=self.opening.frames)
+
+    def _show(self, said: Turned, now: float) -> None:
+        """One frame: take in its looks, and say what is believed."""
+        if said.lost:
+            self._begin()
+            self._out.status(self.number, "A picture does not fit to those before it: the belief starts anew.")
+        stamp, pose = said.stamp, said.world_R_body
+        self._following.pose(stamp, pose, None)
+        self._picture(stamp, pose, said.jpeg)
+        if said.looks and said.query == self._query:
+            self._take([replace(evidence, stamp=stamp) for evidence in said.looks], stamp, pose)
+        frame = {"n": round(stamp * LOOKS), "of": self.opening.frames, "stamp": rounded(stamp, 3)}
+        self._step(self._following.answer(stamp, 0.0), stamp, frame=frame)
+        if self._anchor is None:
+            self._anchor = stamp, now
+        # At the video's speed at most: the next frame is due when its time has come.
+        self.due = max(now, self._anchor[1] + (stamp + 1 / LOOKS - self._anchor[0]))

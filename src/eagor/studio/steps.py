@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 
 from eagor.drawing.words import STATUS, answer_in_words, far_in_words
-from eagor.evidence import Calibration
-from eagor.evidence.evidence import Evidence
+from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import angular_distance
 from eagor.studio.density import DEGREE, MASS, Density, density_of
-from eagor.studio.wire import Blob, rounded
-from eagor.tracking.config import TrackerConfig
-from eagor.tracking.estimate import Estimate
+from eagor.studio.messages import Blob, rounded
+from eagor.tracking import Estimate, TrackerConfig
 
-__all__ = ["belief_of", "calibration_of", "error_deg", "estimate_json", "evidence_of", "modes_json", "stage"]
+__all__ = ["FLOATS", "belief_of", "calibration_of", "error_deg", "estimate_json", "evidence_of", "modes_json", "stage"]
 
 FLOATS = "float32"
 

@@ -184,8 +184,8 @@ def _photo(path: Path, name: str) -> Upload:
 
 def _video(path: Path, name: str) -> Upload:
     from eagor.media.video import Video
-    from eagor.studio.orders import LOOKS
-    from eagor.studio.reels import ROWS
+    from eagor.studio.eye import ROWS
+    from eagor.studio.session import LOOKS
 
     try:
         found = Video(path, rate=LOOKS, rows=ROWS)

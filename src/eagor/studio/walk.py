@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from eagor.studio.following import SOONEST, Following
-from eagor.studio.houses import House
-from eagor.studio.orders import Built, Panorama, Refused, See, Seen
-from eagor.studio.rivals import OFFERED, Rivals
-from eagor.studio.session import Opening, Outbox
-from eagor.studio.steps import FLOATS, error_deg, estimate_json, evidence_of, modes_json, stage
-from eagor.studio.walking import Body, Walker
-from eagor.studio.wire import Blob, Message, rounded
-from eagor.tasks.methods import BASE
+from eagor.studio.following import SOONEST, FollowingSession
+from eagor.studio.houses import Body, House, Walker
+from eagor.studio.messages import rounded
+from eagor.studio.session import Built, Opening, Outbox, Panorama, Refused, See, Seen
 from eagor.tasks.rules import NavigationRules
 from eagor.worlds.walkable import Way
 
@@ -28,16 +22,13 @@ STILL = 1.0  # seconds between two looks from the same place
 ROWS, FINE = 192, 384  # of panoramas: while the body moves, and when it has come to rest
 
 
-class WalkSession:
+class WalkSession(FollowingSession):
     """One person's walk; see `eagor.studio.session.Session`."""
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
-        self.number, self.opening, self._out = number, opening, out
-        self.due = math.inf
+        super().__init__(number, opening, out)
         self.house: House | None = None
-        self._paused = False
         self._seeing = self._looking = self._fine = False  # something is under way, with a look; the picture is fine
-        self._degree = BASE.degree
         out.eye(("house", number, opening.seed, opening.perception))
         out.status(number, f"Building apartment {opening.seed}. The first time takes some seconds.")
 
@@ -51,21 +42,18 @@ class WalkSession:
             self._seeing = self._seeing and self._looking  # the look is still to come
             if said.stamp < self._since:
                 return
-            where = {"stamp": rounded(said.stamp), "world_R_camera": rounded(said.world_R_body.reshape(9), 6)}
-            self._parts["panorama"] = where
-            self._blobs["panorama"] = Blob("image/jpeg", said.jpeg)
+            self._picture(said.stamp, said.world_R_body, said.jpeg)
             self.due = now
         elif isinstance(said, Seen) and self.house is not None:
             self._seeing = False
             if said.query == self._query and said.stamp >= self._since:
-                self._look(said)
+                if (pose := self._poses.pop(said.stamp, None)) is not None:
+                    self._take(said.looks, said.stamp, *pose)
                 self.due = now
         elif isinstance(said, Refused):
             self._seeing = False
-            if said.part == "query":
-                self._refused = said.query
-                if said.query != self._query:
-                    return
+            if not self._concerns(said):
+                return
             change = "Ask for one of the things that are offered." if said.part == "query" else "Choose another one."
             self._out.problem(self.number, said.problem, change, fatal=said.part == "house")
 
@@ -81,15 +69,10 @@ class WalkSession:
             self._walker.drive(message["by"])
             if message["by"] == "person" and not self._paused:
                 self._walker.steer(message["forward"], message["turn"], message["seconds"])
-        elif kind == "query":
-            self._query = message["text"]
-            self.opening = replace(self.opening, query=self._query)
-            self._follow(now)
-        elif kind == "degree":
-            self._degree = message["L"]
+        elif self._changes(message):
             self._follow(now)
         elif kind == "methods":
-            self._rivals.choose(message["names"])
+            self._compare(message)
         elif kind == "restart":
             self._begin(now)
         self.due = min(self.due, now)
@@ -108,7 +91,8 @@ class WalkSession:
         self._estimate = estimate = self._following.answer(stamp, soonest)
         self._rested = 0.0 if moved else self._rested + PERIOD
         self._arrive()
-        self._step(stamp, estimate)
+        goal, truth = self._goal(), self._truth()
+        self._step(estimate, stamp, body.position, truth, goal=goal, drive=self._walker.by)
         self._see(stamp)
         self.due = now + (PERIOD if moved or self._rested < 1.0 else RESTING)
         return self._following.took
@@ -123,46 +107,25 @@ class WalkSession:
     def _follow(self, now: float) -> None:
         """Forget what was believed, and follow the query from here."""
         assert self.house is not None
-        self._following = Following(replace(BASE, degree=self._degree))
-        self._rivals = Rivals(self.opening.perception)
-        self._rivals.choose(self.opening.methods)
+        self._forget()
         self._estimate, self._refused = None, None
-        self._parts: dict[str, Any] = {}
-        self._blobs: dict[str, Blob] = {}
         self._since = now - self._begun
         self._poses: dict[float, tuple[np.ndarray, np.ndarray]] = {}
-        self._looked, self._fresh, self._rested, self._seen_from = -math.inf, False, 0.0, None
+        self._looked, self._rested, self._seen_from = -math.inf, 0.0, None
         self._last = now
         self._targets = self.house.targets(self._query)
         ground = self.house.ground
         ways = [ground.footprint(self.house.things[index]) for index in self._targets]
         self._way: Way | None = ways[0].union(*ways[1:]) if ways else None
         self._arrived = False
-        self._scene()
-        self.due = now
-
-    def _scene(self) -> None:
-        assert self.house is not None
         plan = dict(self.house.plan)
         names = {self.house.things[index].name for index in self._targets}
         plan["things"] = [thing | {"target": thing["name"] in names} for thing in plan["things"]]
-        scene = {
-            "type": "scene",
-            "view": "walk",
-            "title": f"Apartment {self.house.seed}",
-            "session": str(self.number),
-            "seed": self.house.seed,
-            "query": self._query,
-            "targets": list(self.house.names),
-            "plan": plan,
-            "degree": self._degree,
-            "calibration": self._calibration,
-            "perception": self.opening.perception,
-            "methods": list(OFFERED),
-            "region": 0.9,
-            "drive": self._walker.by,
-        }
-        self._out.send(self.number, Message(scene))
+        self._scene(
+            "walk", f"Apartment {self.house.seed}", self._calibration, seed=self.house.seed,
+            targets=list(self.house.names), plan=plan, drive=self._walker.by,
+        )  # fmt: skip
+        self.due = now
 
     def _truth(self) -> np.ndarray | None:
         """The direction of the nearest thing that the query names, body frame; None if it names none here."""
@@ -194,18 +157,6 @@ class WalkSession:
             "position": rounded(centre[:2], 3), "metres": rounded(left, 2), "reached": self._arrived, "words": words,
         }  # fmt: skip
 
-    def _look(self, said: Seen) -> None:
-        pose = self._poses.pop(said.stamp, None)
-        if pose is None:
-            return
-        for evidence in said.looks:
-            self._following.look(evidence)
-        self._rivals.look(said.stamp, *pose, said.looks)
-        if said.looks:
-            header, blob = evidence_of(said.looks[0], pose[0], said.stamp, self._degree)
-            self._parts["evidence"], self._blobs["evidence"] = header, blob
-        self._fresh = True
-
     def _see(self, stamp: float) -> None:
         """Ask for the next picture, and a look at it, once the one before has come."""
         if self._seeing:
@@ -231,27 +182,3 @@ class WalkSession:
             seed=self.opening.seed,
         )  # fmt: skip
         self._out.eye(job)
-
-    def _step(self, stamp: float, estimate: Any) -> None:
-        """Say what is believed now."""
-        truth = self._truth()
-        body = self._walker.body
-        header: dict[str, Any] = {
-            "type": "step",
-            **stage(estimate, stamp, body.position),
-            "estimate": estimate_json(estimate, self._following.entropy),
-            "modes": modes_json(estimate),
-            "rivals": self._rivals.answers(body.world_R_body, truth),
-            "truth": {"direction": rounded(truth)},
-            "error_deg": error_deg(estimate.direction, truth),
-            "goal": self._goal(),
-            "drive": self._walker.by,
-            **self._parts,
-        }
-        header["look"]["fresh"], self._fresh = self._fresh, False
-        if self._following.news:
-            header["belief"] = self._following.belief
-            self._blobs["belief"] = Blob(FLOATS, self._following.coefficients)
-            self._following.news = False
-        self._out.step(self.number, Message(header, self._blobs))
-        self._parts, self._blobs = {}, {}

@@ -35,7 +35,7 @@ from eagor.evidence.detector import DetectorModel
 from eagor.perception import is_model
 from eagor.sphere import FORWARD
 from eagor.tracking import Estimate, TrackerConfig
-from eagor.tracking.tracker import DirectionTracker
+from eagor.tracking.follower import Follower
 
 PARTICLES = 2000
 SURE_DISTANCE = 0.6  # standard deviation of the logarithm of a distance that one can walk by
@@ -188,25 +188,25 @@ def _carried(state: DirectionFilter, last: _Step, world_R_body: np.ndarray, posi
 class TrackerMethod:
     """Our tracker, or a variant of it."""
 
-    tracker: DirectionTracker
+    follower: Follower
     now: float = 0.0
-    _estimate: Estimate | None = None
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        self.tracker.add_pose(stamp, world_R_body, position if self.tracker.config.ranges is not None else None)
+        self.follower.move(stamp, world_R_body, position)
         self.now = stamp
-        self._estimate = None
 
     def see(self, evidence: Evidence) -> None:
-        self.tracker.observe(evidence)
-        self._estimate = None
+        self.follower.look(evidence)
+
+    @property
+    def config(self) -> TrackerConfig:
+        """The tracker's configuration."""
+        return self.follower.tracker.config
 
     @property
     def estimate(self) -> Estimate:
         """The tracker's answer at the last pose, computed once."""
-        if self._estimate is None:
-            self._estimate = self.tracker.estimate(self.now)
-        return self._estimate
+        return self.follower.estimate(self.now)
 
     def direction(self) -> np.ndarray:
         found = self.estimate.direction
@@ -256,7 +256,7 @@ def make_method(
         if base in _FILTERS:
             return _filter(base, settings, rng)
         config = TrackerConfig.paper() if base == "eagor_paper" else ours or TrackerConfig()
-        return TrackerMethod(DirectionTracker(tracker_config(config, settings, calibration, detector)))
+        return TrackerMethod(Follower(tracker_config(config, settings, calibration, detector)))
     except KeyError as error:
         known = ", ".join(SETTINGS[base]) or "none"
         raise EagorError(f"method {name!r}: there is no setting {error}; known for {base}: {known}") from None

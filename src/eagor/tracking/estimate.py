@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -255,6 +255,31 @@ class Estimate:
         age = self.age + (stamp - self.stamp)
         return replace(self, stamp=stamp, age=age, world_R_body=world_R_body, spread=spread, of=self.of or self)
 
+    def as_dict(self, modes: int = MOST_MODES, near: int | None = None) -> dict[str, Any]:
+        """The answer as plain numbers, for files: angles in degrees, rounded; what is not known is None.
+
+        At most so many `modes`; the distance is left out while searching. `near`: degrees, adds the probability that
+        the target is `within` that angle of the answer.
+        """
+        known, placed = self.direction is not None, self.status != "searching"
+        within = {} if near is None else {
+            f"within_{near}_deg": round(self.within(math.radians(near)), 6) if known else None
+        }  # fmt: skip
+        return {
+            **_angles(self.azimuth, self.elevation),
+            "credible_angle_deg": _degrees(self.credible_angle) if known else None,
+            "presence": round(self.presence, 6),
+            "distance_m": round(self.distance, 4) if placed and self.distance is not None else None,
+            "distance_spread": (
+                round(self.distance_spread, 4) if placed and self.distance_spread is not None else None
+            ),
+            **within,
+            "status": self.status,
+            "modes": [
+                _angles(mode.azimuth, mode.elevation) | {"weight": round(mode.weight, 6)} for mode in self.modes[:modes]
+            ],
+        }
+
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""
         from eagor import thumbnail
@@ -268,3 +293,11 @@ class Estimate:
 def _mode(direction: np.ndarray, weight: float) -> Mode:
     azimuth, elevation = azimuth_elevation(direction)
     return Mode(direction, float(azimuth), float(elevation), float(weight))
+
+
+def _angles(azimuth: float | None, elevation: float | None) -> dict[str, float | None]:
+    return {"azimuth_deg": _degrees(azimuth), "elevation_deg": _degrees(elevation)}
+
+
+def _degrees(angle: float | None) -> float | None:
+    return None if angle is None else round(math.degrees(angle), 4)

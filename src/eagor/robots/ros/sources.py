@@ -22,7 +22,7 @@ from eagor.media.stitching import Panoramas
 from eagor.robots.ros.graph import MOTION, PICTURES, TF, TF_STATIC, DdsGraph, Graph, GraphReader, find_topic, pick
 from eagor.robots.ros.odometry import BACK, BODY, PoseReader
 
-__all__ = ["BagCamera", "BagPoses", "RosCamera", "RosPoses", "address", "apart"]
+__all__ = ["BagCamera", "BagPoses", "RosCamera", "RosPoses", "address", "apart", "bag_odometry"]
 
 FIRST = 10.0  # seconds in which the first message has to come
 SETTLING = 1.0  # seconds for transforms that were said before to come, once a topic is found
@@ -489,3 +489,10 @@ class BagPoses:
             for _, _, _, received in self.bag.messages([TF_STATIC]):
                 reader.transforms(received, True)
         return reader
+
+
+def bag_odometry(bag: Bag, topic: str | None, camera: BagCamera) -> BagPoses | None:
+    """The odometry of a bag, as poses of its camera; None if no topic is named and it has none."""
+    if topic is None and not any(kind in MOTION and name != TF_STATIC for name, kind in bag.topics.items()):
+        return None
+    return BagPoses(bag, topic, camera=camera.frame)

@@ -1,58 +1,79 @@
-"""From command line arguments to panoramas and evidence."""
+"""What options say, checked before long work, and made into perceptions, settings and files.
+
+Every check returns what it was given, or raises `UsageError`. What is heavy is imported where it is needed: help and
+usage errors come at once.
+"""
 
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from PIL import Image
-
-from eagor._files import written
 from eagor.cli.terminal import UsageError, log, warning
-from eagor.errors import EagorError, ImageError, QueryError
-from eagor.evidence import Evidence
-from eagor.evidence.detector import parse_model
-from eagor.perception import Perception, load, short_name
-from eagor.perception.calibrated import Calibrated, read_calibrated
-from eagor.perception.colour import colour_in
-from eagor.perception.replay import ReplayPerception
-from eagor.tracking.config import TrackerConfig
+from eagor.errors import EagorError, QueryError
 
 if TYPE_CHECKING:
-    from eagor.media.panorama import PanoramaFile
+    from PIL import Image
+
+    from eagor.evidence import BodyMask, Evidence
+    from eagor.perception import Perception
+    from eagor.perception.calibrated import Calibrated
+    from eagor.tracking.config import TrackerConfig
 
 MAX_DEGREE = 63
 LEAST_ROWS = 8
+MOST_DRIFT = 90  # degrees
+
+
+# --- numbers and words ---------------------------------------------------------------------------------------------
 
 
 def checked_degree(degree: int) -> int:
-    """`degree`, if it is valid; else raises `UsageError`, as do the other checks here."""
+    """``--degree``."""
     if not 1 <= degree <= MAX_DEGREE:
         raise UsageError(f"--degree {degree}; wanted 1 to {MAX_DEGREE} (15 resolves about 12 degrees)")
     return degree
 
 
 def checked_rows(rows: int | None) -> int | None:
-    """`rows` of rendered panoramas, if they are enough; None is the perception's own number."""
+    """``--rows`` of panoramas; None is the perception's own number."""
     if rows is not None and rows < LEAST_ROWS:
         raise UsageError(f"--rows {rows}; wanted {LEAST_ROWS} or more")
     return rows
 
 
-def check_looks(perception: str) -> None:
-    """Raise `UsageError` if `perception` is a replay, which knows only its own frames."""
-    if short_name(perception) == "replay":
-        raise UsageError(
-            f"--perception {perception} belongs to other frames than the ones rendered here; run your detector as a "
-            "perception. To fit a replay on looks with known truth: eagor calibrate --replay FILE --truth FILE"
-        )
+def checked_modes(modes: int) -> int:
+    """``--modes``."""
+    if modes < 1:
+        raise UsageError(f"--modes {modes}; wanted 1 or more")
+    return modes
+
+
+def checked_drift(drift: float) -> float:
+    """``--drift``, in radians."""
+    if not 0 <= drift <= MOST_DRIFT:
+        raise UsageError(f"--drift {drift:g}; wanted degrees from 0 to {MOST_DRIFT}")
+    return math.radians(drift)
+
+
+def checked_seconds(seconds: float | None, option: str = "--seconds") -> float | None:
+    """A time that is longer than nothing; None is no limit."""
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise UsageError(f"{option} {seconds:g}; wanted seconds above 0")
+    return seconds
+
+
+def checked_latency(latency: float) -> float:
+    """``--latency``."""
+    if not 0 <= latency < math.inf:
+        raise UsageError(f"--latency {latency:g}; wanted seconds, 0 or more")
+    return latency
 
 
 def checked_query(query: str) -> str:
@@ -62,17 +83,28 @@ def checked_query(query: str) -> str:
     return query
 
 
-def checked_picture(path: Path) -> Path:
-    """`path`, if it has a picture's suffix and its folder can be written to."""
+def checked_queries(words: Sequence[str]) -> list[str]:
+    """Several queries, each once."""
+    queries = [checked_query(word) for word in words]
+    if len({*queries}) < len(queries):
+        raise UsageError("a query comes twice; name each thing once")
+    return queries
+
+
+# --- places to write to --------------------------------------------------------------------------------------------
+
+
+def checked_picture(path: Path, option: str = "--picture") -> Path:
+    """`path` of a picture: it has a picture's suffix, and its folder can be written to."""
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
-        raise UsageError(f"--picture {path}: wanted a file name that ends in .png, .jpg or .webp")
+        raise UsageError(f"{option} {path}: wanted a file name that ends in .png, .jpg or .webp")
     if not path.absolute().parent.is_dir():
-        raise UsageError(f"--picture {path}: there is no folder {path.absolute().parent}; make it first")
-    return checked_out(path, "--picture")
+        raise UsageError(f"{option} {path}: there is no folder {path.absolute().parent}; make it first")
+    return checked_out(path, option)
 
 
 def checked_out(path: Path, option: str = "--out") -> Path:
-    """`path` of an output file, if it can probably be written; checked before long work."""
+    """`path` of an output file, if it can probably be written."""
     there = _nearest(path)
     if path.is_dir() or not (there.is_dir() or there == path.absolute()) or not os.access(there, os.W_OK):
         raise UsageError(f"{option} {path} cannot be written; name a file in a folder that can be written to")
@@ -80,11 +112,18 @@ def checked_out(path: Path, option: str = "--out") -> Path:
 
 
 def checked_folder(path: Path, option: str = "--out") -> Path:
-    """`path` of an output folder, if it can probably be written to; checked before long work, creates nothing."""
+    """`path` of an output folder, if it can probably be written to; creates nothing."""
     there = _nearest(path)
     if not there.is_dir() or not os.access(there, os.W_OK):
         why = "cannot be written to" if there.is_dir() else "is not a folder"
         raise UsageError(f"{option} {path}: cannot be made a folder to write to ({there} {why}); name another")
+    return path
+
+
+def checked_record(path: Path | None) -> Path | None:
+    """``--record``: a folder that is not there yet."""
+    if path is not None and checked_folder(path, "--record").exists():
+        raise UsageError(f"--record {path} is there already; name a new folder")
     return path
 
 
@@ -102,9 +141,16 @@ def _nearest(path: Path) -> Path:
 
 def keep_picture(picture: Image.Image, path: Path) -> None:
     """Write a picture atomically, in the format of its name. Raises `StorageError`."""
+    from PIL import Image
+
+    from eagor._files import written
+
     buffer = io.BytesIO()
     picture.save(buffer, Image.registered_extensions()[path.suffix.lower()])
     written(path, buffer.getvalue())
+
+
+# --- perceptions and the tracker's settings ------------------------------------------------------------------------
 
 
 def perception_for(query: str, spec: str | None) -> str:
@@ -113,6 +159,8 @@ def perception_for(query: str, spec: str | None) -> str:
     By default a query that names a colour is answered by ``colour``, any other by the detector ``coco``. Raises
     `QueryError` if that is not installed.
     """
+    from eagor.perception.colour import colour_in
+
     if spec is not None:
         return spec
     if colour_in(query) is not None:
@@ -126,17 +174,53 @@ def perception_for(query: str, spec: str | None) -> str:
     raise QueryError(how_to_find(query))
 
 
+def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
+    """The one perception that answers all queries. Raises `QueryError` if there is none."""
+    found = {perception_for(query, spec) for query in queries}
+    if len(found) > 1:
+        raise QueryError(
+            f"{' and '.join(sorted(found))} would each answer some of the queries; name one with --perception"
+        )
+    return found.pop()
+
+
 def make_perception(spec: str) -> Perception:
     """The perception that ``--perception`` names."""
+    from eagor.perception import load
+
     if spec.partition(":")[0] == "replay" and not spec.partition(":")[2]:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
     return load(spec)
+
+
+def rows_for(spec: str, rows: int | None = None, least: int | None = None) -> int:
+    """Rows of live panoramas: ``--rows``, else what the perception wants, and `least` (default: enough to look nice).
+
+    A model is not loaded for that: it scales its pictures itself.
+    """
+    from eagor.media.footage import LEAST_ROWS as NICE
+    from eagor.perception import is_model, rows_of
+
+    return rows or max(least or NICE, 0 if is_model(spec) else rows_of(make_perception(spec)))
+
+
+def check_looks(perception: str) -> None:
+    """Raise `UsageError` if `perception` is a replay, which knows only its own frames."""
+    from eagor.perception import short_name
+
+    if short_name(perception) == "replay":
+        raise UsageError(
+            f"--perception {perception} belongs to other frames than the ones rendered here; run your detector as a "
+            "perception. To fit a replay on looks with known truth: eagor calibrate --replay FILE --truth FILE"
+        )
 
 
 def tracker_config(
     degree: int, perception: str, calibration: Path | None = None, detector: str | None = None, force: bool = False
 ) -> TrackerConfig:
     """The tracker's configuration for ``--degree`` and the result of `calibrated`."""
+    from eagor.tracking.config import TrackerConfig
+
     config = TrackerConfig(degree=checked_degree(degree))
     found = calibrated(perception, calibration, detector, force)
     return config if found is None else config.fitted(found.calibration, found.detector, found.forgetting)
@@ -147,6 +231,9 @@ def calibrated(perception: str, calibration: Path | None, detector: str | None, 
 
     Raises `UsageError` for a calibration of another perception, unless `force`.
     """
+    from eagor.evidence.detector import parse_model
+    from eagor.perception.calibrated import Calibrated, read_calibrated
+
     found = None if calibration is None else read_calibrated(calibration)
     if found is not None and not found.fits(perception):
         if not force:
@@ -164,24 +251,17 @@ def calibrated(perception: str, calibration: Path | None, detector: str | None, 
     return replace(found or Calibrated(perception, None), detector=model)
 
 
+def mask_of(path: Path | None) -> BodyMask | None:
+    """``--mask``. Raises `ImageError`."""
+    from eagor.perception.partial import read_mask
+
+    return None if path is None else read_mask(path)
+
+
 def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
     """Warn if ``--detector`` has no effect because all looks are response maps."""
     if detector is not None and looks and all(evidence.detections is None for evidence in looks):
         warning(f"--detector {detector} is for detections, and this perception gives response maps: it has no effect")
-
-
-def find_frames(places: Sequence[Path]) -> tuple[Path, ...]:
-    """The images in `places` (one folder, or image files), sorted by name; numbers in names sort by value."""
-    from eagor.media.panorama import in_order, pictures_in
-
-    if len(places) == 1 and os.path.isdir(places[0]):
-        return pictures_in(places[0])
-    for place in places:  # os.path returns False where Path would raise: a name too long, a closed folder
-        if os.path.isdir(place):
-            raise UsageError(f"{place} is a folder; give one folder, or only image files")
-        if not os.path.exists(place):
-            raise ImageError(f"there is no file {place}; give a folder of panoramas, or image files")
-    return in_order(places)
 
 
 def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> None:
@@ -192,75 +272,9 @@ def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> Non
         log(f"{name}: {fact}")
 
 
-class ShapeError(ImageError):
-    """A picture is not a whole panorama: its aspect ratio is not 2:1."""
+def say_of_replay(perception: Perception, query: str, looks: int) -> None:
+    """Say, of a replay, at the end, after so many `looks` of it: the lines used, and its labels."""
+    from eagor.perception.replay import ReplayPerception
 
-
-def read_frame(path: Path, force: bool = False, said: set[str] | None = None) -> PanoramaFile:
-    """The panorama in a file, and what the file says of it; `force` and `said` as for `checked_frame`."""
-    from eagor.media.panorama import read_photograph
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = read_photograph(path)
-    return checked_frame(found, str(path), force, said)
-
-
-def checked_frame(frame: PanoramaFile, name: str, force: bool = False, said: set[str] | None = None) -> PanoramaFile:
-    """`frame`, if it is a whole panorama; facts about it, and a seam that does not fit, are said.
-
-    `said` remembers, from frame to frame, what has been said: only the first whole frame is judged by its pixels, and
-    a wrong shape is mentioned once. Raises `ShapeError` if it is not 2:1, or shows the circles of fisheye lenses; with
-    `force` it only warns.
-    """
-    said = set() if said is None else said
-    checked_shape(frame.panorama, name, force, said)
-    if "pixels" in said:
-        return frame
-    from eagor.media.defects import fisheye_circles, problems
-
-    found = problems(frame.panorama)
-    if not force and fisheye_circles(frame.panorama):
-        raise ShapeError(f"{name}: {found[0]}. To look at it all the same, add --force")
-    said.add("pixels")  # not before: who reads a frame again that was refused is told again
-    for fact in frame.facts:
-        log(f"{name}: {fact}")
-    for problem in found:
-        warning(f"{name}: {problem}")
-    return frame
-
-
-def checked_shape(panorama: np.ndarray, name: str, force: bool, said: set[str]) -> np.ndarray:
-    """`panorama`, if it is 2:1; else raises `ShapeError`, or with `force` warns (unless it is in `said`)."""
-    from eagor.media.panorama import is_whole
-
-    if is_whole(panorama):
-        return panorama
-    height, width = panorama.shape[:2]
-    what = f"{name} is {width} x {height}, not 2:1"
-    if not force:
-        raise ShapeError(
-            f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad an image that "
-            "covers less than the sphere, or accept it with --force (all columns for 360 degrees, all rows for 180)"
-        )
-    if "shape" not in said:
-        said.add("shape")
-        warning(f"{what}; accepted, with all columns for 360 degrees and all rows for 180")
-    return panorama
-
-
-def first_stamp(perception: Perception, query: str) -> float:
-    """The time of a replay's first record for `query`; 0 for other perceptions."""
-    if isinstance(perception, ReplayPerception):
-        return next((record.stamp for record in perception.records if record.answers(query)), 0.0)
-    return 0.0
-
-
-def closing(perception: Perception, query: str, looks: int) -> str | None:
-    """What to say of a replay at the end, after so many `looks` of it: the lines used, and its labels; else None."""
-    return perception.used(query, looks) if isinstance(perception, ReplayPerception) else None
-
-
-def is_input_fault(error: EagorError) -> bool:
-    """Whether every other frame would fail in the same way."""
-    return isinstance(error, QueryError)
+    if isinstance(perception, ReplayPerception) and (said := perception.used(query, looks)) is not None:
+        log(said)

@@ -30,7 +30,7 @@ import numpy as np
 from eagor._files import read_file
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
-from eagor.media.frames import Pose as GivenPose
+from eagor.media.frames import Pose
 from eagor.sphere import world_R_body
 from eagor.tracking.poses import FARTHEST, PoseHistory
 
@@ -39,9 +39,10 @@ ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 POSITION = ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
 _NORM_TOLERANCE = 0.01  # a quaternion printed with three digits is still one
+BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
 
 
-class Pose(NamedTuple):
+class FramePose(NamedTuple):
     """One line: stamp in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, frame's name."""
 
     stamp: float
@@ -55,7 +56,7 @@ class Pose(NamedTuple):
         return self.position is None or bool((np.abs(self.position) <= FARTHEST).all())
 
 
-def read_poses(path: str | Path) -> tuple[Pose, ...]:
+def read_poses(path: str | Path) -> tuple[FramePose, ...]:
     """The poses in the file, sorted by time (format: this module's text).
 
     Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
@@ -92,7 +93,12 @@ def read_poses(path: str | Path) -> tuple[Pose, ...]:
     return poses
 
 
-def _is_another_order(poses: Sequence[Pose]) -> bool:
+def odometry_of_file(path: str | Path) -> list[Pose]:
+    """The same poses, as those of odometry; raises as `read_poses`."""
+    return [Pose(each.stamp, each.world_R_body, each.position) for each in read_poses(path)]
+
+
+def _is_another_order(poses: Sequence[FramePose]) -> bool:
     """Whether quaternions seem to be in another order than their columns say; some of the lines tell.
 
     Either the camera is upside down in every line, or it leans by more than 60 degrees in some, and would in none if
@@ -150,7 +156,7 @@ def _table_of_rows(names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) 
 
 def _at_once(
     names: Sequence[str], table: np.ndarray | None, rows: Sequence[tuple[int, list[str]]] = ()
-) -> tuple[Pose, ...] | None:
+) -> tuple[FramePose, ...] | None:
     """The poses of a `table` ``(n, columns)``, computed together; None where a line is wrong, for `_one_by_one` to say.
 
     `rows`: the same lines, for the names of their frames.
@@ -175,12 +181,12 @@ def _at_once(
     nothing = [None] * len(table)
     at = names.index("frame") if "frame" in names else None
     frames = nothing if at is None else [fields[at].strip() or None for _, fields in rows]
-    return tuple(map(Pose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, frames))
+    return tuple(map(FramePose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, frames))
 
 
-def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[Pose, ...]:
+def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[FramePose, ...]:
     """The same, line by line. Raises the error of the first line that has one."""
-    poses: list[Pose] = []
+    poses: list[FramePose] = []
     for number, fields in rows:
         try:
             pose = _pose(names, [field.strip() for field in fields])
@@ -195,7 +201,7 @@ def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int
     return tuple(poses)
 
 
-def usable(poses: Sequence[Pose], name: str | Path) -> tuple[Pose, ...]:
+def usable(poses: Sequence[FramePose], name: str | Path) -> tuple[FramePose, ...]:
     """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
     if poses[0].position is None or (np.abs([pose.position for pose in poses]) <= FARTHEST).all():  # type: ignore[arg-type]
         return tuple(poses)
@@ -211,7 +217,7 @@ def usable(poses: Sequence[Pose], name: str | Path) -> tuple[Pose, ...]:
     return near
 
 
-def interpolated(poses: Sequence[Pose]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
+def interpolated(poses: Sequence[FramePose]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
     """The pose at any time, as `between` tells it, however many `poses` there are: a tracker keeps fewer."""
     stamps = [pose.stamp for pose in poses]
 
@@ -223,7 +229,7 @@ def interpolated(poses: Sequence[Pose]) -> Callable[[float], tuple[np.ndarray, n
 
 
 def between(
-    last: Pose | GivenPose | None, ahead: Pose | GivenPose | None, stamp: float
+    last: FramePose | Pose | None, ahead: FramePose | Pose | None, stamp: float
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Orientation ``(3, 3)`` and position ``(3,)`` at `stamp`, from the poses before and after it, if there are any."""
     if last is None:
@@ -238,8 +244,8 @@ def between(
 
 
 def pair(
-    poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the pose file"
-) -> tuple[tuple[Pose, Path | None], ...]:
+    poses: Sequence[FramePose], images: Sequence[Path], name: str | Path = "the pose file"
+) -> tuple[tuple[FramePose, Path | None], ...]:
     """Each pose with its image, sorted by time: by file name if the file has names, else in order.
 
     Poses of other images are kept as odometry. Raises `PoseError` for an image with no pose or with two, and for
@@ -296,7 +302,7 @@ def _check_header(names: Sequence[str]) -> None:
         raise FormatError(f"the columns are {_cut(', '.join(names))}{hint}; wanted {HEADERS}")
 
 
-def _pose(names: Sequence[str], fields: Sequence[str]) -> Pose:
+def _pose(names: Sequence[str], fields: Sequence[str]) -> FramePose:
     if len(fields) != len(names):
         raise FormatError(f"has {len(fields)} fields where the header has {len(names)}; cut off, or a comma too many?")
     row = dict(zip(names, fields, strict=True))
@@ -305,7 +311,7 @@ def _pose(names: Sequence[str], fields: Sequence[str]) -> Pose:
     else:
         matrix = world_R_body(*(math.radians(_number(row, n)) for n in ANGLES))
     position = np.array([_number(row, n) for n in POSITION]) if "x" in row else None
-    return Pose(_number(row, "stamp"), matrix, position, row.get("frame") or None)
+    return FramePose(_number(row, "stamp"), matrix, position, row.get("frame") or None)
 
 
 def _from_quaternion(wxyz: Sequence[float]) -> np.ndarray:

@@ -1,0 +1,272 @@
+"""Frames of footage in order of time: images, a video, the pictures of a bag; each read when it is its turn.
+
+A long video needs no more memory than a short one. Frames have to be whole panoramas, or are stitched from pictures of
+lenses.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from eagor.errors import ImageError
+from eagor.media.defects import fisheye_circles, problems
+from eagor.media.panorama import PanoramaFile, in_order, is_whole, pictures_in, read_panorama, read_photograph
+
+if TYPE_CHECKING:
+    from eagor.media.camera_sources import StitchedVideo
+    from eagor.media.stitching import Panoramas
+    from eagor.media.video import Video
+
+__all__ = [
+    "LEAST_ROWS",
+    "VIDEOS",
+    "BagFrames",
+    "FrameCheck",
+    "Frames",
+    "ImageFrames",
+    "LensPictures",
+    "Read",
+    "ShapeError",
+    "VideoFrames",
+    "images",
+    "is_video",
+    "open_video",
+]  # fmt: skip
+
+VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
+LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
+
+Read = Callable[[], PanoramaFile]
+Say = Callable[[str], object]
+
+
+class ShapeError(ImageError):
+    """A picture is not a whole panorama: its aspect ratio is not 2:1."""
+
+
+@dataclass
+class FrameCheck:
+    """Checks that frames are whole panoramas; `say` gets facts that files tell, and what looks odd.
+
+    Only the first whole frame is judged by its pixels, and a wrong shape is mentioned once. With `force`, pictures that
+    are not 2:1 are accepted.
+    """
+
+    force: bool = False
+    say: Say = lambda text: None
+    _said: set[str] = field(default_factory=set)
+
+    def read(self, path: Path) -> PanoramaFile:
+        """The panorama in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = read_photograph(path)
+        return self(found, str(path))
+
+    def __call__(self, frame: PanoramaFile, name: str) -> PanoramaFile:
+        """`frame`. Raises `ShapeError` if it is not 2:1, or shows the circles of fisheye lenses, unless `force`."""
+        self._check_shape(frame.panorama, name)
+        if "pixels" in self._said:
+            return frame
+        found = problems(frame.panorama)
+        if not self.force and fisheye_circles(frame.panorama):
+            raise ShapeError(f"{name}: {found[0]}. To look at it all the same, add --force")
+        self._said.add("pixels")  # not before: who reads a frame again that was refused is told again
+        for fact in frame.facts:
+            self.say(f"{name}: {fact}")
+        for problem in found:
+            self.say(f"warning: {name}: {problem}")
+        return frame
+
+    def _check_shape(self, panorama: np.ndarray, name: str) -> None:
+        if is_whole(panorama):
+            return
+        height, width = panorama.shape[:2]
+        what = f"{name} is {width} x {height}, not 2:1"
+        if not self.force:
+            raise ShapeError(
+                f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad an image that "
+                "covers less than the sphere, or accept it with --force (all columns for 360 degrees, all rows for "
+                "180)"
+            )
+        if "shape" not in self._said:
+            self._said.add("shape")
+            self.say(f"warning: {what}; accepted, with all columns for 360 degrees and all rows for 180")
+
+
+class Frames(Protocol):
+    """Frames in order of time."""
+
+    @property
+    def count(self) -> int | None:
+        """How many frames will come, if known."""
+        ...
+
+    def frames(self) -> Iterator[tuple[float, str, Read]]:
+        """Each frame: its stamp (seconds), its name, and what reads the panorama, or raises `EagorError`."""
+        ...
+
+    @property
+    def level_R_body(self) -> np.ndarray | None:
+        """The rotation ``(3, 3)`` that makes the first frame level, if the file says so."""
+        ...
+
+
+@dataclass(frozen=True)
+class ImageFrames:
+    """Panoramas in files, `rate` per second; `read` gives one of them."""
+
+    paths: tuple[Path, ...]
+    rate: float
+    read: Callable[[Path], PanoramaFile]
+    level_R_body: np.ndarray | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.paths)
+
+    def frames(self) -> Iterator[tuple[float, str, Read]]:
+        for number, path in enumerate(self.paths):
+            yield number / self.rate, path.name, partial(self.read, path)
+
+
+@dataclass(frozen=True)
+class VideoFrames:
+    """The frames of a video: an `eagor.media.video.Video`, or that of lenses (`open_video`)."""
+
+    video: Any
+    check: FrameCheck
+
+    @property
+    def count(self) -> int | None:
+        return self.video.count
+
+    @property
+    def level_R_body(self) -> np.ndarray | None:
+        return self.video.level_R_body
+
+    def frames(self) -> Iterator[tuple[float, str, Read]]:
+        for frame in self.video:
+            found = PanoramaFile(frame.panorama, self.video.unseen)
+            yield frame.stamp, frame.name, partial(self.check, found, frame.name)
+
+
+@dataclass(frozen=True)
+class BagFrames:
+    """The pictures of a bag's `camera`, `rate` of them per second, from `start` to `end` (seconds from the first).
+
+    Stamps are those of the messages' headers.
+    """
+
+    camera: Any  # an `eagor.robots.ros.sources.BagCamera`
+    rate: float
+    start: float
+    end: float | None
+    check: FrameCheck
+    count: int | None = None
+    level_R_body: np.ndarray | None = None
+
+    def frames(self) -> Iterator[tuple[float, str, Read]]:
+        tick = -math.inf
+        for stamp, read in self.camera.pictures():
+            at = stamp - self.camera.begins
+            if at < self.start or (number := math.floor(at * self.rate + 1e-6)) <= tick:
+                continue
+            if self.end is not None and at > self.end:
+                return
+            tick, name = number, f"{self.camera.topic} at {stamp:.3f} s"
+            yield stamp, name, partial(self._checked, read, name)
+
+    def _checked(self, read: Callable[[], np.ndarray], name: str) -> PanoramaFile:
+        return self.check(PanoramaFile(read(), self.camera.unseen), name)
+
+
+def is_video(places: Sequence[Path], rig: Path | None = None) -> bool:
+    """Whether the one place is a video, by its name; with a `rig` there may be one for each lens."""
+    many = len(places) > 1 and rig is None
+    return not many and all(map(_is_film, places))
+
+
+def images(places: Sequence[Path], rate: float, check: FrameCheck, rig: Path | None = None) -> ImageFrames:
+    """The panoramas in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
+
+    With a `rig` they are pictures of its lenses. Raises `ImageError` for anything else.
+    """
+    if films := list(filter(_is_film, places)):
+        raise ImageError(f"{films[0]} is a video, beside other files; give one video, a folder, or image files")
+    read = check.read if rig is None else LensPictures(rig).read
+    if len(places) == 1 and os.path.isdir(places[0]):
+        return ImageFrames(pictures_in(places[0]), rate, read)
+    for place in places:  # os.path returns False where Path would raise: a name too long, a closed folder
+        if os.path.isdir(place):
+            raise ImageError(f"{place} is a folder; give one folder, or only image files")
+        if not os.path.exists(place):
+            raise ImageError(f"there is no file {place}; give a folder of panoramas, or image files")
+    return ImageFrames(in_order(places), rate, read)
+
+
+def _is_film(place: Path) -> bool:
+    return place.suffix.lower() in VIDEOS and not place.is_dir()
+
+
+class LensPictures:
+    """Reads pictures of lenses as panoramas, with the lenses of the YAML file `rig`; `rows`: the most of them."""
+
+    def __init__(self, rig: Path, rows: int | None = None) -> None:
+        from eagor.media.rigs import read_rig
+
+        self.path, self.rig, self.rows = rig, read_rig(rig), rows
+        self._sizes: tuple[tuple[int, int], ...] = ()
+        self._panoramas: Panoramas | None = None
+        if len(self.rig.sizes) > 1:
+            raise ImageError(
+                f"--rig {rig} is for {len(self.rig.sizes)} pictures at a time, one for each lens; give a video, or "
+                "pictures with all circles in one"
+            )
+
+    def read(self, path: Path) -> PanoramaFile:
+        """The panorama of the picture at `path`. Raises `ImageError`."""
+        from eagor.media.stitching import Panoramas
+
+        with warnings.catch_warnings():  # of its shape: it is no panorama
+            warnings.simplefilter("ignore")
+            picture = read_panorama(path)
+        sizes = ((picture.shape[1], picture.shape[0]),)
+        if self._panoramas is None or sizes != self._sizes:
+            self._panoramas, self._sizes = Panoramas(sizes, self.rig, self.rows, str(path)), sizes
+        return PanoramaFile(self._panoramas.make(picture), self._panoramas.unseen)
+
+
+def open_video(
+    paths: Sequence[Path],
+    rig: Path | None = None,
+    *,
+    rate: float | None = None,
+    start: float = 0.0,
+    end: float | None = None,
+    rows: int | None = None,
+) -> Video | StitchedVideo:
+    """A video of panoramas; or of the lenses of a `rig`, in one file or in one for each picture of the rig.
+
+    Raises `ImageError`, `FormatError`.
+    """
+    if rig is None:
+        from eagor.media.video import Video
+
+        return Video(paths[0], rate=rate, start=start, end=end, rows=rows)
+    from eagor.media.camera_sources import StitchedVideo
+    from eagor.media.rigs import read_rig
+
+    lenses = read_rig(rig)
+    if len(paths) > len(lenses.sizes):
+        raise ImageError(f"{len(paths)} videos are given, and {rig} is for {len(lenses.sizes)}; give one per lens")
+    return StitchedVideo(paths, lenses, rate=rate, start=start, end=end, rows=rows)

@@ -1,0 +1,185 @@
+"""A stream of poses, and of the frames that were taken there.
+
+Poses come from a file, from a video's IMU, from the odometry of a bag, or from the pictures themselves. Frames and
+poses are read in step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from eagor.errors import EagorError, PoseError
+from eagor.media.footage import BagFrames, Frames, ImageFrames, Read
+from eagor.media.frames import Pose
+from eagor.media.panorama import PanoramaFile
+from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
+
+__all__ = ["Odometry", "PosedFrame", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
+
+HOLE = 0.5  # seconds without a pose that are worth a word
+
+
+@dataclass(frozen=True, eq=False)
+class PosedFrame:
+    """A pose, and the frame that was taken there.
+
+    `frame`: its name; None for odometry between the frames. `read`: gives its panorama, or raises `EagorError`.
+    `looked`: whether the perception looks at it; otherwise it is only drawn. `lost`: whether nothing tells how the
+    camera turned since the frame before, so that the belief has to start anew.
+    """
+
+    pose: FramePose
+    frame: str | None = None
+    read: Read | None = None
+    looked: bool = True
+    lost: bool = False
+
+
+def posed_by_file(source: Frames, poses: Sequence[FramePose], name: Path) -> Iterator[PosedFrame]:
+    """Frames with the poses of a file: images by name or in order, frames of a video by time.
+
+    Poses that cannot be are left out (`usable`), and with them the images that were taken there.
+    """
+    near = usable(poses, name)
+    if isinstance(source, ImageFrames):
+        return _by_image(pair(poses, source.paths, name), near[0], source.read)
+    return _by_time(source, near, name)
+
+
+def _by_image(
+    pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, read: Callable[[Path], PanoramaFile]
+) -> Iterator[PosedFrame]:
+    """Each pose of a file, and the image that was taken there."""
+    for told, image in pairs:
+        if told.near:
+            pose = told
+            yield PosedFrame(pose) if image is None else PosedFrame(pose, image.name, partial(read, image))
+        elif image is not None:  # the frame is told of, at the pose before
+            here = pose._replace(stamp=told.stamp, frame=told.frame)
+            yield PosedFrame(here, image.name, partial(_placeless, told))
+
+
+def _placeless(pose: FramePose) -> PanoramaFile:
+    assert pose.position is not None
+    raise PoseError(f"its pose has the position {pose.position.tolist()}; wanted metres that can be")
+
+
+def _by_time(source: Frames, poses: Sequence[FramePose], name: Path) -> Iterator[PosedFrame]:
+    """Each frame at its own time, its pose interpolated, among the poses of the file."""
+    at = interpolated(poses)
+    first, last, fed = poses[0].stamp, poses[-1].stamp, 0
+    for stamp, frame, read in source.frames():
+        if not first - BEYOND <= stamp <= last + BEYOND:
+            raise PoseError(
+                f"{frame} has no pose: {name} tells those from {first:.10g} to {last:.10g} s. The clock of a video "
+                "begins at 0, that of a bag is in its headers. Shift the stamps of the file, or cut with --start, --end"
+            )
+        while fed < len(poses) and poses[fed].stamp < stamp:
+            yield PosedFrame(poses[fed])
+            fed += 1
+        yield PosedFrame(FramePose(stamp, *at(stamp), frame), frame, read)
+
+
+def posed_by_imu(source: Frames, motion: Any) -> Iterator[PosedFrame]:
+    """Frames of a video with the orientations that its IMU track tells."""
+    for stamp, frame, read in source.frames():
+        yield PosedFrame(FramePose(stamp, motion.world_R_body(stamp), None, frame), frame, read)
+
+
+def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
+    """Frames with the orientations that the pictures themselves tell (`eagor.media.rotation`).
+
+    `level`: the camera keeps its pictures level; only the heading turns.
+    """
+    from eagor.media.rotation import VisualOdometer
+
+    odometer, met = VisualOdometer(level=level), False
+    upright = np.eye(3) if source.level_R_body is None else source.level_R_body
+    turn = upright
+    for stamp, frame, read in source.frames():
+        try:
+            found = read()
+        except EagorError:  # the caller meets it again, and says so
+            yield PosedFrame(FramePose(stamp, turn, None, frame), frame, read)
+            continue
+        turned = odometer.add(found.panorama)
+        turn = upright @ turned.world_R_body
+        pose = FramePose(stamp, turn, None, frame)
+        yield PosedFrame(pose, frame, lambda found=found: found, lost=turned.lost and met)
+        met = True
+
+
+class Odometry(Protocol):
+    """Poses of a bag's topic, in order of time."""
+
+    @property
+    def topic(self) -> str: ...
+    @property
+    def problem(self) -> str | None:
+        """What is wrong with them, in words."""
+        ...
+
+    def __iter__(self) -> Iterator[Pose]: ...
+
+
+def posed_by_odometry(
+    source: BagFrames, poses: Odometry, say: Callable[[str], object] = lambda text: None
+) -> Iterator[PosedFrame]:
+    """Frames of a bag with the poses of its odometry, interpolated at their stamps.
+
+    Frames before the first pose and after the last one are left out, and `say` is told of it, and of what is wrong with
+    the poses. Raises `PoseError` if all are left out.
+    """
+    coming: Iterator[Pose] = iter(poses)
+    last: Pose | None = None
+    ahead = next(coming, None)
+    first = math.nan if ahead is None else ahead.stamp
+    early = late = used = 0
+    told = False
+    for stamp, name, read in source.frames():
+        while ahead is not None and ahead.stamp < stamp:
+            if used:
+                yield PosedFrame(FramePose(ahead.stamp, ahead.world_R_body, ahead.position, None))
+            last, ahead = ahead, next(coming, None)
+        if poses.problem and not told:
+            told = True
+            say(f"warning: {poses.problem}")
+        if last is None and (ahead is None or ahead.stamp - stamp > BEYOND):
+            early += 1
+            continue
+        if ahead is None and last is not None and stamp - last.stamp > BEYOND:
+            late += 1
+            continue
+        pose = between(last, ahead, stamp)
+        if last is not None and ahead is not None and ahead.stamp - last.stamp > HOLE:
+            say(f"warning: {name}: {poses.topic} has no pose for {ahead.stamp - last.stamp:.2f} s about it")
+        used += 1
+        yield PosedFrame(FramePose(stamp, *pose, name), name, read)
+    if not used and early + late:
+        raise PoseError(
+            f"no picture of {source.camera.topic} has a pose of {poses.topic}, which tells those from {first:.3f} to "
+            f"{math.nan if last is None else last.stamp:.3f} s; the pictures begin at {source.camera.begins:.3f} s. "
+            "Are both stamped by one clock? Or --poses level: headings from the pictures themselves"
+        )
+    for count, side in ((early, "before the first"), (late, "after the last")):
+        if count:
+            say(f"{count} pictures {side} pose of {poses.topic} are left out")
+
+
+def thinned(frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0) -> Iterator[PosedFrame]:
+    """The same, with `rate` frames per second from `begins` on looked at (None: all)."""
+    tick = -math.inf
+    for each in frames:
+        if rate is None or each.frame is None or each.lost:
+            yield each
+            continue
+        number = math.floor((each.pose.stamp - begins) * rate + 1e-6)
+        yield each if number > tick else PosedFrame(each.pose, each.frame, each.read, looked=False)
+        tick = max(tick, number)
