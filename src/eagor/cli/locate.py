@@ -81,8 +81,7 @@ def locate(options: Locate) -> int:
 
     from eagor.perception import look
     from eagor.perception.footage import HiddenParts
-    from eagor.perception.replay import ReplayPerception
-    from eagor.tracking.follower import Follower
+    from eagor.perception.replay import ReplayPerception, look
 
     query = checked_query(options.query)
     spec = perception_for(query, options.perception)
