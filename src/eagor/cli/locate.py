@@ -79,9 +79,9 @@ def locate(options: Locate) -> int:
     """Run the command; returns its exit code."""
     import numpy as np
 
-    from eagor.perception import look
     from eagor.perception.footage import HiddenParts
     from eagor.perception.replay import ReplayPerception, look
+    from eagor.tracking.follower import Follower
 
     query = checked_query(options.query)
     spec = perception_for(query, options.perception)
