@@ -22,6 +22,7 @@ from eagor.errors import ImageError, TimeError
 from eagor.media.defects import fisheye_circles
 from eagor.media.frames import Frame
 from eagor.media.metadata import EXPORT, Projection, VideoMetadata, read_metadata
+from eagor.media.panorama import ROUNDING
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -34,7 +35,6 @@ CLOCK = 5e-4  # seconds: half a unit of the coarsest common clock, Matroska's, t
 PLAIN = 25.0  # pictures per second where a file tells neither times nor rate; FFmpeg's own
 HDR = {16: "PQ", 18: "HLG"}  # transfer characteristics, ITU-T H.273
 CHECKED = (256, 512)  # size at which the first picture is looked at
-ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 
 LARGEST = 1 << 27  # pixels: 16384 x 8192
 IN_FLIGHT = 1 << 28  # bytes: decoded pictures that threads may hold beside those that the codec needs
