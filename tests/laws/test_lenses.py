@@ -50,24 +50,42 @@ def test_the_rim_is_at_the_reach(lens):
     assert angular_distance(rim, lens.body_R_lens[:, 0]) == pytest.approx(lens.reach, abs=2e-4)
 
 
-@given(rotations(), st.floats(1.0, 6.0))
-def test_without_a_curve_it_is_the_equidistant_grid(rotation, fov):
-    fov = min(fov, math.radians(279))
+@given(rotations(), st.floats(1.0, 2 * math.pi))
+def test_without_a_curve_the_angle_grows_with_the_radius_and_a_grid_samples_it(rotation, fov):
     grid = FisheyeGrid(64, fov, rotation)
-    lens = FisheyeLens.of_field("lens", (32, 32), 32, fov, body_R_lens=rotation)
-    x, y = np.array([10.0, 40.0, 32.0]), np.array([20.5, 33.0, 32.0])
-    assert np.abs(lens.unproject(x, y) - grid.unproject(x, y)).max() < 1e-6
+    lens = FisheyeLens("lens", (32, 32), 64 / fov, 32, body_R_lens=rotation)
+    right, down = np.array([-22.0, 8.0, 1e-9]), np.array([-11.5, 1.0, 0.0])
+    angle, around = np.hypot(right, down) * fov / 64, np.arctan2(down, right)
+    rays = np.stack([np.cos(angle), -np.sin(angle) * np.cos(around), -np.sin(angle) * np.sin(around)], axis=-1)
+    for seen in (lens, grid):
+        assert np.abs(seen.unproject(32 + right, 32 + down) - rays @ rotation.T).max() < 1e-12
+        x, y, inside = seen.project(rays @ rotation.T)
+        assert np.abs([x - 32 - right, y - 32 - down]).max() < 1e-9
+        assert (inside > 0).all()
 
 
-@given(rotations())
-def test_a_pinhole_without_distortion_is_the_perspective_grid(rotation):
-    grid = PerspectiveGrid(48, 64, 1.2, rotation)
-    lens = PinholeLens("lens", (64, 48), (grid.focal, grid.focal), (32, 24), (), rotation)
-    x, y = np.array([3.0, 63.0, 32.0]), np.array([1.0, 47.0, 24.0])
-    assert np.abs(lens.unproject(x, y) - grid.unproject(x, y)).max() < 1e-9
-    back_x, back_y, depth = lens.project(grid.unproject(x, y))
-    assert np.allclose([back_x, back_y], [x, y], atol=1e-6)
-    assert (depth >= 0).all()
+def test_an_ideal_fisheye_may_see_all_around_and_no_more():
+    everything = FisheyeLens("lens", (50, 50), 50 / math.pi, 50.0)
+    assert everything.reach == pytest.approx(math.pi, abs=1e-12)
+    assert everything.project(np.array([-1.0, 0, 0]))[2] == pytest.approx(0, abs=1e-12)
+    with pytest.raises(GridError, match="never reaches the radius of 50 pixels within 180 degrees"):
+        FisheyeLens("lens", (50, 50), 49 / math.pi, 50.0)
+
+
+@given(rotations(), st.floats(0.1, math.radians(179)))
+def test_without_distortion_a_pinhole_is_a_plane_and_a_grid_samples_it(rotation, hfov):
+    grid = PerspectiveGrid(48, 64, hfov, rotation)
+    focal = 32 / math.tan(hfov / 2)
+    lens = PinholeLens("lens", (64, 48), (focal, focal), (32, 24), (), rotation)
+    right, down = np.array([-29.0, 31.0, 0.0]), np.array([-23.0, 23.0, 0.0])
+    rays = np.column_stack([np.full(3, focal), -right, -down])
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    for seen in (lens, grid):
+        assert np.abs(seen.unproject(32 + right, 24 + down) - rays @ rotation.T).max() < 1e-12
+        x, y, inside = seen.project(rays @ rotation.T)
+        assert np.abs([x - 32 - right, y - 24 - down]).max() < 1e-7
+        assert (inside > 0).all()
+        assert not (seen.project(-rays @ rotation.T)[2] > 0).any()
 
 
 def test_the_distortion_is_that_of_opencv():

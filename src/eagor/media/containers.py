@@ -149,6 +149,7 @@ def _track(body: memoryview, scale: int) -> Track | None:
 def samples(track: Track, file: BinaryIO) -> Iterator[tuple[float, bytes]]:
     """The time (seconds on the file's clock) and the bytes of each sample of `track`, by its tables.
 
+    FFmpeg tells the same, but before PyAV 18 only by reading all pictures of the file as well.
     Raises `FormatError` if the tables are damaged. Samples beyond the end of a cut-off file are left out.
     """
     size = file.seek(0, os.SEEK_END)

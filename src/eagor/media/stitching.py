@@ -14,7 +14,7 @@ from eagor._lazy import lazy
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid
 from eagor.media.defects import fisheye_circles
-from eagor.media.panorama import checked_picture, resized
+from eagor.media.panorama import ROUNDING, checked_picture, resized
 from eagor.media.rigs import Rig
 
 __all__ = ["Panoramas", "Stitcher", "seen_by"]
@@ -23,7 +23,6 @@ RIM = 1.5  # pixels along the rim that are left out: interpolation would mix the
 PAD = 8  # columns, and rows over the poles, that are added around a panorama before it is sampled
 STRIP = 1024  # width of the tables of the overlap; OpenCV takes sides below 32768
 
-ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 MAKE = "Give its lenses with --rig FILE.yaml (eagor camera calibrate makes one)"
 
 

@@ -22,19 +22,19 @@ from eagor.errors import ImageError, TimeError
 from eagor.media.defects import fisheye_circles
 from eagor.media.frames import Frame
 from eagor.media.metadata import EXPORT, Projection, VideoMetadata, read_metadata
+from eagor.media.panorama import ROUNDING
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-__all__ = ["Damage", "First", "Video", "first_picture", "opened", "pictures", "sought", "to_rgb"]
+__all__ = ["Damage", "StreamInfo", "Video", "first_picture", "open_video", "pictures", "seek_to", "to_rgb"]
 
 CLOCK = 5e-4  # seconds: half a unit of the coarsest common clock, Matroska's, to which stamps are rounded
 PLAIN = 25.0  # pictures per second where a file tells neither times nor rate; FFmpeg's own
 HDR = {16: "PQ", 18: "HLG"}  # transfer characteristics, ITU-T H.273
 CHECKED = (256, 512)  # size at which the first picture is looked at
-ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 
 LARGEST = 1 << 27  # pixels: 16384 x 8192
 IN_FLIGHT = 1 << 28  # bytes: decoded pictures that threads may hold beside those that the codec needs
@@ -53,7 +53,7 @@ class Damage:
 
 
 @dataclass(frozen=True)
-class First:
+class StreamInfo:
     """What the first picture and its stream say.
 
     `shape`: rows and columns in square pixels, upright. `turns`: quarter turns, counterclockwise, that make it upright.
@@ -120,7 +120,7 @@ class Video:
         said = read_metadata(_checked_path(self.path), lenses)
         projection = (None if lenses else said.projection) or Projection("nothing", "rectangular")
         projection.check(self.path)  # before FFmpeg, which refuses some of them without a word
-        container, stream = opened(self.path, said.entry, track)
+        container, stream = open_video(self.path, said.entry, track)
         with container:
             first, picture = first_picture(container, stream, self.path)
             if said.raw and not lenses and fisheye_circles(to_rgb(picture, *CHECKED)):
@@ -161,11 +161,11 @@ class Video:
 
     def _decoded(self, run: _Run) -> Iterator[tuple[float, VideoFrame]]:
         """Stamp and picture of all that can be decoded, from the key picture before `start` on."""
-        container, stream = opened(self.path, track=self._track)
+        container, stream = open_video(self.path, track=self._track)
         try:
-            if self.start > 0 and self._first.timed and not sought(container, stream, self.start + self._first.zero):
+            if self.start > 0 and self._first.timed and not seek_to(container, stream, self.start + self._first.zero):
                 container.close()
-                container, stream = opened(self.path, track=self._track)
+                container, stream = open_video(self.path, track=self._track)
             for picture in pictures(container, stream, run.damage):
                 stamp = None if picture.time is None else picture.time - self._first.zero
                 if stamp is None or (run.last is not None and stamp <= run.last):
@@ -255,7 +255,7 @@ def _checked_path(path: str) -> str:
     return path
 
 
-def _facts(said: VideoMetadata, first: First, lenses: bool) -> Iterator[str]:
+def _facts(said: VideoMetadata, first: StreamInfo, lenses: bool) -> Iterator[str]:
     high, wide = first.shape
     yield f"{first.codec}, {first.size[1]} x {first.size[0]} pixels"
     if first.camera:
@@ -280,7 +280,7 @@ def _facts(said: VideoMetadata, first: First, lenses: bool) -> Iterator[str]:
 # --- decoding ---
 
 
-def opened(path: str, entry: str = "", track: int = 0) -> tuple[InputContainer, VideoStream]:
+def open_video(path: str, entry: str = "", track: int = 0) -> tuple[InputContainer, VideoStream]:
     """The file and one of its streams of pictures; `entry`: its codec, if known otherwise. Raises `ImageError`."""
     import av
     from av.error import FFmpegError
@@ -327,7 +327,7 @@ def _stream(container: InputContainer, path: str, entry: str, track: int) -> Vid
     return streams[track]
 
 
-def first_picture(container: InputContainer, stream: VideoStream, path: str) -> tuple[First, VideoFrame]:
+def first_picture(container: InputContainer, stream: VideoStream, path: str) -> tuple[StreamInfo, VideoFrame]:
     """What the first picture that can be decoded says, and that picture. Raises `ImageError` if there is none."""
     damage = Damage()
     picture = next(pictures(container, stream, damage), None)
@@ -344,7 +344,7 @@ def first_picture(container: InputContainer, stream: VideoStream, path: str) -> 
     elif container.duration is not None:
         duration = container.duration / 1e6
     rate = float(stream.average_rate or stream.guessed_rate or 0)
-    first = First(
+    first = StreamInfo(
         shape=(wide, high) if turns % 2 else (high, wide),
         size=(picture.height, picture.width),
         turns=turns,
@@ -402,7 +402,7 @@ def pictures(container: InputContainer, stream: VideoStream, damage: Damage) -> 
         yield from good  # pyright: ignore[reportReturnType]
 
 
-def sought(container: InputContainer, stream: VideoStream, time: float) -> bool:
+def seek_to(container: InputContainer, stream: VideoStream, time: float) -> bool:
     """Go to the last key picture at or before `time` (seconds, the file's clock); False if it leads to a later one."""
     from av.error import FFmpegError
 
