@@ -123,10 +123,8 @@ class RerunLog:
 
     def say(self, stamp: float, what: str, level: str = "WARN") -> None:
         """Log a line of text, such as a fault of the camera; `level`: INFO, WARN or ERROR."""
-        import rerun
-
         self._at(stamp)
-        self._log.log("status", rerun.TextLog(what, level=level))
+        self._line(what, level)
 
     def _at(self, stamp: float) -> None:
         if self._log is None:
@@ -165,20 +163,14 @@ class RerunLog:
             jumps = np.flatnonzero(np.abs(np.diff(way[:, 0])) > 180) + 1
             lines += [_pixels(part) for part in np.split(way, jumps)]
         self._log.log(f"panorama/{name}/lines", rerun.LineStrips2D(lines, colors=OURS, draw_order=20))
-        points: list[np.ndarray] = []
-        colours: list[tuple[int, int, int]] = []
-        labels: list[str] = []
         pointed = [(each.direction, MODE, f"{each.weight:.0%}") for each in estimate.modes[1:3]]
         pointed += [(where, OTHER, method) for method, where in others.items() if where is not None]
         if estimate.direction is not None:
             pointed.append((estimate.direction, OURS, name))
         if truth is not None:
             pointed.append((truth, TRUTH, "truth"))
-        for where, colour, label in pointed:
-            for place in _pixels(places(where)):
-                points.append(place)
-                colours.append(colour)
-                labels.append(label)
+        marks = [(place, colour, label) for where, colour, label in pointed for place in _pixels(places(where))]
+        points, colours, labels = zip(*marks, strict=True) if marks else ((), (), ())
         self._log.log(
             f"panorama/{name}/points", rerun.Points2D(points, colors=colours, labels=labels, radii=5, draw_order=30)
         )
