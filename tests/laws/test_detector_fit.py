@@ -53,8 +53,8 @@ def share(model):
     "truth",
     [
         {},
-        {"habit": (9.0, 1.0), "alarms": 3.0, "spread": 0.03},
-        {"habit": (2.0, 4.0), "alarms": 0.1, "spread": 0.2},
+        pytest.param({"habit": (9.0, 1.0), "alarms": 3.0, "spread": 0.03}, marks=pytest.mark.slow),
+        pytest.param({"habit": (2.0, 4.0), "alarms": 0.1, "spread": 0.2}, marks=pytest.mark.slow),
         {"targets": (3, 2), "groups": 10, "each": 12},
         {"posed": False},
     ],
@@ -93,7 +93,10 @@ def test_the_habit_of_places_is_told_from_chance(habit):
     assert sum(model.habit) == pytest.approx(sum(habit), rel=0.4)
 
 
-@pytest.mark.parametrize(("alikes", "alike"), [(1.0, (2.0, 2.0)), (0.7, (0.5, 2.0)), (0.0, (1.0, 1.0))])
+@pytest.mark.parametrize(
+    ("alikes", "alike"),
+    [(1.0, (2.0, 2.0)), pytest.param(0.7, (0.5, 2.0), marks=pytest.mark.slow), (0.0, (1.0, 1.0))],
+)
 def test_look_alikes_are_told_from_false_alarms_that_pass(alikes, alike):
     """Their number to the square root of it over the views, and how much of what is false comes of them."""
     looks = looks_of(np.random.default_rng(2), groups=60, each=30, alikes=alikes, alike=alike, spread=0.05, alarms=0.2)

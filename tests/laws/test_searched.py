@@ -211,4 +211,4 @@ def test_a_report_has_a_key_to_each_map_of_a_search(rooms, tmp_path, policy):
     assert "No pictures" not in text
     maps = text.count("From above; numbers")
     assert maps >= 2
-    assert text.count("How eagor scenes.") == text.count("Key to the search") / 2 == maps * (policy == "search")
+    assert text.count("How eagor searched.") == text.count("Key to the search") / 2 == maps * (policy == "search")

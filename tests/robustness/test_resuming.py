@@ -49,15 +49,15 @@ def test_changed_data_is_refused_or_told(run, capsys, what):
     assert main(words) == 2
     said = capsys.readouterr()
     assert said.out == ""
-    assert f"workers.data.{what} is" in said.err
+    assert f"inputs.data.{what} is" in said.err
     assert "--force" in said.err
     assert (out / ledger.RUN).read_bytes() == before
     assert main([*words, "--force"]) == 0
-    assert f"workers.data.{what} is" in capsys.readouterr().err
-    assert f"workers.data.{what} is" in ledger.description(out)["resumed"][0]
+    assert f"inputs.data.{what} is" in capsys.readouterr().err
+    assert f"inputs.data.{what} is" in ledger.description(out)["resumed"][0]
     assert main(words) == 0  # it is now a run of these
     assert main(["bench", "report", str(out)]) == 0
-    assert f"workers.data.{what}" in (out / "tables.md").read_text()
+    assert f"inputs.data.{what}" in (out / "tables.md").read_text()
 
 
 def test_changed_code_is_refused(run, capsys, monkeypatch):
@@ -66,7 +66,7 @@ def test_changed_code_is_refused(run, capsys, monkeypatch):
     monkeypatch.setattr(workers, "_code", lambda: "other")
     capsys.readouterr()
     assert main(words) == 2
-    assert 'workers.code is "' in capsys.readouterr().err
+    assert 'inputs.code is "' in capsys.readouterr().err
 
 
 def test_other_settings_are_refused_with_force_too(run, capsys):

@@ -60,11 +60,17 @@ def kept(folder):
 
 
 TOLD = {signal.SIGTERM: (143, "", "eagor: terminated"), signal.SIGINT: (130, "", "eagor: interrupted")}
+NUMBERS = [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize(
     ("number", "workers", "whole_session"),
-    [(signal.SIGTERM, 1, False), (signal.SIGTERM, 2, False), (signal.SIGTERM, 2, True), (signal.SIGINT, 2, True)],
+    [
+        pytest.param(signal.SIGTERM, 1, False, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, 2, False, marks=pytest.mark.slow),
+        (signal.SIGTERM, 2, True),
+        pytest.param(signal.SIGINT, 2, True, marks=pytest.mark.slow),
+    ],
 )
 def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, workers, number, whole_session):
     check_end(tmp_path / "run", number, whole_session, workers)
@@ -74,7 +80,7 @@ def test_a_run_on_ray_leaves_none_of_its_servers(tmp_path):
     check_end(tmp_path / "run", signal.SIGTERM, True, 2, "--engine", "ray")
 
 
-@pytest.mark.parametrize("number", TOLD)
+@pytest.mark.parametrize("number", NUMBERS)
 def test_a_run_that_is_ended_while_ray_begins_leaves_nobody_either(tmp_path, number):
     """Ray takes SIGTERM for itself then, and some of its servers wait a minute for one that has gone."""
     words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
@@ -104,7 +110,7 @@ def check_end(out, number, whole_session, workers, *more):
     assert {record["status"] for record in after} == {"ok"}
 
 
-@pytest.mark.parametrize("number", TOLD)
+@pytest.mark.parametrize("number", NUMBERS)
 def test_threads_that_wait_for_a_silent_model_hold_nobody_up(tmp_path, number):
     (tmp_path / "silent_model.py").write_text(MODEL)
     data = hstar_data.write(tmp_path / "data")

@@ -20,12 +20,12 @@ from eagor.sphere import direction
 BEFORE, AFTER = 4, 14  # steps shown about a turn
 ABOUT_SEAM = 6
 LEVELS = tuple(round(0.1 * k, 1) for k in range(1, 10))  # masses of the regions in a reliability curve
-
-Events = Callable[[Record, str], Sequence[int]]
 UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
 PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
 SEEN = "after it was first seen"  # in sight or hidden again
 BASELINE = 0.1  # of the distance: by so much the camera has to have moved before a distance is asked for
+
+Events = Callable[[Record, str], Sequence[int]]
 
 
 def errors(record: Record, method: str) -> np.ndarray:

@@ -27,10 +27,10 @@ from eagor.evaluation.ledger import Ledger, read, records
 from eagor.plugins import readable_lists
 
 LONGEST_ERROR = 2000  # characters of an error's text that are kept
-
-Do = Callable[[Any], Mapping[str, Any]]
 STARTS = 3  # so many workers in a row that die before they are ready mean that none ever will be
 PATIENCE = 3.0  # seconds that workers have to leave by themselves, all together
+
+Do = Callable[[Any], Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
