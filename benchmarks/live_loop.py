@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from eagor import DetectorModel, Evidence
-from eagor.live.core import LiveCore, Settings
+from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media.frames import Frame, Pose
 from eagor.media.panorama import read_panorama
@@ -71,7 +71,7 @@ class Run:
 
     def __init__(self, positions: bool, in_turn: bool, seed: int = 0) -> None:
         self.in_turn = in_turn
-        self.core = LiveCore(Settings(QUERIES, TrackerConfig(history=60.0)))  # as the loop has it
+        self.core = LiveCore(LoopSettings(QUERIES, TrackerConfig(history=60.0)))  # as the loop has it
         self.draw, self.positions, self.second = np.random.default_rng(seed), positions, 0
         angles = 2 * np.pi * np.arange(TARGETS) / TARGETS
         self.world = np.stack([4 * np.cos(angles), 4 * np.sin(angles), 0.2 * np.ones(TARGETS)], axis=-1)

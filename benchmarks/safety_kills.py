@@ -45,7 +45,8 @@ from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.sim_live import TRUTH
 from eagor.robots.go2.sim_pictures import CAMERA_FRAME, CAMERA_TOPIC
 from eagor.robots.go2.state import Go2State
-from eagor.robots.safety.guard import Guard, GuardState
+from eagor.robots.safety.guard import Guard
+from eagor.robots.safety.messages import GuardState
 
 PROCESSES = ("program", "guard", "detector", "camera")
 TURN = 0.3  # rad/s

@@ -14,7 +14,7 @@ from rosgraph import FakeGraph, clock_message
 
 from eagor import Evidence
 from eagor.errors import DeviceError
-from eagor.live.core import LiveCore, Settings
+from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media.bags import messages as m
 from eagor.media.frames import Pose
@@ -231,7 +231,7 @@ def test_every_step_back_is_told_and_none_forward():
 
 def test_an_answer_is_told_as_of_the_newest_pose_or_else_of_the_newest_picture():
     """The loop may have turned it further, by a turn that it expects: that is undone."""
-    core = LiveCore(Settings(("ball",)))
+    core = LiveCore(LoopSettings(("ball",)))
     look = Evidence.from_points(np.array([[1.0, 0.0, 0.0]]), scores=np.array([0.9]), stamp=100.0)
     core.take(PoseCame(100.0, Pose(100.0, np.eye(3))))
     core.take(FrameCame(100.0, 100.0, ""))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from eagor import ErpGrid, Evidence, angular_distance
 from eagor.errors import FormatError
-from eagor.live.core import LiveCore, Settings
+from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Asked, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.live.recording import event_from, event_in_bytes, settings_from, settings_in_bytes
 from eagor.media.frames import Pose
@@ -48,7 +48,7 @@ def run_of(turn, latency, until=8.0, rate=5.0, poses=100.0, robot=0.0, query="ch
 
 def played(events, asked, poses=True, queries=("chair",)):
     """The last answer, after events and questions in order of time."""
-    core = LiveCore(Settings(tuple(queries), CONFIG, poses))
+    core = LiveCore(LoopSettings(tuple(queries), CONFIG, poses))
     answers = []
     for event in sorted([*events, *map(Asked, asked)], key=lambda each: each.arrival):
         answers += core.take(event)
@@ -86,7 +86,7 @@ def test_without_latency_or_with_it_answers_follow_the_turn_between_looks():
 
 
 def test_a_turned_estimate_shares_everything_but_the_frame():
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     for event in run_of(0.0, 0.0, until=1.0):
         core.take(event)
     (first,) = core.take(Asked(1.0))
@@ -104,7 +104,7 @@ def test_a_turned_estimate_shares_everything_but_the_frame():
 
 def test_evidence_that_comes_before_its_pose_waits_for_it():
     """Poses that are 0.3 s late do no harm once they are there."""
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     core.take(PoseCame(0.0, Pose(0.0, yawed(0.0))))
     core.take(FrameCame(0.2, 0.2, "1"))
     core.take(EvidenceCame(0.2, 0.2, 0.2, "chair", (seen(0.2, 2.0),)))
@@ -121,7 +121,7 @@ def test_evidence_that_comes_before_its_pose_waits_for_it():
 
 @pytest.mark.parametrize(("before", "kept"), [(0.04, True), (0.2, False)])
 def test_evidence_older_than_the_first_pose_is_kept_for_50_ms_and_else_left_out_in_words(before, kept):
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     core.take(FrameCame(1.0, 1.0, "1"))
     core.take(PoseCame(1.0 + before, Pose(1.0 + before, yawed(0.0))))
     core.take(EvidenceCame(1.5, 1.0, 1.0, "chair", (seen(1.0, 0.0),)))
@@ -131,7 +131,7 @@ def test_evidence_older_than_the_first_pose_is_kept_for_50_ms_and_else_left_out_
 
 
 def test_evidence_without_any_pose_yet_waits_for_the_first():
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     core.take(FrameCame(1.0, 1.0, "1"))
     core.take(EvidenceCame(1.2, 1.0, 1.0, "chair", (seen(1.0, 0.0),)))
     core.take(PoseCame(1.3, Pose(1.01, yawed(0.9))))
@@ -142,7 +142,7 @@ def test_evidence_without_any_pose_yet_waits_for_the_first():
 @given(st.floats(0.0, 3.0))
 @settings(max_examples=30)
 def test_the_age_of_the_pose_is_told_and_said_beyond_50_ms(age):
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     core.take(PoseCame(10.0, Pose(10.0, yawed(0.0))))
     (answer,) = core.take(Asked(10.0 + age))
     assert answer.pose_age == pytest.approx(age)
@@ -154,7 +154,7 @@ def test_the_age_of_the_pose_is_told_and_said_beyond_50_ms(age):
 
 
 def test_what_stops_is_said_and_what_comes_back_is_not():
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     parts = {}
     for tick in range(400):
         now = tick / 20
@@ -175,7 +175,7 @@ def test_what_stops_is_said_and_what_comes_back_is_not():
 
 def test_a_robots_clock_that_is_off_and_jumps_turns_nothing_and_is_said():
     """Stamps are 17 s behind, then 1000 s ahead: answers follow the turn all the same."""
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     said, worst = set(), 0.0
     for tick in range(1600):
         now = tick / 100
@@ -198,7 +198,7 @@ def test_a_robots_clock_that_is_off_and_jumps_turns_nothing_and_is_said():
 @pytest.mark.parametrize("robot", [-17.0, 0.0, 500.0])
 def test_a_picture_that_travels_longer_than_the_poses_keeps_its_time(robot):
     """Both are stamped by the robot's clock; pictures take 0.12 s, poses 2 ms. At 1 rad/s that would be 7 degrees."""
-    core, worst, events = LiveCore(Settings(("chair",), CONFIG)), 0.0, []
+    core, worst, events = LiveCore(LoopSettings(("chair",), CONFIG)), 0.0, []
     for tick in range(800):
         now = tick / 100
         events.append(PoseCame(now + 0.002, Pose(now + robot, yawed(now))))
@@ -216,7 +216,7 @@ def test_a_picture_that_travels_longer_than_the_poses_keeps_its_time(robot):
 
 
 def test_poses_that_are_lost_let_the_belief_start_anew():
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     for event in run_of(0.0, 0.0, until=1.0):
         core.take(event)
     assert core.take(Asked(1.0))[0].direction is not None
@@ -227,7 +227,7 @@ def test_poses_that_are_lost_let_the_belief_start_anew():
 
 
 def test_queries_come_and_go():
-    core = LiveCore(Settings(("chair",), CONFIG))
+    core = LiveCore(LoopSettings(("chair",), CONFIG))
     for event in run_of(0.0, 0.0, until=1.0):
         core.take(event)
     core.take(Following(1.0, ("chair", "ball")))
@@ -256,7 +256,7 @@ EVENTS = st.one_of(
 @settings(max_examples=100, deadline=None)
 def test_nothing_that_comes_in_can_stop_the_answers_and_the_same_gives_the_same(events, poses):
     """Also after the way into a recording and back: bit for bit."""
-    start = Settings(("chair",), CONFIG, poses, 0.1)
+    start = LoopSettings(("chair",), CONFIG, poses, 0.1)
     events = sorted(events, key=lambda event: event.arrival)
     asked = [each for event in events for each in (event, Asked(event.arrival))]
     first, second = LiveCore(start), LiveCore(settings_from(settings_in_bytes(start)))
@@ -294,7 +294,7 @@ def test_bytes_that_are_no_event_are_refused(wrong):
 
 def test_a_camera_that_moves_on_gets_its_belief_anew_without_a_look():
     """Turning is exact; what is near is elsewhere after some steps, long before the next look comes."""
-    core = LiveCore(Settings(("chair",), TrackerConfig(degree=7)))
+    core = LiveCore(LoopSettings(("chair",), TrackerConfig(degree=7)))
     thing = np.array([2.0, 0.5, 0.0])
     for number in range(17):  # past the thing, so that its distance becomes known
         stamp, place = 0.25 * number, np.array([0.1 * number - 1.6, 0.0, 0.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence, angular_distance
-from eagor.live.core import LiveCore, RecentPoses, Settings
+from eagor.live.core import LiveCore, LoopSettings, RecentPoses
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media.frames import Pose
 from eagor.sphere import direction, unit, world_R_body
@@ -26,7 +26,7 @@ class Ride:
 
     def __init__(self, heading, poses, late, seed):
         self.heading, self.draw = heading, np.random.default_rng(seed)
-        self.core = LiveCore(Settings(("thing",), CONFIG))
+        self.core = LiveCore(LoopSettings(("thing",), CONFIG))
         self.thing = direction(self.draw.uniform(-3, 3), self.draw.uniform(-0.4, 0.4))
         self.poses, self.late = poses, late
 

@@ -14,7 +14,7 @@ from eagor.live.events import Answer, Fault
 from eagor.media.bags import messages as m
 from eagor.media.bags.ros_types import store
 from eagor.robots.ros import publishing as made
-from eagor.robots.ros.node import after
+from eagor.robots.ros.node import queries_after
 from eagor.sphere import angular_distance, direction, world_R_body
 
 NOW = 1_700_000_000.0
@@ -148,12 +148,12 @@ def test_what_diagnostics_call_left_is_left():
     ],
 )
 def test_queries(now, text, then):
-    assert after(now, text) == then
+    assert queries_after(now, text) == then
 
 
 @given(st.lists(st.text(max_size=5), max_size=4), st.text(max_size=30))
 def test_any_text_is_a_query_or_none(now, text):
-    found = after(now, text)
+    found = queries_after(now, text)
     assert len(found) <= 16
     assert all(isinstance(each, str) for each in found)
 

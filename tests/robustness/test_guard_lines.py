@@ -12,9 +12,9 @@ from eagor.robots.safety.gate import Mode, Output, Stop
 from eagor.robots.safety.limits import Body, Fault, Limits, Velocity
 from eagor.robots.safety.messages import (
     LONGEST,
+    GuardSettings,
     GuardState,
     LineReader,
-    Settings,
     as_line,
     cut,
     read_now,
@@ -84,8 +84,8 @@ def test_what_the_guard_did_comes_back_from_its_line(send):
 
 
 def test_settings_come_back_from_their_text():
-    settings = Settings(True, "remote", 3, "eth0", True, 2.0, Limits(calm_codes=(0, 7)))
-    assert Settings.from_json(settings.to_json()) == settings
+    settings = GuardSettings(True, "remote", 3, "eth0", True, 2.0, Limits(calm_codes=(0, 7)))
+    assert GuardSettings.from_json(settings.to_json()) == settings
 
 
 def test_not_a_number_and_infinity_pass():

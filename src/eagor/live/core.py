@@ -35,7 +35,7 @@ from eagor.media.clocks import RelatedClock
 from eagor.media.frames import Pose
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
-__all__ = ["LiveCore", "RecentPoses", "Settings", "deviation", "warm"]
+__all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]
 
 RECENT = 2.0  # seconds over which extrapolations are tried
 LONGEST_TRIAL = 1.0  # seconds: longer extrapolations are not tried
@@ -45,9 +45,30 @@ DEVIATION_STEP = 1.2  # deviations are rounded to powers of this, so that answer
 LEAST_DEVIATION = math.radians(0.2)  # a smaller deviation counts as 0
 UNKNOWN_TURN = math.pi / 2  # radians: nothing is known of the direction any more
 
+HELD = 0.05  # seconds that the newest pose may be old without a word
+STARTING = 1.0  # seconds that the first pose may take
+STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
+INTERVALS = 2.5  # between pictures, or poses, if that is longer: slow ones are not stale
+BEATS = 9  # intervals between poses of which the middle one counts
+STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
+TOGETHER = 0.2  # seconds: looks that come faster are taken in together
+REFRESHED = 0.4  # seconds for which a belief may only be turned with the camera before it is computed anew,
+MOVED = 0.1  # ... unless the camera has gone so many metres meanwhile: near things are elsewhere by then
+WAITING = 0.5  # seconds that a look may wait for the pose of its picture, if others are known
+FUTURE = 0.1  # seconds by which evidence may be ahead of time
+PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
+SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
+ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
+TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
+
 
 class RecentPoses:
-    """Orientations of the last seconds. `acceleration`: see `eagor.live.core.Settings`."""
+    """Orientations of the last seconds: where the camera points after the newest, and how far that may be wrong.
+
+    How well a camera can be foretold is seen in its own poses: the same extrapolation from earlier poses is compared
+    with the poses that came later. So a camera on wheels is foretold better than one in a hand, and late poses cost
+    more. `acceleration`: see `LoopSettings`.
+    """
 
     def __init__(self, acceleration: float) -> None:
         self.acceleration = acceleration
@@ -119,25 +140,8 @@ def deviation(variance: float) -> float:
     return min(LEAST_DEVIATION * DEVIATION_STEP**steps, UNKNOWN_TURN)
 
 
-HELD = 0.05  # seconds that the newest pose may be old without a word
-STARTING = 1.0  # seconds that the first pose may take
-STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
-INTERVALS = 2.5  # between pictures, or poses, if that is longer: slow ones are not stale
-BEATS = 9  # intervals between poses of which the middle one counts
-STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
-TOGETHER = 0.2  # seconds: looks that come faster are taken in together
-REFRESHED = 0.4  # seconds for which a belief may only be turned with the camera before it is computed anew,
-MOVED = 0.1  # ... unless the camera has gone so many metres meanwhile: near things are elsewhere by then
-WAITING = 0.5  # seconds that a look may wait for the pose of its picture, if others are known
-FUTURE = 0.1  # seconds by which evidence may be ahead of time
-PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
-SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
-ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
-TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
-
-
 @dataclass(frozen=True)
-class Settings:
+class LoopSettings:
     """What a core starts with: `queries`, the tracker's `config`, whether `poses` are expected, the camera's `latency`.
 
     Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
@@ -160,7 +164,7 @@ class LiveCore:
     cheap. After the newest pose the camera's turn is extrapolated, and regions are wider by what that may miss.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: LoopSettings) -> None:
         self.config, self.queries, self.has_poses = settings.config, settings.queries, settings.poses
         self._camera = RelatedClock("camera", settings.latency, SLOWEST)
         self._odometry = RelatedClock("odometry")
@@ -422,7 +426,7 @@ class LiveCore:
         return sorted([*found, *self._news], key=lambda fault: fault.since)
 
 
-def warm(settings: Settings) -> None:
+def warm(settings: LoopSettings) -> None:
     """Make the tables that the first answers need, which take tenths of a second, on a core of its own."""
     core = LiveCore(replace(settings, queries=("",)))
     for number in range(4):

@@ -25,6 +25,9 @@ __all__ = [
 
 Part = Literal["camera", "poses", "perception", "clock", "recording"]
 
+CALM = 3.0  # seconds without a fault after which a part counts as well again
+AGAIN = 30.0  # seconds after which a fault that lasts is told again
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -180,10 +183,6 @@ class Asked:
 
 
 Event = FrameCame | PoseCame | PosesLost | EvidenceCame | Trouble | Following | Asked
-
-
-CALM = 3.0  # seconds without a fault after which a part counts as well again
-AGAIN = 30.0  # seconds after which a fault that lasts is told again
 
 
 @dataclass

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
-from eagor.live.core import LiveCore, Settings, warm
+from eagor.live.core import LiveCore, LoopSettings, warm
 from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.live.recording import Pictures, Recorder
@@ -74,7 +74,7 @@ class LiveLoop:
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
     the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recording`), with
-    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `Settings`. `mask`: what the camera never sees.
+    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `LoopSettings`. `mask`: what the camera never sees.
     `watchers` see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does,
     gives no answers meanwhile.
 
@@ -98,7 +98,7 @@ class LiveLoop:
         record: Path | None = None,
         pictures: Pictures = "jpeg",
         fast: bool = False,
-        acceleration: float = Settings.acceleration,
+        acceleration: float = LoopSettings.acceleration,
         mask: BodyMask | None = None,
         watchers: Sequence[Watcher] = (),
         clock: LoopClock | None = None,
@@ -119,7 +119,7 @@ class LiveLoop:
         self._frames, self._odometry = self._readers(open_camera, poses)
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
-        self._settings = Settings(tuple(queries), config, poses is not None, self._camera.latency, acceleration)
+        self._settings = LoopSettings(tuple(queries), config, poses is not None, self._camera.latency, acceleration)
         self.core = LiveCore(self._settings)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
         self._keeper = Keeper(perception, patience=patience, masks=masks)

@@ -22,7 +22,7 @@ import numpy as np
 
 from eagor.errors import EagorError, FormatError
 from eagor.evidence import Evidence
-from eagor.live.core import LiveCore, Settings
+from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.live.looker import looks_in_bytes
@@ -65,7 +65,11 @@ _LOOK = struct.Struct("<ddddI")
 
 
 def event_in_bytes(event: Event) -> bytes:
-    """An event without its picture."""
+    """An event without its picture, exactly.
+
+    The first byte tells the kind; numbers are little-endian doubles, text is UTF-8 JSON, evidence and settings are
+    bytes of `eagor.tracking.checkpoint`. Reading runs no code of the file.
+    """
     match event:
         case FrameCame():
             return b"F" + _FRAME.pack(event.arrival, event.stamp) + event.name.encode()
@@ -120,13 +124,13 @@ def event_from(content: bytes) -> Event:
     raise FormatError(f"the recording has an event of the unknown kind {kind!r}; play it with the eagor that made it")
 
 
-def settings_in_bytes(settings: Settings) -> bytes:
+def settings_in_bytes(settings: LoopSettings) -> bytes:
     """What the core began with."""
     values = settings.queries, settings.config, settings.poses, settings.latency, settings.acceleration
     return b"S" + packed((VERSION, *values))
 
 
-def settings_from(content: bytes) -> Settings:
+def settings_from(content: bytes) -> LoopSettings:
     """The settings that `settings_in_bytes` turned into bytes. Raises `FormatError`."""
     found = unpacked(content[1:]) if content[:1] == b"S" else None
     if not isinstance(found, tuple) or len(found) < 5 or not isinstance(found[2], TrackerConfig):
@@ -136,7 +140,7 @@ def settings_from(content: bytes) -> Settings:
             f"the recording is of version {found[0]}; wanted {VERSION}: play it with the eagor that made it"
         )
     _, queries, config, poses, latency, acceleration = found
-    return Settings(tuple(queries), config, bool(poses), float(latency), float(acceleration))
+    return LoopSettings(tuple(queries), config, bool(poses), float(latency), float(acceleration))
 
 
 def _text(kind: bytes, arrival: float, *words: Any) -> bytes:
@@ -146,11 +150,14 @@ def _text(kind: bytes, arrival: float, *words: Any) -> bytes:
 class Recorder:
     """A watcher of the loop that writes all into a new folder `path`; `trouble` is told what goes wrong, in words.
 
+    Everything is written in a thread of its own, and handed to the system every `FLUSHED` seconds: a run that is killed
+    loses no more than that. If the disk is full, the recording ends, and the loop goes on.
+
     `pictures`: as JPEG, as PNG (exact, but slow), or not at all. Raises `StorageError` if the folder cannot be made.
     """
 
     def __init__(
-        self, path: Path, settings: Settings, trouble: Callable[[str], Any], pictures: Pictures = "jpeg"
+        self, path: Path, settings: LoopSettings, trouble: Callable[[str], Any], pictures: Pictures = "jpeg"
     ) -> None:
         self.path, self.pictures, self.left_out = Path(path), pictures, 0
         self.problem: str | None = None
@@ -306,7 +313,7 @@ class Replay:
             if anew is not None:
                 anew.close()
 
-    def _settings(self) -> Settings:
+    def _settings(self) -> LoopSettings:
         for _, _, _, found in read_bag(self.path, [EVENTS]):
             return settings_from(found.data.tobytes())
         raise FormatError(f"{self.path} holds no event: the run was ended before its first")

@@ -28,6 +28,14 @@ __all__ = [
 
 MOTION_RATE = 100.0  # poses per second that are taken from a motion track
 
+REOPENED = (0.5, 10.0)  # seconds before a source that is gone is opened again: at first, and at most; doubled each time
+
+Item = TypeVar("Item")
+
+TURNED = math.radians(3.0)  # by which the camera may turn without its picture changing at all
+HANGS = "the picture stays the same although the camera turns: does it hang? Restart the camera or its driver"
+ROWS = 128  # of a picture that are compared, and as dense along them: a sensor's noise alone changes these
+
 
 class GivenPoses:
     """Poses that are there already, in order of time."""
@@ -56,11 +64,6 @@ class MotionPoses:
 
     def close(self) -> None:
         """Nothing is held."""
-
-
-REOPENED = (0.5, 10.0)  # seconds before a source that is gone is opened again: at first, and at most; doubled each time
-
-Item = TypeVar("Item")
 
 
 def opener(source: Any) -> tuple[Callable[[], Any] | None, Any]:
@@ -236,13 +239,11 @@ def paced_poses(source: Iterable[Pose], pace: Pace) -> Iterator[Pose]:
         yield replace(before, stamp=pace.zero + pace.shift)
 
 
-TURNED = math.radians(3.0)  # by which the camera may turn without its picture changing at all
-HANGS = "the picture stays the same although the camera turns: does it hang? Restart the camera or its driver"
-ROWS = 128  # of a picture that are compared, and as dense along them: a sensor's noise alone changes these
-
-
 class FrozenCamera:
-    """Compares pictures bit by bit. `orientation(stamp)`: `world_R_body` ``(3, 3)`` at a picture that came before."""
+    """Finds a camera that shows one picture again and again while it turns: its driver hangs, and stamps it anew.
+
+    Compares pictures bit by bit. `orientation(stamp)`: `world_R_body` ``(3, 3)`` at a picture that came before.
+    """
 
     def __init__(self, orientation: Callable[[float], np.ndarray | None]) -> None:
         self._orientation = orientation

@@ -41,6 +41,11 @@ _NETWORK = """<CycloneDDS><Domain Id="any">
 <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex></Discovery>
 </Domain></CycloneDDS>"""
 
+BLOCKED = 0.1  # seconds that a reliable writer waits for a reader that does not keep up
+WAIT = 0.2  # seconds after which a reader's thread looks whether it is to end
+_DOMAINS: dict[int, tuple[str | None, Any]] = {}  # cyclonedds settles a domain once per process
+_TURN = threading.Lock()
+
 
 def checked_domain(domain: int) -> int:
     """The domain's number. Raises `DeviceError` if no such domain can be."""
@@ -80,12 +85,6 @@ def _is_free(port: int) -> bool:
         except OSError:
             return False
     return True
-
-
-BLOCKED = 0.1  # seconds that a reliable writer waits for a reader that does not keep up
-WAIT = 0.2  # seconds after which a reader's thread looks whether it is to end
-_DOMAINS: dict[int, tuple[str | None, Any]] = {}  # cyclonedds settles a domain once per process
-_TURN = threading.Lock()
 
 
 class Link:

@@ -30,6 +30,11 @@ EVERY = 1.0  # seconds between two pictures, at least
 ROWS = 400  # of the table
 SWAY = 0.1  # metres
 
+_KEY = [
+    ("answer, commands sent", "var(--answer)"), ("90 % cone", "var(--band)"), ("wanted, truth", "var(--ambiguous)"),
+    *((str(mode), f"var(--{MODES[mode]})") for mode in Mode),
+]  # fmt: skip
+
 
 class RobotPage:
     """Takes the samples of a walk one by one; `write` makes the page of all of them.
@@ -131,9 +136,3 @@ def summary(samples: Sequence[Sample]) -> dict[str, float | int | None]:
         "stops": samples[-1].stops,
         "median_error_deg": math.degrees(float(np.median(errors))) if errors else None,
     }
-
-
-_KEY = [
-    ("answer, commands sent", "var(--answer)"), ("90 % cone", "var(--band)"), ("wanted, truth", "var(--ambiguous)"),
-    *((str(mode), f"var(--{MODES[mode]})") for mode in Mode),
-]  # fmt: skip

@@ -1,11 +1,10 @@
 """Unitree's Go2: its state, its commands, its remote control, and a simulated one that speaks the same wire.
 
-- `idl`: the messages as DDS types; `wire`: the same as bytes, quickly; `low`: battery and remote control.
-- `state`: where the robot is (`Go2State`); `sport`: what it is told (`SportClient`); `check`: whether all that works.
-- `others`: who else commands it.
-- `plant`: how a Go2 answers commands (`legs`: its joints); `sim`: a simulated Go2 in a simulated `house`, on a clock of
-  its own; `sim_live`: the same on DDS in real time (`sim_server`: the wire; `sim_services`: what programs switch;
-  `sim_pictures`: the camera's process).
+- `idl`: the messages as DDS types; `wire`: the same as bytes, quickly.
+- `state`: where the robot is (`Go2State`), its battery and remote control; `sport`: what it is told (`SportClient`),
+  and by whom else; `check`: whether all that works.
+- `plant`: how a Go2 answers commands, with its legs; `sim`: a simulated Go2 and its camera in a simulated `house`, on a
+  clock of its own; `sim_live`: the same on DDS in real time (`sim_pictures`: the camera's process).
 
 Nothing here decides to move: `eagor.robots.safety` does.
 """

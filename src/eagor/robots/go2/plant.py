@@ -32,6 +32,14 @@ CALF = -2.7227, -0.83776  # radians that the calf's joint can reach; the others'
 AHEAD, ASIDE = 0.1934, 0.1420  # metres from the body's centre to the hips, forward and to the side of the feet
 LIFT = 0.09  # metres by which a foot is lifted
 
+Slide = Callable[[np.ndarray, np.ndarray], np.ndarray]  # start (2,), step (2,) -> end (2,), metres
+Ahead = Callable[[np.ndarray, float], float]  # point (2,), heading in radians -> metres of free floor ahead
+STANDING, WALKING, LYING, LOCKED, LIMP = 1, 3, 5, 6, 7  # numbers of `eagor.robots.go2.state.MODES`
+GRAVITY = 9.81  # m/s^2
+MOVING = 0.02  # metres or radians per second below which the legs stand still
+BERTH = 0.35  # metres that a careful body keeps from what it would run into
+BRAKING = 1.0  # seconds in which a careful body would reach that distance, at most
+
 
 def joint_angles(
     height: float, velocity: tuple[float, float, float], phase: float, trot: float, share: float
@@ -61,15 +69,6 @@ def _leg(x: float, y: float, down: float) -> tuple[float, float, float]:
     bend = math.acos(min(1.0, math.hypot(x, down) / (2 * LINK)))
     calf = min(max(-2 * bend, CALF[0]), CALF[1])
     return hip, math.atan2(-x, down) - calf / 2, calf
-
-
-Slide = Callable[[np.ndarray, np.ndarray], np.ndarray]  # start (2,), step (2,) -> end (2,), metres
-Ahead = Callable[[np.ndarray, float], float]  # point (2,), heading in radians -> metres of free floor ahead
-STANDING, WALKING, LYING, LOCKED, LIMP = 1, 3, 5, 6, 7  # numbers of `eagor.robots.go2.state.MODES`
-GRAVITY = 9.81  # m/s^2
-MOVING = 0.02  # metres or radians per second below which the legs stand still
-BERTH = 0.35  # metres that a careful body keeps from what it would run into
-BRAKING = 1.0  # seconds in which a careful body would reach that distance, at most
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ class Plant:
 
     @property
     def joints(self) -> tuple[float, ...]:
-        """The angles of the legs' joints (`eagor.robots.go2.plant.JOINTS`), radians."""
+        """The angles of the legs' joints (`JOINTS`), radians."""
         forward, left, turn = (float(value) for value in self._speed)
         return joint_angles(self._height, (forward, left, turn), self._phase, self.settings.trot, self._rocking)
 

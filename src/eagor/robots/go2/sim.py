@@ -33,6 +33,9 @@ __all__ = [
     "sport_fields",
 ]  # fmt: skip
 
+MOUNT = (0.0, 0.0, 0.40)  # metres from the body's centre to the camera, body frame: a short stick on its back
+FIELD = math.radians(200.0)  # of each fisheye of an X3
+
 
 @dataclass(frozen=True)
 class WireSettings:
@@ -139,10 +142,6 @@ def odometry_of(motion: Motion, stamp: float, frame: str = "odom") -> Any:
     return odometry_message(
         pose, frame, velocity=pose.world_R_body.T @ motion.velocity, turning=np.asarray(motion.rates)
     )
-
-
-MOUNT = (0.0, 0.0, 0.40)  # metres from the body's centre to the camera, body frame: a short stick on its back
-FIELD = math.radians(200.0)  # of each fisheye of an X3
 
 
 @dataclass(frozen=True)

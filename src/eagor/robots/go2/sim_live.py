@@ -39,6 +39,16 @@ NOT_KNOWN = 3203
 SWITCH_FAILED, MODE_NOT_KNOWN = 5201, 7004
 PROTECTED = 5  # status of a service that cannot be switched
 
+TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry): no robot has this topic
+SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
+NOT_UNDERSTOOD = 3204
+KEPT = 1000  # requests
+LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
+
+TRUTH_THINGS = f"{TRUTH}/things"  # std_msgs/String: JSON of all things and where they are; no robot has this topic
+LISTENING = 1.0  # seconds to hear whether another robot is there
+THINGS_EVERY = 0.2  # seconds
+
 
 class ServiceError(Exception):
     """A request that is refused with a code."""
@@ -108,13 +118,6 @@ class ServiceSwitches:
                 self._plant.stand_down()
         else:
             self._plant.stop()
-
-
-TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry): no robot has this topic
-SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
-NOT_UNDERSTOOD = 3204
-KEPT = 1000  # requests
-LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
 
 
 class Go2Server:
@@ -330,11 +333,6 @@ class Go2Server:
             due = [*self._way.arrived(time.monotonic())]
         for _, send in due:
             send()
-
-
-TRUTH_THINGS = f"{TRUTH}/things"  # std_msgs/String: JSON of all things and where they are; no robot has this topic
-LISTENING = 1.0  # seconds to hear whether another robot is there
-THINGS_EVERY = 0.2  # seconds
 
 
 class LiveGo2:

@@ -28,6 +28,28 @@ OK, SEND, TIMEOUT = 0, 3102, 3104
 FLOAT32 = 3.4028234663852886e38  # the largest number of 32 bits
 API_VERSION = 1
 
+# Codes of responses, and those that a client gives itself (Unitree's SDK).
+CODES = {
+    OK: "done",
+    3001: "failed, nobody knows why",
+    SEND: "could not be sent: no robot listens",
+    3103: "the client does not know this command",
+    TIMEOUT: "no answer in time",
+    3105: "an answer to another command came",
+    3106: "the answer cannot be read",
+    3107: "somebody else has the lease",
+    3201: "the robot could not send its answer",
+    3202: "the robot failed inside",
+    3203: "the robot does not know this command",
+    3204: "the robot does not understand the parameters",
+    3205: "the robot obeys somebody else now (lease)",
+    3206: "the lease has ended",
+    3207: "somebody else has the lease",
+    4101: "the path is wrong",
+    4201: "the robot took too long",
+    4202: "the robot's walking has not started yet",
+}
+
 
 class Sport(IntEnum):
     """Commands of the service ``sport``, by their names in Unitree's SDK."""
@@ -58,27 +80,6 @@ ALLOWED = {
 }
 # Those that only ask: versions, heights, the speed level, the state.
 ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, Avoid.SWITCH_GET}}
-# Codes of responses, and those that a client gives itself (Unitree's SDK).
-CODES = {
-    OK: "done",
-    3001: "failed, nobody knows why",
-    SEND: "could not be sent: no robot listens",
-    3103: "the client does not know this command",
-    TIMEOUT: "no answer in time",
-    3105: "an answer to another command came",
-    3106: "the answer cannot be read",
-    3107: "somebody else has the lease",
-    3201: "the robot could not send its answer",
-    3202: "the robot failed inside",
-    3203: "the robot does not know this command",
-    3204: "the robot does not understand the parameters",
-    3205: "the robot obeys somebody else now (lease)",
-    3206: "the lease has ended",
-    3207: "somebody else has the lease",
-    4101: "the path is wrong",
-    4201: "the robot took too long",
-    4202: "the robot's walking has not started yet",
-}
 
 
 def in_words(code: int) -> str:

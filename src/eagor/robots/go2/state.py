@@ -43,6 +43,12 @@ UNREADABLE = (  # a topic that is written, and of which nothing is heard
 KEPT = 2000  # states that wait for whoever iterates: 10 s at 200 Hz
 LOOK = 1.0  # seconds between looks at who publishes
 
+# The remote control's buttons by their bit in bytes 2 and 3, lowest first (Unitree's SDK: wireless_controller).
+BUTTONS = (
+    "R1", "L1", "start", "select", "R2", "L2", "F1", "F3", "A", "B", "X", "Y", "up", "right", "down", "left",
+)  # fmt: skip
+_STICKS = struct.Struct("<2x H f f f 4x f")  # buttons, left x, right x, right y, (unused), left y
+
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
@@ -269,13 +275,6 @@ def _finite(values: Any) -> np.ndarray:
     if not np.isfinite(array).all():
         raise FormatError(f"a state with the numbers {array.tolist()}; wanted finite ones")
     return array
-
-
-# The remote control's buttons by their bit in bytes 2 and 3, lowest first (Unitree's SDK: wireless_controller).
-BUTTONS = (
-    "R1", "L1", "start", "select", "R2", "L2", "F1", "F3", "A", "B", "X", "Y", "up", "right", "down", "left",
-)  # fmt: skip
-_STICKS = struct.Struct("<2x H f f f 4x f")  # buttons, left x, right x, right y, (unused), left y
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,14 @@ DISCOVERY, DISCOVERY_TYPE = "ros_discovery_info", "rmw_dds_common/msg/Participan
 ENCLAVE = b"enclave=/;"  # of a participant: nodes of ROS take no notice of one that tells none
 LOOKED = 0.5  # seconds between two looks at who has come
 
+NAME = "/eagor"
+
+PICTURES = (IMAGE, COMPRESSED)
+MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS)  # the best first
+TF, TF_STATIC = "/tf", "/tf_static"
+FOUND = 5.0  # seconds in which a topic that is written must have been found
+LOOK = 0.5  # seconds of each look around
+
 
 def announced(participant: bytes, node: str, readers: list[bytes], writers: list[bytes], newer: bool) -> bytes:
     """The message, in CDR, that a participant has one `node` ("/robot1/eagor"); ids of DDS have 16 bytes."""
@@ -108,9 +116,6 @@ class Announcement:
 
 def _tells_hash(sample: Any) -> bool:
     return any(b"typehash=" in getattr(policy, "data", b"") for policy in sample.qos)
-
-
-NAME = "/eagor"
 
 
 class GraphWriter(Protocol):
@@ -220,13 +225,6 @@ class DdsGraph:
 
     def _full(self, topic: str) -> str:
         return f"{self.name}{topic[1:]}" if topic.startswith("~/") else topic
-
-
-PICTURES = (IMAGE, COMPRESSED)
-MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS)  # the best first
-TF, TF_STATIC = "/tf", "/tf_static"
-FOUND = 5.0  # seconds in which a topic that is written must have been found
-LOOK = 0.5  # seconds of each look around
 
 
 def pick(

@@ -34,12 +34,20 @@ from eagor.robots.ros.sources import RosCamera, RosPoses
 from eagor.robots.safety.walking import Odometer, Steering, WalkSettings
 from eagor.tracking import TrackerConfig
 
-__all__ = ["QUERY", "Node", "NodeSettings", "after"]
+__all__ = ["QUERY", "Node", "NodeSettings", "queries_after"]
 
 MOST = 16  # queries at a time
 
+QUERY = "~/query"
+AGAIN = 2.0  # seconds before sources that are gone are looked for again
+IDLE = 1.0  # seconds between two words of a node that has nothing to do
 
-def after(now: Sequence[str], text: str) -> tuple[str, ...]:
+CLOCK_TOPIC = "/clock"
+FIRST = 10.0  # seconds of real time in which the first time has to be told
+WAITING = 0.1  # seconds after which who waits for it looks whether to go on
+
+
+def queries_after(now: Sequence[str], text: str) -> tuple[str, ...]:
     """The queries that are followed after a message.
 
     "red chair" replaces all by one; "red chair; blue ball" by two. "+blue ball" is followed as well, "-blue ball" no
@@ -61,16 +69,6 @@ def after(now: Sequence[str], text: str) -> tuple[str, ...]:
     if not text.strip():
         return ()
     return tuple(found[:MOST])
-
-
-QUERY = "~/query"
-AGAIN = 2.0  # seconds before sources that are gone are looked for again
-IDLE = 1.0  # seconds between two words of a node that has nothing to do
-
-
-CLOCK_TOPIC = "/clock"
-FIRST = 10.0  # seconds of real time in which the first time has to be told
-WAITING = 0.1  # seconds after which who waits for it looks whether to go on
 
 
 class SimClock(LoopClock):
@@ -173,7 +171,7 @@ class Node:
     """Answers on a `graph` until `stop` is called.
 
     `perception`: for `LiveLoop`; or `choose`, which names one for the queries that are followed, and may raise
-    `QueryError`. `queries`: what is followed at first; others come on ``~/query`` (`eagor.robots.ros.node`).
+    `QueryError`. `queries`: what is followed at first; others come on ``~/query`` (`queries_after`).
     `said` is told what goes wrong, in words. Topics: docs/how-to/ros2.md.
     """
 
@@ -258,7 +256,7 @@ class Node:
     def _asked(self, received: Any, _: float) -> None:
         """A message on ``~/query``."""
         with self._news:
-            queries = after(self.queries, received.data)
+            queries = queries_after(self.queries, received.data)
             if queries == self.queries:
                 return
             self.queries = queries

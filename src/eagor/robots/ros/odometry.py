@@ -33,6 +33,12 @@ OPTICAL = "_optical_frame"  # REP-103: the suffix of frames with x right, y down
 Transform = tuple[np.ndarray, np.ndarray]
 IDENTITY: Transform = (np.eye(3), np.zeros(3))
 
+BODY = "base_link"
+TOLERATED = math.radians(3.0)  # a detector is off by as much
+HOLE = 2.5  # times as long as most: an interval in which poses are missing
+RATES, FEWEST = 50, 10  # changes of the rate of turning that count, and that are enough
+WORLDS = ("odom", "map")  # REP-105; odom does not jump
+
 
 def composed(a: Transform, b: Transform) -> Transform:
     """First `b`, then `a`."""
@@ -148,13 +154,6 @@ class TransformTree:
 
 def _named(frame: str) -> str:
     return frame.lstrip("/")  # as tf of ROS 1 began them
-
-
-BODY = "base_link"
-TOLERATED = math.radians(3.0)  # a detector is off by as much
-HOLE = 2.5  # times as long as most: an interval in which poses are missing
-RATES, FEWEST = 50, 10  # changes of the rate of turning that count, and that are enough
-WORLDS = ("odom", "map")  # REP-105; odom does not jump
 
 
 def unnamed(body: str) -> str:

@@ -55,6 +55,9 @@ SIDES = 36  # triangles of a cone
 GRAVE = 5.0  # seconds after which a fault is an error rather than a warning
 PALETTE = ((0.90, 0.12, 0.15), (0.12, 0.47, 0.90), (0.20, 0.63, 0.17), (0.95, 0.55, 0.10), (0.55, 0.25, 0.75))
 
+DIAGNOSED = 1.0  # seconds between two diagnostics
+PARTS: tuple[str, ...] = get_args(Part)
+
 
 def topic_of(query: str) -> str:
     """A query as part of a topic's name: "the red chair!" is "the_red_chair". Names of ROS begin with a letter."""
@@ -271,10 +274,6 @@ class Stamps:
         return replace(answer, stamp=pose.stamp if pose.stamp > 0 else otherwise, estimate=estimate)
 
 
-DIAGNOSED = 1.0  # seconds between two diagnostics
-PARTS: tuple[str, ...] = get_args(Part)
-
-
 @dataclass(frozen=True, eq=False)
 class OutgoingAnswer:
     """An `answer`, `given` then, to the query of this `number` of `count`; `told`: further values for diagnostics."""
@@ -289,8 +288,9 @@ class OutgoingAnswer:
 
 
 class Outbox:
-    """Publishes answers on a `graph`, as `settings` (`NodeSettings`) say; a context manager.
+    """Publishes the newest answers on a `graph`, as `settings` (`NodeSettings`) say; a context manager.
 
+    It has a thread of its own, so that a reader that hangs holds up no answer.
     ``~/direction``, ``~/direction_pose``, ``~/belief_image`` and ``~/belief`` are of the first query; every further one
     has ``~/NAME/direction`` and ``~/NAME/direction_pose``. ``~/markers`` and ``/diagnostics`` are of all. `now`: the
     time of the node, for what rests on no picture. `failed`: how many messages could not be sent.

@@ -346,7 +346,7 @@ class BagCamera:
     `topic`: None is the only one with pictures; or `bag` is the text ``BAG?topic=/image``. Stamps are those of the
     headers less the `latency`; where a header has none, the time of recording. `rate`: the most pictures per second.
     `count`: how many pictures there are; `frame`: the frame that they name; otherwise as
-    `eagor.robots.ros.sources.RosCamera`. Raises `FormatError` for the bag or topic, `ImageError` for the pictures.
+    `RosCamera`. Raises `FormatError` for the bag or topic, `ImageError` for the pictures.
     """
 
     live = False
@@ -432,7 +432,7 @@ class BagCamera:
 class BagPoses:
     """A `PoseSource` that plays the odometry of a bag; each iteration begins at its start.
 
-    `topic`, `camera`, `body`, `world`, `strict`: as for `eagor.robots.ros.sources.RosPoses`. The fixed transforms of
+    `topic`, `camera`, `body`, `world`, `strict`: as for `RosPoses`. The fixed transforms of
     the whole bag are known from the beginning. `dropped`: messages that hold no pose. Raises `FormatError`.
     """
 

@@ -15,11 +15,16 @@ from eagor.robots.dds import Link
 from eagor.robots.go2.sport import OK, AvoidClient, ForeignCommands, SportClient, in_words
 from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
 from eagor.robots.safety.limits import Body, Velocity
-from eagor.robots.safety.messages import Settings
+from eagor.robots.safety.messages import GuardSettings
 
 __all__ = ["Go2Body", "Standby"]
 
 PATIENCE = 0.1  # seconds until a StopMove counts as not acknowledged; others follow at once, or are on their way
+
+AT_ONCE = 4  # StopMove that may wait for their answers
+STARTING = 5.0  # seconds that commands before the first move may take
+LOCKED = 6  # `MODES`: stands with locked joints
+ABLE = (0, 1, 2, 3, 6, 9)  # modes from which it can walk
 
 
 class Standby:
@@ -61,19 +66,13 @@ class Standby:
         return self.acknowledged
 
 
-AT_ONCE = 4  # StopMove that may wait for their answers
-STARTING = 5.0  # seconds that commands before the first move may take
-LOCKED = 6  # `MODES`: stands with locked joints
-ABLE = (0, 1, 2, 3, 6, 9)  # modes from which it can walk
-
-
 class Go2Body:
     """A Go2 as the guard sees it, by its `settings`; a context manager.
 
     One that is not armed never has a writer, so it cannot command anything. Raises `DeviceError`, `MissingExtraError`.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: GuardSettings) -> None:
         self.body: Body | None = None
         self.mode: int | None = None
         self.acknowledged: int | None = None

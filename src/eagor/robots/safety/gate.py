@@ -12,15 +12,15 @@ from enum import StrEnum
 
 from eagor.robots.safety.limits import (
     STILL,
+    CommandResponse,
     Fault,
-    Following,
     Inputs,
     Limits,
     Rhythm,
     Velocity,
     faults_of,
-    follow,
     heard,
+    responded,
 )
 
 __all__ = ["Gate", "Mode", "Output", "State", "Stop"]
@@ -79,7 +79,7 @@ class State:
     ignored: float | None = None  # it is told to move since then, and does not
     pictures: Rhythm = ()  # how often they come
     looks: Rhythm = ()
-    following: Following = field(default_factory=Following)
+    response: CommandResponse = field(default_factory=CommandResponse)
     astray: tuple[float, str] | None = None  # when it last did something else than it was told for too long, in words
 
 
@@ -149,7 +149,7 @@ class Gate:
             return state, None, (f"nothing may be wrong for {self.limits.settle:g} s before it moves",)
         if wanted.still:
             return state, None, (remark,)
-        state = replace(state, mode=Mode.ARMED, sent=STILL, resting=None, ignored=None, following=Following())
+        state = replace(state, mode=Mode.ARMED, sent=STILL, resting=None, ignored=None, response=CommandResponse())
         return self._move(state, time, inputs, wanted, remark)
 
     def _stop(self, state: State, time: float, inputs: Inputs) -> tuple[State, Stop | None, tuple[str, ...]]:
@@ -233,11 +233,11 @@ class Gate:
         """Whether the robot does what it was told; what it does while it is not told to move is its own affair."""
         body, sent = inputs.body, state.sent
         if state.mode is not Mode.ARMED or state.time is None or body is None or self._moves(time, inputs) is None:
-            return replace(state, following=replace(state.following, since=None))
+            return replace(state, response=replace(state.response, since=None))
         ignored = self._ignored(state, time, inputs) is not None
-        following = follow(self.limits, state.following, time, time - state.time, sent, body, ignored=ignored)
-        state = replace(state, following=following)
-        if following.since is None or time - following.since < self.limits.follow:
+        response = responded(self.limits, state.response, time, time - state.time, sent, body, ignored=ignored)
+        state = replace(state, response=response)
+        if response.since is None or time - response.since < self.limits.follow:
             return state
         words = (
             f"the robot does not do what it is told ({math.hypot(sent.forward, sent.left):.2f} m/s, {sent.turn:.2f} "

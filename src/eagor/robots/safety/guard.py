@@ -24,9 +24,9 @@ from eagor.robots.safety.messages import (
     REASONS,
     WORDS,
     GateClient,
+    GuardSettings,
     GuardState,
     LineReader,
-    Settings,
     as_line,
     cut,
     write_now,
@@ -77,7 +77,7 @@ class Guard(GateClient):
         deadman = checked_deadman(deadman, armed, interface)
         if not armed and deadman == "key" and not sys.stdin.isatty():
             deadman = "none"  # a dry run needs no switch
-        self._settings = Settings(armed, deadman, domain, interface, avoid, patience, self.limits)
+        self._settings = GuardSettings(armed, deadman, domain, interface, avoid, patience, self.limits)
         self._watch = watch
         # All that this program knows now: every message says all of it, so that none is missed.
         self._said: dict[str, Any] = {}

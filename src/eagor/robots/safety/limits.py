@@ -14,9 +14,34 @@ import numpy as np
 from eagor._checks import above, require, whole, within
 
 __all__ = [
-    "STILL", "Body", "Fault", "Following", "Inputs", "Limits", "Rhythm", "Velocity", "faults_of", "follow", "heard",
-    "look_age", "picture_age", "stamp_of",
+    "STILL",
+    "Body",
+    "CommandResponse",
+    "Fault",
+    "Inputs",
+    "Limits",
+    "Rhythm",
+    "Velocity",
+    "faults_of",
+    "heard",
+    "look_age",
+    "picture_age",
+    "responded",
+    "stamp_of",
 ]  # fmt: skip
+
+INTERVALS, LEAST = 3, 0.5  # usual intervals that may pass since the newest look; seconds that are always allowed
+BEYOND, SLACK = 2, 0.2  # usual intervals, and at least seconds, beyond the usual age of what just came
+SAME = 0.01  # seconds within which two stamps are one: they are computed anew from ages at each word
+ENOUGH, KEPT = 4, 9  # stamps from which an interval counts as usual; and those that are remembered
+
+# How often something comes: stamps and the times at which each was heard of first, oldest first. From that follows from
+# which age on it must have stopped to come: a limit that fits the slowest perception lets a quick one hang for seconds.
+Rhythm = tuple[tuple[float, float], ...]
+
+SLOW = 0.6  # seconds to 63 % of a command, of the slowest body
+GAINS = 0.6, 1.15  # speed per speed commanded, of the weakest and of the strongest
+SWAY = 0.12, 0.25  # m/s and rad/s by which a trotting body sways around what it does
 
 
 @dataclass(frozen=True)
@@ -68,7 +93,7 @@ class Limits:
       0.15 s to compute (measured on a busy machine of two cores).
     - `image_age`: the newest picture, since its capture. `belief_age`: the newest evidence, since its capture; a model
       that needs 1.4 s per look comes to 2.8 s. Both are the most that is allowed: once it is known how often pictures
-      and looks come, less is (`eagor.robots.safety.limits`).
+      and looks come, less is (`picture_age`, `look_age`).
     - `silence`: the gate's own last step. A gate that was away for longer stops, and needs a new command; the program
       that it works for sends StopMove itself meanwhile (`eagor.robots.safety.guard.Guard`).
     - `early`: how far a stamp may lie in the future: clocks that differ.
@@ -86,7 +111,7 @@ class Limits:
     - `still_speed` (m/s), `still_turn` (rad/s): below both, the robot stands. A trotting Go2 sways, so not 0.
     - `settle`: seconds without any fault before the robot moves again.
     - `rest`: seconds of zero velocity after which StopMove is sent.
-    - `follow`: seconds for which the robot may do something else than it is told (`eagor.robots.safety.limits`).
+    - `follow`: seconds for which the robot may do something else than it is told (`responded`).
       After that it is stopped. One that has not moved at all yet gets no more than `creep` (m/s) and `creep_turn`
       (rad/s), until it moves: a Go2 ignores Move for seconds after it stood up.
     - `aside`: seconds for which it keeps standing after that, and after a command of somebody else.
@@ -138,14 +163,6 @@ class Limits:
             "creep_turn": (self.creep_turn > 2 * self.still_turn, "more than twice still_turn: else it cannot be seen"),
         }
         require(self, orders)
-
-
-INTERVALS, LEAST = 3, 0.5  # usual intervals that may pass since the newest look; seconds that are always allowed
-BEYOND, SLACK = 2, 0.2  # usual intervals, and at least seconds, beyond the usual age of what just came
-SAME = 0.01  # seconds within which two stamps are one: they are computed anew from ages at each word
-ENOUGH, KEPT = 4, 9  # stamps from which an interval counts as usual; and those that are remembered
-
-Rhythm = tuple[tuple[float, float], ...]  # stamps and the times at which each was heard of first, oldest first
 
 
 def heard(rhythm: Rhythm, stamp: float | None, now: float) -> Rhythm:
@@ -327,13 +344,8 @@ def _of_command(limits: Limits, now: float, inputs: Inputs, sent: Velocity) -> I
         yield Fault("presence", f"the presence is {presence:.2f}; walking needs {limits.presence:g}")
 
 
-SLOW = 0.6  # seconds to 63 % of a command, of the slowest body
-GAINS = 0.6, 1.15  # speed per speed commanded, of the weakest and of the strongest
-SWAY = 0.12, 0.25  # m/s and rad/s by which a trotting body sways around what it does
-
-
 @dataclass(frozen=True)
-class Following:
+class CommandResponse:
     """What is remembered from step to step while a robot is told to move.
 
     `speed` (m/s), `turn` (rad/s): what the slowest body would do now. `moved`: whether it has moved at all; one that
@@ -346,10 +358,16 @@ class Following:
     since: float | None = None
 
 
-def follow(
-    limits: Limits, before: Following, time: float, gone: float, sent: Velocity, body: Body, *, ignored: bool
-) -> Following:
-    """One step, `gone` seconds after the last. `sent`: the command since then. `ignored`: told to move, it stands."""
+def responded(
+    limits: Limits, before: CommandResponse, time: float, gone: float, sent: Velocity, body: Body, *, ignored: bool
+) -> CommandResponse:
+    """One step, `gone` seconds after the last. `sent`: the command since then. `ignored`: told to move, it stands.
+
+    A robot that does something else than it is told is commanded, or held, by somebody else. No body follows at once:
+    what a body may do lies between the command and the same command as a very slow body would follow it, each by the
+    gain of a weak and of a strong one. A Go2 (dead time 0.15 s, lag 0.30 s, gains 0.74 to 0.90) stays well between
+    these, whatever it is told.
+    """
     share = 1.0 - math.exp(-max(gone, 0.0) / SLOW)
     told = math.hypot(sent.forward, sent.left), sent.turn
     speed = before.speed + share * (told[0] - before.speed)

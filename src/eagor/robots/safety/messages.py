@@ -1,8 +1,8 @@
 """What a program and the guard's process tell each other, in lines that a torn write cannot confuse.
 
-The process is told its `Settings` when it starts, and then again and again all that the program knows (`inputs_from`).
-It answers with a `GuardState` after every step of the gate. A line is a checksum, then JSON. One that is cut, joined
-with another or damaged fails its checksum and is dropped; the next line break starts anew.
+The process is told its `GuardSettings` when it starts, and then again and again all that the program knows
+(`inputs_from`). It answers with a `GuardState` after every step of the gate. A line is a checksum, then JSON. One that
+is cut, joined with another or damaged fails its checksum and is dropped; the next line break starts anew.
 """
 
 from __future__ import annotations
@@ -23,8 +23,18 @@ from eagor.robots.safety.gate import Mode, Output
 from eagor.robots.safety.limits import Body, Inputs, Limits, Velocity, stamp_of
 
 __all__ = [
-    "LONGEST", "REASONS", "WORDS", "GateClient", "GuardState", "LineReader", "Settings", "as_line", "cut",
-    "inputs_from", "read_now", "write_now",
+    "LONGEST",
+    "REASONS",
+    "WORDS",
+    "GateClient",
+    "GuardSettings",
+    "GuardState",
+    "LineReader",
+    "as_line",
+    "cut",
+    "inputs_from",
+    "read_now",
+    "write_now",
 ]  # fmt: skip
 
 LONGEST = select.PIPE_BUF  # bytes: a pipe takes so many as a whole, or not at all (POSIX)
@@ -33,7 +43,7 @@ _CHUNK = 65536
 
 
 @dataclass(frozen=True)
-class Settings:
+class GuardSettings:
     """What the process is told when it starts: as for `eagor.robots.safety.guard.Guard`."""
 
     armed: bool = False
@@ -48,7 +58,7 @@ class Settings:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, text: str) -> Settings:
+    def from_json(cls, text: str) -> GuardSettings:
         known = json.loads(text)
         limits = known.pop("limits")
         return cls(**known, limits=Limits(**(limits | {"calm_codes": tuple(limits["calm_codes"])})))

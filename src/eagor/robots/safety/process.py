@@ -19,9 +19,9 @@ from eagor.robots.safety.deadman import EMERGENCY, HOLD, RELEASE, HeldKey, Keys
 from eagor.robots.safety.gate import Gate, Mode, Output, State, Stop
 from eagor.robots.safety.limits import Inputs
 from eagor.robots.safety.messages import (
+    GuardSettings,
     GuardState,
     LineReader,
-    Settings,
     as_line,
     cut,
     inputs_from,
@@ -41,7 +41,7 @@ REMOTE_HOLD, REMOTE_EMERGENCY, REMOTE_RELEASE = "L1", "B", "start"
 class Watch:
     """One step after another: what the parent says and the robot's state go into the gate, its output to the robot."""
 
-    def __init__(self, settings: Settings, robot: Go2Body, keys: Keys | None = None) -> None:
+    def __init__(self, settings: GuardSettings, robot: Go2Body, keys: Keys | None = None) -> None:
         self.settings, self.robot, self._keys = settings, robot, keys
         self.gate, self.state = Gate(settings.limits, settings.armed, obeys=not settings.avoid), State()
         self.ending: str | None = None  # why it ends
@@ -109,7 +109,7 @@ class Watch:
 
 def main(arguments: list[str]) -> int:
     """Run until the parent ends; `arguments`: the settings as JSON, the pipes to read from and to write to."""
-    settings, inlet, outlet = Settings.from_json(arguments[0]), int(arguments[1]), int(arguments[2])
+    settings, inlet, outlet = GuardSettings.from_json(arguments[0]), int(arguments[1]), int(arguments[2])
     told: list[int] = []
 
     def interrupted(number: int, _: FrameType | None) -> None:

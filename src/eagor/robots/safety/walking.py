@@ -32,6 +32,11 @@ Doing = Literal["searching", "turning", "walking", "arrived", "holding"]
 STEEP = math.radians(70)  # of elevation: beyond, an azimuth says little about where to go
 UNHEARD = 1.0  # seconds between two sights after which the way in between is not counted
 
+PARTS = ("camera", "perception")  # of the loop, whose faults stop the robot; ages tell of poses and clocks
+RANGED = 0.5  # seconds for which a distance holds: reading one takes as long as an answer
+UNKNOWN = (math.inf, math.inf)  # a distance that is not known, and its spread
+POSES = 0.02  # seconds between two words to the guard that poses come
+
 
 @dataclass(frozen=True)
 class WalkSettings:
@@ -238,12 +243,6 @@ def _speed(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[float, st
 
 def _clipped(value: float, most: float) -> float:
     return min(max(value, -most), most)
-
-
-PARTS = ("camera", "perception")  # of the loop, whose faults stop the robot; ages tell of poses and clocks
-RANGED = 0.5  # seconds for which a distance holds: reading one takes as long as an answer
-UNKNOWN = (math.inf, math.inf)  # a distance that is not known, and its spread
-POSES = 0.02  # seconds between two words to the guard that poses come
 
 
 @dataclass(frozen=True, eq=False)
