@@ -20,13 +20,15 @@ from eagor.errors import WorldError
 from eagor.tasks.episodes import Slot
 from eagor.tasks.places import APARTMENT, SEEDS
 from eagor.worlds import FILES
+from eagor.worlds.ground import STOREY
+from eagor.worlds.habitat_mesh import LAB_BODY
 from eagor.worlds.objectnav import SceneEpisodes, read_episodes
 
-__all__ = ["HABITAT", "STOREY", "Listed", "listed_slots", "read_file", "scene_files", "slot_of"]
+__all__ = ["HABITAT", "Listed", "listed_slots", "read_file", "scene_files", "slot_of"]
 
 HABITAT = "habitat"  # the world in which scenes of others can be played
+BODY = f"body={LAB_BODY:g}"  # the option that asks for the mesh on which habitat-lab judges such episodes
 _APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
-STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
 _PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
 
 
@@ -56,22 +58,28 @@ def slot_of(values: dict[str, Any]) -> Slot:
 def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[Listed]:
     """The slots of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
 
-    `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). `scenes`: the folder
-    that the scene_ids are relative to; None: the nearest ``scene_datasets`` above the file.
+    `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). Options may follow
+    "habitat:?"; without another ``body``, Habitat's scenes have the mesh that habitat-lab uses for ObjectNav on HM3D.
+    `scenes`: the folder that the scene_ids are relative to; None: the nearest ``scene_datasets`` above the file.
 
     Raises `WorldError` if the file cannot be read, or its scenes cannot be played in that world.
     """
     if count is not None and count < 1:
         raise WorldError(f"{count} episodes; wanted 1 or more")
     by_scene = {each.episodes[0].scene: each for each in read_file(file)}
+    name, _, options = world.partition("?")
+    there = name.partition(":")[0] == HABITAT
+    whole = HABITAT if there else APARTMENT
+    if there:
+        options = "&".join(filter(None, (options, BODY * ("body=" not in options))))
+        world = HABITAT if name in (HABITAT, f"{HABITAT}:") else f"{name}?{options}"
     if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
-        whole = HABITAT if world.partition(":")[0] == HABITAT else APARTMENT
         raise WorldError(
             f"{file} has episodes in {len(by_scene)} scenes, but --world {world} is one of them; name the world "
             f"{whole} alone, and their folder with --scenes"
         )
     homes = {
-        scene: _homes(scene, each, world, number, Path(file), scenes)
+        scene: _homes(scene, each, world, options, number, Path(file), scenes)
         for number, (scene, each) in enumerate(by_scene.items())
     }
     _check_files({scene: home[0][0] for scene, home in homes.items()}, file)
@@ -91,12 +99,12 @@ def scene_files(slots: Sequence[Slot]) -> list[Path]:
 
 
 def _homes(
-    scene: str, episodes: SceneEpisodes, world: str, number: int, file: Path, scenes: Path | None
+    scene: str, episodes: SceneEpisodes, world: str, options: str, number: int, file: Path, scenes: Path | None
 ) -> list[tuple[str, int]]:
     """World and seed of each episode of this scene; seeds of what is no apartment begin at 10 000."""
     seed, count = SEEDS + number, len(episodes.episodes)
     if world == HABITAT:
-        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, file, scenes), episodes)]
+        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, options, file, scenes), episodes)]
     if world != APARTMENT:
         return [(world, seed)] * count
     origins = {episode.origin.version if episode.origin is not None else None for episode in episodes.episodes}
@@ -118,12 +126,13 @@ def _homes(
     return [(str(_below(scene, file, scenes)), seed)] * count
 
 
-def _in_habitat(scene: str, episodes: SceneEpisodes, file: Path, scenes: Path | None) -> str:
-    """``habitat:FILE``, with the scene dataset's configuration that the episodes name, if it is there."""
+def _in_habitat(scene: str, episodes: SceneEpisodes, options: str, file: Path, scenes: Path | None) -> str:
+    """``habitat:FILE?options``, with the scene dataset's configuration that the episodes name, if it is there."""
     path = _below(scene, file, scenes)
     _, found, rest = episodes.episodes[0].dataset_config.rpartition("scene_datasets/")
     config = _below(rest, file, scenes) if found else None
-    return f"{HABITAT}:{path}" + (f"?dataset={config}" if config is not None and config.is_file() else "")
+    dataset = f"dataset={config}&" if config is not None and config.is_file() else ""
+    return f"{HABITAT}:{path}?{dataset}{options}"
 
 
 def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
@@ -135,8 +144,7 @@ def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
             lowest.append(height)
     group = np.searchsorted(lowest, heights, side="right") - 1
     levels = [float(np.median(np.array(heights)[group == each])) for each in range(len(lowest))]
-    mark = "&" if "?" in world else "?"
-    return [f"{world}{mark}storey={levels[each]:.2f}" for each in group]
+    return [f"{world}&storey={levels[each]:.2f}" for each in group]
 
 
 def _below(scene: str, file: Path, scenes: Path | None) -> Path:

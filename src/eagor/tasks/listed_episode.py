@@ -12,9 +12,10 @@ import numpy as np
 from eagor.errors import WorldError
 from eagor.sphere import heading, world_R_body
 from eagor.tasks.episodes import Episode
-from eagor.tasks.listed import STOREY, Listed, read_file
+from eagor.tasks.listed import Listed, read_file
 from eagor.tasks.places import Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
+from eagor.worlds.ground import STOREY
 from eagor.worlds.objectnav import Episode as FileEpisode
 from eagor.worlds.objectnav import Goal, check_scene
 from eagor.worlds.scene import Scene
@@ -29,7 +30,8 @@ OFF = 0.5  # metres that a start may lie above or below the ground: meshes float
 class ListedEpisode(Episode):
     """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
 
-    `listed`: how long the shortest way is according to the file, and its number there.
+    View points are those of all storeys: habitat-lab measures to the nearest of all. `listed`: how long the shortest
+    way is according to the file, and its number there.
     """
 
     goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -56,9 +58,11 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         check_scene([episode], place.scene, place.ground)
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     start = _start(place, episode, name, zero)
-    things, views = _on_this_storey(found.goals[episode.category], float(episode.position[2]))
+    things = found.goals[episode.category]
+    near = _on_this_storey(things, float(episode.position[2]))
+    views = np.concatenate([thing.view_positions for thing in things])
     targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
-    if rules.goal == "view_points" and len(views) == 0:
+    if rules.goal == "view_points" and not near:
         raise WorldError(
             f"{name} has no view points on the storey of its start; --set goal=footprint measures to the thing itself"
         )
@@ -73,8 +77,8 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         start=(float(start[0]), float(start[1])),
         yaw=heading(episode.world_R_body),
         shortest=math.inf,
-        goals=np.array([thing.position for thing in things]) - [0.0, 0.0, zero],
-        view_points=views,
+        goals=np.array([thing.position for thing in near or things]) - [0.0, 0.0, zero],
+        view_points=views - [0.0, 0.0, zero],
         listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
     )
     way = way_to_goal(place, planned) if rules.goal == "view_points" else place.way_to(targets)
@@ -98,7 +102,7 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
 
 def way_to_goal(place: Place, episode: ListedEpisode) -> Way:
     """Geodesic distance to the nearest view point of any goal."""
-    return place.way_to_points(episode.view_points[:, :2])
+    return place.way_to_views(episode.view_points)
 
 
 def _start(place: Place, episode: FileEpisode, name: str, zero: float) -> np.ndarray:
@@ -127,8 +131,6 @@ def _start(place: Place, episode: FileEpisode, name: str, zero: float) -> np.nda
     return found
 
 
-def _on_this_storey(things: Sequence[Goal], height: float) -> tuple[list[Goal], np.ndarray]:
-    """The goals with view points on the storey of this height (all, if none has), and these points ``(n, 3)``."""
-    here = [thing.view_positions[np.abs(thing.view_positions[:, 2] - height) <= STOREY] for thing in things]
-    found = [thing for thing, views in zip(things, here, strict=True) if len(views)]
-    return found or list(things), np.concatenate(here)
+def _on_this_storey(things: Sequence[Goal], height: float) -> list[Goal]:
+    """The goals with view points on the storey of this height."""
+    return [thing for thing in things if (np.abs(thing.view_positions[:, 2] - height) <= STOREY).any()]

@@ -24,8 +24,9 @@ from eagor._extras import need
 from eagor._files import written
 from eagor.conventions import to_gltf
 from eagor.worlds.glb_reader import import_glb
-from eagor.worlds.gltf import FORMAT, material_name, node_name, split_at_seams, to_pbr, write_exactly
-from eagor.worlds.habitat_mesh import voxel_for
+from eagor.worlds.gltf import FOOTING, FORMAT, material_name, node_name, split_at_seams, to_pbr, write_exactly
+from eagor.worlds.habitat_mesh import footing_of, voxel_for
+from eagor.worlds.occupancy import floor_height, level_triangles
 from eagor.worlds.scene import Scene
 from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
@@ -70,6 +71,12 @@ def export_glb(
         name = node_name(scene.instances[owner].category, owner, look if several[owner] else None)
         nodes[owner].append(name)
         model.add_geometry(mesh, node_name=name, geom_name=name)
+    corners = scene.vertices[scene.triangles].astype(np.float64)
+    level = level_triangles(corners)
+    if level[0].any():
+        below = footing_of(corners, floor_height(corners, *level))
+        mesh = trimesh.Trimesh(to_gltf(below), [[0, 1, 2]], process=False)
+        model.add_geometry(mesh, node_name=FOOTING, geom_name=FOOTING)
     blob = to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: write_exactly(tree, scene.materials))
     written(target, blob)
     stage = {

@@ -16,7 +16,7 @@ from eagor._json import number, parsed, shown
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.media.panorama import FORMATS, decoded_bytes
-from eagor.worlds.gltf import FORMAT, from_pbr, name_from_nodes
+from eagor.worlds.gltf import FOOTING, FORMAT, from_pbr, name_from_nodes
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 
 # A few kilobytes can ask for anything: nodes that share a mesh, accessors without data, blank textures. So the size of
@@ -105,7 +105,7 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
         for node in model.graph.nodes_geometry:
             transform, geometry = model.graph[node]
             mesh: Any = model.geometry[geometry]
-            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING:
                 continue
             pbr = getattr(mesh.visual, "material", None)
             if id(pbr) not in known:

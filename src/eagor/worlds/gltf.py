@@ -13,6 +13,7 @@ from eagor.queries import COLOURS, SYNONYMS, singular
 from eagor.worlds.scene import Material
 
 FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
+FOOTING = "eagor_footing"  # the node of an exported GLB that is no thing: see `eagor.worlds.habitat_mesh`
 
 # Words of node names without meaning: of modelling programs, and of places.
 _EMPTY_WORDS = {
