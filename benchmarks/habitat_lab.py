@@ -5,7 +5,7 @@
 Needs habitat-lab and Habitat-Sim. An oracle walks every episode inside habitat-lab with its configuration
 ``benchmark/nav/objectnav/objectnav_hm3d.yaml``, of which only the path of the episodes is set (and the CPU, where there
 is no NVIDIA card): mesh, steps, distances and measures are habitat-lab's own. Then we judge each walk in ``--world
-habitat``: once the same actions, once the same places (`habitat_lab.judged`).
+habitat``: once the places that it went through, once its actions (`habitat_lab.judged`).
 
 - apartments: ten episodes in each of ten development apartments, as ``eagor export habitat`` writes them.
 - storeys: buildings of two apartments one above the other, in the layout of HM3D v0.1 and of v0.2, with episodes on
@@ -13,8 +13,9 @@ habitat``: once the same actions, once the same places (`habitat_lab.judged`).
 
 `--blind`: habitat-lab draws no colours and small pictures of depth, and we draw nothing, which takes most of the time
 on the CPU and changes no measure. Prints a table; exit code 1 if a success differs, an SPL differs by more than 0.005,
-or a start or view point lies more than 1 cm off habitat-lab's mesh. FOLDER keeps the walks: the same command goes on
-where it was stopped.
+or a start or view point lies more than 1 cm off habitat-lab's mesh. Of the replayed actions those count that touch no
+edge of the mesh: at an edge our bodies stop 1 mm earlier than Habitat's, on purpose. FOLDER keeps the walks: the same
+command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -166,6 +167,7 @@ def drawing_nothing(blind: bool) -> Iterator[None]:
     opened = sessions._made
     with ExitStack() as stack:
         for place, name, value in (
+            (sessions, "device_for", lambda *_: -1),
             (sessions, "_made", lambda source, gpu, *_: opened(source, gpu, 8, ())),
             (view.HabitatView, "panorama", empty),
             (world, "true_floor", lambda view, pathfinder, storey, name, options: storey.level - ON_MESH),
@@ -191,24 +193,29 @@ def said(name: str, found: list[dict[str, Any]]) -> tuple[list[str], bool]:
         f"{name}: {len(found)} episodes; in habitat-lab {sum(one['success'] for one in lab):.0f} are won, mean SPL "
         f"{np.mean([one['spl'] for one in lab]):.4f}"
     ]
+    free = [row for row in found if row["replayed"]["collisions"] == 0]
     fine = True
-    for judge in ("replayed", "measured"):
-        equal = sum(row[judge]["success"] == one["success"] for row, one in zip(found, lab, strict=True))
+    for judge, kept in (("measured", found), ("replayed", free)):
+        pairs = [(row[judge], row["walk"]["metrics"]) for row in kept]
+        equal = sum(ours["success"] == theirs["success"] for ours, theirs in pairs)
         apart = {
-            key: np.abs([row[judge][key] - one[key] for row, one in zip(found, lab, strict=True)])
+            key: max(abs(ours[key] - theirs[key]) for ours, theirs in pairs)
             for key in ("spl", "soft_spl", "distance_to_goal")
         }
-        fine &= equal == len(found) and bool(apart["spl"].max() <= MOST)
+        fine &= equal == len(kept) and apart["spl"] <= MOST
         lines.append(
-            f"  {judge}: success equal in {equal} of {len(found)}; largest differences: SPL {apart['spl'].max():.4f}, "
-            f"SoftSPL {apart['soft_spl'].max():.4f}, distance {apart['distance_to_goal'].max():.4f} m"
+            f"  {judge}: success equal in {equal} of {len(kept)}; largest differences: SPL {apart['spl']:.4f}, "
+            f"SoftSPL {apart['soft_spl']:.4f}, distance {apart['distance_to_goal']:.4f} m"
         )
+    touched = [row for row in found if row["replayed"]["collisions"] > 0]
+    equal = sum(row["replayed"]["success"] == row["walk"]["metrics"]["success"] for row in touched)
+    lines.append(f"  replayed, with contact to the edge of the mesh: success equal in {equal} of {len(touched)}")
     start = max(abs(row["shortest_m"] - row["walk"]["start_m"]) for row in found)
     starts, views = np.array([row["walk"]["off_mesh"] for row in found]).max(axis=0)
-    fine &= max(starts, views) <= OFF
+    fine &= bool(max(starts, views) <= OFF)
     lines.append(
         f"  shortest way: at most {start:.4f} m apart; off habitat-lab's mesh: starts at most {starts:.4f} m, view "
-        f"points {views:.4f} m; bodies end at most {max(row['replayed']['apart_m'] for row in found):.4f} m apart"
+        f"points {views:.4f} m"
     )
     return lines, fine
 

@@ -199,20 +199,22 @@ def _follower(env):
 
 
 def _goals(env, start, views):
-    """View points from near to far along the floor; each some way from those before, so that another one is another."""
+    """View points from near to far along the floor: first some that are apart from each other, then all."""
     metres = np.array([env.sim.geodesic_distance(start, view) for view in views])
-    tried = []
-    for index in np.argsort(metres):
-        if np.isfinite(metres[index]) and all(np.linalg.norm(views[index] - one) >= APART for one in tried):
-            tried.append(views[index])
-            yield views[index].tolist()
+    near, tried = [views[index] for index in np.argsort(metres) if np.isfinite(metres[index])], []
+    for view in near:
+        if all(np.linalg.norm(view - one) >= APART for one in tried):
+            tried.append(view)
+            yield view.tolist()
+    yield from (view.tolist() for view in near)
 
 
 def judged(file, walks):
     """What our environments say of walks inside habitat-lab: for each the scores of two judges.
 
-    ``replayed``: the same actions in ``--world habitat``, where the body is moved by our own steps. ``measured``: the
-    same places, by our distances and formulas.
+    ``measured``: the same places, by our distances and formulas. ``replayed``: the same actions in ``--world habitat``,
+    where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
+    stops 1 mm before it (``collisions``, how often that was).
     """
     from eagor.tasks.environments import MapFreeNavigationEnv
     from eagor.tasks.listed import listed_slots
@@ -240,7 +242,8 @@ def judged(file, walks):
         stopped = walk["actions"][-1:] == [STOP]
         apart = float(np.linalg.norm(env.body.xy - path[-1, :2]))
         yield walk, {
-            "replayed": {name: float(info[name]) for name in NAMES} | {"apart_m": apart},
+            "replayed": {name: float(info[name]) for name in NAMES}
+            | {"apart_m": apart, "collisions": info["collisions"]["count"]},
             "measured": {"distance_to_goal": distance, **score(rules, episode.shortest, distance, length, stopped)},
             "shortest_m": episode.shortest,
         }  # fmt: skip
