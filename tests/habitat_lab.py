@@ -1,11 +1,16 @@
-"""habitat-lab as an oracle: its reader of ObjectNav episodes, and its measures of a path.
+"""habitat-lab as an oracle: its reader of ObjectNav episodes, its measures of a path, and walks inside it.
 
-habitat-lab imports Habitat-Sim, so both must be installed. The simulator that its measures ask is replaced by a body
-that stands where it is put, and a function for the distance along the floor.
+habitat-lab imports Habitat-Sim, so both must be installed. `measured` replaces the simulator that its measures ask by a
+body that stands where it is put, and a function for the distance along the floor. `walked` uses its own simulator, with
+the configuration of ObjectNav as it is: mesh, steps, distances and measures are all its own.
 """
 
 import importlib.util
+import json
+import os
 import warnings
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -105,3 +110,138 @@ def differences(settings, records, found):
             said = measured(theirs, to_gltf(np.array(entry["path"])), True, distance, limit)
             rows[f"{slot.id}/{method}"] = ours, said
     return rows
+
+
+# --- walks inside habitat-lab ---
+
+STOP, FORWARD = 0, 1  # its actions; 2 and 3 are turns to the left and to the right
+WITHIN = 0.1  # metres: habitat-lab's success_distance in ObjectNav
+APART = 0.3  # metres between a view point that could not be reached and the next one that is tried
+PATIENCE = 12  # actions without coming nearer until another view point is tried
+SENSORS = "habitat.simulator.agents.main_agent.sim_sensors"
+BLIND = [f"~{SENSORS}.rgb_sensor", f"{SENSORS}.depth_sensor.width=8", f"{SENSORS}.depth_sensor.height=8"]
+
+
+def walked(file, out, blind=False):
+    """Every episode of ``<split>.json.gz``, walked by an oracle inside habitat-lab, as dicts; kept in the file `out`.
+
+    Runs in a process of its own, in the folder that holds ``data``, as Habitat's examples do: only the path of the
+    episodes is set (and the CPU, where there is no NVIDIA card). `blind`: no pictures in colour, and small ones of
+    depth; pictures take most of the time on the CPU, and change no measure. A walk has the ``scene_id``, the index of
+    its ``episode`` in the scene, ``actions``, ``path`` ``(n, 3)``, ``metrics``, ``start_m`` (habitat-lab's distance at
+    the start), and ``off_mesh``: how far the start and the farthest view point lie from habitat-lab's mesh.
+    """
+    if not Path(out).is_file():
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # Habitat may end its process
+            pool.submit(_walk_all, str(Path(file).resolve()), str(Path(out).resolve()), blind).result()
+    return [json.loads(line) for line in Path(out).read_text().splitlines()]
+
+
+def _walk_all(file, out, blind):
+    warnings.simplefilter("ignore")
+    (data,) = (parent for parent in Path(file).parents if parent.name == "data")
+    os.chdir(data.parent)
+    device = [] if Path("/dev/nvidia0").exists() else ["habitat.simulator.habitat_sim_v0.gpu_device_id=-1"]
+    settings = config(f"habitat.dataset.data_path={file}", *device, *(BLIND if blind else []))
+    import habitat
+
+    found = []
+    with habitat.Env(settings) as env:
+        for _ in env.episodes:
+            env.reset()
+            found.append(
+                _walk(env) | {"scene_id": os.path.relpath(env.current_episode.scene_id, "data/scene_datasets")}
+            )
+    found.sort(key=lambda walk: (walk["scene_id"], walk["episode"]))
+    Path(out).write_text("".join(json.dumps(walk) + "\n" for walk in found))
+
+
+def _walk(env):
+    """Follow the shortest path to the nearest view point; stop where habitat-lab says that success is near enough."""
+    episode, pathfinder = env.current_episode, env.sim.pathfinder
+    body = lambda: np.array(env.sim.get_agent_state().position, dtype=np.float64)  # noqa: E731
+    left = lambda: float(env.get_metrics()["distance_to_goal"])  # noqa: E731
+    views = np.array([view.agent_state.position for goal in episode.goals for view in goal.view_points])
+    places = np.array([episode.start_position, *views], dtype=np.float32)
+    away = np.linalg.norm(np.array([pathfinder.snap_point(place) for place in places]) - places, axis=1)
+    actions, path, start_m = [], [body()], left()
+    goals = _goals(env, path[0], views)
+    goal, best, since = next(goals), np.inf, 0
+    follower = _follower(env)
+    while not env.episode_over and left() >= WITHIN:
+        metres = env.sim.geodesic_distance(body(), goal)
+        best, since = (metres, 0) if metres < best - 0.01 else (best, since + 1)
+        action = None if since > PATIENCE else follower.get_next_action(goal)
+        if action in (None, STOP):
+            goal, best, since = next(goals, None), np.inf, 0
+            if goal is None:
+                break
+            continue
+        env.step(action)
+        actions.append(int(action))
+        path.append(body())
+    if not env.episode_over:
+        env.step(STOP)
+        actions.append(STOP)
+        path.append(body())
+    metrics = {name: float(env.get_metrics()[name]) for name in NAMES}
+    return {
+        "episode": int(episode.episode_id), "category": episode.object_category, "actions": actions,
+        "path": np.array(path).tolist(), "metrics": metrics, "start_m": start_m,
+        "off_mesh": [float(away[0]), float(away[1:].max())],
+    }  # fmt: skip
+
+
+def _follower(env):
+    from habitat.tasks.nav.shortest_path_follower import ShortestPathFollower
+
+    return ShortestPathFollower(env.sim, goal_radius=0.02, return_one_hot=False)
+
+
+def _goals(env, start, views):
+    """View points from near to far along the floor: first some that are apart from each other, then all."""
+    metres = np.array([env.sim.geodesic_distance(start, view) for view in views])
+    near, tried = [views[index] for index in np.argsort(metres) if np.isfinite(metres[index])], []
+    for view in near:
+        if all(np.linalg.norm(view - one) >= APART for one in tried):
+            tried.append(view)
+            yield view.tolist()
+    yield from (view.tolist() for view in near)
+
+
+def judged(file, walks):
+    """What our environments say of walks inside habitat-lab: for each the scores of two judges.
+
+    ``measured``: the same places, by our distances and formulas. ``replayed``: the same actions in ``--world habitat``,
+    where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
+    stops 1 mm before it (``collisions``, how often that was).
+    """
+    from eagor.tasks.episode_files import listed_slots, plan, way_to_goal
+    from eagor.tasks.navigation import MapFreeNavigationEnv, score
+    from eagor.tasks.rules import Camera, NavigationRules, as_dict, from_dict
+
+    rules = from_dict(NavigationRules, as_dict(NavigationRules.objectnav()) | {"stop": "call"})
+    slots = {(slot.scene, slot.episode): slot for slot in listed_slots("navigation", file, None, "habitat", None)}
+    by_slot = {(walk["scene_id"], walk["episode"]): walk for walk in walks}
+    assert by_slot.keys() == slots.keys()
+    env = MapFreeNavigationEnv(rules, "discrete", panorama=None, instances=False, camera=Camera())
+    for key, slot in slots.items():
+        walk = by_slot[key]
+        episode = plan(slot, str(file), env.camera, rules)
+        _, info = env.reset(options={"episode": episode})
+        for action in walk["actions"]:
+            _, _, over, _, info = env.step(action)
+            if over:
+                break
+        scene = env.place.scene
+        path = from_gltf(np.array(walk["path"])) - [0.0, 0.0, scene.zero]
+        distance = float(way_to_goal(env.place, episode).distance(path[-1, :2]))
+        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        stopped = walk["actions"][-1:] == [STOP]
+        apart = float(np.linalg.norm(env.body.xy - path[-1, :2]))
+        yield walk, {
+            "replayed": {name: float(info[name]) for name in NAMES}
+            | {"apart_m": apart, "collisions": info["collisions"]["count"]},
+            "measured": {"distance_to_goal": distance, **score(rules, episode.shortest, distance, length, stopped)},
+            "shortest_m": episode.shortest,
+        }  # fmt: skip

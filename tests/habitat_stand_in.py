@@ -86,6 +86,13 @@ class PathFinder:
     def get_island(self, point):
         return 0
 
+    def snap_point(self, point):
+        """The nearest place on the mesh, from up to 2 m away in plan and 4 m in height."""
+        found = self.ground.snap(np.array([point[0], -point[2]], dtype=float), within=2.0)
+        if found is None or abs(point[1] - self.ground.floor - LIFT) > 4.0:
+            return Vector3(math.nan, math.nan, math.nan)
+        return Vector3(found[0], self.ground.floor + LIFT, -found[1])
+
     def try_step(self, start, end, slide=True):
         here = np.array([start[0], -start[2]], dtype=float)
         there = np.array([end[0], -end[2]], dtype=float)
@@ -103,12 +110,15 @@ class PathFinder:
         return min(most, float(np.hypot(*off.T).min()))
 
     def find_path(self, path):
-        start, end = path.requested_start, path.requested_end
-        if not (self._free(start) and self._free(end)):
+        """Ends beside the mesh are moved onto it in plan, and keep their own heights, which count."""
+        start, end = (self.snap_point(place) for place in (path.requested_start, path.requested_end))
+        if math.isnan(start[0] + end[0]):
             return False
         way = self.ground.path(np.array([start[0], -start[2]]), np.array([end[0], -end[2]]))
-        path.points = [Vector3(x, start[1], -y) for x, y in way.tolist()]
-        path.geodesic_distance = float(np.hypot(*np.diff(way, axis=0).T).sum())
+        heights = np.full(len(way), self.ground.floor + LIFT)
+        heights[0], heights[-1] = path.requested_start[1], path.requested_end[1]
+        path.points = [Vector3(x, z, -y) for (x, y), z in zip(way.tolist(), heights.tolist(), strict=True)]
+        path.geodesic_distance = float(np.linalg.norm(np.diff(path.points, axis=0), axis=1).sum())
         return True
 
 
@@ -214,7 +224,7 @@ def _scene(file, dataset):
     return replace(scene, vertices=vertices)
 
 
-class NavMeshSettings:
+class NavMeshSettings(SimpleNamespace):  # equal if all settings are
     def set_defaults(self):
         self.cell_size, self.cell_height, self.agent_height, self.agent_radius = 0.05, 0.2, 1.5, 0.1
         self.agent_max_climb, self.agent_max_slope, self.include_static_objects = 0.2, 45.0, False

@@ -6,10 +6,11 @@ import json
 import math
 import shutil
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from habitat_stand_in import Simulator, installed
+from habitat_stand_in import PathFinder, Simulator, installed
 from rooms import two_rooms
 
 from eagor import worlds
@@ -22,7 +23,7 @@ from eagor.tasks.task import load as load_task
 from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import probe, sessions, world
+from eagor.worlds.habitat import floors, probe, sessions, world
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.storeys import main_storey
@@ -155,6 +156,9 @@ def test_a_scene_on_its_side_is_found_and_put_upright(flat, tmp_path):
         ("x.glb?storey=high", "storey = 'high'; wanted a number"),
         ("x.glb?storey=inf", "wanted finite metres"),
         ("x.glb?up=x", "wanted y or z"),
+        ("x.glb?body=0", "body = 0.0; wanted finite metres above 0"),
+        ("x.glb?body=0.88&voxel=nan", "voxel = nan; wanted finite metres above 0"),
+        ("x.glb?climb=0.1", "has no body; climb and voxel belong to body=HEIGHT"),
     ],
 )
 def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
@@ -166,6 +170,46 @@ def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
 def test_options_are_read_from_the_name():
     found = parse("/data/a b.glb?storey=2.9&gpu=-1&up=z")
     assert (found.scene, found.storey, found.gpu, found.up) == ("/data/a b.glb", 2.9, -1, "z")
+    found = parse("a.glb?body=1.41&climb=0.1")
+    assert (found.body, found.climb, found.voxel) == (1.41, 0.1, 0.2)
+
+
+def test_the_mesh_for_a_body_is_habitat_labs(flat, monkeypatch):
+    """The scene's own mesh is taken only if each setting is the wanted one; otherwise habitat-lab's is made."""
+    asked = []
+    build = PathFinder.build
+    monkeypatch.setattr(PathFinder, "build", lambda self, scene, it: asked.append(it) or build(self, scene, it))
+    load_place(f"habitat:{flat}?body=0.88", 0, 0.18)
+    first, number = asked[-1], len(asked)
+    load_place(f"habitat:{flat}?body=1.41&climb=0.1&voxel=0.05", 0, 0.17)
+    assert len(asked) > number
+    names = ("cell_size", "cell_height", "agent_height", "agent_radius", "agent_max_climb", "agent_max_slope")
+    for settings, wanted in (
+        (first, (0.05, 0.2, 0.88, 0.18, 0.2, 45.0)),
+        (asked[-1], (0.05, 0.05, 1.41, 0.17, 0.1, 45.0)),
+    ):
+        assert tuple(getattr(settings, name) for name in names) == wanted
+        assert settings.include_static_objects is False
+    sim = SimpleNamespace(pathfinder=None, recompute_navmesh=lambda found, it: found.build(two_rooms(), it))
+    for change, used in ((0.0, True), (0.01, False)):
+        own = PathFinder()
+        own.is_loaded, own.nav_mesh_settings = True, type(first)(**vars(first))
+        own.nav_mesh_settings.agent_max_climb += change
+        monkeypatch.setattr(floors, "_beside", lambda *_, own=own: own)
+        found, _ = floors.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
+        assert (found is own) == used
+
+
+def test_places_beside_the_mesh_are_moved_onto_it_as_habitat_does(flat):
+    ground = load_place(f"habitat:{flat}?body=0.88", 0, 0.18).ground
+    start, inside = np.array([2.0, 2.9]), np.array([-0.3, 2.9])  # the second in the outer wall
+    assert not ground.is_free(inside)
+    edge = ground.snap(inside)
+    way = ground.field_to_places(np.array([[*inside, 0.0]]))
+    assert float(way.distance(start)) == pytest.approx(float(ground.field(edge).distance(start)), abs=0.06)
+    assert float(ground.field(inside).distance(start)) == math.inf
+    above = ground.field_to_places(np.array([[*start, 0.45]]))
+    assert float(above.distance(start)) == pytest.approx(0.4, abs=0.01), "heights count, and the mesh floats 5 cm up"
 
 
 def test_a_storey_that_is_not_there_is_named(flat):

@@ -36,6 +36,7 @@ MESH = SimpleNamespace(
     try_step=sliding,
     is_navigable=lambda feet, most: feet[0] <= WALL + 1e-6,
     get_island=lambda feet: 0,
+    snap_point=lambda feet: feet,
     distance_to_closest_obstacle=lambda feet, most: min(most, max(0.0, WALL - float(feet[0]))),
 )
 SURFACE = Surface(MESH, Storey(0, 0.0), Frames(), np.array([-5.0, -5.0]), np.zeros((200, 120)), "a test")

@@ -15,8 +15,10 @@ from strategies import rotations
 from eagor import conventions as conv
 from eagor.errors import WorldError
 from eagor.sphere import rotation
+from eagor.worlds.glb import FOOTING as GLB_FOOTING
 from eagor.worlds.glb import export_glb, import_glb, name_from_nodes
 from eagor.worlds.ground import Ground
+from eagor.worlds.habitat_mesh import FOOTING, ON_MESH, footing_of
 from eagor.worlds.objectnav import (
     Episode,
     Goal,
@@ -108,6 +110,27 @@ def test_the_same_scene_gives_the_same_bytes(tmp_path):
         assert one == two
 
 
+@pytest.mark.parametrize("deep", [0.0, 0.1, 0.19, 0.2, 1.07])
+def test_voxels_of_habitat_lab_end_a_centimetre_above_the_floor(deep):
+    """However deep the scene goes: Recast counts from its lowest corner, and puts the mesh on top of a voxel."""
+    floor = np.array([[[0, 0, 0], [4, 0, 0], [4, 4, 0]], [[0, 0, 0], [4, 4, 0], [0, 4, 0]]], dtype=float) + 0.3
+    cellar = np.array([[[1, 1, 0.3 - deep], [2, 1, 0.3 - deep], [2, 2, 0.3 - deep]]])
+    found = footing_of(np.concatenate([floor, cellar]), 0.3)
+    lowest = found[:, 2].max()
+    assert found[:, 2].min() == lowest <= 0.3 - deep
+    top = lowest + 0.2 * math.ceil(round((0.3 - lowest) / 0.2, 9))
+    assert top == pytest.approx(0.3 + ON_MESH)
+    assert lowest + 0.2 * math.ceil((0.3 + 0.008 - lowest) / 0.2) == pytest.approx(top), "a rug"
+    assert np.cross(*(found[1:] - found[:1]))[2] < 0, "seen from above it is not there"
+    weights = np.linalg.solve(
+        np.column_stack([floor[0, :, :2], np.ones(3)]).T, np.column_stack([found[:, :2], np.ones(3)]).T
+    )
+    other = np.linalg.solve(
+        np.column_stack([floor[1, :, :2], np.ones(3)]).T, np.column_stack([found[:, :2], np.ones(3)]).T
+    )
+    assert (weights > 0).all() or (other > 0).all(), "below a triangle of the floor"
+
+
 def test_others_find_named_nodes_with_y_up_beside_a_stage_and_the_settings_of_the_navmesh(tmp_path):
     scene = furnished()
     path = export_glb(scene, tmp_path / "room.glb", radius=0.2, height=0.9)
@@ -116,7 +139,7 @@ def test_others_find_named_nodes_with_y_up_beside_a_stage_and_the_settings_of_th
     assert {node.split("_m")[0] for node in nodes} >= {"coffee_table_5", "chair_6", "chair_7", "tv_8", "wall_1"}
     low, high = model.bounds
     ours_low, ours_high = scene.bounds
-    assert np.allclose(low, [ours_low[0], ours_low[2], -ours_high[1]], atol=1e-6)
+    assert np.allclose(low, [ours_low[0], -FOOTING, -ours_high[1]], atol=1e-6)
     assert np.allclose(high, [ours_high[0], ours_high[2], -ours_low[1]], atol=1e-6)
     blob = path.read_bytes()
     entries = json.loads(blob[20 : 20 + int.from_bytes(blob[12:16], "little")])["materials"]
@@ -133,7 +156,7 @@ def test_others_find_named_nodes_with_y_up_beside_a_stage_and_the_settings_of_th
     assert semantic["scene_hash"] == scene.hash
     assert semantic["source"] == "apartment 1 seed 17"
     assert "z up" in semantic["frame"]
-    assert {name for entry in semantic["instances"] for name in entry["nodes"]} == nodes
+    assert {name for entry in semantic["instances"] for name in entry["nodes"]} == nodes - {GLB_FOOTING}
 
 
 def test_without_the_json_names_say_what_things_are_and_materials_are_close(tmp_path):

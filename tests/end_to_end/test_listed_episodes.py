@@ -16,6 +16,7 @@ from eagor.tasks.episode_files import FileSlot, listed_slots, plan, slot_of, way
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, NavigationRules
+from eagor.worlds.habitat_mesh import ON_MESH
 from eagor.worlds.objectnav import read_episodes
 
 
@@ -71,7 +72,8 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
         way = ground.field(np.concatenate(views))
         ((method, entry),) = record["methods"].items()
         path, found = np.array(entry["path"]), entry["metrics"]
-        assert path[0] == pytest.approx([*listed.position], abs=1e-9)
+        assert path[0] == pytest.approx([*listed.position[:2], ground.floor], abs=1e-9)
+        assert listed.position[2] == pytest.approx(ground.floor + ON_MESH)
         assert len(path) == found["steps"] + 1 == len(entry["trace"]["pose"]) + 1
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         assert steps.max() <= 0.25 + 1e-9
@@ -186,7 +188,8 @@ def test_a_start_on_a_view_point_divides_nothing_by_zero(tmp_path):
 
 def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
     file = exported(tmp_path)
-    _, before = planned(file)
+    slot, before = planned(file)
+    place = load_place(slot.world, slot.seed, 0.18)
 
     def lifted(found):
         (goals,) = found["goals_by_category"].values()
@@ -195,7 +198,9 @@ def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
 
     _, episode = planned(file, lifted)
     (goals,) = content(file)["goals_by_category"].values()
-    assert len(episode.view_points) == len(goals[1]["view_points"]) < len(before.view_points)
+    away = episode.view_points[: len(goals[0]["view_points"]), :2]
+    assert way_to_goal(place, before).distance(away).max() < 0.1
+    assert way_to_goal(place, episode).distance(away).min() > 0.3
     assert len(episode.goals) == 1
 
     def all_lifted(found):
@@ -232,9 +237,25 @@ def test_in_habitat_each_scene_is_a_world_with_its_dataset_and_storeys(file):
     worlds = [each.world for each in listed_slots("navigation", file, 2, "habitat", None)]
     dataset = home / "eagor/eagor.scene_dataset_config.json"
     assert worlds == [
-        f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&storey=0.00"
+        f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&body=0.88&storey=0.01"
         for place in ("00001-other/other", "00000-room/room")
     ]
+
+
+def test_options_of_habitat_hold_for_all_scenes_and_another_body_replaces_the_usual_one(file):
+    home = file.parents[5] / "scene_datasets"
+    dataset = home / "eagor/eagor.scene_dataset_config.json"
+    for asked in ("habitat?body=1.41&gpu=-1", "habitat:?body=1.41&gpu=-1"):
+        worlds = [each.world for each in listed_slots("navigation", file, 2, asked, None)]
+        assert worlds == [
+            f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&body=1.41&gpu=-1&storey=0.01"
+            for place in ("00001-other/other", "00000-room/room")
+        ]
+    one = file.parent / "content" / "room.json.gz"
+    scene = home / "eagor/val/00000-room/room.glb"
+    for asked, wanted in (("", "body=0.88"), ("?body=1.41", "body=1.41")):
+        slots = listed_slots("navigation", one, None, f"habitat:{scene}{asked}", None)
+        assert {each.world for each in slots} == {f"habitat:{scene}?{wanted}"}
 
 
 def test_starts_on_two_storeys_are_played_on_their_own(tmp_path):
@@ -246,7 +267,7 @@ def test_starts_on_two_storeys_are_played_on_their_own(tmp_path):
 
     rewrite(file, upstairs)
     slots = listed_slots("navigation", file, None, "habitat", None)
-    assert [each.world.partition("&")[2] for each in slots] == ["storey=0.00"] * 2 + ["storey=2.90"] * 2
+    assert [each.world.rpartition("&")[2] for each in slots] == ["storey=0.01"] * 2 + ["storey=2.91"] * 2
     assert [each.episode for each in slots] == [1, 3, 0, 2]
 
 
@@ -259,7 +280,7 @@ def test_all_starts_upstairs_are_played_upstairs(tmp_path):
 
     rewrite(file, upstairs)
     slots = listed_slots("navigation", file, None, "habitat", None)
-    assert [each.world.partition("&")[2] for each in slots] == ["storey=2.90"] * 4
+    assert [each.world.rpartition("&")[2] for each in slots] == ["storey=2.91"] * 4
 
 
 def test_starts_on_stairs_do_not_join_the_storeys(tmp_path):
@@ -271,14 +292,14 @@ def test_starts_on_stairs_do_not_join_the_storeys(tmp_path):
 
     rewrite(file, on_stairs)
     slots = listed_slots("navigation", file, None, "habitat", None)
-    assert [each.world.partition("&")[2] for each in slots] == ["storey=0.55"] * 2 + ["storey=2.55"] * 2
+    assert [each.world.rpartition("&")[2] for each in slots] == ["storey=0.56"] * 2 + ["storey=2.56"] * 2
 
 
 def test_a_start_on_another_storey_is_refused(tmp_path):
     def upstairs(found):
         found["episodes"][0]["start_position"][1] += 2.9
 
-    with pytest.raises(WorldError, match=r"starts at the height 2.90 m, but the ground there is at 0.00 m in .*storey"):
+    with pytest.raises(WorldError, match=r"starts at the height 2.91 m, but the ground there is at 0.00 m in .*storey"):
         planned(exported(tmp_path), upstairs)
 
 
@@ -321,5 +342,5 @@ def test_positions_in_the_file_are_habitats(file):
     (mine,) = (each for each in read_episodes(file) if "room" in each.episodes[0].scene)
     raw = content(file)["episodes"][0]["start_position"]
     assert np.allclose(from_gltf(np.array(raw)), mine.episodes[0].position)
-    assert raw[1] == 0.0
+    assert raw[1] == ON_MESH
     assert raw[2] < 0

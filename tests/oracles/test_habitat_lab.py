@@ -1,6 +1,7 @@
-"""habitat-lab reads what we write, and its measures of our recorded paths are ours.
+"""habitat-lab reads what we write, its measures of our recorded paths are ours, and our episodes can be won in it.
 
-Needs habitat-lab and Habitat-Sim, which no extra of ours brings: `benchmarks/habitat_measures.py` says the figures.
+Needs habitat-lab and Habitat-Sim, which no extra of ours brings: `benchmarks/habitat_measures.py` and
+`benchmarks/habitat_lab.py` say the figures.
 """
 
 import habitat_lab
@@ -63,3 +64,18 @@ def test_its_measures_of_our_paths_are_ours(file, found, tmp_path, method):
     for ours, theirs in rows.values():
         assert ours == pytest.approx(theirs, abs=1e-6)
     assert {ours["success"] for ours, _ in rows.values()} == {0.0, 1.0}
+
+
+def test_an_oracle_wins_our_episodes_in_its_own_simulator_and_we_judge_its_walks_as_it_does(file, tmp_path):
+    """Mesh, steps, distances and measures are habitat-lab's, of whose configuration only the path is set."""
+    walks = habitat_lab.walked(file, tmp_path / "walks.jsonl")
+    assert len(walks) == 12
+    assert sum(walk["metrics"]["success"] for walk in walks) >= 11, "a step of 0.25 m may miss a few view points"
+    for walk, ours in habitat_lab.judged(file, walks):
+        assert max(walk["off_mesh"]) < 0.01
+        assert ours["shortest_m"] == pytest.approx(walk["start_m"], abs=1e-3)
+        for judge in ("measured", "replayed"):
+            if judge == "measured" or not ours["replayed"]["collisions"]:
+                assert ours[judge]["success"] == walk["metrics"]["success"]
+                for name in ("spl", "soft_spl", "distance_to_goal"):
+                    assert ours[judge][name] == pytest.approx(walk["metrics"][name], abs=1e-3), (judge, name)

@@ -24,14 +24,16 @@ from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.places import APARTMENT, SEEDS, Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.worlds import FILES
+from eagor.worlds.ground import STOREY
+from eagor.worlds.habitat_mesh import LAB_BODY
 from eagor.worlds.objectnav import Episode as ObjectNavEpisode
 from eagor.worlds.objectnav import Goal, SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.scene import Scene
 from eagor.worlds.walkable import Way
 
 HABITAT = "habitat"  # the world in which scenes of others can be played
+BODY = f"body={LAB_BODY:g}"  # the option that asks for the mesh on which habitat-lab judges such episodes
 _APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
-STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
 _PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
 OFF = 0.5  # metres that a start may lie above or below the ground: meshes float by the height of a voxel, or two
 
@@ -62,22 +64,28 @@ def slot_of(values: dict[str, Any]) -> Slot:
 def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[FileSlot]:
     """The slots of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
 
-    `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). `scenes`: the folder
-    that the scene_ids are relative to; None: the nearest ``scene_datasets`` above the file.
+    `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). Options may follow
+    "habitat:?"; without another ``body``, Habitat's scenes have the mesh that habitat-lab uses for ObjectNav on HM3D.
+    `scenes`: the folder that the scene_ids are relative to; None: the nearest ``scene_datasets`` above the file.
 
     Raises `WorldError` if the file cannot be read, or its scenes cannot be played in that world.
     """
     if count is not None and count < 1:
         raise WorldError(f"{count} episodes; wanted 1 or more")
     by_scene = {each.episodes[0].scene: each for each in read_file(file)}
+    name, _, options = world.partition("?")
+    there = name.partition(":")[0] == HABITAT
+    whole = HABITAT if there else APARTMENT
+    if there:
+        options = "&".join(filter(None, (options, BODY * ("body=" not in options))))
+        world = HABITAT if name in (HABITAT, f"{HABITAT}:") else f"{name}?{options}"
     if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
-        whole = HABITAT if world.partition(":")[0] == HABITAT else APARTMENT
         raise WorldError(
             f"{file} has episodes in {len(by_scene)} scenes, but --world {world} is one of them; name the world "
             f"{whole} alone, and their folder with --scenes"
         )
     homes = {
-        scene: _homes(scene, each, world, number, Path(file), scenes)
+        scene: _homes(scene, each, world, options, number, Path(file), scenes)
         for number, (scene, each) in enumerate(by_scene.items())
     }
     _check_files({scene: home[0][0] for scene, home in homes.items()}, file)
@@ -98,12 +106,12 @@ def scene_files(slots: Sequence[Slot]) -> list[Path]:
 
 
 def _homes(
-    scene: str, episodes: SceneEpisodes, world: str, number: int, file: Path, scenes: Path | None
+    scene: str, episodes: SceneEpisodes, world: str, options: str, number: int, file: Path, scenes: Path | None
 ) -> list[tuple[str, int]]:
     """World and seed of each episode of this scene; seeds of what is no apartment begin at 10 000."""
     seed, count = SEEDS + number, len(episodes.episodes)
     if world == HABITAT:
-        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, file, scenes), episodes)]
+        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, options, file, scenes), episodes)]
     if world != APARTMENT:
         return [(world, seed)] * count
     origins = {episode.origin.version if episode.origin is not None else None for episode in episodes.episodes}
@@ -125,12 +133,13 @@ def _homes(
     return [(str(_below(scene, file, scenes)), seed)] * count
 
 
-def _in_habitat(scene: str, episodes: SceneEpisodes, file: Path, scenes: Path | None) -> str:
-    """``habitat:FILE``, with the scene dataset's configuration that the episodes name, if it is there."""
+def _in_habitat(scene: str, episodes: SceneEpisodes, options: str, file: Path, scenes: Path | None) -> str:
+    """``habitat:FILE?options``, with the scene dataset's configuration that the episodes name, if it is there."""
     path = _below(scene, file, scenes)
     _, found, rest = episodes.episodes[0].dataset_config.rpartition("scene_datasets/")
     config = _below(rest, file, scenes) if found else None
-    return f"{HABITAT}:{path}" + (f"?dataset={config}" if config is not None and config.is_file() else "")
+    dataset = f"dataset={config}&" if config is not None and config.is_file() else ""
+    return f"{HABITAT}:{path}?{dataset}{options}"
 
 
 def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
@@ -142,8 +151,7 @@ def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
             lowest.append(height)
     group = np.searchsorted(lowest, heights, side="right") - 1
     levels = [float(np.median(np.array(heights)[group == each])) for each in range(len(lowest))]
-    mark = "&" if "?" in world else "?"
-    return [f"{world}{mark}storey={levels[each]:.2f}" for each in group]
+    return [f"{world}&storey={levels[each]:.2f}" for each in group]
 
 
 def _below(scene: str, file: Path, scenes: Path | None) -> Path:
@@ -204,7 +212,8 @@ def _mark(path: Path) -> tuple[str, int, int]:
 class FileEpisode(Episode):
     """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
 
-    `listed`: how long the shortest way is according to the file, and its number there.
+    View points are those of all storeys: habitat-lab measures to the nearest of all. `listed`: how long the shortest
+    way is according to the file, and its number there.
     """
 
     goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -231,9 +240,11 @@ def plan(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> F
         check_scene([episode], place.scene, place.ground)
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     start = _start(place, episode, name, zero)
-    things, views = _on_this_storey(found.goals[episode.category], float(episode.position[2]))
+    things = found.goals[episode.category]
+    near = _on_this_storey(things, float(episode.position[2]))
+    views = np.concatenate([thing.view_positions for thing in things])
     targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
-    if rules.goal == "view_points" and len(views) == 0:
+    if rules.goal == "view_points" and not near:
         raise WorldError(
             f"{name} has no view points on the storey of its start; --set goal=footprint measures to the thing itself"
         )
@@ -248,8 +259,8 @@ def plan(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> F
         start=(float(start[0]), float(start[1])),
         yaw=heading(episode.world_R_body),
         shortest=math.inf,
-        goals=np.array([thing.position for thing in things]) - [0.0, 0.0, zero],
-        view_points=views,
+        goals=np.array([thing.position for thing in near or things]) - [0.0, 0.0, zero],
+        view_points=views - [0.0, 0.0, zero],
         listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
     )
     way = way_to_goal(place, planned) if rules.goal == "view_points" else place.way_to(targets)
@@ -273,7 +284,7 @@ def plan(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> F
 
 def way_to_goal(place: Place, episode: FileEpisode) -> Way:
     """Geodesic distance to the nearest view point of any goal."""
-    return place.way_to_points(episode.view_points[:, :2])
+    return place.way_to_views(episode.view_points)
 
 
 def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> np.ndarray:
@@ -302,8 +313,6 @@ def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> n
     return found
 
 
-def _on_this_storey(things: Sequence[Goal], height: float) -> tuple[list[Goal], np.ndarray]:
-    """The goals with view points on the storey of this height (all, if none has), and these points ``(n, 3)``."""
-    here = [thing.view_positions[np.abs(thing.view_positions[:, 2] - height) <= STOREY] for thing in things]
-    found = [thing for thing, views in zip(things, here, strict=True) if len(views)]
-    return found or list(things), np.concatenate(here)
+def _on_this_storey(things: Sequence[Goal], height: float) -> list[Goal]:
+    """The goals with view points on the storey of this height."""
+    return [thing for thing in things if (np.abs(thing.view_positions[:, 2] - height) <= STOREY).any()]

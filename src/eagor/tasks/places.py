@@ -111,11 +111,11 @@ class Place:
             self._ways[targets] = fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
         return self._ways[targets]
 
-    def way_to_points(self, points: np.ndarray) -> Way:
-        """Geodesic distance to the nearest of points ``(n, 2)``, metres; inf everywhere if none is free."""
-        key = np.ascontiguousarray(points, dtype=np.float64).tobytes()
+    def way_to_views(self, places: np.ndarray) -> Way:
+        """Geodesic distance to the nearest of places ``(n, 3)`` at the feet, metres, world frame."""
+        key = np.ascontiguousarray(places, dtype=np.float64).tobytes()
         if key not in self._ways:
-            self._ways[key] = self.ground.field(np.frombuffer(key).reshape(-1, 2))
+            self._ways[key] = self.ground.field_to_places(np.frombuffer(key).reshape(-1, 3))
         return self._ways[key]
 
 

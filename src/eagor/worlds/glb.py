@@ -31,13 +31,15 @@ from eagor.conventions import from_gltf, to_gltf
 from eagor.errors import WorldError
 from eagor.media.panorama import FORMATS, decoded_bytes
 from eagor.queries import COLOURS, SYNONYMS, singular
-from eagor.worlds.habitat_mesh import voxel_for
+from eagor.worlds.ground import floor_height, level_triangles
+from eagor.worlds.habitat_mesh import footing_of, voxel_for
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
 __all__ = ["export_glb", "import_glb"]
 
 FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
+FOOTING = "eagor_footing"  # the node of an exported GLB that is no thing: see `eagor.worlds.habitat_mesh`
 
 # Words of node names without meaning: of modelling programs, and of places.
 _EMPTY_WORDS = {
@@ -212,6 +214,12 @@ def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
         name = node_name(scene.instances[owner].category, owner, look if several[owner] else None)
         nodes[owner].append(name)
         model.add_geometry(mesh, node_name=name, geom_name=name)
+    corners = scene.vertices[scene.triangles].astype(np.float64)
+    level = level_triangles(corners)
+    if level[0].any():
+        below = footing_of(corners, floor_height(corners, *level))
+        mesh = trimesh.Trimesh(to_gltf(below), [[0, 1, 2]], process=False)
+        model.add_geometry(mesh, node_name=FOOTING, geom_name=FOOTING)
     blob = to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: write_exactly(tree, scene.materials))
     return blob, nodes
 
@@ -324,7 +332,7 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
         for node in model.graph.nodes_geometry:
             transform, geometry = model.graph[node]
             mesh: Any = model.geometry[geometry]
-            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING:
                 continue
             pbr = getattr(mesh.visual, "material", None)
             if id(pbr) not in known:

@@ -26,6 +26,7 @@ _INWARD = 1e-3  # in cells: shift of a face to its back
 _TOUCH = 1e-4  # in cells: smaller overlaps do not count, to be safe from rounding
 _AT_ONCE = 400_000  # candidate cells tested together; bounds the memory
 BESIDE = 0.75  # metres from which one can reach a piece of furniture
+STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
 _NEAREST = 4000  # points tried if no room tells on which side of the walls a thing is
 _LARGEST = 4_000_000  # cells; 100 m x 100 m at 5 cm
 _CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are closed
@@ -294,6 +295,11 @@ class Ground:
         for corner, (one, other) in _BESIDE_CORNER.items():
             usable[:, corner] &= usable[:, one] & usable[:, other]
         return self._spread(index[usable], away[usable])
+
+    def field_to_places(self, places: np.ndarray) -> Field:
+        """Distances to the nearest of places ``(n, 3)`` at the feet, metres: of those on this floor that are free."""
+        places = np.asarray(places, dtype=np.float64).reshape(-1, 3)
+        return self.field(places[np.abs(places[:, 2] - self.floor) <= STOREY, :2])
 
     def at_points(self, way: Field) -> np.ndarray:
         """Metres ``(n,)`` of a field of this ground at all `points`."""

@@ -30,7 +30,7 @@ from eagor.worlds.objectnav import SceneEpisodes, write_episodes
 from eagor.worlds.objectnav_making import make_episodes, make_goals
 from eagor.worlds.scene import Scene
 
-__all__ = ["Exported", "Source", "all_or_nothing", "check_names", "export_dataset"]
+__all__ = ["Exported", "Source", "all_or_nothing", "check_names", "config_of", "export_dataset"]
 
 _TAG = "%%CONFIG_NAME_AS_ASSET_FILENAME%%"  # Habitat puts the name of the scene there
 
@@ -113,7 +113,7 @@ def export_dataset(
             if on_done is not None:
                 on_done(found)
         files = [each.scene.relative_to(folder / "scene_datasets" / name).as_posix() for each in done]
-        written(home / f"{name}.scene_dataset_config.json", json.dumps(_config(files), indent=1) + "\n")
+        written(home / f"{name}.scene_dataset_config.json", json.dumps(config_of(files), indent=1) + "\n")
         path = write_episodes(part / "datasets" / "objectnav" / name / "v1", split, scenes)
     return folder / path.relative_to(part), done
 
@@ -125,7 +125,7 @@ def check_names(sources: Sequence[Source]) -> None:
         raise WorldError(f"two scenes have the name {twice[0]!r}; one would replace the other: rename one")
 
 
-def _config(files: Iterable[str]) -> dict:
+def config_of(files: Iterable[str]) -> dict:
     """The scene dataset configuration: every scene of it has its files beside it, under its own name."""
     return {
         "stages": {

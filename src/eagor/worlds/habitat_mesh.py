@@ -1,10 +1,18 @@
-"""Habitat's navigation mesh of an exported scene, made by Habitat-Sim in a process of its own.
+"""Navigation meshes of Habitat: what habitat-lab makes of a scene, and the mesh that is written beside an exported one.
 
-A wrong setting ends the process in which Habitat-Sim runs. No picture is drawn, so no graphics are needed.
+habitat-lab makes its own mesh of a scene for the body that its configuration names (`default_agent_navmesh`), with
+voxels of 0.05 m that are 0.2 m high. Recast, which does it, counts them from the lowest corner of the scene, and puts
+the mesh on top of the voxel that a floor is in. So the mesh of a scene that begins at its floor lies 0.2 m above it,
+which habitat-lab counts as distance. Exported scenes begin `FOOTING` below their floor: there the mesh is `ON_MESH`
+above it.
+
+Habitat-Sim writes meshes in a process of its own: a wrong setting ends the process in which it runs. No picture is
+drawn, so no graphics are needed.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -12,14 +20,29 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
+
 from eagor.errors import WorldError
 
-__all__ = ["WITHOUT", "mesh_writer", "voxel_for"]
+__all__ = [
+    "FOOTING", "LAB_BODY", "LAB_CLIMB", "LAB_SLOPE", "LAB_VOXEL", "ON_MESH", "WITHOUT",
+    "footing_of", "mesh_writer", "roomy_radius", "voxel_for",
+]  # fmt: skip
+
+LAB_BODY = 0.88  # metres: height of the body in habitat-lab's configurations of ObjectNav on HM3D and MP3D
+LAB_CLIMB, LAB_SLOPE = 0.2, 45.0  # metres and degrees: what habitat-lab's bodies climb by default
+LAB_VOXEL = 0.2  # metres: the height of habitat-lab's voxels
+ON_MESH = 0.01  # metres of habitat-lab's mesh above the floor of an exported scene: rugs are in the same voxel
+FOOTING = LAB_VOXEL - ON_MESH  # metres below the floor at which an exported scene begins
+LAB_CELL = 0.05  # metres: the side of its voxels
 
 WITHOUT = (
     "habitat_sim is not installed here, so there are no .navmesh files: habitat-lab and eagor make them when they open "
     "a scene; in Habitat-Sim, call recompute_navmesh with the settings in <scene>.navmesh.json"
 )
+LEVEL = 0.05  # metres: triangles this close to the height of the floor are part of it
+MARGIN = 1.6  # voxels: the 1.3 of straightened edges, and some for what is full; more closes passages that are open
+SHRUNK = 0.5  # side of the footing in those of the triangle above it: no corner of it shows at the edge of the floor
 PATIENCE = 300.0  # seconds for one mesh; an apartment takes less than one
 _PROGRAM = """
 import json, os, sys, threading
@@ -39,6 +62,31 @@ with habitat_sim.Simulator(habitat_sim.Configuration(simulator, [agent])) as sim
     made = sim.recompute_navmesh(sim.pathfinder, wanted) and sim.pathfinder.save_nav_mesh(target)
 sys.exit(0 if made else 3)
 """
+
+
+def footing_of(corners: np.ndarray, floor: float) -> np.ndarray:
+    """A triangle ``(3, 3)`` that puts habitat-lab's mesh `ON_MESH` above the floor: metres, z up, facing down.
+
+    `corners` ``(n, 3, 3)``: the triangles of the scene, of which those at the height `floor` are its floor. It lies
+    below the largest of them, out of sight, and a whole number of voxels lower if the scene goes deeper.
+    """
+    z = corners[..., 2]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    largest = corners[np.where(np.abs(z - floor).max(axis=1) < LEVEL, np.abs(normals[:, 2]), -1.0).argmax()]
+    voxels = max(0, math.ceil((floor - FOOTING - float(z.min())) / LAB_VOXEL))
+    found = largest[::-1] if np.cross(*(largest[1:] - largest[:1]))[2] > 0 else largest.copy()
+    found = found.mean(axis=0) + SHRUNK * (found - found.mean(axis=0))
+    found[:, 2] = floor - FOOTING - voxels * LAB_VOXEL
+    return found
+
+
+def roomy_radius(radius: float) -> float:
+    """Metres from the next obstacle at which a place is on habitat-lab's mesh for a body of this radius.
+
+    Recast rounds the radius up to whole voxels, counts a voxel as full if anything touches it, and straightens the
+    edges of the mesh by up to 1.3 voxels.
+    """
+    return (math.ceil(radius / LAB_CELL - 1e-6) + MARGIN) * LAB_CELL
 
 
 def voxel_for(radius: float, cell: float) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 
 from eagor.errors import WorldError
 from eagor.worlds.ground import Ground
+from eagor.worlds.habitat_mesh import ON_MESH, roomy_radius
 from eagor.worlds.objectnav import HM3D_CATEGORIES, Episode, Goal, Origin, goal_of, spelt
 from eagor.worlds.objectnav_json import read_category
 from eagor.worlds.render import Renderer
@@ -30,10 +31,16 @@ NEAREST, FARTHEST = 1.0, 30.0  # metres from the start to the nearest view point
 RATIO = 1.05  # least ratio of that way to the straight line
 
 
+def roomy_ground(scene: Scene, ground: Ground) -> Ground:
+    """The part of the ground that is also on habitat-lab's mesh, and connected there, whatever Recast rounds."""
+    return Ground.from_scene(scene, cell=ground.cell, radius=roomy_radius(ground.radius), floor=ground.floor)
+
+
 def make_goals(scene: Scene, ground: Ground, categories: Sequence[str] = ()) -> dict[str, tuple[Goal, ...]]:
     """The things of these categories with their view points, by category. `instance` is the id in Habitat.
 
-    By default those of HM3D's six categories that the scene has. Things that are in sight from nowhere near are left
+    View points lie on the mesh that habitat-lab makes of the exported scene, in one piece of it (`roomy_ground`). By
+    default those of HM3D's six categories that the scene has. Things that are in sight from nowhere near are left
     out. Raises `WorldError` if nothing is left of a category that was asked for, or of all.
     """
     present = {thing.category for thing in scene.instances if thing.category not in STRUCTURE}
@@ -44,13 +51,14 @@ def make_goals(scene: Scene, ground: Ground, categories: Sequence[str] = ()) -> 
         what = ", ".join(lacking) if lacking else f"none of {', '.join(HM3D_CATEGORIES)}"
         raise WorldError(f"{scene.source} has {'no ' * bool(lacking)}{what}; it has {', '.join(sorted(present))}")
     renderer = Renderer(scene)
+    roomy = roomy_ground(scene, ground)
     seen: dict[tuple[float, float], np.ndarray] = {}
     goals = {}
     for category in dict.fromkeys(wanted):
         found = []
         for index, thing in enumerate(scene.instances):
             if thing.category == category:
-                goal = _in_sight(goal_of(scene, ground, index, SPACING), index, renderer, seen)
+                goal = _in_sight(goal_of(scene, roomy, index, SPACING), index, renderer, seen)
                 found += [goal] if len(goal.view_positions) else []
         if found:
             goals[category] = tuple(found)
@@ -62,7 +70,10 @@ def make_goals(scene: Scene, ground: Ground, categories: Sequence[str] = ()) -> 
 
 
 def _in_sight(goal: Goal, index: int, renderer: Renderer, seen: dict[tuple[float, float], np.ndarray]) -> Goal:
-    """The goal with its id in Habitat, and those view points from which it is seen; `seen`: the ids by place."""
+    """The goal with its id in Habitat, and those view points from which it is seen; `seen`: the ids by place.
+
+    Its places are on the floor, those of the result on habitat-lab's mesh.
+    """
     shown = np.zeros(len(goal.view_positions), dtype=bool)
     for row, (x, y, z) in enumerate(goal.view_positions.tolist()):
         if (x, y) not in seen:
@@ -72,7 +83,7 @@ def _in_sight(goal: Goal, index: int, renderer: Renderer, seen: dict[tuple[float
         shown[row] = seen[x, y][index] >= PIXELS
     return Goal(
         goal.category, index + FIRST_ID, goal.position, f"{spelt(goal.category)}_{index + FIRST_ID}", goal.room,
-        goal.view_positions[shown], goal.view_rotations[shown], goal.view_overlap[shown],
+        goal.view_positions[shown] + [0.0, 0.0, ON_MESH], goal.view_rotations[shown], goal.view_overlap[shown],
     )  # fmt: skip
 
 
@@ -90,8 +101,7 @@ def make_episodes(
     Raises `WorldError` if no start is far enough from a category's view points.
     """
     rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), seed])
-    standing = np.argwhere(ground.free & (ground.clearance >= ground.radius + ground.cell))
-    points = ground.centres(standing if len(standing) else np.argwhere(ground.free))
+    points = roomy_ground(scene, ground).points
     starts, ways = {}, {}
     for category, things in goals.items():
         ways[category] = [ground.field(thing.view_positions[:, :2]) for thing in things]
@@ -119,7 +129,7 @@ def make_episodes(
             Episode(
                 scene=file,
                 category=category,
-                position=np.array([x, y, ground.floor]),
+                position=np.array([x, y, ground.floor + ON_MESH]),
                 world_R_body=np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]]),
                 identifier=str(number),
                 geodesic=float(nearest[index]),

@@ -89,6 +89,10 @@ class Walkable(Protocol):
         """Distances to the nearest of points ``(n, 2)`` or ``(2,)``; each starts at its offset ``(n,)`` or 0."""
         ...
 
+    def field_to_places(self, places: np.ndarray, /) -> Way:
+        """Distances to the nearest of places ``(n, 3)`` at the feet, whatever the ground knows of other storeys."""
+        ...
+
     def footprint(self, instance: Instance, /) -> Way:
         """Distances to the footprint of an instance, via points `beside` it; inf everywhere without any."""
         ...

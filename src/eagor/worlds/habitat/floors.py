@@ -21,9 +21,9 @@ from eagor.worlds.habitat.options import Options, existing, is_bare
 from eagor.worlds.habitat.probe import import_habitat
 from eagor.worlds.habitat.storeys import Storey
 from eagor.worlds.habitat.view import HabitatView
-from eagor.worlds.habitat_mesh import voxel_for
+from eagor.worlds.habitat_mesh import LAB_SLOPE, voxel_for
 
-__all__ = ["EYE", "ROWS", "mesh_for", "roofed", "true_floor"]
+__all__ = ["EYE", "ROWS", "mesh_for", "roofed", "settings_for", "true_floor"]
 
 HEIGHT, CLIMB = 1.5, 0.2  # metres: of a body, and of the steps that it climbs (Habitat's defaults)
 CELL, CELL_HEIGHT = 0.05, 0.05  # metres: of a new mesh's voxels; Habitat's own height is 0.2, four times as coarse
@@ -44,11 +44,30 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> tu
         if not found.load_nav_mesh(str(given)) or not found.is_loaded:
             raise WorldError(f"{given} is no navigation mesh that Habitat-Sim reads; wanted what save_nav_mesh writes")
         return found, given.name
+    settings = settings_for(habitat_sim, options, file, radius)
     for own in (sim.pathfinder, _beside(habitat_sim, file)):
-        if own is not None and own.is_loaded and abs(own.nav_mesh_settings.agent_radius - radius) < 1e-3:
+        if own is not None and own.is_loaded and _fits(own.nav_mesh_settings, settings, options):
             return own, "the scene's"
+    found = habitat_sim.PathFinder()
+    if not sim.recompute_navmesh(found, settings) or not found.is_loaded:
+        raise WorldError(
+            f"Habitat-Sim finds no ground for a body of radius {radius:g} m in {options.scene}; is it the right way up "
+            "(habitat:SCENE?up=y or ?up=z), in metres, and complete?"
+        )
+    return found, "computed"
+
+
+def settings_for(habitat_sim: Any, options: Options, file: Path | None, radius: float) -> Any:
+    """Habitat's NavMeshSettings: those of habitat-lab for `Options.body`, otherwise finer ones."""
     settings = habitat_sim.NavMeshSettings()
     settings.set_defaults()
+    settings.agent_radius = radius
+    if options.body is not None:
+        # habitat-lab's `default_agent_navmesh`: what is not named is Habitat's default, static objects do not count.
+        settings.agent_height, settings.agent_max_climb = options.body, options.climb
+        settings.cell_height, settings.agent_max_slope = options.voxel, LAB_SLOPE
+        settings.include_static_objects = False
+        return settings
     settings.cell_size, settings.cell_height = voxel_for(radius, CELL), CELL_HEIGHT
     settings.agent_height, settings.agent_max_climb = HEIGHT, CLIMB
     wanted = file.with_suffix(".navmesh.json") if file is not None else None
@@ -58,13 +77,12 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> tu
                 setattr(settings, name, value)
     settings.agent_radius = radius
     settings.include_static_objects = True
-    found = habitat_sim.PathFinder()
-    if not sim.recompute_navmesh(found, settings) or not found.is_loaded:
-        raise WorldError(
-            f"Habitat-Sim finds no ground for a body of radius {radius:g} m in {options.scene}; is it the right way up "
-            "(habitat:SCENE?up=y or ?up=z), in metres, and complete?"
-        )
-    return found, "computed"
+    return settings
+
+
+def _fits(own: Any, wanted: Any, options: Options) -> bool:
+    """Whether a scene's own mesh is used: habitat-lab takes it only if all of its settings are those wanted."""
+    return own == wanted if options.body is not None else abs(own.agent_radius - wanted.agent_radius) < 1e-3
 
 
 def _beside(habitat_sim: Any, file: Path | None) -> Any:

@@ -24,7 +24,7 @@ from eagor.worlds.habitat.surface import Surface
 from eagor.worlds.habitat.ways import NavWay
 from eagor.worlds.scene import Instance, Room
 
-__all__ = ["NavMesh"]
+__all__ = ["LEVEL", "NavMesh"]
 
 LEVEL = 0.15  # metres: heights within it are the floor itself (rugs, sills, the steps of the mesh)
 BLOCK = 0.25  # metres: of the places beside a thing, one is kept in each square of this size
@@ -37,15 +37,15 @@ Sees = Callable[[np.ndarray, Instance], bool]  # whether a body that stands at a
 class NavMesh:
     """One storey of a navigation mesh.
 
-    `pathfinder`: Habitat's; `sees`: tells from which points beside it a thing can be seen, None: from all. Raises
-    `WorldError` if the storey has no ground.
+    `pathfinder`: Habitat's; `sees`: tells from which points beside it a thing can be seen, None: from all; `level`:
+    metres, heights within it are the floor itself. Raises `WorldError` if the storey has no ground.
     """
 
     def __init__(
         self, pathfinder: Any, storey: Storey, frames: Frames, radius: float, rooms: tuple[Room, ...] = (),
-        sees: Sees | None = None, source: str = "the scene",
+        sees: Sees | None = None, source: str = "the scene", level: float = LEVEL,
     ) -> None:  # fmt: skip
-        self.radius, self.rooms, self.sees, self.source = radius, rooms, sees, source
+        self.radius, self.rooms, self.sees, self.source, self.level = radius, rooms, sees, source, level
         self._ways: dict[int, tuple[Instance, NavWay]] = {}
         origin, heights = rasterised(triangles_of(pathfinder, storey.island), storey, frames)
         covered = np.isfinite(heights)
@@ -99,8 +99,8 @@ class NavMesh:
 
     def height(self, xy: np.ndarray) -> float:
         """Height of the ground under a point ``(2,)``: 0 on the floor of the storey, else that of the step or stair."""
-        above = self.surface.height(float(xy[0]), float(xy[1])) - self.surface.storey.level
-        return above if abs(above) > LEVEL else 0.0
+        above = self.surface.height(xy) - self.surface.storey.level
+        return above if abs(above) > self.level else 0.0
 
     # --- points ---
 
@@ -141,7 +141,16 @@ class NavMesh:
                 f"points have shape {points.shape}, offsets {starts.tolist()}; wanted (n, 2) and finite metres >= 0"
             )
         stand = self.is_free(points)
-        return NavWay(self.surface, self.plan, points[stand], starts[stand])
+        goals = np.array([self.feet(point) for point in points[stand]], dtype=np.float64).reshape(-1, 3)
+        return NavWay(self.surface, self.plan, goals, starts[stand])
+
+    def field_to_places(self, places: np.ndarray) -> NavWay:
+        """Distances to the nearest of places ``(n, 3)``, our world, as habitat-lab measures them (`Surface.between`).
+
+        Places beside the mesh, or on another storey, count as well.
+        """
+        goals = self.surface.frames.to_habitat(np.asarray(places, dtype=np.float64).reshape(-1, 3))
+        return NavWay(self.surface, self.plan, goals, np.zeros(len(goals)))
 
     def at_points(self, way: NavWay) -> np.ndarray:
         """Metres ``(n,)`` of a way from all `points`, over the plan."""
@@ -181,10 +190,12 @@ class NavMesh:
         self.surface.check_free(start)
         if isinstance(goal, NavWay):
             index = goal.nearest(start)[1]
-            end = goal.goals[index] if index >= 0 else None
+            place = goal.goals[index] if index >= 0 else None
+            end = None if place is None else self.surface.frames.from_habitat(place)[:2]
         else:
             end = np.asarray(goal, dtype=np.float64)
-        metres, points = (math.inf, None) if end is None else self.surface.between(start, end)
+            place = self.feet(end)
+        metres, points = (math.inf, None) if place is None else self.surface.between(self.feet(start), place)
         if points is None or end is None or not math.isfinite(metres):
             raise WorldError(
                 f"there is no path from ({start[0]:.2f}, {start[1]:.2f}) to the goal over the navigation mesh of "

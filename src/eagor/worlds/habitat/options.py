@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from eagor.errors import WorldError
+from eagor.worlds.habitat_mesh import LAB_CLIMB, LAB_VOXEL
 
 __all__ = ["Options", "existing", "file_of", "is_bare", "parse", "scene_id_of"]
 
+NUMBERS = {"storey": float, "gpu": int, "body": float, "climb": float, "voxel": float}
 SCENES = (".glb", ".gltf", ".ply", ".stage_config.json", ".scene_instance.json")
 
 
@@ -29,6 +31,9 @@ class Options:
     navmesh: str | None = None
     boxes: str | None = None
     gpu: int | None = None
+    body: float | None = None
+    climb: float = LAB_CLIMB
+    voxel: float = LAB_VOXEL
 
 
 def parse(text: str) -> Options:
@@ -41,11 +46,18 @@ def parse(text: str) -> Options:
         if name not in known or not equals or not value:
             raise WorldError(f"habitat:{text} has the option {part!r}; wanted {'=..., '.join(known)}=...")
         try:
-            values[name] = {"storey": float, "gpu": int}.get(name, str)(value)
+            values[name] = NUMBERS.get(name, str)(value)
         except ValueError:
             raise WorldError(f"habitat:{text}: {name} = {value!r}; wanted a number") from None
     if not math.isfinite(values.get("storey", 0.0)):
         raise WorldError(f"habitat:{text}: storey = {values['storey']}; wanted finite metres")
+    for name in ("body", "climb", "voxel"):
+        if not 0 < values.get(name, 1.0) < math.inf:
+            raise WorldError(f"habitat:{text}: {name} = {values[name]}; wanted finite metres above 0")
+    if "body" not in values and not values.keys().isdisjoint({"climb", "voxel"}):
+        raise WorldError(
+            f"habitat:{text} has no body; climb and voxel belong to body=HEIGHT, habitat-lab's mesh for it"
+        )
     if values.get("up", "y") not in ("y", "z"):
         raise WorldError(f"habitat:{text}: up = {values['up']!r}; wanted y or z")
     return Options(scene, **values)

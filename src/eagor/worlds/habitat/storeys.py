@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import WorldError
+from eagor.worlds.ground import STOREY
 
 __all__ = ["BAND", "Storey", "main_storey", "triangles_of"]
 
-BAND = 1.2  # metres above and below its floor that belong to a storey: half a flight of stairs
+BAND = STOREY  # metres above and below its floor that belong to a storey
 BIN = 0.1  # metres: heights within it count as one level
 SMALLEST = 1.0  # square metres: no smaller island is looked at
 SPOTS = 12  # places of an island from which one looks up

@@ -16,6 +16,8 @@ from eagor.worlds.habitat.storeys import BAND, Storey
 
 __all__ = ["Surface"]
 
+ON_MESH = 1e-3  # metres in plan within which a place is on the mesh
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -36,11 +38,19 @@ class Surface:
         """The point ``(3,)`` of Habitat's world at which a body stands at a point ``(2,)``, close to the mesh."""
         x, y = float(xy[0]), float(xy[1])
         found = self.frames.to_habitat(np.array([x, y, 0.0]))
-        found[1] = self.height(x, y)
-        return found.astype(np.float32)
+        found[1] = self._near_height(x, y)
+        found = found.astype(np.float32)
+        snapped = np.array(self.pathfinder.snap_point(found), dtype=np.float32)  # NaN with no mesh around
+        if np.abs(snapped - found)[[0, 2]].max() < ON_MESH:
+            found[1] = snapped[1]
+        return found
 
-    def height(self, x: float, y: float) -> float:
-        """Habitat's y of the mesh at a point: of its cell, of the nearest cell around, or of the storey's floor."""
+    def height(self, xy: np.ndarray) -> float:
+        """Habitat's y of the mesh at a point ``(2,)``; beside the mesh that of the cells around."""
+        return float(self.feet(xy)[1])
+
+    def _near_height(self, x: float, y: float) -> float:
+        """Habitat's y of the cell at a point, of the nearest cells around, or of the storey's floor."""
         rows, cols = self.heights.shape
         col, row = int((x - self.origin[0]) // CELL), int((y - self.origin[1]) // CELL)
         if 0 <= row < rows and 0 <= col < cols and np.isfinite(self.heights[row, col]):
@@ -67,9 +77,12 @@ class Surface:
             )
 
     def between(self, start: np.ndarray, goal: np.ndarray) -> tuple[float, np.ndarray]:
-        """Geodesic metres between two free points ``(2,)``, inf without a path, and the path ``(n, 2)``."""
+        """Geodesic metres between two places ``(3,)`` of Habitat's world, inf without a path, and the path ``(n, 2)``.
+
+        Habitat moves places beside the mesh onto it, and counts the height of a goal above the mesh.
+        """
         path = import_habitat().ShortestPath()
-        path.requested_start, path.requested_end = self.feet(start), self.feet(goal)
+        path.requested_start, path.requested_end = start.astype(np.float32), goal.astype(np.float32)
         if not self.pathfinder.find_path(path):
             return math.inf, np.zeros((0, 2))
         return float(path.geodesic_distance), self.frames.from_habitat(np.array(path.points))[:, :2]

@@ -17,9 +17,9 @@ __all__ = ["NavWay"]
 
 @dataclass(frozen=True, eq=False)
 class NavWay:
-    """Geodesic distances to the nearest of goals ``(n, 2)``, each starting at its offset ``(n,)``, metres.
+    """Geodesic distances to the nearest of goals ``(n, 3)``, each starting at its offset ``(n,)``, metres.
 
-    `plan`: the same storey in cells, for `over_plan`.
+    Goals are in Habitat's world, as Habitat is asked for them. `plan`: the same storey in cells, for `over_plan`.
     """
 
     surface: Surface
@@ -38,11 +38,12 @@ class NavWay:
         best, which = math.inf, -1
         if not self.surface.is_free(xy):
             return best, which
-        least = np.hypot(*(self.goals - xy).T) + self.offsets
+        feet = self.surface.feet(xy)
+        least = np.linalg.norm(self.goals - feet, axis=1) + self.offsets
         for index in np.argsort(least):
             if least[index] >= best:
                 break
-            metres = self.surface.between(xy, self.goals[index])[0] + float(self.offsets[index])
+            metres = self.surface.between(feet, self.goals[index])[0] + float(self.offsets[index])
             if metres < best:
                 best, which = metres, int(index)
         return best, which
@@ -57,7 +58,7 @@ class NavWay:
     def over_plan(self) -> Field:
         """The same over the plan, to its accuracy."""
         points, starts = [], []
-        for goal, start in zip(self.goals, self.offsets, strict=True):
+        for goal, start in zip(self.surface.frames.from_habitat(self.goals)[:, :2], self.offsets, strict=True):
             near = self.plan.snap(goal, within=2 * self.plan.cell)
             if near is not None:
                 points.append(near)

@@ -7,6 +7,9 @@ follow it: ``habitat:SCENE?dataset=FILE&storey=2.9``.
 - ``storey``: the height of the floor to walk on, metres, Habitat's y (default: the largest);
 - ``up``: ``y`` or ``z``, the axis of a bare GLB file that points up (Habitat takes z, glTF says y);
 - ``navmesh``: a ``.navmesh`` file (default: the scene's, if it was made for a body of this radius, or a new one);
+- ``body``: metres, the height of a body: the navigation mesh is the one that habitat-lab would use for it (the scene's
+  if made with the same settings, else a new one with voxels of 0.05 m); with it ``climb``, the height of steps that it
+  climbs, and ``voxel``, the height of voxels (metres, both 0.2 as in habitat-lab);
 - ``boxes``: a file of boxes (`eagor.worlds.habitat.semantics`);
 - ``gpu``: the GPU's number, -1 for the CPU (default: $EAGOR_HABITAT_GPU, or what the probe finds).
 
@@ -30,7 +33,7 @@ from eagor.worlds.habitat.configuring import Source
 from eagor.worlds.habitat.extents import Box, seen_boxes
 from eagor.worlds.habitat.floors import EYE, ROWS, mesh_for, roofed, true_floor
 from eagor.worlds.habitat.frames import Frames
-from eagor.worlds.habitat.navmesh import NavMesh
+from eagor.worlds.habitat.navmesh import LEVEL, NavMesh
 from eagor.worlds.habitat.options import Options, existing, file_of, parse, scene_id_of
 from eagor.worlds.habitat.probe import import_habitat
 from eagor.worlds.habitat.semantics import Things, beside, things_of
@@ -136,7 +139,9 @@ def _ground(scene: HabitatScene, radius: float) -> NavMesh:
     pathfinder, _ = mesh_for(scene.options, scene.file, scene.session.sim, radius)
     raw = HabitatView(scene.session, Frames(), None)
     storey = main_storey(pathfinder, lambda feet: roofed(raw, feet), scene.storey, scene.source)
-    found = NavMesh(pathfinder, storey, scene.frames, radius, scene.rooms, None, scene.source)
+    # A body of habitat-lab stands on the mesh, and its path counts each difference of height.
+    level = LEVEL if scene.options.body is None else 0.0
+    found = NavMesh(pathfinder, storey, scene.frames, radius, scene.rooms, None, scene.source, level)
     found.sees = lambda xy, thing: scene.sees(xy, thing, found.height(xy))
     return found
 
@@ -151,7 +156,8 @@ def _stage_file(sim: Any) -> Path | None:
 
 
 def _digest(files: list[Path], options: Options, things: Things) -> str:
-    digest = hashlib.sha256(f"{options.storey}|{options.up}|{options.navmesh}".encode())
+    body = "" if options.body is None else f"|{options.body}|{options.climb}|{options.voxel}"
+    digest = hashlib.sha256(f"{options.storey}|{options.up}|{options.navmesh}{body}".encode())
     for file in dict.fromkeys(files):
         with file.open("rb") as stream:
             digest.update(hashlib.file_digest(stream, "sha256").digest())
