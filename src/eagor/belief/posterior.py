@@ -20,7 +20,7 @@ from eagor.belief.basins import PROMINENCE, basins
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, ErpWindow
 from eagor.harmonics import RealHarmonics
-from eagor.harmonics.peaks import FLAT, decoding_grid, neighbours, peak_on_grid, refine
+from eagor.harmonics.peaks import FLAT, decoding_grid, peak_on_grid, refine
 from eagor.sphere import azimuth_elevation
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
@@ -205,15 +205,6 @@ class Posterior:
     def mode(self) -> np.ndarray:
         """The direction of highest density ``(3,)``."""
         return peak_on_grid(self.grid, self.coarse)
-
-    def peak_near(self, direction: np.ndarray, angle: float) -> tuple[np.ndarray, float] | None:
-        """The highest peak within `angle` radians of `direction` ``(3,)``, and f there; None if there is none."""
-        flat = self.coarse.reshape(-1)
-        near = np.flatnonzero(self.grid.directions.reshape(-1, 3) @ direction >= math.cos(angle))
-        best = int(near[flat[near].argmax()])
-        if flat[neighbours(self.grid, best)].max() > flat[best]:
-            return None  # f still rises at the border of the cone
-        return refine(self.grid, flat, best)[0], float(flat[best])
 
     def mass_above(self, value: float) -> float:
         """The probability of all directions where f exceeds `value`."""
