@@ -42,8 +42,8 @@ __all__ = ["Belief"]
 
 STEP = 0.5  # largest curvature times variance per step
 CONVEX = 0.5  # positive curvature is clamped here: valleys steepen without bound and hold no probability
-DEPTH = 3.0  # nats below the top over which the least-squares weight falls by e ...
-LEAST = 1e-3  # ... down to this
+DEPTH = 3.0  # nats below the top over which the least-squares weight falls by e
+LEAST = 1e-3  # the lowest such weight
 ITERATIONS = 30  # of conjugate gradients; about 20 reach the projection's own error
 
 

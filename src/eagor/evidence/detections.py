@@ -251,7 +251,7 @@ def anisotropic(directions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
 
 
 def scaled_frames(frames: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """The same with known `frames` ``(n, 2, 3)``, along which the covariances are given."""
+    """The axes ``(n, 2, 3)`` of detections with covariances ``(n, 2, 2)`` along the `frames` ``(n, 2, 3)``."""
     if not len(frames):
         return np.zeros((0, 2, 3))
     variances, turns = np.linalg.eigh(covariances)
