@@ -31,7 +31,12 @@ UNIT = 0.01  # tolerance for the length of a direction: people type two or three
 
 
 def direction(azimuth: Array, elevation: Array) -> Array:
-    """Unit vectors ``(..., 3)``, body frame, from azimuth (positive left) and elevation (positive up), radians."""
+    """Unit vectors ``(..., 3)``, body frame, from azimuth (positive left) and elevation (positive up), radians.
+
+    >>> left = eagor.direction(math.pi / 2, 0.0)
+    >>> left.round(3).tolist()
+    [0.0, 1.0, 0.0]
+    """
     azimuth, elevation = common(azimuth, elevation)
     xp = namespace(azimuth, elevation)
     x, y = xp.cos(elevation) * xp.cos(azimuth), xp.cos(elevation) * xp.sin(azimuth)
@@ -42,6 +47,10 @@ def azimuth_elevation(directions: Array) -> tuple[Array, Array]:
     """Azimuth and elevation (radians) of directions ``(..., 3)``; they need not have unit length.
 
     Raises `DirectionError` on another shape.
+
+        >>> azimuth, elevation = eagor.azimuth_elevation(np.array([0.0, 2.0, 2.0]))
+        >>> round(math.degrees(azimuth)), round(math.degrees(elevation))
+        (90, 45)
     """
     directions = check_directions(as_float(directions))
     xp = namespace(directions)
@@ -54,6 +63,10 @@ def angular_distance(a: Array, b: Array) -> Array:
 
     atan2(|a x b|, a . b) keeps full precision near 0 and pi, where acos loses half of the digits, and works for any
     length. Raises `DirectionError` on another shape.
+
+        >>> angle = eagor.angular_distance(np.array([1.0, 0.0, 0.0]), np.array([1.0, 1.0, 0.0]))
+        >>> round(math.degrees(angle))
+        45
     """
     a, b = common(a, b)
     check_directions(a)

@@ -1,11 +1,14 @@
 """The names that other people's code relies on, and what importing them costs."""
 
+import doctest
+import math
 import re
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import eagor
@@ -21,6 +24,16 @@ def test_every_public_name_is_there_and_says_what_it_is(name):
     value = getattr(eagor, name)
     assert name in dir(eagor)
     assert isinstance(value, str) or (value.__doc__ or "").strip()
+
+
+@pytest.mark.parametrize("name", [name for name in eagor.__all__ if ">>>" in (getattr(eagor, name).__doc__ or "")])
+def test_the_example_of_a_public_name_gives_what_it_shows(name):
+    names = {"eagor": eagor, "math": math, "np": np}
+    example = doctest.DocTestParser().get_doctest(getattr(eagor, name).__doc__, names, name, None, None)
+    runner = doctest.DocTestRunner()
+    told = []
+    runner.run(example, out=told.append)
+    assert not runner.summarize(verbose=False).failed, "".join(told)
 
 
 @pytest.mark.parametrize("module", [*PACKAGES, *PUBLIC])

@@ -197,16 +197,9 @@ def test_modes_are_the_targets_strongest_first_and_weights_share_the_belief():
     assert len(belief.modes(2)[0]) == 2
 
 
-def test_a_peak_is_found_near_where_it_was():
+def test_the_cone_about_the_mode_holds_more_than_one_about_a_weaker_peak():
     first, second = direction(0.4, 0.1), direction(-2.9, -0.3)
     posterior = Belief.uniform(15).update(look(first, second, scores=[0.9, 0.6])).posterior
-    for place in (first, second):
-        near = rotation((0, 0, 1), 0.15) @ place
-        found, height = posterior.peak_near(near, 0.35)
-        assert np.degrees(angular_distance(found, place)) < 1.5
-        assert height <= posterior.coarse.max()
-    slope = rotation((0, 0, 1), 0.3) @ first
-    assert posterior.peak_near(slope, 0.1) is None, "there it still rises where the cone ends"
     assert posterior.within(0.3, second) < posterior.within(0.3) == posterior.within(0.3, posterior.mode)
 
 
@@ -301,7 +294,8 @@ def test_diffusion_widens_a_peak_as_convolution_does(concentration, degrees, deg
     exact = resultant(belief) * math.exp(-(sigma**2))  # the heat kernel on the degree-1 moment
     spread = 1 - resultant(belief.diffuse(sigma))
     assert spread == pytest.approx(1 - exact, rel=0.02)
-    assert 1 - resultant(belief.diffuse_log(sigma)) < 0.9 * (1 - exact) or degrees == 1
+    blurred = Belief(belief.basis.smooth(c, sigma))  # the heat kernel on f itself is no diffusion
+    assert 1 - resultant(blurred) < 0.9 * (1 - exact) or degrees == 1
     assert belief.diffuse(sigma).presence(1e-9) == pytest.approx(belief.presence(1e-9), rel=0.01), "Z is kept"
 
 

@@ -10,7 +10,7 @@ from strategies import directions, field, random_directions, rotations
 
 from eagor.errors import DirectionError, GridError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.harmonics import RealHarmonics, projection, streamed
+from eagor.harmonics import RealHarmonics, projection
 from eagor.harmonics.legendre import degrees
 from eagor.sphere import angular_distance, rotation
 
@@ -38,7 +38,7 @@ def test_order_by_order_is_all_at_once(monkeypatch, degree, shape, grid):
     values, c = rng.normal(size=(*shape, *grid.shape)), rng.normal(size=(*shape, basis.size))
     wanted = basis.analyse(values, grid), basis.synthesise(c, grid)
     monkeypatch.setattr(projection, "TABLE_BYTES", 0)
-    monkeypatch.setattr(streamed, "_BLOCK_BYTES", 1 << 14)
+    monkeypatch.setattr(projection, "_BLOCK_BYTES", 1 << 14)
     for found, one in zip((basis.analyse(values, grid), basis.synthesise(c, grid)), wanted, strict=True):
         assert found.shape == one.shape
         assert np.allclose(found, one, atol=1e-12)

@@ -42,8 +42,8 @@ __all__ = ["Belief"]
 
 STEP = 0.5  # largest curvature times variance per step
 CONVEX = 0.5  # positive curvature is clamped here: valleys steepen without bound and hold no probability
-DEPTH = 3.0  # nats below the top over which the least-squares weight falls by e ...
-LEAST = 1e-3  # ... down to this
+DEPTH = 3.0  # nats below the top over which the least-squares weight falls by e
+LEAST = 1e-3  # the lowest such weight
 ITERATIONS = 30  # of conjugate gradients; about 20 reach the projection's own error
 
 
@@ -144,6 +144,11 @@ class Belief(Readable):
 
     Leading dimensions are a batch (several targets, particles, episodes). The coefficients stay in their array library
     and on their device; what is added is converted to those. They are copied, and read-only in NumPy.
+
+        >>> belief = eagor.Belief.uniform(15).update(eagor.Evidence.from_points([[0, 1, 0]]))
+        >>> belief = belief.predict(eagor.sphere.rotation((0, 0, 1), -math.pi / 2))  # the camera turns left
+        >>> belief
+        Belief(degree 15, 0° left, +0° up, 90 % within 89°)
     """
 
     coefficients: Array
@@ -227,10 +232,6 @@ class Belief(Readable):
         if not 0 <= sigma < math.pi:
             raise EagorError(f"sigma = {sigma!r}; wanted radians, 0 to pi")
         return self._of(diffuse(self.degree, self.coefficients, sigma)) if sigma > 0 else self
-
-    def diffuse_log(self, sigma: float) -> Belief:
-        """A cheap approximation: exp(-l(l+1) sigma^2 / 2) on the log field. It blurs f but hardly widens exp(f)."""
-        return self._of(self.basis.smooth(self.coefficients, sigma))
 
     def log_ratio(self, directions: Grid | Array) -> Array:
         """f, the accumulated log-likelihood ratio, at unit vectors ``(n..., 3)`` or on a grid ``(..., H, W)``."""

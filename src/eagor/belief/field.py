@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 
 from eagor._lazy import inherited, lazy
-from eagor.grids import ErpGrid, ErpWindow
+from eagor.grids import ErpGrid, ErpWindow, PatchGrid
 
 
 def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = None) -> np.ndarray:
@@ -189,7 +189,7 @@ def _refining(count: int, times: int) -> np.ndarray:
     return interpolated(np.eye(count), fine[None]).T
 
 
-def cells_of(grid: ErpGrid, directions: np.ndarray) -> np.ndarray:
+def cells_of(grid: ErpGrid | PatchGrid, directions: np.ndarray) -> np.ndarray:
     """The flat index ``(...)`` of the cell of a grid that each direction ``(..., 3)`` lies in."""
     x, y, _ = grid.project(directions)
     return np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width

@@ -20,18 +20,18 @@ from eagor.belief.basins import PROMINENCE, basins
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, ErpWindow
 from eagor.harmonics import RealHarmonics
-from eagor.harmonics.peaks import FLAT, decoding_grid, neighbours, peak_on_grid, refine
+from eagor.harmonics.peaks import FLAT, decoding_grid, peak_on_grid, refine
 from eagor.sphere import azimuth_elevation
 
 CELLS_PER_SIGMA = 3.0  # grid spacing against the width of the sharpest peak: integrals converge long before that
-CELLS_FOR_REGIONS = 8.0  # ... but the border of a region needs finer cells than an integral
-MAX_ROWS = 1024  # 0.18 degrees: fine enough for a camera robot,
-MAX_CELLS = 1 << 18  # ... but a window may always have so many cells: thousands of nats make finer peaks
-ERROR = 1e-4  # of the probability: a coarse cell with a larger error of the midpoint rule is refined,
-SHARE = 0.01  # ... and so is a cell that holds more than this share
-MIN_WEIGHT = 0.02  # of the belief: a mode holds at least this share,
-RIVAL = 0.6  # or rises above a typical direction by this share of the best mode's height,
-CLEAR = 9.0  # ... capped at so many nats, so that one very sure mode does not hide the others
+CELLS_FOR_REGIONS = 8.0  # the same for the border of a region, which needs finer cells than an integral
+MAX_ROWS = 1024  # 0.18 degrees: fine enough for a camera robot
+MAX_CELLS = 1 << 18  # a window may always have so many, however fine: thousands of nats make finer peaks
+ERROR = 1e-4  # of the probability: a coarse cell with a larger error of the midpoint rule is refined
+SHARE = 0.01  # of the probability: a cell that holds more is refined too
+MIN_WEIGHT = 0.02  # of the belief: what holds so much is a mode
+RIVAL = 0.6  # of the best mode's height over a typical direction: what rises so high is a mode too
+CLEAR = 9.0  # nats: the most that counts as that height, so that one very sure mode does not hide the others
 RIPPLE = 0.1  # of the best mode's height: less is ringing (the first sidelobe of a truncated peak has 0.07)
 
 
@@ -205,15 +205,6 @@ class Posterior:
     def mode(self) -> np.ndarray:
         """The direction of highest density ``(3,)``."""
         return peak_on_grid(self.grid, self.coarse)
-
-    def peak_near(self, direction: np.ndarray, angle: float) -> tuple[np.ndarray, float] | None:
-        """The highest peak within `angle` radians of `direction` ``(3,)``, and f there; None if there is none."""
-        flat = self.coarse.reshape(-1)
-        near = np.flatnonzero(self.grid.directions.reshape(-1, 3) @ direction >= math.cos(angle))
-        best = int(near[flat[near].argmax()])
-        if flat[neighbours(self.grid, best)].max() > flat[best]:
-            return None  # f still rises at the border of the cone
-        return refine(self.grid, flat, best)[0], float(flat[best])
 
     def mass_above(self, value: float) -> float:
         """The probability of all directions where f exceeds `value`."""

@@ -34,7 +34,11 @@ __all__ = ["RangedBelief", "log_ranges", "mean_range", "range_spread"]
 
 
 def log_ranges(nearest: float = 0.5, farthest: float = 12.0, count: int = 14) -> np.ndarray:
-    """`count` ranges (metres) from `nearest` to `farthest`, equally spaced in the logarithm."""
+    """`count` ranges (metres) from `nearest` to `farthest`, equally spaced in the logarithm.
+
+    >>> eagor.log_ranges(1.0, 4.0, count=3).tolist()
+    [1.0, 2.0, 4.0]
+    """
     return np.geomspace(nearest, farthest, count)
 
 
@@ -47,6 +51,11 @@ class RangedBelief(Readable):
 
     `prior` ``(K, (degree + 1)^2)``, such as `heights.height_prior`: prior knowledge of direction and range, used when
     the belief is read. None: uniform. `predict` turns it but does not translate it, which is right on level ground.
+
+        >>> before, after = eagor.Evidence.from_points([[0, 1, 0]]), eagor.Evidence.from_points([[-0.5, 1, 0]])
+        >>> belief = eagor.RangedBelief.uniform(15).update(before).predict(np.eye(3), [0.5, 0.0, 0.0]).update(after)
+        >>> belief.distance() < eagor.RangedBelief.uniform(15).distance()  # the bearing has turned: it is near
+        True
     """
 
     shells: Array

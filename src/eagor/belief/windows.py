@@ -24,8 +24,8 @@ from eagor.sphere import cross
 
 NODES = 11  # along each side
 RANGES = 12  # nodes along the range, where positions are known
-REACH = 5.0  # standard deviations from the middle to a border,
-WIDEST = math.radians(25)  # ... but no more: even nodes would then be coarser than the cells of the whole field
+REACH = 5.0  # standard deviations from the middle to a border
+WIDEST = math.radians(25)  # largest half width: beyond, even nodes are coarser than the cells of the whole field
 SKIRTS = 3.3  # standard deviations of the narrowest bump of a degree, at which its skirts end
 FURTHEST = math.radians(45)  # largest half width of a plane
 _BENDS = np.linspace(EVEN, 5.0, 500)  # with a larger bend, sums over the nodes are wrong by some percent

@@ -161,16 +161,12 @@ class Detections:
         `rows` ``(k, n)``: the weights of the detections in each sum. Detections are widened by each of `scales`
         ``(S,)``, and to at least `least` radians (or ``(n,)``); their mass is kept.
         """
-        lengths = self._lengths
-        exponents = self._exponents(directions)
-        found = np.empty((len(scales), len(rows), exponents.shape[-1]))
-        least = np.reshape(least, (-1, 1))
-        for sums, scale in zip(found, scales.tolist(), strict=True):
-            factors = 1 / np.maximum(scale, least * lengths)
-            norms = bump_norms(lengths * factors)
-            falls = np.exp(-np.einsum("nix,ni->nx", exponents, factors**2))
-            np.matmul(rows / self.clutter * norms, falls, out=sums)
-        return found.reshape(len(scales), len(rows), *directions.shape[:-1])
+        lengths, exponents = self._lengths, self._exponents(directions)
+        factors = 1 / np.maximum(scales[:, None, None], np.reshape(least, (-1, 1)) * lengths)  # (S, n, 2)
+        first, second = (-(factors**2)).transpose(2, 0, 1)[..., None]
+        falls = np.exp(first * exponents[:, 0] + second * exponents[:, 1])
+        heights = rows / self.clutter * bump_norms(lengths * factors)[:, None]  # (S, k, n)
+        return (heights @ falls).reshape(len(scales), len(rows), *directions.shape[:-1])
 
     @lazy
     def _lengths(self) -> np.ndarray:
@@ -235,11 +231,11 @@ class Detections:
 
 
 def bump_norms(lengths: np.ndarray) -> np.ndarray:
-    """1 / integral ``(n,)`` of Gaussians in Lambert's plane, which ends at the antipode, at distance 2.
+    """1 / integral ``(...)`` of Gaussians in Lambert's plane, which ends at the antipode, at distance 2.
 
-    `lengths` ``(n, 2)``: 1 over the standard deviation along each axis.
+    `lengths` ``(..., 2)``: 1 over the standard deviation along each axis.
     """
-    product = lengths.prod(axis=-1)
+    product = lengths[..., 0] * lengths[..., 1]
     return product / (2 * math.pi * -np.expm1(-2 * product))
 
 
@@ -255,7 +251,7 @@ def anisotropic(directions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
 
 
 def scaled_frames(frames: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """The same with known `frames` ``(n, 2, 3)``, along which the covariances are given."""
+    """The axes ``(n, 2, 3)`` of detections with covariances ``(n, 2, 2)`` along the `frames` ``(n, 2, 3)``."""
     if not len(frames):
         return np.zeros((0, 2, 3))
     variances, turns = np.linalg.eigh(covariances)

@@ -171,6 +171,11 @@ class DetectorModel:
       beside the thing does so in the next look. No number of looks averages it out.
     - `clutter`: relative density of false alarms ``(H, W)`` over a panorama in the body frame; its scale does not
       matter. None: uniform.
+
+        >>> model = eagor.DetectorModel(detection_probability=0.7, false_alarms_per_look=0.2, look_alikes=0)
+        >>> look = eagor.Evidence.from_points([[1, 0, 0]], detector=model)
+        >>> round(float(look.detections.ratio(np.array([0.0, 1.0, 0.0]))), 3)  # seen, and nothing found: 1 - 0.7
+        0.3
     """
 
     detection_probability: float | None = None

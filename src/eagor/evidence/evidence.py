@@ -49,6 +49,10 @@ class Evidence:
     Make it with `from_response`, `from_boxes`, `from_mask` or `from_points`. `stamp` is the time of CAPTURE in seconds
     (None where time plays no role). `source`: what produced it (model, revision, token counts, milliseconds, ...),
     plain values for people and reports; nothing here reads them. Evidence is immutable.
+
+        >>> picture = eagor.ErpGrid(512, 1024)
+        >>> eagor.Evidence.from_boxes([[500, 240, 540, 280]], picture, scores=[0.9], stamp=0.0)
+        Evidence(t=0 s, 1 detection on PatchGrid, read by DetectorModel())
     """
 
     drawn: Array | None = field(repr=False)  # None: the detections are drawn on demand

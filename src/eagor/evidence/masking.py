@@ -22,7 +22,7 @@ ROWS = 512  # finer masks are sampled at so many rows: cells of a third of a deg
 ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 MOSTLY = 0.5  # share of a detection's own extent that has to be seen for it to count
 FINE = 3  # sample points along each side of a cell
-SIDE = 9  # ... and of a detection
+SIDE = 9  # the same of a detection
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,8 @@ class BodyMask:
     def detections(self, found: Detections) -> Detections:
         """The detections without those whose own extent lies mostly under the mask, in what is left of the views."""
         kept = self._extents(found) >= MOSTLY
-        parts = {key: getattr(found, key)[kept] for key in ("directions", "axes", "ratios", "clutter", "scores")}
+        names = "directions", "axes", "ratios", "clutter", "scores", "sizes"
+        parts = {name: getattr(found, name)[kept] for name in names}
         views = tuple(map(self.view, found.views)) or (View(self.grid, self.seen.astype(np.float32)),)
         return replace(found, views=views if not self.seen.all() else found.views, **parts)
 

@@ -29,6 +29,11 @@ class RealHarmonics:
 
     Arrays of coefficients have shape ``(..., size)``; leading dimensions are batches. NumPy arrays in, NumPy out;
     torch tensors in, torch out, on their device and in their precision (any array-API namespace).
+
+        >>> basis, grid = eagor.RealHarmonics(3), eagor.ErpGrid(16, 32)
+        >>> coefficients = basis.analyse(grid.directions[..., 2], grid)  # the field z
+        >>> round(float(basis.synthesise(coefficients, np.array([0.0, 0.6, 0.8]))), 6)
+        0.8
     """
 
     degree: int

@@ -38,8 +38,8 @@ from eagor.harmonics.legendre import degrees, evaluate, latitude_functions_of, l
 from eagor.harmonics.rotation import rotate
 from eagor.sphere import check_directions
 
-BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1) ...
-WIDEST = 2 * BLOCK  # ... and up to this, if the plan would take too much memory otherwise
+BLOCK = 0.25  # side of a view's block, in units of the angular scale 1 / (degree + 1)
+WIDEST = 2 * BLOCK  # the largest side, for plans that would take too much memory otherwise
 SMALL = 1_000_000  # OpenBLAS has special kernels for products up to 100^3
 TABLE_BYTES = 64e6  # a larger latitude table is recomputed at every call, a few orders at a time
 PLAN_BYTES = 256e6  # a view plan that is larger even so is computed block row by block row and not cached

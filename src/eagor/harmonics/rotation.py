@@ -23,7 +23,7 @@ from eagor._arrays import Array, constant, namespace, table_like, to_numpy
 from eagor.harmonics.legendre import evaluate, orders
 
 DENSE_UP_TO = 15  # up to this degree one 256 x 256 matrix is faster than 16 small ones
-DENSE_COLUMNS = 8  # ... for this many fields at once
+DENSE_COLUMNS = 8  # the most fields at once for which it is
 CHUNK = 256  # beliefs at a time, so that the working set fits in the second-level cache
 
 

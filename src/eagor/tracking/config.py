@@ -34,6 +34,10 @@ class MotionModel:
     - `stop`: rate at which a moving target stops.
     - `jump`: rate at which a moving target reappears anywhere else.
     - `birth`, `death`: rates at which a target appears and disappears.
+
+        >>> motion = eagor.MotionModel(start=0.01, stop=0.03)
+        >>> round(motion.moving, 6)  # of the targets, as long as nothing was seen
+        0.25
     """
 
     wander: tuple[float, ...] = (math.radians(2.5), math.radians(10))
@@ -141,6 +145,10 @@ class TrackerConfig:
     - `drift`: drift of the odometry's heading, radians per root second.
     - `history`: seconds for which poses and evidence are kept; late evidence must not be older.
     - `answers`: how answers are read (`AnswerSettings`).
+
+        >>> config = eagor.TrackerConfig(floor_height=0.0, history=30.0)
+        >>> config
+        TrackerConfig(floor_height=0, history=30)
     """
 
     degree: int = 15

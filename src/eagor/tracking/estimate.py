@@ -11,6 +11,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._lazy import lazy
 from eagor._reprs import where
+from eagor.belief.field import cells_of
 from eagor.belief.reading import NEAR, Reading
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
@@ -34,6 +35,11 @@ class Mode:
 
     `weight`: the probability of its basin: the directions within 20 degrees whose steepest ascent leads to it. The
     weights of all modes sum to less than 1; the rest is elsewhere.
+
+        >>> tracker = eagor.DirectionTracker()
+        >>> tracker.observe(eagor.Evidence.from_points([[0, 1, 0], [1, 0, 0]], stamp=0.0))
+        >>> sorted(round(math.degrees(mode.azimuth)) for mode in tracker.estimate(0.0).modes)
+        [0, 90]
     """
 
     direction: np.ndarray
@@ -53,6 +59,12 @@ class Estimate:
     `hypotheses`: the posterior, in WORLD axes; `world_R_body`: the pose at that time; `alarms`: the number of false
     alarms in a look, where it is learnt. `spread`: radians per axis by which that pose may be off; regions are as much
     wider.
+
+        >>> tracker = eagor.DirectionTracker()
+        >>> tracker.observe(eagor.Evidence.from_points([[0, 1, 0]], stamp=0.0))
+        >>> estimate = tracker.estimate(0.0)
+        >>> estimate.status, round(estimate.presence, 1), estimate.distance
+        ('tracking', 0.7, None)
     """
 
     stamp: float
@@ -170,8 +182,7 @@ class Estimate:
             return found
         _, _, directions = self.posterior.parts
         mass = self.posterior.mass
-        x, y, _ = grid.project(directions @ self.world_R_body)
-        cell = np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
+        cell = cells_of(grid, directions @ self.world_R_body)
         weights = grid.weights.reshape(-1)
         # Where the parts of the reading are finer than the cells, sum them; elsewhere sample.
         fine = np.bincount(cell, minlength=weights.size) >= 4

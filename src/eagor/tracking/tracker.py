@@ -35,6 +35,11 @@ class DirectionTracker:
     Call `add_pose` with every pose of the odometry, `observe` with every evidence as it arrives, and `estimate` for an
     answer. Stamps are seconds on one clock. Without any pose the camera stands still. Threads may share a tracker. It
     follows at most `TARGETS` targets; for one more, it forgets the one that was used least recently, with a warning.
+
+        >>> tracker = eagor.DirectionTracker()
+        >>> tracker.observe(eagor.Evidence.from_points([[0, 1, 0]], stamp=0.0))
+        >>> round(math.degrees(tracker.estimate(0.1).azimuth))
+        90
     """
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
