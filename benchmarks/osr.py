@@ -47,13 +47,12 @@ from typing import Any
 import numpy as np
 
 from eagor.statistics import wilson_interval
-from eagor.tasks.osr.agents import Around, Eagor, laid_out
 from eagor.tasks.osr.apartments import views
 from eagor.tasks.osr.data import Scene, load
-from eagor.tasks.osr.drawing import draw
-from eagor.tasks.osr.geometry import FloorLine, Placed
-from eagor.tasks.osr.layout import SIZE, Layout, cells, is_tied, named, products, steps, swapped
-from eagor.tasks.osr.looking import Body, Room, Seen, read_room, sightings
+from eagor.tasks.osr.geometry import FloorLine, Placed, draw
+from eagor.tasks.osr.play import Around, Eagor, laid_out
+from eagor.tasks.osr.scoring import SIZE, Layout, cells, is_tied, named, products, steps, swapped
+from eagor.tasks.osr.sightings import Body, Room, Seen, read_room, sightings
 
 ROWS = ("places", "contacts", "contacts, metres", "outlines", "no walls", "bearings")
 # The synthetic sample's room, read off its picture: corners at 40.5 degrees to both sides, where the wall's foot is

@@ -6,9 +6,9 @@
 
 Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
 each, and, where --samples names them, in the labelled photographs of `hstar_mini`. Every agent looks through `truth`
-(`eagor.tasks.hstar.looking`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept from look
-to look with probability 0.3, 8 degrees of error. Success is strict. Development and report use other apartments and
-other luck; what was tuned was tuned on dev.
+(`eagor.tasks.hstar.perception`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept from
+look to look with probability 0.3, 8 degrees of error. Success is strict. Development and report use other apartments
+and other luck; what was tuned was tuned on dev.
 
 Brackets are 95 % bootstrap intervals over targets (four starts and all repetitions of one together). Printed:
 
@@ -45,12 +45,11 @@ from scipy.optimize import minimize
 from eagor.evidence.calibration import Calibration
 from eagor.perception.noise import Noise
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
-from eagor.tasks.hstar.agents import make_agent
 from eagor.tasks.hstar.apartments import spot, write_scene
 from eagor.tasks.hstar.camera import render_view
 from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
-from eagor.tasks.hstar.looking import CALIBRATION, TruthEye, annotated, open_eye
-from eagor.tasks.hstar.play import play
+from eagor.tasks.hstar.perception import CALIBRATION, TruthEye, annotated, open_eye
+from eagor.tasks.hstar.play import make_agent, play
 from eagor.tasks.hstar.search import SearchRules
 
 FIRST = {"dev": 1200, "report": 8600}  # apartment

@@ -40,10 +40,9 @@ from eagor.grids import ErpGrid
 from eagor.sphere import angular_distance, direction
 from eagor.statistics import paired_difference
 from eagor.tasks.hstar import apartments
-from eagor.tasks.hstar.agents import make_agent
 from eagor.tasks.hstar.data import Episode, read_episodes
-from eagor.tasks.hstar.looking import open_eye, open_perception
-from eagor.tasks.hstar.play import play
+from eagor.tasks.hstar.perception import open_eye, open_perception
+from eagor.tasks.hstar.play import make_agent, play
 from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.places import Place
 

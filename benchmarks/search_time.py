@@ -31,7 +31,7 @@ from typing import Any
 from eagor.evaluation import ledger
 from eagor.evaluation.benchmarks import BenchmarkRun
 from eagor.evaluation.workers import carry_out
-from eagor.tasks.hstar import agents, looking
+from eagor.tasks.hstar import perception, play
 from eagor.tasks.hstar.apartments import spot, write_scene
 from eagor.tasks.hstar.search import Search
 from eagor.tasks.searcher import Searcher
@@ -40,13 +40,13 @@ FIRST = 1200  # apartments for development
 MANY = 3000
 PER_APARTMENT = 12  # episodes, at least
 PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
-    "reading the picture": ((looking, "open_panorama"),),
-    "drawing the view": ((looking, "render_view"),),
-    "perception": ((looking.PixelEye, "__call__"), (looking.TruthEye, "look")),
+    "reading the picture": ((perception, "open_panorama"),),
+    "drawing the view": ((perception, "render_view"),),
+    "perception": ((perception.PixelEye, "__call__"), (perception.TruthEye, "look")),
     "belief": ((Search, "seen"),),
     "answer": ((Search, "answer"),),
     "next view": ((Searcher, "face"),),
-    "peak, for the record": ((agents, "peak_of"),),
+    "peak, for the record": ((play, "peak_of"),),
     "ledger": ((ledger.Ledger, "append"),),
 }
 

@@ -9,10 +9,9 @@ import numpy as np
 from PIL import Image
 
 from eagor.tasks.osr.apartments import conversation
-from eagor.tasks.osr.drawing import layout_from
-from eagor.tasks.osr.geometry import FloorLine
-from eagor.tasks.osr.layout import grid_of
-from eagor.tasks.osr.looking import Body, Room, write_room
+from eagor.tasks.osr.geometry import FloorLine, layout_from
+from eagor.tasks.osr.scoring import grid_of
+from eagor.tasks.osr.sightings import Body, Room, write_room
 
 NAME = "ReplicaPano-made-here"
 CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])

@@ -21,17 +21,17 @@ from eagor.perception.endpoint.chat import ServedChat
 from eagor.perception.partial import look_at_view
 from eagor.perception.vlm.talk import IMAGE, Message
 from eagor.tasks import benchmark
-from eagor.tasks.hstar import data, looking
-from eagor.tasks.hstar.agents import VlmAgent
+from eagor.tasks.hstar import data
+from eagor.tasks.hstar import perception as hstar_perception
 from eagor.tasks.hstar.bench import HOS, HPS
 from eagor.tasks.hstar.camera import View, render_view
 from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
 from eagor.tasks.hstar.lmms import process_results
-from eagor.tasks.hstar.play import CAUSES, cause_of, play, work
+from eagor.tasks.hstar.perception import head_of, phrase_of, tag_of, thing_of
+from eagor.tasks.hstar.play import CAUSES, VlmAgent, cause_of, play, work
 from eagor.tasks.hstar.prompts import first_text, system_text
 from eagor.tasks.hstar.rules import window_of
 from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.hstar.words import head_of, phrase_of, tag_of, thing_of
 from eagor.tasks.models import load_chat
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
@@ -163,11 +163,11 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
         hstar_data.write(tmp_path, targets={"hall": {"red": ([170.0, 190.0], [-5.0, 5.0])}}), "hos"
     )[0]
     asked = replace(episode, task="Find the green square")
-    perception = looking.open_perception("colour")
+    perception = hstar_perception.open_perception("colour")
     view = View(0.0, 0.0)
     drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
     assert look_at_view(perception, drawn, 0.0, math.radians(100), "green square").response.max() > 0.5
-    seen = looking.open_eye(perception, asked, 0, 54)(view).evidence
+    seen = hstar_perception.open_eye(perception, asked, 0, 54)(view).evidence
     assert seen.response.max() < 0.2
 
 

@@ -20,13 +20,12 @@ import pytest
 from eagor.errors import EagorError, FormatError
 from eagor.perception.vlm.talk import IMAGE, Message, Said
 from eagor.tasks.benchmark import check_benchmark, load
-from eagor.tasks.osr.agents import Eagor, Majority, Vlm
 from eagor.tasks.osr.data import SUFFIXES
 from eagor.tasks.osr.data import load as load_scenes
 from eagor.tasks.osr.lmms import doc_to_text, doc_to_visual, process_results
-from eagor.tasks.osr.looking import BeliefLooker
-from eagor.tasks.osr.play import work
+from eagor.tasks.osr.play import Eagor, Majority, Vlm, work
 from eagor.tasks.osr.scoring import DIRECTION, MAP
+from eagor.tasks.osr.sightings import BeliefLooker
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 NAME, PLACES = osr_data.NAME, osr_data.PLACES
@@ -135,8 +134,7 @@ def test_the_model_is_asked_with_the_map_and_without(data: Path, suffix: str, tu
 
 
 def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: Path) -> None:
-    from eagor.tasks.osr.agents import Reply
-    from eagor.tasks.osr.play import judged
+    from eagor.tasks.osr.play import Reply, judged
 
     (scene,) = load_scenes(data, "qa")
     question = next(question for question in scene.questions if question.skill == DIRECTION)
@@ -234,7 +232,7 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
 
 def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
     from eagor.tasks.osr.geometry import Sighting
-    from eagor.tasks.osr.looking import Seen
+    from eagor.tasks.osr.sightings import Seen
 
     (scene,) = load_scenes(data, "qa")
     twice = tuple(Sighting(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))

@@ -18,7 +18,6 @@ from eagor.grids import ErpGrid
 from eagor.tasks.osr import direction_label, distance_label, lenient, score, score_map, swapped
 from eagor.tasks.osr.apartments import counting, direction, distance, mapping
 from eagor.tasks.osr.data import read
-from eagor.tasks.osr.drawing import draw, layout_from
 from eagor.tasks.osr.geometry import (
     MARGIN,
     FloorLine,
@@ -26,14 +25,20 @@ from eagor.tasks.osr.geometry import (
     Sighting,
     contact_range,
     direction_between,
+    draw,
     enclosing,
     floor_range,
+    layout_from,
     place,
     place_on_circle,
 )
-from eagor.tasks.osr.layout import (
+from eagor.tasks.osr.scoring import (
+    COUNTING,
+    DIRECTION,
     DIRECTIONS,
+    DISTANCE,
     ERRORS,
+    MAP,
     NO_CANDIDATE,
     NO_OBJECT,
     NO_POSITION,
@@ -43,10 +48,11 @@ from eagor.tasks.osr.layout import (
     is_tied,
     layout_of,
     mirrored,
+    read_map,
     steps,
+    turned,
 )
-from eagor.tasks.osr.looking import Body, Room, extent, read_room, sightings, sightings_in, write_room
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, read_map, turned
+from eagor.tasks.osr.sightings import Body, Room, extent, read_room, sightings, sightings_in, write_room
 
 CELLS = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)).map(list), min_size=1, max_size=3)
 LAYOUTS = st.fixed_dictionaries({"a": CELLS.map(lambda cells: cells[:1]), "b": CELLS, "c": CELLS})

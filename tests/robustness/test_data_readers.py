@@ -22,9 +22,8 @@ from eagor.tasks.hstar.bench import HOS
 from eagor.tasks.hstar.data import read_episodes, read_scenes
 from eagor.tasks.hstar.rules import normalised, parse_action, submit_succeeds, turned
 from eagor.tasks.osr.data import load
-from eagor.tasks.osr.layout import distance_label
-from eagor.tasks.osr.looking import read_depth, read_room, sightings
-from eagor.tasks.osr.scoring import SKILLS, lenient, score
+from eagor.tasks.osr.scoring import SKILLS, distance_label, lenient, score
+from eagor.tasks.osr.sightings import read_depth, read_room, sightings
 
 ANNOTATION = [
     {"task": "Find the red square", "yaw": [40.0, 70.0], "pitch": [-15, 10], "initial yaw": [0, 90], "level": [0, 1]},

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from eagor import plugins
-from eagor._checks import whole, within
+from eagor._checks import within
 from eagor._json import shown
-from eagor._version import __version__
 from eagor.errors import EagorError
 
 GROUP = "eagor.benchmarks"
@@ -195,41 +194,6 @@ def read_options(benchmark: Benchmark, values: Mapping[str, Any]) -> dict[str, A
     return {
         name: option.read(name, given[name]) if name in given else option.default
         for name, option in benchmark.options.items()
-    }
-
-
-def settled(benchmark: Benchmark, settings: Mapping[str, Any], looking: Sequence[str], truth: str) -> dict[str, Any]:
-    """The checked common settings, the first step of `Benchmark.settle`. Raises `EagorError` for invalid ones.
-
-    `looking`: the agents that need a perception; `truth`: what the perception truth is in this benchmark, in words.
-    """
-    agent = settings.get("agent") or next(iter(benchmark.agents))
-    if agent not in benchmark.agents:
-        raise EagorError(f"{benchmark.name} has no agent {agent!r}; it has {', '.join(benchmark.agents)}")
-    perception, model = settings.get("perception"), settings.get("model")
-    if agent in looking and not perception:
-        raise EagorError(
-            f"the agent {agent} needs a perception: name one with --perception, such as a model (folder or hub name), "
-            f"endpoint:MODEL@ADDRESS, or truth ({truth})"
-        )
-    if agent == TALKING and not model:
-        raise EagorError(
-            f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, a folder "
-            "or hub name, or package.module:function"
-        )
-    seed = settings.get("seed") or 0
-    if not whole(seed, 0):
-        raise EagorError(f"seed = {seed!r}; wanted a whole number, 0 or more")
-    return {
-        "task": benchmark.name,
-        "data": str(settings["data"]),
-        "agent": agent,
-        "perception": perception if agent in looking else None,
-        "model": model if agent == TALKING else None,
-        "seed": int(seed),
-        **read_options(benchmark, {name: settings.get(name) for name in benchmark.options}),
-        **({"calibrated": settings["calibrated"]} if settings.get("calibrated") and agent in looking else {}),
-        "versions": {"eagor": __version__},
     }
 
 

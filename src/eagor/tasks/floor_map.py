@@ -26,6 +26,16 @@ THICK = 0.3  # metres behind its contact that a thing reaches at least
 MARGIN = 1.5  # metres of unknown ground around all that is known
 BLOCK = 12  # cells by which the grid grows
 UNKNOWN, FLOOR, CONTACT = range(3)
+# What a metre costs on what is unknown, on the floor, and where something stands, in metres of floor: a contact may be
+# seen a cell off, so it is no wall.
+COSTS = np.array([2.0, 1.0, 15.0])
+HELD = 20.0  # ... and more for each time that the body was held up there
+STOOD = 1.0  # ... and for each time that it stood there: a way that led to and fro is not the way (Korf, 1990)
+TIGHT, CLOSE = 4.0, 1.5  # ... times more within the body's radius of what stands, and within `SPARE` metres more
+SPARE = 0.15
+BESIDE = 1.2  # metres from a thing: close enough to have come to it
+NEAR = 0.5  # metres between two places that are one
+LOOK = 1.5  # metres: longest straight stretch of a way
 
 
 @dataclass
@@ -150,18 +160,6 @@ def _shows(floor: np.ndarray, world_R_body: np.ndarray, away: np.ndarray, height
     grid = ErpGrid(*floor.shape)
     x, y, _ = grid.project(rays)
     return floor[np.minimum(y.astype(np.intp), grid.height - 1), x.astype(np.intp) % grid.width]
-
-
-# What a metre costs on what is unknown, on the floor, and where something stands, in metres of floor: a contact may be
-# seen a cell off, so it is no wall.
-COSTS = np.array([2.0, 1.0, 15.0])
-HELD = 20.0  # ... and more for each time that the body was held up there
-STOOD = 1.0  # ... and for each time that it stood there: a way that led to and fro is not the way (Korf, 1990)
-TIGHT, CLOSE = 4.0, 1.5  # ... times more within the body's radius of what stands, and within `SPARE` metres more
-SPARE = 0.15
-BESIDE = 1.2  # metres from a thing: close enough to have come to it
-NEAR = 0.5  # metres between two places that are one
-LOOK = 1.5  # metres: longest straight stretch of a way
 
 
 @dataclass(frozen=True, eq=False)

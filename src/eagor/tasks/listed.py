@@ -33,6 +33,7 @@ HABITAT = "habitat"  # the world in which scenes of others can be played
 _APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
 STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
 _PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
+OFF = 0.5  # metres that a start may lie above or below the ground: meshes float by the height of a voxel, or two
 
 
 @dataclass(frozen=True)
@@ -196,9 +197,6 @@ def _mark(path: Path) -> tuple[str, int, int]:
     except OSError:
         return str(path), 0, 0
     return str(path), found.st_mtime_ns, found.st_size
-
-
-OFF = 0.5  # metres that a start may lie above or below the ground: meshes float by the height of a voxel, or two
 
 
 @dataclass(frozen=True, eq=False)

@@ -191,7 +191,7 @@ def _made(spec: str, make: Any) -> Chat:
 
 @lru_cache(maxsize=1)
 def shared_chat(spec: str) -> Chat:
-    """The model that `spec` names, made once per process for all callers; `eagor.tasks.eyes.release` frees it.
+    """The model that `spec` names, made once per process for all callers; `release` frees it.
 
     Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
     """

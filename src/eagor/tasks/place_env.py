@@ -50,6 +50,11 @@ Actions = Literal["continuous", "discrete"]
 STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order
 # Answers as indices: directions 5 degrees apart, so none is farther than 3.6 degrees from one of them.
 AZIMUTHS, ELEVATIONS = 72, 37
+BOBS_PER_SECOND = 2.0
+FAR = 100.0  # metres: ranges in observations are clipped to this
+EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
+POSE_BOUNDS = np.array([EXTENT] * 3 + [1.0] * 4)
+VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, if the rules do not say
 
 
 def answer_space() -> spaces.Box:
@@ -120,9 +125,6 @@ def indices_of_answer(answer: np.ndarray) -> tuple[int, int]:
     azimuth, elevation = (float(angle) for angle in azimuth_elevation(np.asarray(answer, dtype=np.float64)))
     row = round((elevation / math.pi + 0.5) * (ELEVATIONS - 1))
     return round(azimuth / (2 * math.pi) * AZIMUTHS) % AZIMUTHS, min(max(row, 0), ELEVATIONS - 1)
-
-
-BOBS_PER_SECOND = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +203,6 @@ class Carrier:
         sway = math.radians(self.disturbances.sway)
         turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
         return Pose(np.array([xy[0], xy[1], height]), turned)
-
-
-FAR = 100.0  # metres: ranges in observations are clipped to this
-EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
-POSE_BOUNDS = np.array([EXTENT] * 3 + [1.0] * 4)
-VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, if the rules do not say
 
 
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):

@@ -34,6 +34,8 @@ LOOK_ROWS = 64  # of the id panoramas that decide visibility, and that `truth` r
 FLOORS = ("floor", "rug")  # categories that one walks on
 LEVEL = 0.02  # metres: where nothing is called a floor, it is what lies as high as the ground, to within this
 UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # never targets
+SHAPE = 3, 4  # rows and columns of the picture, up to a factor
+MASK_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,10 +132,6 @@ def load_place(world: str, seed: int, radius: float) -> Place:
 def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:
     """The number of pixels of an id image that show one of the targets."""
     return int(sum(np.count_nonzero(ids == target) for target in targets))
-
-
-SHAPE = 3, 4  # rows and columns of the picture, up to a factor
-MASK_ROWS = 256
 
 
 def in_view(camera: Camera, rows: int) -> np.ndarray | None:

@@ -193,7 +193,7 @@ def along_floor(distance: float | None, direction: np.ndarray) -> float | None:
 
 @dataclass
 class SearchedGround:
-    """The ground of one episode; an `eagor.tasks.looks.Space` about the body that stands on it.
+    """The ground of one episode; a `Space` about the body that stands on it.
 
     `radius`: of the body, metres. `hfov`: what its camera sees across, straight ahead, radians; 2 pi: all around.
     `here` ``(2,)``: where the body is, metres, world frame. Cells ``(..., 2)`` are rows and columns of `known`.

@@ -32,6 +32,12 @@ PATIENCE = 30  # times that the body is held up on its way to a place before it 
 REACHED = 0.3  # metres from a goal
 RANGE = 5.0  # metres to a target whose distance is unknown
 ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distance: its logarithm) means the same place
+NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
+WORTH = 0.4  # a goal is given up when it is worth less than this share of what it promised, per metre left
+FACED = 1e-6  # radians
+STANDING = 0.25  # metres that a standing body counts for a step of a turn
+NEARER = 1e-5  # nats per degree: where every turn costs the same, the nearest of looks that tell as much
+Where = TypeVar("Where", bound=Space)
 
 
 @dataclass
@@ -133,15 +139,6 @@ def _free(known: FloorMap, now: SteeringInput) -> float:
     cells = np.where(inside[:, None], cells, 0)
     stands = inside & (known.state[cells[:, 0], cells[:, 1]] == CONTACT)
     return float(metres[stands.argmax()]) if stands.any() else RANGE
-
-
-NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
-WORTH = 0.4  # a goal is given up when it is worth less than this share of what it promised, per metre left
-FACED = 1e-6  # radians
-STANDING = 0.25  # metres that a standing body counts for a step of a turn
-NEARER = 1e-5  # nats per degree: where every turn costs the same, the nearest of looks that tell as much
-
-Where = TypeVar("Where", bound=Space)
 
 
 @dataclass

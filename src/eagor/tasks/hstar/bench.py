@@ -10,19 +10,17 @@ from typing import Any
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
+from eagor.tasks.benchmark import Case, Figure, Option, Record
 from eagor.tasks.hstar import data as files
 from eagor.tasks.hstar import lmms
-from eagor.tasks.hstar.agents import AGENTS, LOOKING, SWEEP
 from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind
-from eagor.tasks.hstar.looking import open_perception
-from eagor.tasks.hstar.play import CAUSES, judged
+from eagor.tasks.hstar.perception import open_perception
+from eagor.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged
 from eagor.tasks.hstar.prompts import WINDOW
 from eagor.tasks.hstar.rules import FARTHEST_ANSWER, FORMS, MAX_TURNS, SCORINGS, checked_scoring, parse_action
 from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.models import shared_chat
-from eagor.tasks.published import finished
+from eagor.tasks.published import Export, PublishedBenchmark, finished
 
 OPTIONS = {
     "scoring": Option("official", "what counts as success", SCORINGS),
@@ -38,20 +36,17 @@ OPTIONS = {
     "window": Option(WINDOW, "turns of conversation that the model is shown", tuple(range(1, 51))),
 }
 MOST_ROWS = 8640  # of a view: more is taken for a mistake
-EXPORTS = {
-    "lmms-eval": "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
-    "hstar-txt": "the published level file: level, successes, episodes; and at which step successes came",
-}
 
 
 @dataclass(frozen=True)
-class HStar:
+class HStar(PublishedBenchmark):
     """One half of H*Bench; see `eagor.tasks.benchmark.Benchmark`."""
 
     kind: Kind
     title: str
     work = "eagor.tasks.hstar.play:work"
-    agents, options, exports, causes = AGENTS, OPTIONS, EXPORTS, CAUSES
+    agents, options, causes = AGENTS, OPTIONS, CAUSES
+    looking, truth = LOOKING, "the annotations through noise, for studies"
 
     @property
     def name(self) -> str:
@@ -85,28 +80,30 @@ class HStar:
             found.append(Case(episode.id, episode.scene, episode.cluster, payload))
         return found
 
-    def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        found = settled(self, settings, LOOKING, "the annotations through noise, for studies")
-        SearchRules.of(found)  # complains about what nothing can be searched with
-        if not 18 <= found["resolution"] <= MOST_ROWS:
-            raise EagorError(f"resolution = {found['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
-        if found["perception"]:
-            open_perception(found["perception"])
-        if found["model"]:
-            shared_chat(found["model"])
-        return found
+    def check(self, settings: Mapping[str, Any]) -> None:
+        SearchRules.of(settings)  # complains about what nothing can be searched with
+        if not 18 <= settings["resolution"] <= MOST_ROWS:
+            raise EagorError(f"resolution = {settings['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
+        if settings["perception"]:
+            open_perception(settings["perception"])
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         answer, reason = _submission(prediction, settings.get("form", FORMS[0]))
         episode, scoring = Episode.from_json(case.payload["episode"]), checked_scoring(settings["scoring"])
         return judged(episode, answer, scoring, case.payload["siblings"], [{"shown": 1.0}], reason)
 
-    def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        if to == "lmms-eval":
-            return lmms.write(self.kind, settings, folder)
-        if to == "hstar-txt":
-            return level_file(self.kind, records, folder)
-        raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")
+    @property
+    def writers(self) -> Mapping[str, Export]:
+        return {
+            "lmms-eval": Export(
+                "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
+                lambda records, settings, folder: lmms.write(self.kind, settings, folder),
+            ),
+            "hstar-txt": Export(
+                "the published level file: level, successes, episodes; and at which step successes came",
+                lambda records, settings, folder: level_file(self.kind, records, folder),
+            ),
+        }
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)")

@@ -18,13 +18,13 @@ from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind, read_episodes
 from eagor.tasks.hstar.prompts import WINDOW, Talk
 from eagor.tasks.hstar.rules import FORMS, MAX_TURNS, Action, submit_succeeds
-from eagor.tasks.task_files import write_task
+from eagor.tasks.published import write_task
 
 Doc = Mapping[str, Any]
 
 
 def write(kind: Kind, settings: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the task ``eagor_hstar_<kind>`` into `folder` (`eagor.tasks.task_files`); returns the files.
+    """Write the task ``eagor_hstar_<kind>`` into `folder` (`eagor.tasks.published`); returns the files.
 
     The episodes hold the paths of their panoramas on this machine.
     """

@@ -1,26 +1,54 @@
-"""Plays one episode, writes its record, and finds the cause of a failure."""
+"""The agents of H*Bench, how they play an episode, its record, and the cause of a failure.
+
+Agents: ours, a fixed sweep, the model alone, single-view baselines, and blind ones. An agent gets the current view, may
+look, and returns an action. At every turn it also returns the answer that it would submit if the episode ended there,
+so that success by turn needs no further runs.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from eagor.conventions import direction_from_hstar
+from eagor._arrays import to_numpy
+from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, HistogramFilter
+from eagor.conventions import direction_from_hstar, hstar_from_direction
+from eagor.evidence import Evidence
+from eagor.evidence.coverage import looked_at
+from eagor.perception.vlm.talk import Chat
 from eagor.sphere import angular_distance
-from eagor.tasks.hstar.agents import LOOKING, RESPONDS, Agent, VlmAgent, make_agent
-from eagor.tasks.hstar.camera import visible_share
+from eagor.tasks.hstar.camera import View, visible_share
 from eagor.tasks.hstar.data import Episode
-from eagor.tasks.hstar.looking import open_eye, open_perception
-from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Scoring, checked_scoring, submit_succeeds, window_of
-from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.hstar.words import head_of, tag_of
-from eagor.tasks.models import shared_chat
-from eagor.tasks.published import reader
+from eagor.tasks.hstar.perception import Eye, Look, head_of, open_eye, open_perception, tag_of
+from eagor.tasks.hstar.prompts import Talk
+from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Action, Scoring, checked_scoring, submit_succeeds, window_of
+from eagor.tasks.hstar.search import Answer, Search, SearchRules
+from eagor.tasks.models import digest, shared_chat
+from eagor.tasks.published import luck, reader
+from eagor.tasks.searcher import Searcher
 
+AGENTS = {
+    "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
+    "vlm": "the model alone, shown view after view, answers with actions",
+    "centroid": "submits the mean pixel of the first view that responds; follows a fixed sweep until then",
+    "cent-circ": "the same with a circular mean of the yaw",
+    "grid": "a Bayes filter on a grid of directions, over the fixed sweep",
+    "sweep": "ten views in a fixed order, then the best single response of them",
+    "single": "submits what the first view says",
+    "oracle": "knows the answer; submits it at once",
+    "random": "submits a random direction near the horizon at once",
+    "constant": "submits straight ahead at once",
+}
+LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
+# Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
+SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
+RESPONDS = 0.3  # response from which on a per-view agent counts a detection
+Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in the world, and whether to stop with it
 # In order of precedence: the first that applies is the cause.
 CAUSES = {
     "format": "no valid submission: replies could not be read",
@@ -33,6 +61,211 @@ CAUSES = {
     "false_detection": "something else responded, or was taken for it",
 }
 NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One turn: an action (None: an invalid one), the answer it would submit now, and notes for the record."""
+
+    action: Action | None
+    would: Answer
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+Agent = Callable[[View, bool], Turn]  # the turn at this view; True: it is the last one
+
+
+def _submit(answer: Answer) -> Action:
+    return Action("submit", answer.yaw, answer.pitch)
+
+
+def _rotate(now: View, to: View) -> Action:
+    """The rotation from one view to another, the short way around."""
+    return Action("rotate", round((to.yaw - now.yaw + 180) % 360 - 180), round(to.pitch - now.pitch))
+
+
+class EagorAgent:
+    """Our agent: an `eagor.tasks.searcher.Searcher` over the views of `eagor.tasks.hstar.search`.
+
+    Every turn of the camera costs one of the episode's turns, whatever its angle.
+    """
+
+    def __init__(self, episode: Episode, eye: Eye, rules: SearchRules) -> None:
+        self._eye = eye
+        self.searcher = Searcher(Search.begin(episode.kind, rules), handover=rules.sure)
+
+    def __call__(self, view: View, last: bool) -> Turn:
+        look = self._eye(view)
+        search = self.searcher.space = self.searcher.space.seen(look.evidence, look.world_R_capture, view)
+        answer = search.answer()
+        to = self.searcher.face(view.heading, answer.probability)
+        action = _submit(answer) if last or to is None else _rotate(view, View.facing(to))
+        return Turn(action, answer, _peak(look) | {"sure": to is None})
+
+
+class VlmAgent:
+    """Asks a `Chat`. Until it submits, its answer is the camera's direction."""
+
+    def __init__(self, episode: Episode, chat: Chat, form: str, window: int, resolution: int) -> None:
+        self._talk, self._chat = Talk(episode, form, window, resolution), chat
+
+    def __call__(self, view: View, last: bool) -> Turn:
+        self._talk.look(view)
+        messages = self._talk.messages()
+        said = self._chat(messages)
+        reply = self._talk.hear(said.text)
+        action = reply.action
+        notes: dict[str, Any] = {
+            "raw": said.text,
+            "prompt": digest(messages),
+            "format": reply.format_correct,
+            "valid": action is not None,
+            "pixels": list(messages[-1].images[0].shape[:2]),
+        }
+        if said.prompt_tokens is not None:
+            notes["tokens"] = [said.prompt_tokens, said.completion_tokens]
+        if action is not None and action.kind == "submit":
+            return Turn(action, Answer(action.yaw, action.pitch, math.nan), notes)
+        return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch), math.nan), notes)
+
+
+def blind(yaw: float, pitch: float, probability: float = math.nan) -> Agent:
+    """Submits one direction immediately."""
+    answer = Answer(round(yaw) % 360, round(pitch), probability)
+    return lambda view, last: Turn(_submit(answer), answer)
+
+
+class SweepAgent:
+    """Looks along `SWEEP`, passes each look to `read`, and submits after `views` looks or when `read` says so."""
+
+    def __init__(self, episode: Episode, eye: Eye, read: Reading, views: int = len(SWEEP)) -> None:
+        self._eye, self._read, self._start = eye, read, episode.start
+        self._views, self._turn = min(views, len(SWEEP)), 0
+
+    def __call__(self, view: View, last: bool) -> Turn:
+        look = self._eye(view)
+        direction, content = self._read(look)
+        yaw, pitch = hstar_from_direction(direction)
+        answer = Answer(round(float(yaw)) % 360, round(float(pitch)), math.nan)
+        self._turn += 1
+        if last or content or self._turn >= self._views:
+            return Turn(_submit(answer), answer, _peak(look))
+        to = View((self._start + SWEEP[self._turn][0]) % 360, SWEEP[self._turn][1])
+        return Turn(_rotate(view, to), answer, _peak(look))
+
+
+class BestView:
+    """The strongest single response of all views so far; without any, the middle of the first view."""
+
+    def __init__(self) -> None:
+        self._best, self._direction = -1.0, np.zeros(3)
+
+    def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
+        direction, height = peak_of(look)
+        if height > self._best + 1e-6:
+            self._best, self._direction = height, direction
+        return self._direction, False
+
+
+class PerView:
+    """A per-frame baseline; it stops at the first view that responds."""
+
+    def __init__(self, baseline: DirectionFilter) -> None:
+        self._baseline = baseline
+
+    def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
+        if peak_of(look)[1] >= RESPONDS:
+            return look.world_R_capture @ self._baseline.update(_without_floor(look)).direction(), True
+        return look.world_R_capture @ np.asarray(look.evidence.grid.directions[_middle(look)]), False
+
+
+class OnGrid:
+    """A Bayes filter on a grid of directions, fixed in the world."""
+
+    def __init__(self) -> None:
+        self._filter: HistogramFilter | None = None
+
+    def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
+        calibration = look.evidence.calibration
+        start = self._filter or HistogramFilter(calibration=calibration, mixing=1e-4)
+        turned = HistogramFilter(
+            start.log_map, look.world_R_capture.T, calibration, diffusion=start.diffusion, mixing=start.mixing
+        )
+        self._filter = turned.update(look.evidence)
+        return look.world_R_capture @ self._filter.direction(), False
+
+
+_READINGS: dict[str, Callable[[], Reading]] = {
+    "sweep": BestView,
+    "grid": OnGrid,
+    "centroid": lambda: PerView(Centroid()),
+    "cent-circ": lambda: PerView(CircularCentroid()),
+    "single": lambda: lambda look: (peak_of(look)[0], True),
+}
+
+
+def make_agent(name: str, episode: Episode, eye: Eye | None, rules: SearchRules, views: int, seed: int) -> Agent:
+    """The agent with this name for one episode, for agents that ask no model; those in `LOOKING` need an eye."""
+    if eye is not None:
+        if name == "eagor":
+            return EagorAgent(episode, eye, rules)
+        return SweepAgent(episode, eye, _READINGS[name](), views)
+    if name == "oracle":
+        yaw, pitch = window_of(episode.item).centre
+        return blind(yaw, max(-90, min(90, pitch)), 1.0)
+    if name == "random":
+        rng = np.random.default_rng(luck(seed, episode.id))
+        return blind(int(rng.integers(360)), float(rng.normal(-10, 15)))
+    return blind(episode.start, 0)
+
+
+def peak_of(look: Look) -> tuple[np.ndarray, float]:
+    """Direction ``(3,)`` in the world frame and value of the response's maximum; the middle of the view if flat."""
+    response = _response(look)
+    if np.ptp(response[response >= 0]) < 1e-6:
+        place = _middle(look)
+    else:
+        place = np.unravel_index(int(response.argmax()), response.shape)
+    direction = look.world_R_capture @ np.asarray(look.evidence.grid.directions[place])
+    return direction, max(float(response.max()), 0.0)
+
+
+def _peak(look: Look) -> dict[str, Any]:
+    """The strongest response of a look, for the record."""
+    direction, height = peak_of(look)
+    yaw, pitch = hstar_from_direction(direction)
+    found: dict[str, Any] = {
+        "peak": {"yaw": round(float(yaw), 1), "pitch": round(float(pitch), 1), "score": round(height, 3)}
+    }
+    source = look.evidence.source
+    return found | ({"source": dict(source)} if source else {})
+
+
+def _looked_at(look: Look) -> np.ndarray:
+    seen = look.evidence.seen
+    if seen is None or not seen[-1]:
+        return np.ones(look.evidence.grid.shape, dtype=bool)
+    return looked_at(seen)
+
+
+def _response(look: Look) -> np.ndarray:
+    """The response ``(H, W)``, -1 in cells that were not looked at."""
+    return np.where(_looked_at(look), to_numpy(look.evidence.response).astype(np.float64), -1.0)
+
+
+def _middle(look: Look) -> tuple[int, int]:
+    """The middle cell of the part that was looked at."""
+    rows, columns = np.nonzero(_looked_at(look))
+    nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
+    return int(rows[nearest]), int(columns[nearest])
+
+
+def _without_floor(look: Look) -> Evidence:
+    """The evidence minus its lowest response; otherwise per-view means would be biased towards the middle."""
+    response = _response(look)
+    floor = float(response[response >= 0].min())
+    cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)
+    return Evidence.from_response(np.clip(cleared, 0, 1), look.evidence.grid, look.evidence.calibration)
 
 
 def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:

@@ -17,11 +17,19 @@ from pathlib import Path
 import numpy as np
 
 from eagor.sphere import world_R_body
-from eagor.tasks.osr.drawing import layout_from
-from eagor.tasks.osr.geometry import FloorLine
-from eagor.tasks.osr.layout import Layout, count_label, direction_label, distance_label, grid_of
-from eagor.tasks.osr.looking import Body, Room, write_room
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP
+from eagor.tasks.osr.geometry import FloorLine, layout_from
+from eagor.tasks.osr.scoring import (
+    COUNTING,
+    DIRECTION,
+    DISTANCE,
+    MAP,
+    Layout,
+    count_label,
+    direction_label,
+    distance_label,
+    grid_of,
+)
+from eagor.tasks.osr.sightings import Body, Room, write_room
 from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.published import any_yaw, save_panorama
 from eagor.tasks.rules import Camera

@@ -12,16 +12,13 @@ from eagor._csv import as_csv
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record, settled
-from eagor.tasks.models import shared_chat
+from eagor.tasks.benchmark import Case, Figure, Option, Record
 from eagor.tasks.osr import lmms
-from eagor.tasks.osr.agents import AGENTS, LOOKING, Reply
 from eagor.tasks.osr.data import SUFFIXES, Scene, load, load_kept
-from eagor.tasks.osr.looking import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
-from eagor.tasks.osr.play import judged
-from eagor.tasks.osr.prompts import FORMS
+from eagor.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
-from eagor.tasks.published import finished, picture_size
+from eagor.tasks.osr.sightings import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
+from eagor.tasks.published import Export, PublishedBenchmark, finished, picture_size
 
 OPTIONS = {
     "labels": Option(
@@ -41,10 +38,6 @@ OPTIONS = {
     ),
     "camera_height": Option(HEIGHT, "metres above the floor; it scales the room, and matters with depth values"),
     "degree": Option(15, "of eagor's harmonics", tuple(range(3, 64))),
-}
-EXPORTS = {
-    "osr-csv": "the table of answers and scores that the published runner writes, one file for each scene",
-    "lmms-eval": "a folder of task files for lmms_eval --include_path, with the questions and their pictures' paths",
 }
 COLUMNS = ("image_id", "model", "turn_id", "skills_tested", "question", "model_answer", "ground_truth", "score")
 
@@ -75,13 +68,14 @@ def _tagged(tag: str) -> Reader:
     return lambda record: record["score"] if tag in record["tags"] else None
 
 
-class OsrBench:
+class OsrBench(PublishedBenchmark):
     """OSR-Bench; see `eagor.tasks.benchmark.Benchmark`."""
 
     name = "osr"
     title = "OSR-Bench"
     work = "eagor.tasks.osr.play:work"
-    agents, options, exports = AGENTS, OPTIONS, EXPORTS
+    agents, options = AGENTS, OPTIONS
+    looking, truth = LOOKING, f"the true places, for data that has a {FILE} in each scene"
     record: ClassVar = {
         "skill": "text", "tags": "texts", "scores": "figures", "question": "text", "answer": "text",
         "lenient?": "figures", "map_range?": "figures", "map?": "object",
@@ -136,16 +130,12 @@ class OsrBench:
             if settings["skill"] in ("all", question.skill)
         ]
 
-    def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        found = settled(self, settings, LOOKING, f"the true places, for data that has a {FILE} in each scene")
-        if found["camera_height"] <= 0:
-            raise EagorError(f"camera_height = {found['camera_height']}; wanted metres above the floor, above 0")
-        if found["perception"]:
-            _check_files(found)
-            open_looker(found["perception"], found)
-        if found["model"]:
-            shared_chat(found["model"])
-        return found
+    def check(self, settings: Mapping[str, Any]) -> None:
+        if settings["camera_height"] <= 0:
+            raise EagorError(f"camera_height = {settings['camera_height']}; wanted metres above the floor, above 0")
+        if settings["perception"]:
+            _check_files(settings)
+            open_looker(settings["perception"], settings)
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         told = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
@@ -155,12 +145,17 @@ class OsrBench:
         scene = next(scene for scene in scenes if scene.id == case.payload["scene"])
         return judged(scene, scene.by_id[case.payload["question"]], Reply(told), settings)
 
-    def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        if to == "osr-csv":
-            return csv_files(records, settings, folder)
-        if to == "lmms-eval":
-            return lmms.write(settings, folder)
-        raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(EXPORTS)}")
+    @property
+    def writers(self) -> Mapping[str, Export]:
+        return {
+            "osr-csv": Export(
+                "the table of answers and scores that the published runner writes, one file for each scene", csv_files
+            ),
+            "lmms-eval": Export(
+                "a folder of task files for lmms_eval --include_path, with the questions and their pictures' paths",
+                lambda records, settings, folder: lmms.write(settings, folder),
+            ),
+        }
 
 
 OSR = OsrBench()

@@ -24,8 +24,7 @@ from typing import Any
 from eagor._json import parsed, shown
 from eagor._lazy import lazy
 from eagor.errors import FormatError
-from eagor.tasks.osr.layout import layout_of, mirrored, swapped
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
+from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS, layout_of, mirrored, swapped
 
 SUFFIXES = ("qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap")
 WITHOUT = "_without_cogmap"

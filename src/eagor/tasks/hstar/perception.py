@@ -1,9 +1,13 @@
-"""Perception of a view: any perception, or `truth`, a simulated detector of known quality based on the annotations."""
+"""Perception of a view: any perception, or `truth`, a simulated detector of known quality based on the annotations.
+
+It is asked for the target in the task's words, from which also follows what makes a target hard (`tag_of`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,18 +23,85 @@ from eagor.perception import Perception
 from eagor.perception.noise import Noise
 from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Report, displaced, drawn
+from eagor.queries import singular
 from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view, without_cross
 from eagor.tasks.hstar.data import Episode, open_panorama
-from eagor.tasks.hstar.words import head_of, phrase_of, thing_of
 from eagor.tasks.models import shared
 from eagor.tasks.published import luck
 
+FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
+# Things that any detector knows well: everyday nouns of homes, offices, shops and streets.
+COMMON = frozenset(
+    """
+    air conditioner airplane apple armchair backpack bag ball banana barrel basin basket bathtub bed bench bicycle
+    bike bin bird blanket blender blind board boat book bookcase bookshelf bottle bowl box bread broom bucket
+    building bus cabinet cake camera candle car carpet cart cat ceiling chair chandelier clock closet coat coffee
+    computer cone cooker couch counter cup cupboard curtain cushion desk dishwasher dog door drawer dress dresser
+    dryer elevator entrance escalator exit extinguisher fan faucet fence fireplace flag floor flower fork fountain
+    frame fridge glass guitar handbag hat headphones heater helmet house jacket jar kettle keyboard kitchen knife
+    ladder lamp laptop lid light locker luggage machine magazine man mat mattress microwave mirror monitor
+    motorcycle mouse mug newspaper nightstand notebook ottoman oven painting pan paper pen person phone photo piano
+    picture pillar pillow pipe plant plate platform pool pot poster printer projector radiator railing refrigerator
+    road robot rug scooter screen sculpture seat shampoo shelf ship shirt shoe shop shower sign sink skateboard sky
+    sofa speaker spoon staircase stair stand statue stool stove street suitcase sunglasses switch table tablet tap
+    teapot telephone television tent tie tile toilet towel toy train trash tray tree truck tub tv umbrella urinal
+    vacuum van vase vehicle wall wallet wardrobe washer watch water whiteboard window wine woman
+    """.split()  # noqa: SIM905
+)
+_VERBS = r"(?:please\s+)?(?:find|locate|look for|search for|go to|navigate to|get to|move to|reach|walk to|show me)\s+"
+_ARTICLES = r"^(?:the|a|an|some|any|your|my|one of the|way to the|path to the|way to|path to)\s+"
+_BREAKS = re.compile(
+    r"\s+(?:of|on|in|at|by|with|near|next|under|above|behind|below|beside|between|from|that|which|whose|to|for|along|"
+    r"inside|outside|against|across|around|where|labell?ed|named|called|saying|showing|reading)\s+|[,;(]"
+)
+_TEXT = re.compile(
+    r"""["“”«»]|(?<!\w)'[^']+'|\b(?:sign|says?|saying|labell?ed|logo|number|letters?|word|text|reading|written|named|"""
+    r"""called|brand)\b|\d"""
+)
 # Tuned on development apartments (benchmarks/search.py --fit).
 CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
 LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
 NARROWEST = resolved(15)  # radians, standard deviation of truth's reports: what a belief of the default degree holds
 WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
+
+
+def thing_of(task: str) -> str:
+    """The target of a task such as "Find the red chair by the door.": "red chair by the door"."""
+    text = " ".join(task.split()).rstrip(".!? ")
+    text = re.sub(f"^{_VERBS}", "", text, flags=re.IGNORECASE)
+    text = re.sub(_ARTICLES, "", text, flags=re.IGNORECASE)
+    return text or task
+
+
+def phrase_of(task: str) -> str:
+    """The target without its surroundings: "red chair"."""
+    return _BREAKS.split(thing_of(task), maxsplit=1)[0].strip() or thing_of(task)
+
+
+def head_of(task: str) -> str:
+    """The noun of the target, singular and lower case: "chair"."""
+    words = re.findall(r"[a-z][a-z-]*", phrase_of(task).lower())
+    return singular(words[-1]) if words else thing_of(task).lower()
+
+
+def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The tag of a target; `others` are the scene's other entries. The paper names the tags; the rules are ours.
+
+    ``ocr_fine``: the words quote or name text, numbers or a brand (a capital inside the words), or the box is tiny.
+    ``multi_instance``: another entry of the scene has the same noun. ``rare``: the noun is not among `COMMON`.
+    """
+    task = str(item["task"])
+    phrase = phrase_of(task)
+    branded = any(word[:1].isupper() for word in phrase.split()) and not phrase.isupper()
+    yaw, pitch = item["yaw"], item.get("pitch")
+    tiny = pitch is not None and (yaw[1] - yaw[0]) % 360.0 < FINE and pitch[1] - pitch[0] < FINE
+    if _TEXT.search(thing_of(task).lower()) or branded or phrase.isupper() or tiny:
+        return "ocr_fine"
+    head = head_of(task)
+    if any(head_of(str(other["task"])) == head for other in others):
+        return "multi_instance"
+    return "plain" if head in COMMON or singular(head) in COMMON else "rare"
 
 
 @dataclass(frozen=True, eq=False)
