@@ -62,7 +62,7 @@ from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking.poses import PoseHistory
 from eagor.worlds.render import Renderer
-from eagor.worlds.routes import along, length_of
+from eagor.worlds.walkable import along, length_of
 
 SCENES = ("standing robot, rolling ball", "walking robot, lying ball", "walking robot, rolling ball")
 QUERY, SPEED = "red ball", 0.3  # m/s, of a ball that rolls

@@ -37,7 +37,7 @@ from eagor import worlds
 from eagor.grids import ErpGrid
 from eagor.sphere import unit, world_R_body
 from eagor.tasks.places import APARTMENT
-from eagor.worlds.opened import view_of
+from eagor.worlds import view_of
 from eagor.worlds.scene import STRUCTURE
 from eagor.worlds.walkable import Walkable
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from eagor import worlds
 from eagor.tasks.places import Place
+from eagor.worlds import ground_of, view_of
 from eagor.worlds.apartment import generate
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.opened import ground_of, view_of
 from eagor.worlds.render import Renderer
 
 RADIUS = 0.18  # metres: of the body

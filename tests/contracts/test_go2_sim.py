@@ -32,7 +32,7 @@ from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.robots.go2.wire_settings import WireSettings
 from eagor.sphere import world_R_body
-from eagor.worlds.ball import Ball
+from eagor.worlds.render import Ball
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -15,8 +15,7 @@ from strategies import rotations
 from eagor import conventions as conv
 from eagor.errors import WorldError
 from eagor.sphere import rotation
-from eagor.worlds.glb import export_glb, import_glb
-from eagor.worlds.gltf import name_from_nodes
+from eagor.worlds.glb import export_glb, import_glb, name_from_nodes
 from eagor.worlds.ground import Ground
 from eagor.worlds.objectnav import (
     Episode,

@@ -15,9 +15,8 @@ from eagor.perception.scout.resizing import resized, triangles
 from eagor.queries import COLOURS
 from eagor.tasks.places import Place
 from eagor.worlds.apartment import CATEGORIES, generate
-from eagor.worlds.ball import Ball, with_ball
 from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
+from eagor.worlds.render import Ball, Renderer, with_ball
 
 pytest.importorskip("onnxruntime")
 

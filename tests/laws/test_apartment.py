@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 
 from eagor.errors import WorldError
 from eagor.tasks.places import UNTARGETED
-from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, generate
+from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
 from eagor.worlds.apartment.cells import carve, rooms_of
-from eagor.worlds.apartment.designing import build
 from eagor.worlds.apartment.families import FAMILIES
 from eagor.worlds.apartment.furnisher import Furnisher, tell_apart
-from eagor.worlds.apartment.openings import LINING, OUTSIDE
 from eagor.worlds.apartment.placement import (
     corners,
     distances,
@@ -25,7 +23,7 @@ from eagor.worlds.apartment.placement import (
     leaf_footprint,
     overlaps,
 )
-from eagor.worlds.apartment.plans import draw_plan
+from eagor.worlds.apartment.plans import LINING, OUTSIDE, draw_plan
 from eagor.worlds.ground import BESIDE, Ground
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.scene import STRUCTURE
@@ -224,8 +222,8 @@ def test_a_piece_out_of_reach_is_an_error_and_never_a_scene(monkeypatch):
         far.append(apartment)
         return apartment.pieces[:1]
 
-    monkeypatch.setattr("eagor.worlds.apartment.designing._out_of_reach", out_of_reach)
-    monkeypatch.setattr("eagor.worlds.apartment.designing._ATTEMPTS", 3)
+    monkeypatch.setattr("eagor.worlds.apartment._out_of_reach", out_of_reach)
+    monkeypatch.setattr("eagor.worlds.apartment._ATTEMPTS", 3)
     with pytest.raises(WorldError, match=r"seed 3 .*walk up to the tv"):
         generate(3)
     assert len({len(each.pieces) for each in far}) > 1  # each attempt draws another one

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from eagor.errors import WorldError
 from eagor.worlds.geodesics import line_is_free
-from eagor.worlds.ground import Ground
-from eagor.worlds.occupancy import touched
+from eagor.worlds.ground import Ground, touched
 from eagor.worlds.scene import Room
 
 CELL, RADIUS = 0.05, 0.18

@@ -22,8 +22,7 @@ from eagor.worlds.lattice import Lattice
 from eagor.worlds.light import bake, hemisphere, light_of
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
-from eagor.worlds.sky import radiance
-from eagor.worlds.sources import SKY_GAIN
+from eagor.worlds.sources import SKY_GAIN, sky_radiance
 
 SIZE = np.array([5.0, 4.0, 2.6])
 EYE = (2.2, 1.7, 1.4)
@@ -300,7 +299,7 @@ def test_a_plane_under_the_open_sky_has_the_light_of_half_a_sphere():
     scene = build([("floor", None, [floor], 0)], [Material("grey", (0.5, 0.5, 0.5))])
     found = bake(scene, Lattice.of(scene)).mean(axis=0)
     ways = hemisphere(4000)
-    expected = SKY_GAIN * radiance(ways).mean(axis=0) * scene.daylight
+    expected = SKY_GAIN * sky_radiance(ways).mean(axis=0) * scene.daylight
     assert np.allclose(found, expected, rtol=0.02)
 
 

@@ -18,7 +18,7 @@ from eagor.tasks import search_space
 from eagor.tasks.floor_map import CONTACT, FLOOR, UNKNOWN
 from eagor.tasks.places import Place
 from eagor.tasks.rules import Camera
-from eagor.worlds.opened import ground_of, view_of
+from eagor.worlds import ground_of, view_of
 
 CAMERA = Camera()
 WALL = thing("wall", (5.0, 0, 0), (5.1, 6, 2.5))  # without a door: nobody sees the room behind it

@@ -13,8 +13,7 @@ from eagor.perception.colour import ColourPerception
 from eagor.queries import COLOURS
 from eagor.worlds.apartment import textures
 from eagor.worlds.apartment.canvas import TONES, Canvas, noise, sRGB
-from eagor.worlds.apartment.paintings import MOTIFS_OF, paint
-from eagor.worlds.apartment.pictures import PICTURES
+from eagor.worlds.apartment.pictures import MOTIFS_OF, PICTURES, paint
 from eagor.worlds.apartment.textures import REPEAT, SURFACES, WHOLE, material
 
 REPEATING = [(kind, variant) for kind, (count, _) in SURFACES.items() for variant in range(count) if kind not in WHOLE]

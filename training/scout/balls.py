@@ -1,8 +1,8 @@
 """Balls in stored views: the tracking task asks for them, and no apartment holds any.
 
-They are painted as the task paints them (`eagor.worlds.ball`), standing on the floor. The stored views have no ranges;
-what hides a ball is read from the picture: a thing whose lowest visible point in the columns of the ball is lower than
-the ball's own foot stands nearer.
+They are painted as the task paints them (`eagor.worlds.render`), standing on the floor. The stored views have no
+ranges; what hides a ball is read from the picture: a thing whose lowest visible point in the columns of the ball is
+lower than the ball's own foot stands nearer.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from data import HEIGHTS, moments
 
 from eagor.queries import COLOURS
 from eagor.tasks.tracking import RADIUS
-from eagor.worlds.ball import PAINTS, Ball, with_ball
-from eagor.worlds.render import Frame
+from eagor.worlds.render import PAINTS, Ball, Frame, with_ball
 from eagor.worlds.scene import STRUCTURE
 
 SHARE = 0.4  # of the views that get a ball

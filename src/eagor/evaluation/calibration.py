@@ -38,7 +38,7 @@ from eagor.tasks.tracking import TrackingEpisode
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.motion import MotionModel
 from eagor.tracking.tracker import DirectionTracker
-from eagor.worlds.ball import PAINTS
+from eagor.worlds.render import PAINTS
 
 TASKS = ("waypoint", "tracking")
 PER_PLACE = 2  # episodes of each task in an apartment: many apartments tell more than many episodes in one

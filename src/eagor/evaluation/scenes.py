@@ -193,7 +193,7 @@ def _panorama(place: Place, record: Record, pose: np.ndarray, step: int) -> str:
     ball = (episode.get("balls") or {step: None})[step]
     frame = place.renderer.panorama(pose[:3], turn, ROWS, ids=False, range=ball is not None)
     if ball is not None:
-        from eagor.worlds.ball import Ball, with_ball
+        from eagor.worlds.render import Ball, with_ball
 
         painted = Ball(np.array(ball), float(episode["radius"]), str(episode["colour"]))
         frame = with_ball(frame, pose[:3], turn, painted, len(place.scene.instances))

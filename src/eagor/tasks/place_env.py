@@ -36,8 +36,7 @@ from eagor.sphere import azimuth_elevation, direction, world_R_body
 from eagor.tasks.episodes import PER_PLACE, Episode, Slot
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, cut, load_place, pixels_of
 from eagor.tasks.rules import Camera, Disturbances
-from eagor.worlds.ball import Ball, with_ball
-from eagor.worlds.render import Frame
+from eagor.worlds.render import Ball, Frame, with_ball
 
 try:
     import gymnasium as gymnasium  # for the modules that build on these spaces

@@ -21,7 +21,7 @@ from eagor.evidence import BodyMask
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.queries import COLOURS, Query
 from eagor.tasks.rules import Camera
-from eagor.worlds.opened import ground_of, view_of
+from eagor.worlds import ground_of, view_of
 from eagor.worlds.render import Frame
 from eagor.worlds.scene import STRUCTURE, Scene
 from eagor.worlds.walkable import Walkable, Way

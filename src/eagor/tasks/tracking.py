@@ -17,9 +17,8 @@ from eagor.tasks.place_env import AnsweringEnv
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tasks.rules import Camera, TrackingRules
 from eagor.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
-from eagor.worlds.ball import PAINTS, Ball, with_ball
-from eagor.worlds.render import Frame
-from eagor.worlds.routes import follow_path, stroll
+from eagor.worlds.render import PAINTS, Ball, Frame, with_ball
+from eagor.worlds.walkable import follow_path, stroll
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
 RADIUS = (0.2, 0.32)  # metres, range for the balls

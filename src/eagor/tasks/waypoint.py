@@ -20,7 +20,7 @@ from eagor.tasks.place_env import AnsweringEnv, answering_walk_space, as_answer_
 from eagor.tasks.places import Place, load_place
 from eagor.tasks.rules import LEGS, Camera, WaypointRules
 from eagor.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
-from eagor.worlds.routes import follow_path, initial_heading
+from eagor.worlds.walkable import follow_path, initial_heading
 
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
 SLACK = 30.0  # degrees by which turns may finally miss their ranges if nothing fits

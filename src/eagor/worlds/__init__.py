@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from eagor.worlds.scene import Instance, Room, Scene
     from eagor.worlds.walkable import Walkable
 
-__all__ = ["SimulatedScene", "View", "World", "WorldOf", "known", "load"]
+__all__ = ["SimulatedScene", "View", "World", "WorldOf", "ground_of", "known", "load", "view_of"]
 
 GROUP = "eagor.worlds"
 BUILT_IN = {"apartment": "eagor.worlds.apartment:generate", "habitat": "eagor.worlds.habitat.world:WORLD"}
@@ -144,3 +144,19 @@ def load(name: str) -> World:
 
         return lambda seed: import_glb(Path(name))
     raise WorldError(f"there is no world {name!r}; known are {', '.join(sorted(choices))}, and GLB files (*.glb)")
+
+
+def ground_of(scene: Scene | SimulatedScene, radius: float) -> Walkable:
+    """The ground of what a world made, for a body of this radius. Raises `WorldError` if there is no room to stand."""
+    from eagor.worlds.ground import Ground
+    from eagor.worlds.scene import Scene
+
+    return Ground.from_scene(scene, radius=radius) if isinstance(scene, Scene) else scene.ground(radius)
+
+
+def view_of(scene: Scene | SimulatedScene) -> View:
+    """The renderer of what a world made."""
+    from eagor.worlds.render import Renderer
+    from eagor.worlds.scene import Scene
+
+    return Renderer(scene) if isinstance(scene, Scene) else scene.view()

@@ -18,8 +18,7 @@ from eagor.media.panorama import turn
 from eagor.queries import COLOURS
 from eagor.sphere import direction
 from eagor.sphere import world_R_body as pose_of
-from eagor.worlds import SimulatedScene, View, World
-from eagor.worlds.opened import ground_of, view_of
+from eagor.worlds import SimulatedScene, View, World, ground_of, view_of
 from eagor.worlds.render import Frame
 from eagor.worlds.scene import STRUCTURE, Scene
 from eagor.worlds.walkable import Walkable

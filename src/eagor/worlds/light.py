@@ -18,11 +18,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eagor._files import cache_folder
-from eagor.worlds import sky
 from eagor.worlds.lattice import Lattice
 from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
-from eagor.worlds.sources import GOLDEN, LIFT, SKY_GAIN, Source, glowing, lamps, leave_through, mean_colour, portals
+from eagor.worlds.sources import (
+    GOLDEN,
+    LIFT,
+    SKY_GAIN,
+    Source,
+    glowing,
+    lamps,
+    leave_through,
+    mean_colour,
+    portals,
+    sky_radiance,
+)
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -117,7 +127,7 @@ def _gather(
             open_sky += np.where(triangle < 0, 0, np.minimum(hits.distance, 1))[:, None] * daylight
         for window in windows:
             left = left[~leave_through(window, origin[left], way[left])]
-        open_sky[left] += sky.radiance(way[left]) * (SKY_GAIN * daylight)
+        open_sky[left] += sky_radiance(way[left]) * (SKY_GAIN * daylight)
     reflectance = np.array([mean_colour(m) for m in scene.materials], dtype=np.float32)[scene.material]
     reflectance = reflectance[lattice.slots[0]]
     radiance = np.zeros((lattice.size + 1, 3), dtype=np.float32)  # the last: nothing

@@ -1,6 +1,7 @@
 """Colour, range and instance ids of a scene, from any pose and for any grid: one ray per pixel.
 
-Frames: positions and rotations are poses in the world frame; images are in the layout of `eagor.sphere`.
+Frames: positions and rotations are poses in the world frame; images are in the layout of `eagor.sphere`. A moving ball
+is not part of a scene, but drawn into rendered frames in closed form (`with_ball`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from eagor.worlds.shading import Shader
 
 Position = np.ndarray | tuple[float, float, float]
 _QUANTA = 1 << 20  # steps of yaw per column: 1e-8 rad in a panorama of 512 columns, below the resolution of float32
+# sRGB of the balls, by the colours' names.
+PAINTS = {"red": (196, 34, 38), "blue": (38, 74, 186), "yellow": (226, 190, 40), "green": (40, 140, 66)}
+_LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,3 +186,41 @@ def _columns(height: int, remainder: int) -> tuple[np.ndarray, np.ndarray, np.nd
 def _frozen(array: np.ndarray) -> np.ndarray:
     array.setflags(write=False)
     return array
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """`centre` ``(3,)`` and `radius` in metres, world frame; `colour`, one of `PAINTS`."""
+
+    centre: np.ndarray
+    radius: float
+    colour: str
+
+
+def with_ball(frame: Frame, position: np.ndarray, world_R_body: np.ndarray, ball: Ball, id: int) -> Frame:
+    """`frame`, equirectangular and rendered at this pose with ranges, with the ball added.
+
+    It changes those of range, ids and rgb that the frame has; ids get `id`. The ball occludes and is occluded by range;
+    it casts no shadow.
+    """
+    assert frame.range is not None
+    grid = ErpGrid(*frame.range.shape)
+    offset = world_R_body.T @ (ball.centre - position)
+    # |t d - offset|^2 = radius^2 for the nearer t.
+    along = grid.directions @ offset
+    inside = along**2 - (offset @ offset - ball.radius**2)
+    hit = (inside > 0) & (along > 0)
+    distance = np.where(hit, along - np.sqrt(np.maximum(inside, 0.0)), np.inf)
+    hit &= (distance > 0) & (distance < frame.range)
+    if not hit.any():
+        return frame
+    rgb = None
+    if frame.rgb is not None:
+        normal = (distance[hit][:, None] * grid.directions[hit] - offset) / ball.radius @ world_R_body.T
+        shade = 0.35 + 0.65 * np.clip(normal @ _LIGHT, 0.0, None)  # in display values: suggests form, not physical
+        rgb = frame.rgb.copy()
+        rgb[hit] = np.clip(shade[:, None] * np.array(PAINTS[ball.colour]), 0, 255).astype(np.uint8)
+    ids = None
+    if frame.ids is not None:
+        ids = np.where(hit, np.int32(id), frame.ids)
+    return Frame(rgb=rgb, range=np.where(hit, distance, frame.range).astype(np.float32), ids=ids)

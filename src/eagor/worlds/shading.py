@@ -15,7 +15,7 @@ from eagor._srgb import to_coded, to_linear
 from eagor.worlds.lattice import Lattice, unseen
 from eagor.worlds.raycast import Hits
 from eagor.worlds.scene import Material, Scene
-from eagor.worlds.sky import look_up, painted
+from eagor.worlds.sources import look_up, painted_sky
 
 BRIGHTEST = 5.0  # light is clipped to this; 1 shows a white surface at the edge of the shoulder's range
 _KNEE = 0.4  # display values up to here are linear
@@ -52,7 +52,7 @@ class Shader:
         emission = np.array([m.emission for m in scene.materials])[scene.material][lattice.slots[0]]
         self._slots = _packed(light * exposure(scene, lattice, light) + emission[:, None], int(lattice.cells.max()) + 3)
         self._tone = _tone_table()
-        view = tone(_OUTDOORS * painted(int(scene.hash[:8], 16)))
+        view = tone(_OUTDOORS * painted_sky(int(scene.hash[:8], 16)))
         self._outdoors = np.rint(255 * to_coded(view)).astype(np.uint8)
         self._prepare(scene, lattice)
 

@@ -12,10 +12,10 @@ import numpy as np
 from eagor import worlds
 from eagor.errors import QueryError, WorldError
 from eagor.queries import COLOURS, Query, parse_query
-from eagor.worlds.ball import PAINTS, Ball
 from eagor.worlds.ground import Ground
-from eagor.worlds.routes import stroll
+from eagor.worlds.render import PAINTS, Ball
 from eagor.worlds.scene import STRUCTURE, Scene
+from eagor.worlds.walkable import stroll
 
 __all__ = ["House", "RollingBall", "Thing", "load_house"]
 

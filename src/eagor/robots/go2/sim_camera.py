@@ -12,8 +12,7 @@ from eagor._checks import require, whole, within
 from eagor._lazy import lazy
 from eagor.errors import DeviceError
 from eagor.media.frames import Pose
-from eagor.worlds.ball import Ball, with_ball
-from eagor.worlds.render import Renderer
+from eagor.worlds.render import Ball, Renderer, with_ball
 from eagor.worlds.scene import Scene
 
 __all__ = ["CameraSettings", "SimulatedCamera"]

@@ -15,7 +15,7 @@ from eagor._processes import leave_ctrl_c, leave_with_parent, starting
 from eagor.errors import DeviceError, EagorError
 from eagor.media.frames import Pose
 from eagor.robots.go2.sim_camera import CameraSettings
-from eagor.worlds.ball import Ball
+from eagor.worlds.render import Ball
 
 __all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "Moment", "PictureProcess"]
 

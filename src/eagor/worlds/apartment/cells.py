@@ -1,7 +1,7 @@
 """A plan on a grid of cells whose widths follow its lines.
 
 Each cell is air of a room, air outside, or solid. The rooms' rectangles and the free stretches of wall are read from
-it here, the surfaces of the building in `eagor.worlds.apartment.shell`.
+it here, the surfaces of the building in `eagor.worlds.apartment.building`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.worlds.apartment.openings import HALF_WALL, OUTER_WALL, OUTSIDE, Opening
-from eagor.worlds.apartment.plans import Plan
+from eagor.worlds.apartment.plans import HALF_WALL, OUTER_WALL, OUTSIDE, Opening, Plan
 from eagor.worlds.scene import Room
 
 SOLID = -2

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor.worlds.apartment.furniture import KINDS, Model, build
-from eagor.worlds.apartment.placement import Floor
-from eagor.worlds.apartment.sites import Sites, before
+from eagor.worlds.apartment.placement import Floor, Sites, before
 
 _LEAST_UNIQUE = 3
 # Without a colour of their own: fixtures take the colour of their room, and all units of a kitchen share one.

@@ -1,4 +1,8 @@
-"""Floor plans: a layout of one of the families, turned and mirrored, with doors and windows cut."""
+"""Floor plans: a layout of one of the families, turned and mirrored, with doors and windows cut.
+
+Wall lines are the centre lines of the inner walls. An outer wall has its inner face at the same distance from the line
+as an inner wall, and grows outwards. Frame: x, y of the world, metres.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +10,256 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eagor._lazy import lazy
 from eagor.errors import WorldError
 from eagor.worlds.apartment.families import FAMILIES, Layout, Rectangle
-from eagor.worlds.apartment.openings import (
-    HALF_WALL,
-    Boundary,
-    Doorway,
-    Opening,
-    Space,
-    cut_doorways,
-    cut_windows,
-    find_boundaries,
-)  # fmt: skip
 
+HALF_WALL = 0.055  # half the thickness of an inner wall
+OUTER_WALL = 0.25
+LINING = 0.03  # thickness of a door's lining, within the hole
+DOOR_HEAD = 2.08
+OUTSIDE = -1
+# Windows, metres: range of width, and the heights of sills to choose from.
+_WINDOWS: dict[str, tuple[float, float, list[float]]] = {
+    "bathroom": (0.5, 0.7, [1.45]), "living room": (1.2, 2.0, [0.45, 0.95]), "bedroom": (0.9, 1.5, [0.85, 0.95, 1.1]),
+}  # fmt: skip
 # Shortest side, and range of area in square metres, between centre lines.
 _SIZES = {
     "living room": (3.2, 13.0, 42.0), "bedroom": (2.6, 8.6, 20.0), "kitchen": (2.1, 5.6, 17.0),
     "bathroom": (1.7, 3.9, 9.5), "hall": (1.2, 2.2, 18.0), "study": (2.1, 5.5, 15.0), "dining room": (2.4, 7.0, 17.0),
 }  # fmt: skip
 _NET_AREA = (45.0, 110.0)
+
+
+@dataclass(frozen=True)
+class Space:
+    """A room between the centre lines of its walls."""
+
+    name: str
+    kind: str
+    rectangles: tuple[Rectangle, ...]
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether the point lies between the centre lines."""
+        return any(x0 <= x <= x1 and y0 <= y <= y1 for x0, y0, x1, y1 in self.rectangles)
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """A straight piece of wall line between two rooms.
+
+    `axis` 0: along x at y = `line`; 1: along y at x = `line`; from `start` to `end`; `rooms`: the indices of the rooms
+    on its low and on its high side, `OUTSIDE` if there is none.
+    """
+
+    axis: int
+    line: float
+    start: float
+    end: float
+    rooms: tuple[int, int]
+
+    def box(self, start: float, end: float, low: float, high: float) -> Rectangle:
+        """The rectangle from `start` to `end` along the line and from `low` to `high` across, relative to the line."""
+        if self.axis == 0:
+            return (start, self.line + low, end, self.line + high)
+        return (self.line + low, start, self.line + high, end)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A hole in a wall from `start` to `end` along its boundary and from `sill` to `head` in height."""
+
+    boundary: Boundary
+    start: float
+    end: float
+    sill: float
+    head: float
+
+    @property
+    def hole(self) -> Rectangle:
+        """Its rectangle on the floor, as deep as the wall."""
+        low, high = (-(OUTER_WALL - HALF_WALL) if room == OUTSIDE else -HALF_WALL for room in self.boundary.rooms)
+        return self.boundary.box(self.start, self.end, low, -high)
+
+    def approach(self, depth: float, margin: float = 0.0) -> Rectangle:
+        """The floor on both sides: `depth` metres from the line, `margin` wider at either end."""
+        low, high = (0.0 if room == OUTSIDE else depth for room in self.boundary.rooms)
+        return self.boundary.box(self.start - margin, self.end + margin, -low, high)
+
+
+@dataclass(frozen=True)
+class Doorway(Opening):
+    """A doorway. `leaf`: the opening angle of its leaf in degrees, 0 for closed, or None without a leaf.
+
+    The leaf hangs at the `start` or the end of the hole (`hinge`), and opens to the low (-1) or high (1) side.
+    """
+
+    leaf: float | None
+    hinge: bool
+    side: int
+
+    @lazy
+    def leaf_box(self) -> Rectangle | None:
+        """Bounds of the open leaf on the floor; None without one, or if it is closed."""
+        if not self.leaf:
+            return None
+        corners = np.array([self.at(along, across) for along in (0.0, self.end - self.start) for across in (0.0, 0.07)])
+        return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
+
+    def at(self, along: float, across: float) -> np.ndarray:
+        """The point ``(2,)`` `along` the open leaf from its hinge, and `across` it towards the wall behind it."""
+        angle = np.radians(self.leaf or 0.0)
+        outwards = self.side * (HALF_WALL + (0.05 if self.leaf and self.leaf > 120 else 0.0))
+        direction = 1.0 if self.hinge else -1.0
+        hinge = self.start + LINING if self.hinge else self.end - LINING
+        u = hinge + direction * (along * np.cos(angle) - across * np.sin(angle))
+        v = outwards + self.side * (along * np.sin(angle) + across * np.cos(angle))
+        return np.array([u, self.boundary.line + v] if self.boundary.axis == 0 else [self.boundary.line + v, u])
+
+
+def find_boundaries(spaces: tuple[Space, ...]) -> tuple[Boundary, ...]:
+    """Every maximal straight piece of line with one room (or none) on each side."""
+    ends = np.array([rectangle for space in spaces for rectangle in space.rectangles])
+    lines = [np.unique(ends[:, [0, 2]]), np.unique(ends[:, [1, 3]])]
+    owner = np.full((len(lines[0]) + 1, len(lines[1]) + 1), OUTSIDE)
+    for place, space in enumerate(spaces):
+        for x0, y0, x1, y1 in space.rectangles:
+            i0, i1 = np.searchsorted(lines[0], [x0, x1])
+            j0, j1 = np.searchsorted(lines[1], [y0, y1])
+            owner[i0 + 1 : i1 + 1, j0 + 1 : j1 + 1] = place
+    found = []
+    for axis in (0, 1):
+        along, across = lines[axis], lines[1 - axis]
+        cells = owner if axis == 1 else owner.T  # cells[k, m]: k counts across the line, m along it
+        for k, line in enumerate(across):
+            run: tuple[int, int] | None = None
+            start = 0.0
+            for m in range(1, len(along) + 1):
+                low, high = int(cells[k, m]), int(cells[k + 1, m])
+                pair = (low, high) if m < len(along) and low != high else None
+                if pair != run:
+                    if run is not None:
+                        found.append(Boundary(axis, float(line), start, float(along[m - 1]), run))
+                    run, start = pair, float(along[m - 1])
+    return tuple(found)
+
+
+def cut_doorways(
+    layout: Layout, spaces: tuple[Space, ...], boundaries: tuple[Boundary, ...], rng: np.random.Generator
+) -> tuple[Doorway, ...] | None:
+    """A doorway for every pair of rooms in `layout.doors`, and the front door; None if one does not fit."""
+    doorways: list[Doorway] = []
+    for low, high in [(layout.entrance, OUTSIDE), *layout.doors]:
+        between = [b for b in boundaries if set(b.rooms) == {low, high}]
+        for _ in range(60):
+            doorway = _doorway(between, spaces, rng)
+            if doorway is not None and all(_apart(doorway, other) for other in doorways):
+                doorways.append(doorway)
+                break
+        else:
+            return None
+    return tuple(doorways)
+
+
+def cut_windows(
+    spaces: tuple[Space, ...], boundaries: tuple[Boundary, ...], doorways: tuple[Doorway, ...], rng: np.random.Generator
+) -> tuple[Opening, ...]:
+    """Windows in the outer walls: wide ones in living rooms, small high ones in bathrooms."""
+    windows: list[Opening] = []
+    for place, space in enumerate(spaces):
+        outer = [b for b in boundaries if set(b.rooms) == {place, OUTSIDE}]
+        if space.kind in ("bathroom", "hall"):
+            outer = [b for b in outer if rng.random() < (0.6 if space.kind == "bathroom" else 0.3)][:1]
+        elif space.kind == "living room" and len(outer) > 1:  # one wall without windows, for the television
+            long = [b for b in outer if b.end - b.start > 2.4]
+            if long:
+                outer.remove(long[rng.integers(len(long))])
+        narrow, wide, sills = _WINDOWS.get(space.kind, _WINDOWS["bedroom"])
+        for boundary in outer:
+            free = boundary.end - boundary.start - 2 * HALF_WALL - 0.7
+            width = float(rng.uniform(narrow, wide))
+            sill = float(rng.choice(sills)) if len(sills) > 1 else sills[0]
+            count = 2 if space.kind == "living room" and free >= 2 * width + 0.8 else 1
+            if space.kind == "kitchen":
+                sill = 1.2  # above the worktop and the things on it
+            if boundary is not outer[0] and rng.random() < 0.35:
+                continue
+            width = round(min(width, free), 2)
+            if width < 0.5:
+                continue
+            for i in range(count):
+                part = free / count
+                shift = float(rng.uniform(0.2, 0.8)) if count == 1 else 0.5
+                start = round(boundary.start + HALF_WALL + 0.35 + i * part + shift * max(part - width, 0.0), 3)
+                window = Opening(boundary, start, round(start + width, 3), round(sill, 2), 2.15)
+                inside, kept = window.approach(0.3, 0.1), [d.approach(0.3, 0.15) for d in doorways]
+                kept += [d.leaf_box for d in doorways if d.leaf_box]
+                if not any(_overlap(inside, other) for other in kept):
+                    windows.append(window)
+    return tuple(windows)
+
+
+def _doorway(between: list[Boundary], spaces: tuple[Space, ...], rng: np.random.Generator) -> Doorway | None:
+    """One attempt at a doorway in one of the boundaries."""
+    if not between:
+        return None
+    boundary = between[rng.integers(len(between))]
+    entrance = OUTSIDE in boundary.rooms
+    width = round(float(rng.uniform(0.92, 1.0) if entrance else rng.uniform(0.8, 0.95)), 2) + 2 * LINING
+    corner = HALF_WALL + 0.09
+    room = boundary.end - boundary.start - 2 * corner - width
+    if room < 0:
+        return None
+    shift = float(rng.choice([0.0, room, rng.uniform(0.0, room)], p=[0.35, 0.35, 0.3]))
+    start = round(boundary.start + corner + shift, 3)
+    end = round(start + width, 3)
+    inner = -1 if boundary.rooms[0] != OUTSIDE else 1
+    if entrance:
+        return Doorway(boundary, start, end, 0.0, DOOR_HEAD, 0.0, bool(rng.random() < 0.5), inner)
+    bare = Doorway(boundary, start, end, 0.0, DOOR_HEAD, None, True, 1)
+    if rng.random() < 0.2:
+        return bare
+    ways = [(hinge, side) for hinge in (True, False) for side in (-1, 1)]
+    rng.shuffle(ways)
+    # A leaf opens into the room rather than into the hall, and leans against a wall.
+    for hinge, side in sorted(ways, key=lambda way: spaces[boundary.rooms[max(way[1], 0)]].kind == "hall"):
+        angle = _leaning(boundary, spaces[boundary.rooms[max(side, 0)]], start if hinge else end, width, hinge, side)
+        if angle is not None:
+            turned = round(angle + float(rng.uniform(-3, 1)), 1)
+            return Doorway(boundary, start, end, 0.0, DOOR_HEAD, turned, bool(hinge), int(side))
+    return bare
+
+
+def _leaning(boundary: Boundary, space: Space, at: float, width: float, hinge: bool, side: int) -> float | None:
+    """The angle at which a leaf, hung `at` this end of the hole, leans against a wall of `space`; None if it cannot."""
+    away = -1.0 if hinge else 1.0
+
+    def inside(along: float, across: float) -> bool:
+        u, v = at + away * along, boundary.line + side * across
+        return space.contains(*((u, v) if boundary.axis == 0 else (v, u)))
+
+    if not inside(0.35, 0.1):  # a corner next to the hinge: the leaf leans against the other wall
+        return 92.0 if inside(-0.1, width + 0.15) else None
+    if all(inside(x, 0.1) and not inside(x, -0.1) for x in np.linspace(0.0, width + 0.12, 8)):
+        return 171.0
+    return None
+
+
+def _apart(a: Doorway, b: Doorway) -> bool:
+    """Whether two doorways, the floor before them and their leaves keep clear of each other."""
+    if _overlap(a.approach(0.1, 0.2), b.approach(0.1, 0.2)):
+        return False
+    for one, other in ((a, b), (b, a)):
+        if one.leaf_box is not None:
+            if _overlap(one.leaf_box, other.approach(0.75, 0.02)):
+                return False
+            if other.leaf_box is not None and _overlap(one.leaf_box, other.leaf_box):
+                return False
+    return True
+
+
+def _overlap(a: Rectangle, b: Rectangle) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ import numpy as np
 from eagor._json import number, parsed, shown
 from eagor.errors import WorldError
 from eagor.queries import COLOURS, SYNONYMS
-from eagor.worlds.gltf import FORMAT
+from eagor.worlds.glb import FORMAT
 from eagor.worlds.habitat.extents import Box, from_the_origin, repaired
 from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.labels import BoxLabels, IdLabels

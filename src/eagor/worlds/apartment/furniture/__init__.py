@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.worlds.apartment.furniture import bathroom, beds, chairs, decor, kitchen, seats, storage, tables
+from eagor.worlds.apartment.furniture import decor, fixtures, seating, storage, tables
 from eagor.worlds.apartment.furniture.model import WOODS, Kind, Model, assembled
-from eagor.worlds.apartment.furniture.plants import plant
 from eagor.worlds.apartment.pictures import PICTURES
 
 __all__ = ["KINDS", "Kind", "Model", "build"]
@@ -23,10 +22,10 @@ _COVERS = ("red", "blue", "green", "brown", "white", "yellow")
 _UNITS = ("white", "grey", "beige", "brown", "green", "blue")
 _GLAZED = ("white", "blue", "green", "red", "yellow", "purple", "pink", "black")
 KINDS: dict[str, Kind] = {
-    "chair": Kind("free", ("dining room", "kitchen", "study", "bedroom", "living room"), _CHAIRS, chairs.chair),
-    "armchair": Kind("corner", _COSY, seats.CLOTHS, seats.armchair),
-    "sofa": Kind("wall", ("living room",), seats.CLOTHS, seats.sofa),
-    "bed": Kind("wall", ("bedroom",), beds.COLOURS, beds.bed),
+    "chair": Kind("free", ("dining room", "kitchen", "study", "bedroom", "living room"), _CHAIRS, seating.chair),
+    "armchair": Kind("corner", _COSY, seating.CLOTHS, seating.armchair),
+    "sofa": Kind("wall", ("living room",), seating.CLOTHS, seating.sofa),
+    "bed": Kind("wall", ("bedroom",), seating.COLOURS, seating.bed),
     "table": Kind("free", ("dining room", "kitchen", "living room"), WOODS, tables.table),
     "coffee table": Kind("free", ("living room",), (*WOODS, "grey"), tables.coffee_table),
     "desk": Kind("wall", ("study", "bedroom"), (*WOODS, "grey"), tables.desk),
@@ -36,12 +35,12 @@ KINDS: dict[str, Kind] = {
     "bookshelf": Kind("wall", ("living room", "study", *_STORING), WOODS, storage.bookshelf),
     "cabinet": Kind("wall", ("kitchen",), _UNITS, storage.cabinet),
     "book": Kind("top", ("living room", "study", "bedroom"), _COVERS, storage.book),
-    "refrigerator": Kind("wall", ("kitchen",), ("white", "grey", "black"), kitchen.refrigerator),
-    "stove": Kind("wall", ("kitchen",), ("white", "black", "grey"), kitchen.stove),
-    "sink": Kind("wall", ("bathroom", "kitchen"), ("white", "grey"), kitchen.sink),
-    "toilet": Kind("wall", ("bathroom",), ("white",), bathroom.toilet),
-    "bathtub": Kind("wall", ("bathroom",), ("white",), bathroom.bathtub),
-    "plant": Kind("corner", _ALL, ("green",), plant),
+    "refrigerator": Kind("wall", ("kitchen",), ("white", "grey", "black"), fixtures.refrigerator),
+    "stove": Kind("wall", ("kitchen",), ("white", "black", "grey"), fixtures.stove),
+    "sink": Kind("wall", ("bathroom", "kitchen"), ("white", "grey"), fixtures.sink),
+    "toilet": Kind("wall", ("bathroom",), ("white",), fixtures.toilet),
+    "bathtub": Kind("wall", ("bathroom",), ("white",), fixtures.bathtub),
+    "plant": Kind("corner", _ALL, ("green",), decor.plant),
     "lamp": Kind("corner", _COSY, _SHADES, decor.lamp),
     "rug": Kind("flat", (*_ROOMS, "bathroom"), PICTURES["rug"].colours, decor.rug),
     "painting": Kind("hung", (*_ROOMS, "kitchen"), PICTURES["art"].colours, decor.painting),

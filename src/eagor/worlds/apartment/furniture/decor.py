@@ -1,4 +1,4 @@
-"""Lamps, rugs, paintings and vases.
+"""Lamps, rugs, paintings and vases; potted plants: broad leaves, palms, sword leaves, small trees, and rosettes.
 
 Point lights are placed a little outside their shades (above that of a floor lamp, below that of a ceiling lamp).
 Inside, the shade would block their light; close to it, half of the room would lie in its shadow.
@@ -13,12 +13,214 @@ import numpy as np
 
 from eagor.worlds.apartment.curved import cylinder, lathe, quad, tube
 from eagor.worlds.apartment.furniture.model import finish, fittings, polar
-from eagor.worlds.apartment.furniture.plants import foliage, polars
-from eagor.worlds.apartment.mesh import Mesh, Part, box, moved, part
+from eagor.worlds.apartment.mesh import Mesh, Part, box, merged, moved, part, reshaped
 from eagor.worlds.apartment.textures import material
 from eagor.worlds.scene import Lamp
 
+Grown = tuple[list[Mesh], list[Mesh]]  # stems and leaves
+
+_POTS = ("white", "grey", "black", "orange", "brown", "beige", "blue", "red", "yellow")
+
+_SPREAD = 0.48  # metres from the middle that leaves may reach
 _WARM = np.array([1.0, 0.9, 0.76])  # linear light of a lamp of about 3500 K, its red at 1
+# Outlines of vases: shares of their radius and of their height.
+_VASES = (
+    ((0, 0), (0.6, 0), (1, 0.3), (0.9, 0.55), (0.4, 0.85), (0.5, 1)),
+    ((0, 0), (0.5, 0), (0.6, 0.1), (1, 0.65), (0.8, 0.85), (0.55, 0.92), (0.6, 1)),
+    ((0, 0), (0.75, 0), (0.8, 0.5), (1, 1)),
+)
+_BLOOMS = ("red", "pink", "yellow", "white", "purple", "orange")
+
+
+def polars(radius: np.ndarray | float, azimuth: np.ndarray, z: np.ndarray | float) -> np.ndarray:
+    """Points ``(n, 3)`` at these distances from the z axis, azimuths and heights."""
+    return np.stack(np.broadcast_arrays(radius * np.cos(azimuth), radius * np.sin(azimuth), z), axis=-1)
+
+
+def foliage(
+    base: np.ndarray, azimuth: np.ndarray, pitch: np.ndarray, length: np.ndarray, width: np.ndarray,
+    bend: float | np.ndarray, *, steps: int = 4, fold: float = 0.2, blunt: float = 0.8,
+) -> Mesh:  # fmt: skip
+    """Leaves as bent strips, all at once; 4 * steps - 4 triangles each. Metres and radians, ``(n,)`` each.
+
+    `base` ``(n, 3)``: points of attachment; `azimuth`: direction; `pitch`: slope at the base, which falls by `bend`
+    towards the tip; `width` at the widest place, which is nearer to the base for `blunt` below 1; `steps`: pieces along
+    the midrib; `fold`: height of the edges above it, in half widths.
+    """
+    n = len(base)
+    t = np.linspace(0, 1, steps + 1)
+    middle = (t[:-1] + t[1:]) / 2
+    slope = pitch[:, None] - np.broadcast_to(bend, (n,))[:, None] * middle
+    piece = length[:, None] / steps
+    out = np.concatenate([np.zeros((n, 1)), np.cumsum(np.cos(slope) * piece, axis=1)], axis=1)
+    up = np.concatenate([np.zeros((n, 1)), np.cumsum(np.sin(slope) * piece, axis=1)], axis=1)
+    c, s = np.cos(azimuth)[:, None], np.sin(azimuth)[:, None]
+    rib = base[:, None] + np.stack([c * out, s * out, up], axis=-1)
+    half = 0.5 * width[:, None] * np.sin(np.pi * np.clip(t, 0.02, 0.985) ** blunt)
+    tilt = pitch[:, None] - np.broadcast_to(bend, (n,))[:, None] * t
+    lift = np.stack([-c * np.sin(tilt), -s * np.sin(tilt), np.cos(tilt)], axis=-1) * fold
+    side = np.stack([-s, c, 0 * s], axis=-1)
+    left, right = rib + half[..., None] * (side + lift), rib + half[..., None] * (lift - side)
+    points = np.stack([right, rib, left], axis=2)  # (n, steps + 1, 3, 3)
+    # The ends are points: the strip's first and last vertices across coincide with the rib.
+    points[:, 0], points[:, -1] = rib[:, :1], rib[:, -1:]
+    index = np.arange(3 * (steps + 1)).reshape(steps + 1, 3)
+    a, b, d, e = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    triangles = np.stack([np.stack([a, d, e], -1), np.stack([a, e, b], -1)], axis=2).reshape(-1, 3)
+    keep = ~((triangles < 3).sum(axis=1) > 1) & ~((triangles >= 3 * steps).sum(axis=1) > 1)
+    triangles = triangles[keep]
+    across = np.array([0.0, 0.5, 1.0])
+    uv = np.stack(np.broadcast_arrays(t[:, None], across), axis=-1).reshape(-1, 2)[triangles]
+    uv[..., 1] = np.where((triangles < 3) | (triangles >= 3 * steps), 0.5, uv[..., 1])
+    places = (np.arange(n) * 3 * (steps + 1))[:, None, None] + triangles
+    return Mesh(
+        points.reshape(-1, 3).astype(np.float32),
+        places.reshape(-1, 3).astype(np.int32),
+        np.broadcast_to(uv, (n, *uv.shape)).reshape(-1, 3, 2).astype(np.float32),
+    )
+
+
+def _pot(radius: float, height: float, rng: np.random.Generator) -> tuple[list[Part], float]:
+    """A pot with earth in it, and the height of the earth."""
+    design, r, h = rng.integers(4), radius, height
+    if design == 0:  # tapered, with a rim
+        rim = [(0.92 * r, 0.82 * h), (r, 0.82 * h), (r, 0.82 * h), (r, h), (r, h)]
+        profile = [(0, 0), (0.68 * r, 0), (0.68 * r, 0), *rim]
+    elif design == 1:  # a cylinder
+        profile = [(0, 0), (0.9 * r, 0), (0.92 * r, 0.02), (0.92 * r, h), (0.92 * r, h)]
+    elif design == 2:  # round
+        belly = [(0.85 * r, 0.2 * h), (r, 0.5 * h), (0.92 * r, 0.82 * h)]
+        profile = [(0, 0), (0.55 * r, 0), *belly, (0.8 * r, h), (0.8 * r, h)]
+    else:  # a basket
+        profile = [(0, 0), (0.78 * r, 0), (0.82 * r, 0.02), (r, 0.5 * h), (0.88 * r, h), (0.88 * r, h)]
+    mouth = profile[-1][0]
+    profile += [(mouth - 0.015, h), (mouth - 0.015, h), (mouth - 0.02, 0.85 * h)]
+    cover = finish("wicker", None, rng) if design == 3 else finish("ceramic", str(rng.choice(_POTS)), rng)
+    pot = lathe(profile, 14)
+    earth = moved(lathe([(mouth - 0.012, 0), (0, 0.01)], 12), (0, 0, 0.88 * h))
+    return [cover(pot), finish("earth", None, rng)(earth)], 0.88 * h
+
+
+def _around(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Directions at multiples of the golden angle, as leaves grow, with some disorder."""
+    return rng.uniform(0, 6.3) + np.arange(n) * 2.39996 + rng.normal(0, 0.2, n)
+
+
+def _broad(top: float, tall: float, rng: np.random.Generator) -> Grown:
+    """Stalks that rise from the earth, each with one large leaf."""
+    n = int(rng.integers(15, 22))
+    azimuth, share = _around(n, rng), np.linspace(0.35, 1, n) ** 0.8
+    lean = 0.75 - 0.55 * share + rng.normal(0, 0.06, n)
+    reach = share * (tall - top) * 0.78
+    tips = polars(reach * np.sin(lean), azimuth, top + reach * np.cos(lean))
+    ends = [(polar(0.02, a, top - 0.02), tip) for a, tip in zip(azimuth, tips, strict=True)]
+    length, pitch = rng.uniform(0.2, 0.3, n) * (0.7 + 0.3 * tall), rng.uniform(-0.1, 0.5, n)
+    leaves = foliage(tips, azimuth, pitch, length, 0.62 * length, 0.9, steps=5, fold=0.15, blunt=0.75)
+    return [tube([foot, tip], [0.008, 0.005], 3) for foot, tip in ends], [leaves]
+
+
+def _rubber(top: float, tall: float, rng: np.random.Generator) -> Grown:
+    """Upright stems set with glossy oval leaves from the ground up."""
+    stems, bases, azimuths = [], [], []
+    for k in range(int(rng.integers(2, 4))):
+        a, high = rng.uniform(0, 6.3), (tall - 0.12) * (1 - 0.17 * k)
+        foot, head = np.array(polar(0.03, a, top - 0.02)), np.array(polar(0.14, a, high))
+        stems.append(tube([foot, head], [0.011, 0.006], 5))
+        count = int(12 * (high - top) / 0.9) + 4
+        at = np.linspace(0.22, 1, count)[:, None]
+        bases.append(foot + at * (head - foot))
+        azimuths.append(_around(count, rng))
+    base, azimuth = np.concatenate(bases), np.concatenate(azimuths)
+    length, pitch = rng.uniform(0.17, 0.26, len(base)), rng.uniform(0.3, 0.9, len(base))
+    return stems, [foliage(base, azimuth, pitch, length, 0.45 * length, 0.8, steps=4, fold=0.25)]
+
+
+def _palm(top: float, tall: float, rng: np.random.Generator) -> Grown:
+    """Arching fronds with two rows of narrow leaflets."""
+    fronds, ribs, leaflets = int(rng.integers(9, 13)), [], []
+    for k, a in enumerate(_around(fronds, rng)):
+        length = (tall - top) * (1.1 - 0.45 * k / fronds) * rng.uniform(0.9, 1.05)
+        pitch = 1.5 - 0.5 * (k / fronds) + rng.normal(0, 0.04)
+        bend = rng.uniform(0.75, 1.1)
+        t = np.linspace(0, 1, 9)
+        slope = pitch - bend * (t[:-1] + t[1:]) / 2
+        out, up = (np.append(0, np.cumsum(along(slope))) * length / 8 for along in (np.cos, np.sin))
+        rib = np.stack(polar(out, a, top + up), axis=-1)
+        ribs.append(tube(rib[::2], np.linspace(0.007, 0.003, 5), 3))
+        at = np.repeat(np.linspace(0.24, 1.0, 10), 2)
+        base = np.stack([np.interp(at, t, rib[:, i]) for i in range(3)], axis=-1)
+        turn = np.tile([1, -1], 10) * (1.0 - 0.6 * at)
+        size = length * (0.32 - 0.2 * np.abs(at - 0.45))
+        rise = pitch - bend * at - 0.1
+        leaflets.append(foliage(base, a + turn, rise, size, 0.13 * size + 0.01, 0.6, steps=2, fold=0.1))
+    return ribs, leaflets
+
+
+def _swords(top: float, tall: float, rng: np.random.Generator) -> Grown:
+    """Stiff upright leaves in a cluster."""
+    n = int(rng.integers(16, 24))
+    azimuth, away = _around(n, rng), 0.09 * np.sqrt(np.arange(n) / n)
+    base = polars(away, azimuth, top - 0.02)
+    length = (tall - top) * rng.uniform(0.6, 1.0, n)
+    pitch = 1.5 - 3.2 * away + rng.normal(0, 0.04, n)
+    return [], [foliage(base, azimuth, pitch, length, rng.uniform(0.055, 0.08, n), 0.08, steps=5, fold=0.5, blunt=0.6)]
+
+
+def _tree(top: float, tall: float, rng: np.random.Generator) -> Grown:
+    """A slim trunk that forks, under a round crown of small leaves."""
+    crown, centre = rng.uniform(0.24, 0.34), np.array([rng.normal(0, 0.03), rng.normal(0, 0.03), tall])
+    centre[2] = tall - crown
+    fork = np.array([centre[0] * 0.5, centre[1] * 0.5, top + 0.55 * (centre[2] - crown * 0.3 - top)])
+    limbs = [tube([(0, 0, top - 0.02), fork], [0.02, 0.015], 6)]
+    for a in _around(4, rng):
+        end = centre + 0.55 * crown * np.array(polar(1.0, a, 0.2))
+        limbs.append(tube([fork, end], [0.011, 0.005], 4))
+    n = 110
+    height = rng.uniform(-0.85, 1, n)
+    azimuth, ring = _around(n, rng), np.sqrt(1 - height**2)
+    radius = crown * rng.uniform(0.55, 0.95, n)
+    base = centre + radius[:, None] * polars(ring, azimuth, 0.95 * height)
+    length = rng.uniform(0.12, 0.19, n)
+    return limbs, [foliage(base, azimuth + rng.normal(0, 0.5, n), 0.9 * height, length, 0.55 * length, 0.8, steps=3)]
+
+
+def _rosette(top: float, tall: float, rng: np.random.Generator) -> Grown:
+    """Thick pointed leaves from one place, as of an agave."""
+    n = int(rng.integers(26, 36))
+    share = np.arange(n) / n
+    azimuth, pitch = _around(n, rng), 1.45 - 1.3 * share[::-1]
+    base = polars(0.02, azimuth, top + 0.03 * (1 - share))
+    length = (tall - top) * rng.uniform(0.7, 1.0, n)
+    return [], [foliage(base, azimuth, pitch[::-1], length, 0.2 * length + 0.012, 0.25, steps=4, fold=0.6, blunt=0.65)]
+
+
+# What grows; its range of height in metres; the radius of its pot.
+_GROWTHS = (
+    (_broad, 0.7, 1.25, 0.16), (_rubber, 0.9, 1.6, 0.16), (_palm, 1.1, 1.8, 0.17), (_swords, 0.65, 1.1, 0.14),
+    (_tree, 1.2, 1.8, 0.16), (_rosette, 0.5, 0.75, 0.15),
+)  # fmt: skip
+
+
+def plant(colour: str, rng: np.random.Generator) -> list[Part]:
+    """A potted plant; `colour` is that of its leaves."""
+    grow, least, most, radius = _GROWTHS[rng.integers(len(_GROWTHS))]
+    tall, radius = rng.uniform(least, most), radius * rng.uniform(0.9, 1.2)
+    parts, top = _pot(radius, radius * rng.uniform(1.15, 1.6), rng)
+    stems, leaves = grow(top, tall, rng)
+    spread = max(float(np.abs(mesh.vertices[:, :2]).max()) for mesh in leaves)
+    if spread > _SPREAD:  # it stands in a corner: pulled in, as if pruned
+        narrow = np.array([_SPREAD / spread, _SPREAD / spread, 1.0])
+        stems, leaves = ([reshaped(mesh, lambda at: at * narrow) for mesh in group] for group in (stems, leaves))
+    shades = finish("leaf", colour, rng), finish("leaf", colour, rng)
+    parts += [shade(*leaves[k::2]) for k, shade in enumerate(shades) if leaves[k::2]]
+    if stems:
+        woody = grow in (_tree, _rubber)
+        parts.append(finish("wood" if woody else "paint", "brown" if woody else colour, rng)(*stems))
+    if rng.random() < 0.2:  # a low stool under the pot
+        ends = [(polar(1.1 * radius, a, -0.22), polar(0.8 * radius, a, -0.03)) for a in (0.5, 2.6, 4.7)]
+        seat = cylinder((0, 0, -0.03), radius * 1.05, 0.03, 16)
+        parts.append(finish("wood", None, rng)(merged(seat, *(tube(pair, 0.012, 5) for pair in ends))))
+    return parts
 
 
 def _shade(
@@ -139,15 +341,6 @@ def _border(y: float, z: float, width: float, depth: float) -> list[Mesh]:
         box((0.0, -y - width, -z), (depth, -y, z), 2),
         box((0.0, y, -z), (depth, y + width, z), 2),
     ]
-
-
-# Outlines of vases: shares of their radius and of their height.
-_VASES = (
-    ((0, 0), (0.6, 0), (1, 0.3), (0.9, 0.55), (0.4, 0.85), (0.5, 1)),
-    ((0, 0), (0.5, 0), (0.6, 0.1), (1, 0.65), (0.8, 0.85), (0.55, 0.92), (0.6, 1)),
-    ((0, 0), (0.75, 0), (0.8, 0.5), (1, 1)),
-)
-_BLOOMS = ("red", "pink", "yellow", "white", "purple", "orange")
 
 
 def vase(colour: str, rng: np.random.Generator) -> list[Part]:
