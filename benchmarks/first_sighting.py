@@ -29,7 +29,7 @@ from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.episodes import Slot, slots
-from eagor.tasks.methods import told
+from eagor.tasks.methods import answer_at
 from eagor.tasks.models import shared
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
@@ -68,7 +68,7 @@ def errors(player: Player, name: str, slot: Slot, steps: list[Step]) -> np.ndarr
     if name == FRAME:
         return frame_errors(steps)
     method = player.method(name, slot)
-    return np.array([float(angular_error_deg(told(method, *step[:3]), step[3])) for step in steps])
+    return np.array([float(angular_error_deg(answer_at(method, *step[:3]), step[3])) for step in steps])
 
 
 def means(record: dict[str, Any], name: str) -> list[float]:

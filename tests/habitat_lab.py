@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from eagor.conventions import from_gltf, to_gltf
-from eagor.tasks.listed import Listed, slot_of
+from eagor.tasks.episode_files import FileSlot, slot_of
 from eagor.tasks.places import load_place
 
 CONFIG = "benchmark/nav/objectnav/objectnav_hm3d.yaml"
@@ -95,7 +95,7 @@ def differences(settings, records, found):
     rows = {}
     for record in records:
         slot = slot_of(record["episode"]["slot"])
-        assert isinstance(slot, Listed)
+        assert isinstance(slot, FileSlot)
         theirs = by_scene[Path(slot.scene).name][slot.episode]
         distance = geodesic(load_place(slot.world, slot.seed, settings["camera"]["radius"]).ground)
         for method, entry in record["methods"].items():

@@ -12,7 +12,7 @@ from eagor.cli import main
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.evaluation import ledger, studies
-from eagor.tasks.listed import Listed, listed_slots, plan, slot_of, way_to_goal
+from eagor.tasks.episode_files import FileSlot, listed_slots, plan, slot_of, way_to_goal
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, NavigationRules
@@ -55,7 +55,7 @@ def test_a_run_plays_some_episodes_of_each_scene_and_says_how_they_were_judged(r
         assert "less than 0.1 m along the floor from a view point of the goal" in text
     assert main(["bench", "failures", str(out), "--json"]) == 0
     shown = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert isinstance(slot_of(shown["cases"][0]["unit"]["slot"]), Listed)
+    assert isinstance(slot_of(shown["cases"][0]["unit"]["slot"]), FileSlot)
 
 
 def test_each_measure_is_that_of_the_recorded_path(run, file):
@@ -64,7 +64,7 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
     by_scene = {each.episodes[0].scene: each for each in read_episodes(file)}
     for record in ledger.read(out):
         slot = slot_of(record["episode"]["slot"])
-        assert isinstance(slot, Listed)
+        assert isinstance(slot, FileSlot)
         listed = by_scene[slot.scene].episodes[slot.episode]
         ground = load_place(slot.world, slot.seed, 0.18).ground
         views = [goal.view_positions[:, :2] for goal in by_scene[slot.scene].goals[listed.category]]
@@ -212,7 +212,7 @@ def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
 
 def test_random_numbers_do_not_depend_on_where_the_scenes_are(file):
     one = listed_slots("navigation", file, None, "apartment", None)[0]
-    two = Listed(**{**vars(one), "world": "elsewhere", "seed": 3})
+    two = FileSlot(**{**vars(one), "world": "elsewhere", "seed": 3})
     assert one.rng("plan").random() == two.rng("plan").random()
     assert one.rng("plan").random() != one.rng("method").random()
     assert one.id == two.id == "other-0"

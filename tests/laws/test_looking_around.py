@@ -14,7 +14,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.perception.noise import Noise
 from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import View
-from eagor.tasks.hstar.perception import LENS, Look, TruthEye
+from eagor.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
 from eagor.tasks.hstar.play import EagorAgent
 from eagor.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
 from eagor.tasks.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
@@ -175,7 +175,9 @@ def test_the_next_views_look_where_nobody_has_looked():
 def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
     """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
     nothing = Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
-    agent = EagorAgent(SimpleNamespace(kind="hos"), lambda view: Look(nothing, view.world_R_view), SearchRules())
+    agent = EagorAgent(
+        SimpleNamespace(kind="hos"), lambda view: ViewEvidence(nothing, view.world_R_view), SearchRules()
+    )
     view, seen = View(17.4, 3.0), set()
     for _ in range(6):
         view = view.after(agent(view, False).action)
@@ -190,7 +192,7 @@ def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_
     """In H*Bench's degrees, yaw to the right: a degree less to turn is worth 1e-5 nats."""
     eye = TruthEye((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
     agent = EagorAgent(
-        SimpleNamespace(kind=kind), lambda view: Look(eye.look(view), view.world_R_view), SearchRules(sure=1.0)
+        SimpleNamespace(kind=kind), lambda view: ViewEvidence(eye.look(view), view.world_R_view), SearchRules(sure=1.0)
     )
     view = View(start, 0.0)
     for _ in range(6):

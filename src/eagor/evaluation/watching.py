@@ -9,8 +9,8 @@ from typing import Any
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError
 from eagor.evaluation.study import Told, Worst
+from eagor.tasks.episode_files import slot_of
 from eagor.tasks.episodes import Slot
-from eagor.tasks.listed import slot_of
 from eagor.tasks.methods import TrackerMethod
 from eagor.tasks.play import Player, Seen
 

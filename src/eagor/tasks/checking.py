@@ -194,7 +194,7 @@ def _played(player: Player, episode: Episode, sign: float) -> list[_Step]:
     return found
 
 
-class _Told:
+class _Known:
     """A method that is given the true directions, and answers with `sign` times them."""
 
     def __init__(self, directions: np.ndarray, sign: float) -> None:
@@ -223,7 +223,7 @@ def _check_figures(task: Task, player: Player, episode: Episode) -> dict[str, An
         _check_metrics(task, found)
         return found
     recording = player.record(episode)
-    right, wrong = (player.judge(recording, _Told(recording.directions, sign))["metrics"] for sign in (1.0, -1.0))
+    right, wrong = (player.judge(recording, _Known(recording.directions, sign))["metrics"] for sign in (1.0, -1.0))
     for metrics in (right, wrong):
         _check_metrics(task, metrics)
     for column in task.columns:

@@ -272,7 +272,7 @@ def method_for(name: str, perception: Any, called: str, rng: np.random.Generator
     return make_method(name, rng, called, calibration, ours, detector)
 
 
-def told(method: Method, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
+def answer_at(method: Method, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
     """The method's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
     method.move(stamp, rotation_from_wxyz(pose[3:]), pose[:3])
     if evidence is not None:

@@ -13,6 +13,7 @@ import inspect
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -27,7 +28,7 @@ from eagor.queries import Named
 from eagor.tasks.episodes import Slot
 
 
-class Eye(Protocol):
+class EpisodePerception(Protocol):
     """Looks once per step."""
 
     privileged: bool  # whether it reads instance ids instead of the panorama
@@ -41,7 +42,7 @@ class Eye(Protocol):
         ...
 
 
-class PixelEye:
+class PixelPerception:
     """A perception that sees panoramas."""
 
     privileged = False
@@ -81,7 +82,7 @@ class PixelEye:
         return {"looks": self.looks, "unread": len(self.unread), "milliseconds": mean, "source": self.source}
 
 
-class PrivilegedEye:
+class PrivilegedPerception:
     """A perception that gets instance ids."""
 
     privileged = True
@@ -96,23 +97,38 @@ class PrivilegedEye:
         return {}
 
 
-def open_eye(perception: Any, things: Sequence[Named], seed: int) -> Eye:
-    """`perception` for one episode among `things` (indexed by instance id); `seed` is for its mistakes."""
+def open_for_slot(
+    perception: Any, slot: Slot, things: Sequence[Named], purpose: str = "perception"
+) -> EpisodePerception:
+    """`perception` for the episode of a slot among `things` (indexed by instance id).
+
+    Its mistakes are the same each time, and others for another `purpose`.
+    """
     begin = getattr(perception, "episode", None)
-    return PixelEye(perception) if begin is None else PrivilegedEye(begin(things, seed))
-
-
-def open_for(perception: Any, slot: Slot, things: Sequence[Named]) -> Eye:
-    """`open_eye` for the episode of a slot, whose mistakes are the same each time."""
-    return open_eye(perception, things, int(slot.rng("perception").integers(1 << 31)))
+    if begin is None:
+        return PixelPerception(perception)
+    return PrivilegedPerception(begin(things, int(slot.rng(purpose).integers(1 << 31))))
 
 
 def look_around(
-    eye: Eye, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
+    eye: EpisodePerception, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
 ) -> Evidence | None:
     """The evidence in what an environment returned (`eagor.tasks.place_env`); `query`: another than its own."""
     image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
     return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
+
+
+@dataclass
+class Delay:
+    """Evidence that arrives `steps` steps after its look; `waiting` is still on its way."""
+
+    steps: int
+    waiting: list[Evidence | None] = field(default_factory=list)
+
+    def due(self, look: Evidence | None) -> Evidence | None:
+        """What arrives at the step of this look: an earlier one, this one without a delay, or nothing."""
+        self.waiting.append(look)
+        return self.waiting.pop(0) if len(self.waiting) > self.steps else None
 
 
 @lru_cache(maxsize=1)

@@ -19,10 +19,10 @@ from eagor.evidence import Evidence
 from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 from eagor.tasks import task
+from eagor.tasks.episode_files import FileSlot, slot_of
 from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.listed import Listed, slot_of
-from eagor.tasks.methods import BASE, ORACLE, Method, Steers, method_for, told
-from eagor.tasks.models import Eye, is_privileged, look_around, open_eye, open_for, shared
+from eagor.tasks.methods import BASE, ORACLE, Method, Steers, answer_at, method_for
+from eagor.tasks.models import Delay, EpisodePerception, is_privileged, look_around, open_for_slot, shared
 from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.places import in_view, mask_of
 from eagor.tasks.rules import Camera, Disturbances, from_dict
@@ -112,7 +112,7 @@ class Player:
 
     def plan(self, slot: Slot) -> Episode:
         """The episode of this slot."""
-        if isinstance(slot, Listed) and self.task.listed is not None:
+        if isinstance(slot, FileSlot) and self.task.listed is not None:
             return self.task.listed(slot, self.config["episodes_file"], self.camera, self.rules)
         return self.env.plan(slot)
 
@@ -134,11 +134,11 @@ class Player:
         """A new method of this name, configured for this perception."""
         return method_for(name, self.perception, self.config["perception"], slot.rng("method"), self.ours)
 
-    def _begin(self, episode: Episode) -> tuple[dict, dict, Eye]:
+    def _begin(self, episode: Episode) -> tuple[dict, dict, EpisodePerception]:
         observation, info = self.env.reset(options={"episode": episode})
-        return observation, info, open_for(self.perception, episode.slot, info["instances"]["labels"])
+        return observation, info, open_for_slot(self.perception, episode.slot, info["instances"]["labels"])
 
-    def _look(self, eye: Eye, observation: dict, info: dict, query: str = "") -> Evidence | None:
+    def _look(self, eye: EpisodePerception, observation: dict, info: dict, query: str = "") -> Evidence | None:
         """The evidence of this step, stamped with the time of capture; None if an answer could not be read."""
         found = look_around(eye, observation, info, info["num_steps"] * self.camera.seconds, query)
         mask = mask_of(self.camera)
@@ -150,14 +150,14 @@ class Player:
         method = None if name == ORACLE else self.method(name, episode.slot)
         trace: dict[str, list[Any]] = defaultdict(list)
         steering = steering_for(self.rules, self.camera)
-        waiting: list[Evidence | None] = []
+        delay = Delay(self.disturbances.latency)
         directions, said, poses, places, over = [], [], [], [], False
         path = [self._feet()]
         while not over:
-            waiting.append(look := self._look(eye, observation, info))
-            due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
+            look = self._look(eye, observation, info)
+            due = delay.due(look)
             stamp, pose = info["num_steps"] * self.camera.seconds, observation["pose"]
-            direction = info["truth"]["direction"] if method is None else told(method, stamp, pose, due)
+            direction = info["truth"]["direction"] if method is None else answer_at(method, stamp, pose, due)
             directions.append(info["truth"]["direction"])
             said.append(direction)
             poses.append(info["truth"]["world_R_body"])
@@ -191,7 +191,7 @@ class Player:
             self.env.body.walked, episode.shortest,
         )  # fmt: skip
         found, looked = _rounded(self.task.measure(played)), eye.account()
-        walked = {"path": path} if isinstance(episode.slot, Listed) else {}  # to be judged by habitat-lab, too
+        walked = {"path": path} if isinstance(episode.slot, FileSlot) else {}  # to be judged by habitat-lab, too
         return {"metrics": found, "trace": dict(trace)} | walked | ({"looked": looked} if looked else {})
 
     def _floor(self, info: dict) -> np.ndarray:
@@ -206,16 +206,12 @@ class Player:
     def record(self, episode: Episode, other: str = "", panoramas: bool = False) -> Recording:
         """An episode that is not walked, as every method gets it; `other`: a second query; with `panoramas` or not."""
         observation, info, eye = self._begin(episode)
-        second = open_eye(
-            self.perception, info["instances"]["labels"], int(episode.slot.rng("other").integers(1 << 31))
-        )
+        second = open_for_slot(self.perception, episode.slot, info["instances"]["labels"], "other")
         truth: dict[str, list[Any]] = defaultdict(list)
         moments, directions, poses, places = [], [], [], []
-        waiting: list[Evidence | None] = []
-        over = False
+        delay, over = Delay(self.disturbances.latency), False
         while True:
-            waiting.append(self._look(eye, observation, info))
-            due = waiting.pop(0) if len(waiting) > self.disturbances.latency else None
+            due = delay.due(self._look(eye, observation, info))
             true, pose = info["truth"], observation["pose"]
             stamp = info["num_steps"] * self.camera.seconds
             also = self._look(second, observation, info, other) if other else None

@@ -113,13 +113,13 @@ def finished(records: Iterable[Record], wanted: str) -> list[Record]:
     return done
 
 
-def reader(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
+def recalibrator(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
     """The recalibration of looks in a run: from its settings, otherwise none."""
     calibrated = recalibration(settings)
     return calibrated.reread if calibrated is not None else lambda evidence: evidence
 
 
-def luck(seed: int, case: str) -> list[int]:
+def case_seed(seed: int, case: str) -> list[int]:
     """The seed of one case; independent of all other cases."""
     return [seed, zlib.crc32(case.encode())]
 
@@ -150,7 +150,7 @@ def save_panorama(place: Place, position: np.ndarray, yaw: float, rows: int, pat
     Image.fromarray(rgb).save(path)
 
 
-def any_yaw(rng: np.random.Generator) -> float:
+def random_yaw(rng: np.random.Generator) -> float:
     """A uniform random angle (radians)."""
     return float(rng.uniform(-math.pi, math.pi))
 

@@ -28,7 +28,7 @@ from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view, without_cross
 from eagor.tasks.hstar.data import Episode, open_panorama
 from eagor.tasks.models import shared
-from eagor.tasks.published import luck
+from eagor.tasks.published import case_seed
 
 FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
 # Things that any detector knows well: everyday nouns of homes, offices, shops and streets.
@@ -105,14 +105,14 @@ def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class ViewEvidence:
     """The evidence of one look, and the pose ``(3, 3)`` of its frame."""
 
     evidence: Evidence
     world_R_capture: np.ndarray
 
 
-Eye = Callable[[View], Look]  # looks at the views of one episode
+Eye = Callable[[View], ViewEvidence]  # looks at the views of one episode
 
 
 def open_perception(spec: str) -> Perception | Noise:
@@ -133,13 +133,13 @@ def open_eye(
 ) -> Eye:
     """`perception` (from `open_perception`) for one episode; `seed`: of truth's mistakes, `read`: recalibrates."""
     if isinstance(perception, Noise):
-        look = annotated(TruthEye(episode.yaw, episode.pitch, perception, luck(seed, episode.id)))
+        look = annotated(TruthEye(episode.yaw, episode.pitch, perception, case_seed(seed, episode.id)))
     elif isinstance(perception, Perception):
         look = PixelEye(perception, episode, resolution)
     else:
         raise EagorError(f"the perception is a {type(perception).__name__}; wanted what open_perception returns")
 
-    def read_look(view: View) -> Look:
+    def read_look(view: View) -> ViewEvidence:
         found = look(view)
         return replace(found, evidence=read(found.evidence))
 
@@ -156,14 +156,14 @@ class PixelEye:
         self._perception, self._episode, self._resolution = perception, episode, resolution
         self._queries = list(dict.fromkeys((thing_of(episode.task), phrase_of(episode.task), head_of(episode.task))))
 
-    def __call__(self, view: View) -> Look:
+    def __call__(self, view: View) -> ViewEvidence:
         drawn = render_view(open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution)
         image = without_cross(drawn)
         pitch, hfov = math.radians(view.pitch), math.radians(HFOV_DEG)
         while True:
             try:
                 evidence = look_at_view(self._perception, image, pitch, hfov, self._queries[0])
-                return Look(evidence, world_R_body(-math.radians(view.yaw)))
+                return ViewEvidence(evidence, world_R_body(-math.radians(view.yaw)))
             except QueryError:
                 if len(self._queries) == 1:
                     raise
@@ -172,7 +172,7 @@ class PixelEye:
 
 def annotated(eye: TruthEye) -> Eye:
     """`eye` as an agent uses one; nothing is rendered for it."""
-    return lambda view: Look(eye.look(view), view.world_R_view)
+    return lambda view: ViewEvidence(eye.look(view), view.world_R_view)
 
 
 class TruthEye:

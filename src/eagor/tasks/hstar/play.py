@@ -24,12 +24,12 @@ from eagor.perception.vlm.talk import Chat
 from eagor.sphere import angular_distance
 from eagor.tasks.hstar.camera import View, visible_share
 from eagor.tasks.hstar.data import Episode
-from eagor.tasks.hstar.perception import Eye, Look, head_of, open_eye, open_perception, tag_of
+from eagor.tasks.hstar.perception import Eye, ViewEvidence, head_of, open_eye, open_perception, tag_of
 from eagor.tasks.hstar.prompts import Talk
 from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Action, Scoring, checked_scoring, submit_succeeds, window_of
 from eagor.tasks.hstar.search import Answer, Search, SearchRules
 from eagor.tasks.models import digest, shared_chat
-from eagor.tasks.published import luck, reader
+from eagor.tasks.published import case_seed, recalibrator
 from eagor.tasks.searcher import Searcher
 
 AGENTS = {
@@ -48,7 +48,9 @@ LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
-Reading = Callable[[Look], tuple[np.ndarray, bool]]  # the answer ``(3,)`` in the world, and whether to stop with it
+Reading = Callable[
+    [ViewEvidence], tuple[np.ndarray, bool]
+]  # the answer ``(3,)`` in the world, and whether to stop with it
 # In order of precedence: the first that applies is the cause.
 CAUSES = {
     "format": "no valid submission: replies could not be read",
@@ -160,7 +162,7 @@ class BestView:
     def __init__(self) -> None:
         self._best, self._direction = -1.0, np.zeros(3)
 
-    def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
+    def __call__(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:
         direction, height = peak_of(look)
         if height > self._best + 1e-6:
             self._best, self._direction = height, direction
@@ -173,7 +175,7 @@ class PerView:
     def __init__(self, baseline: DirectionFilter) -> None:
         self._baseline = baseline
 
-    def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
+    def __call__(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:
         if peak_of(look)[1] >= RESPONDS:
             return look.world_R_capture @ self._baseline.update(_without_floor(look)).direction(), True
         return look.world_R_capture @ np.asarray(look.evidence.grid.directions[_middle(look)]), False
@@ -185,7 +187,7 @@ class OnGrid:
     def __init__(self) -> None:
         self._filter: HistogramFilter | None = None
 
-    def __call__(self, look: Look) -> tuple[np.ndarray, bool]:
+    def __call__(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:
         calibration = look.evidence.calibration
         start = self._filter or HistogramFilter(calibration=calibration, mixing=1e-4)
         turned = HistogramFilter(
@@ -214,12 +216,12 @@ def make_agent(name: str, episode: Episode, eye: Eye | None, rules: SearchRules,
         yaw, pitch = window_of(episode.item).centre
         return blind(yaw, max(-90, min(90, pitch)), 1.0)
     if name == "random":
-        rng = np.random.default_rng(luck(seed, episode.id))
+        rng = np.random.default_rng(case_seed(seed, episode.id))
         return blind(int(rng.integers(360)), float(rng.normal(-10, 15)))
     return blind(episode.start, 0)
 
 
-def peak_of(look: Look) -> tuple[np.ndarray, float]:
+def peak_of(look: ViewEvidence) -> tuple[np.ndarray, float]:
     """Direction ``(3,)`` in the world frame and value of the response's maximum; the middle of the view if flat."""
     response = _response(look)
     if np.ptp(response[response >= 0]) < 1e-6:
@@ -230,7 +232,7 @@ def peak_of(look: Look) -> tuple[np.ndarray, float]:
     return direction, max(float(response.max()), 0.0)
 
 
-def _peak(look: Look) -> dict[str, Any]:
+def _peak(look: ViewEvidence) -> dict[str, Any]:
     """The strongest response of a look, for the record."""
     direction, height = peak_of(look)
     yaw, pitch = hstar_from_direction(direction)
@@ -241,26 +243,26 @@ def _peak(look: Look) -> dict[str, Any]:
     return found | ({"source": dict(source)} if source else {})
 
 
-def _looked_at(look: Look) -> np.ndarray:
+def _looked_at(look: ViewEvidence) -> np.ndarray:
     seen = look.evidence.seen
     if seen is None or not seen[-1]:
         return np.ones(look.evidence.grid.shape, dtype=bool)
     return looked_at(seen)
 
 
-def _response(look: Look) -> np.ndarray:
+def _response(look: ViewEvidence) -> np.ndarray:
     """The response ``(H, W)``, -1 in cells that were not looked at."""
     return np.where(_looked_at(look), to_numpy(look.evidence.response).astype(np.float64), -1.0)
 
 
-def _middle(look: Look) -> tuple[int, int]:
+def _middle(look: ViewEvidence) -> tuple[int, int]:
     """The middle cell of the part that was looked at."""
     rows, columns = np.nonzero(_looked_at(look))
     nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
     return int(rows[nearest]), int(columns[nearest])
 
 
-def _without_floor(look: Look) -> Evidence:
+def _without_floor(look: ViewEvidence) -> Evidence:
     """The evidence minus its lowest response; otherwise per-view means would be biased towards the middle."""
     response = _response(look)
     floor = float(response[response >= 0].min())
@@ -273,7 +275,7 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     agent = settings["agent"]
     perception = open_perception(settings["perception"]) if agent in LOOKING else None
     chat = shared_chat(settings["model"]) if agent == "vlm" else None
-    rules, read = SearchRules.of(settings), reader(settings)
+    rules, read = SearchRules.of(settings), recalibrator(settings)
 
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
         episode, eye = Episode.from_json(payload["episode"]), None

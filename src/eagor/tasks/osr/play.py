@@ -59,7 +59,7 @@ from eagor.tasks.osr.scoring import (
     swapped,
 )
 from eagor.tasks.osr.sightings import Looker, Seen, open_looker
-from eagor.tasks.published import luck
+from eagor.tasks.published import case_seed
 
 FORMS = ("vanilla", "think")
 
@@ -143,7 +143,7 @@ def constant(negative: bool, scene: Scene, question: Question) -> Reply:
 
 def random(seed: int, scene: Scene, question: Question) -> Reply:
     """Draws an answer; the same for the same question and seed."""
-    rng = np.random.default_rng(luck(seed, question.id))
+    rng = np.random.default_rng(case_seed(seed, question.id))
     if question.skill == MAP:
         names = question.names or scene.categories
         return Reply(map_text({name: [rng.integers(0, 10, 2).tolist()] for name in names}))
@@ -245,7 +245,7 @@ def laid_out(scene: str, seen: Seen, ranges: str = "floor", seed: int = 0) -> Ar
     if ranges == "unit":
         seen = replace(seen, walls=None)
     placed = place_on_circle(seen.things) if ranges == "unit" else place(seen.things, seen.height, seen.walls)
-    return Around(scene, seen, tuple(placed), draw(placed, seen.walls, np.random.default_rng(luck(seed, scene))))
+    return Around(scene, seen, tuple(placed), draw(placed, seen.walls, np.random.default_rng(case_seed(seed, scene))))
 
 
 class Eagor:

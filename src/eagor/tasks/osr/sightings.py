@@ -33,7 +33,7 @@ from eagor.sphere import wrap
 from eagor.tasks.models import shared
 from eagor.tasks.osr.data import Scene
 from eagor.tasks.osr.geometry import HANGING, FloorLine, Sighting
-from eagor.tasks.published import reader
+from eagor.tasks.published import recalibrator
 
 FILE = "physical_truth.json"
 TRUTH = "truth"
@@ -72,7 +72,7 @@ def open_looker(perception: str, settings: Mapping[str, Any]) -> Looker:
             raise EagorError(f"perception {perception!r}; wanted truth, truth:exact or truth:outline for osr")
         return lambda scene, names: true_places(scene, names, how != "outline")
     depth, height = settings["range"] == "depth", settings["camera_height"]
-    return BeliefLooker(shared(perception), settings["degree"], height, depth, reader(settings))
+    return BeliefLooker(shared(perception), settings["degree"], height, depth, recalibrator(settings))
 
 
 # From a perception

@@ -24,7 +24,7 @@ from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.places import APARTMENT, SEEDS, Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.worlds import FILES
-from eagor.worlds.objectnav import Episode as FileEpisode
+from eagor.worlds.objectnav import Episode as ObjectNavEpisode
 from eagor.worlds.objectnav import Goal, SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.scene import Scene
 from eagor.worlds.walkable import Way
@@ -37,7 +37,7 @@ OFF = 0.5  # metres that a start may lie above or below the ground: meshes float
 
 
 @dataclass(frozen=True)
-class Listed(Slot):
+class FileSlot(Slot):
     """An episode of a file: the `episode`-th of its `scene` (the scene_id there)."""
 
     scene: str = ""
@@ -56,10 +56,10 @@ class Listed(Slot):
 
 def slot_of(values: dict[str, Any]) -> Slot:
     """The slot of a unit of work, from JSON."""
-    return Listed(**values) if "scene" in values else Slot(**values)
+    return FileSlot(**values) if "scene" in values else Slot(**values)
 
 
-def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[Listed]:
+def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[FileSlot]:
     """The slots of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
 
     `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). `scenes`: the folder
@@ -87,7 +87,8 @@ def listed_slots(task: str, file: Path | str, count: int | None, world: str, sce
     # One scene after the other, and of a scene one storey after the other: opening one takes seconds.
     chosen.sort(key=lambda turn: (places[turn[1]], homes[turn[1]][turn[0]][0], turn[0]))
     return [
-        Listed(task, *homes[scene][index], index, number, scene, index) for number, (index, scene) in enumerate(chosen)
+        FileSlot(task, *homes[scene][index], index, number, scene, index)
+        for number, (index, scene) in enumerate(chosen)
     ]
 
 
@@ -200,7 +201,7 @@ def _mark(path: Path) -> tuple[str, int, int]:
 
 
 @dataclass(frozen=True, eq=False)
-class ListedEpisode(Episode):
+class FileEpisode(Episode):
     """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
 
     `listed`: how long the shortest way is according to the file, and its number there.
@@ -214,7 +215,7 @@ class ListedEpisode(Episode):
         return super().as_json() | {"slot": asdict(self.slot)}
 
 
-def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> ListedEpisode:
+def plan(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> FileEpisode:
     """The episode of this slot, ready to be played.
 
     Raises `WorldError` if the scene is another one than the episode was made for, the start is not on free ground, or
@@ -238,7 +239,7 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         )
     if rules.goal == "footprint" and not targets:
         raise WorldError(f"{name}: {place.scene.source} names no {episode.category}; leave goal at view_points")
-    planned = ListedEpisode(
+    planned = FileEpisode(
         slot=slot,
         scene=place.scene.source,
         scene_hash=place.scene.hash,
@@ -267,15 +268,15 @@ def plan(slot: Listed, file: str, camera: Camera, rules: NavigationRules) -> Lis
         "way": "winding" if shortest > rules.winding_above * straight else "direct",
         "category": episode.category,
     }
-    return ListedEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
+    return FileEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
 
 
-def way_to_goal(place: Place, episode: ListedEpisode) -> Way:
+def way_to_goal(place: Place, episode: FileEpisode) -> Way:
     """Geodesic distance to the nearest view point of any goal."""
     return place.way_to_points(episode.view_points[:, :2])
 
 
-def _start(place: Place, episode: FileEpisode, name: str, zero: float) -> np.ndarray:
+def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> np.ndarray:
     """The start ``(2,)`` on free ground, which may be a cell away: files of others hold rounded numbers.
 
     `zero`: the height of our z = 0 in the file.
