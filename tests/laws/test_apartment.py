@@ -25,9 +25,9 @@ from eagor.worlds.apartment.placement import (
 )
 from eagor.worlds.apartment.plans import LINING, OUTSIDE, draw_plan
 from eagor.worlds.ground import BESIDE, Ground
+from eagor.worlds.light import mean_colour
 from eagor.worlds.raycast import make_raycaster
 from eagor.worlds.scene import STRUCTURE
-from eagor.worlds.sources import mean_colour
 
 SEEDS = (0, 3, 5, 11, 21, 1007)
 seeds = pytest.mark.parametrize("seed", SEEDS)

@@ -31,8 +31,9 @@ class Run:
     """What is run. `settings` override single rules, of the task, the camera or the disturbances, by name.
 
     `rows` of the panoramas; None: what the perception works at. `calibrated`: how our tracker reads and forgets; None:
-    as the perception and the tracker have it. `episodes_file`: play what this file lists (`eagor.tasks.episode_files`), in
-    scenes below the folder `scenes`; then `episodes` None means all of them, and `seed` nothing.
+    as the perception and the tracker have it. `episodes_file`: play what this file lists
+    (`eagor.tasks.episode_files`), in scenes below the folder `scenes`; then `episodes` None means all of them, and
+    `seed` nothing.
     """
 
     task: str

@@ -13,9 +13,9 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.worlds.lattice import Lattice, unseen
+from eagor.worlds.light import look_up, painted_sky
 from eagor.worlds.raycast import Hits
 from eagor.worlds.scene import Material, Scene
-from eagor.worlds.sources import look_up, painted_sky
 
 BRIGHTEST = 5.0  # light is clipped to this; 1 shows a white surface at the edge of the shoulder's range
 _KNEE = 0.4  # display values up to here are linear

@@ -34,8 +34,8 @@ from eagor.worlds.apartment.mesh import (
 from eagor.worlds.apartment.placement import GAP, from_rectangle, overlaps
 from eagor.worlds.apartment.plans import HALF_WALL, LINING, OUTSIDE, Boundary, Doorway, Opening, Plan
 from eagor.worlds.apartment.textures import REPEAT, material
+from eagor.worlds.light import mean_colour
 from eagor.worlds.scene import Lamp, Material, Room
-from eagor.worlds.sources import mean_colour
 
 SurfaceMaterial = tuple[str, Material]  # kind of material (its repeat), and the material
 
