@@ -330,7 +330,7 @@ def _beta(key: str, text: str) -> tuple[float, ...]:
 
 
 def _kinds(key: str, text: str) -> tuple[float, ...]:
-    found = tuple(_number(key, each) for each in text.split("+"))
+    found = _beta(key, text)
     return () if found == (0.0,) else found
 
 

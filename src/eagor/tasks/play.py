@@ -166,19 +166,7 @@ class Player:
             _note_answer(trace, method, direction, directions[-1])
             if watch is not None:
                 watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
-            now = SteeringInput(
-                azimuth=float(azimuth_elevation(direction)[0]),
-                progress=1.0 if method is None or not steering.looks_down else method.progress(),
-                presence=1.0 if method is None or not steering.looks_down else method.presence(),
-                distance=along_floor(
-                    info["truth"]["distance"] if method is None else method.sure_distance(), direction
-                ),
-                position=np.array([*pose[:2], self.camera.height]),
-                world_R_body=rotation_from_wxyz(pose[3:]),
-                floor=self._floor(info) if steering.looks_down else None,
-                seen=in_view(self.camera, len(info["instances"]["ids"])),
-                chance=Chance.of(look, self.camera.seconds) if look is not None and steering.looks_down else None,
-            )
+            now = self._steering_input(direction, method, look, pose, info, steering.looks_down)
             turn, metres = steering.walk(now)
             if steering.looks_down:
                 trace["searching"].append(steering.searching)
@@ -194,10 +182,24 @@ class Player:
         walked = {"path": path} if isinstance(episode.slot, FileSlot) else {}  # to be judged by habitat-lab, too
         return {"metrics": found, "trace": dict(trace)} | walked | ({"looked": looked} if looked else {})
 
-    def _floor(self, info: dict) -> np.ndarray:
-        """Which pixels of the look show the floor."""
-        true = info["truth"]
-        return self.env.place.floor_in(info["instances"]["ids"], true["position"], true["world_R_body"])
+    def _steering_input(
+        self, direction: np.ndarray, method: Steers | None, look: Evidence | None, pose: np.ndarray, info: dict,
+        looks_down: bool,
+    ) -> SteeringInput:  # fmt: skip
+        """What steers the body at a step; only a policy that `looks_down` gets the floor, and what is believed."""
+        true, ids = info["truth"], info["instances"]["ids"]
+        believing = method if looks_down else None  # the oracle is sure
+        return SteeringInput(
+            azimuth=float(azimuth_elevation(direction)[0]),
+            progress=1.0 if believing is None else believing.progress(),
+            presence=1.0 if believing is None else believing.presence(),
+            distance=along_floor(true["distance"] if method is None else method.sure_distance(), direction),
+            position=np.array([*pose[:2], self.camera.height]),
+            world_R_body=rotation_from_wxyz(pose[3:]),
+            floor=self.env.place.floor_in(ids, true["position"], true["world_R_body"]) if looks_down else None,
+            seen=in_view(self.camera, len(ids)),
+            chance=Chance.of(look, self.camera.seconds) if look is not None and looks_down else None,
+        )
 
     def _feet(self) -> list[float]:
         """Where the body stands: x, y, z."""

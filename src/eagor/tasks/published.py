@@ -6,7 +6,6 @@ Their skeleton; seeds, pictures and recalibration of their cases; and task folde
 from __future__ import annotations
 
 import json
-import math
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -148,11 +147,6 @@ def save_panorama(place: Place, position: np.ndarray, yaw: float, rows: int, pat
     rgb = place.renderer.panorama(position, world_R_body(yaw), rows, range=False, ids=False).rgb
     assert rgb is not None
     Image.fromarray(rgb).save(path)
-
-
-def random_yaw(rng: np.random.Generator) -> float:
-    """A uniform random angle (radians)."""
-    return float(rng.uniform(-math.pi, math.pi))
 
 
 def write_task(

@@ -135,7 +135,7 @@ class EmbreeRaycaster:
 
 
 class NumpyRaycaster:
-    """The same results from `eagor.worlds.raycast`, except for rounding and the choice at a shared edge."""
+    """The same results from a tree of boxes, except for rounding and the choice at a shared edge."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         self._tree = Tree(vertices, triangles)

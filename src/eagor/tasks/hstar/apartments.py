@@ -20,7 +20,7 @@ from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import View, level_of
 from eagor.tasks.hstar.data import ANNOTATION, STARTS
 from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.published import random_yaw, save_panorama
+from eagor.tasks.published import save_panorama
 from eagor.tasks.rules import Camera
 
 ROWS = 128  # of the id image for the boxes: 1.4 degrees
@@ -51,7 +51,7 @@ def spot(seed: int, most: int = 4, named: Callable[[Place], Mapping[int, Any]] =
     best = Spot(f"apartment_{seed:04d}", place, np.zeros(3), 0.0, ())
     for _ in range(TRIES):
         position = np.array([*place.ground.sample(rng, CLEARANCE), HEIGHT])
-        yaw = random_yaw(rng)
+        yaw = float(rng.uniform(-math.pi, math.pi))
         items = tuple(_items(place, position, yaw, rng, most, named(place)))
         if len(items) > len(best.items):
             best = Spot(best.name, place, position, yaw, items)

@@ -48,9 +48,7 @@ LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
-Reading = Callable[
-    [ViewEvidence], tuple[np.ndarray, bool]
-]  # the answer ``(3,)`` in the world, and whether to stop with it
+Reading = Callable[[ViewEvidence], tuple[np.ndarray, bool]]  # answer ``(3,)``, world frame; whether to stop with it
 # In order of precedence: the first that applies is the cause.
 CAUSES = {
     "format": "no valid submission: replies could not be read",

@@ -31,7 +31,7 @@ from eagor.tasks.osr.scoring import (
 )
 from eagor.tasks.osr.sightings import Body, Room, write_room
 from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.published import random_yaw, save_panorama
+from eagor.tasks.published import save_panorama
 from eagor.tasks.rules import Camera
 from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
@@ -76,7 +76,8 @@ def views(seed: int, height: float = 1.5) -> Iterator[View]:
             spot = _spot(place, room.name, rng)
             if spot is None:
                 break
-            found = _view(place, room.name, spot, height, random_yaw(rng), f"{seed:04d}_{number}")
+            yaw = float(rng.uniform(-math.pi, math.pi))
+            found = _view(place, room.name, spot, height, yaw, f"{seed:04d}_{number}")
             if len(found.counts) >= LEAST:
                 yield found
                 break
