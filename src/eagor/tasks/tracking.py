@@ -56,55 +56,60 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
     rng = slot.rng("plan")
     scenario = SCENARIOS[slot.number % len(SCENARIOS)]
     radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
-    best: tuple[float, TrackingEpisode] | None = None
+    best: tuple[float, np.ndarray, np.ndarray, list[np.ndarray | None]] | None = None
     for _ in range(TRIES):
         if best is not None and best[0] >= rules.seen:
             break
-        xy, yaw = place.ground.sample(rng), float(rng.uniform(-math.pi, math.pi))
-        first = _spot(place, xy, radius, camera, rng)
-        if first is None:
+        drawn = _drawn(place, scenario, radius, camera, rules, rng)
+        if drawn is None:
             continue
-        still = np.tile([*xy, yaw], (rules.steps, 1))
-        balls: list[np.ndarray | None] = [first] * rules.steps
-        route: np.ndarray | None = still
-        if scenario == "moving target":
-            balls = _stroll(place, first, radius, rules.speed * camera.seconds, rules.steps, rng)
-        elif scenario == "moving camera":
-            route = _walk(place, xy, yaw, camera, rules.steps, rng)
-        else:
-            second = _spot(place, xy, radius, camera, rng)
-            if second is None or np.linalg.norm(second - first) < 1.0:
-                continue
-            away, back = rules.away
-            balls = [first] * away + [None] * (back - away) + [second] * (rules.steps - back)
-            # The camera turns meanwhile, so a remembered direction has to be turned, too.
-            still[:, 2] = yaw + 0.8 * np.sin(np.arange(rules.steps) * 0.25)
-        if route is None:
-            continue
-        seen = _share_in_view(place, route, balls, radius, camera, rules)
-        if best is not None and seen <= best[0]:
-            continue
-        best = (
-            seen,
-            TrackingEpisode(
-                slot=slot,
-                scene=place.scene.source,
-                scene_hash=place.scene.hash,
-                query=f"{colour} ball",
-                targets=(len(place.scene.instances),),
-                start=(float(route[0, 0]), float(route[0, 1])),
-                yaw=float(route[0, 2]),
-                shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
-                stratum={"scenario": scenario, "in view": round(seen, 3)},
-                route=tuple(tuple(row) for row in route.tolist()),
-                balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls),
-                radius=radius,
-                colour=colour,
-            ),
-        )
+        seen = _share_in_view(place, *drawn[1:], radius, camera, rules)
+        if best is None or seen > best[0]:
+            best = seen, *drawn
     if best is None:
         raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
-    return best[1]
+    seen, first, route, balls = best
+    return TrackingEpisode(
+        slot=slot,
+        scene=place.scene.source,
+        scene_hash=place.scene.hash,
+        query=f"{colour} ball",
+        targets=(len(place.scene.instances),),
+        start=(float(route[0, 0]), float(route[0, 1])),
+        yaw=float(route[0, 2]),
+        shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
+        stratum={"scenario": scenario, "in view": round(seen, 3)},
+        route=tuple(tuple(row) for row in route.tolist()),
+        balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls),
+        radius=radius,
+        colour=colour,
+    )
+
+
+def _drawn(
+    place: Place, scenario: str, radius: float, camera: Camera, rules: TrackingRules, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, list[np.ndarray | None]] | None:
+    """One plan of a scenario: the ball's first place ``(3,)``, the camera's route ``(steps, 3)``, the ball per step.
+
+    None if the place drawn for the camera does not suit.
+    """
+    xy, yaw = place.ground.sample(rng), float(rng.uniform(-math.pi, math.pi))
+    first = _spot(place, xy, radius, camera, rng)
+    if first is None:
+        return None
+    still = np.tile([*xy, yaw], (rules.steps, 1))
+    if scenario == "moving target":
+        return first, still, _stroll(place, first, radius, rules.speed * camera.seconds, rules.steps, rng)
+    if scenario == "moving camera":
+        route = _walk(place, xy, yaw, camera, rules.steps, rng)
+        return None if route is None else (first, route, [first] * rules.steps)
+    second = _spot(place, xy, radius, camera, rng)
+    if second is None or np.linalg.norm(second - first) < 1.0:
+        return None
+    away, back = rules.away
+    # The camera turns meanwhile, so a remembered direction has to be turned, too.
+    still[:, 2] = yaw + 0.8 * np.sin(np.arange(rules.steps) * 0.25)
+    return first, still, [first] * away + [None] * (back - away) + [second] * (rules.steps - back)
 
 
 def _share_in_view(
