@@ -70,7 +70,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def made(ros_node: Any) -> Any:
     """The node of eagor for an rclpy node, with its parameters. Raises `EagorError` for wrong ones."""
-    from eagor.cli.looking import tracker_config
+    from eagor.cli.checks import tracker_config
     from eagor.cli.ros import chosen
     from eagor.robots.node import Node, NodeSettings
     from eagor.robots.safety.walking import WalkSettings
