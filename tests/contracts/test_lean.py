@@ -97,7 +97,7 @@ def run(lean, tmp_path_factory):
 
 
 def test_the_base_is_what_was_promised():
-    promised = {"numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich"}
+    promised = {"numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "msgspec", "tyro", "rich"}
     assert {name_of(line) for line in PROJECT["dependencies"]} == promised
 
 
