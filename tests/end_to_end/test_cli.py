@@ -181,7 +181,9 @@ COMMANDS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("columns", [72, 80, 100])
+@pytest.mark.parametrize(
+    "columns", [pytest.param(72, marks=pytest.mark.slow), 80, pytest.param(100, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_help_breaks_lines_only_where_they_are_full(words, columns, monkeypatch):
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")

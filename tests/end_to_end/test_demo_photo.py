@@ -167,6 +167,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(photo, tmp_path, monkeypatc
 
 @pytest.mark.registry
 @pytest.mark.skipif(not LYTHWOOD.is_file(), reason="the photographs are not beside this repository")
+@pytest.mark.slow
 def test_a_real_room_with_a_real_detector(coco_model, tmp_path, capsys):
     assert main(["demo", "--photo", str(LYTHWOOD), "--out", str(tmp_path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -70,8 +70,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def made(ros_node: Any) -> Any:
     """The node of eagor for an rclpy node, with its parameters. Raises `EagorError` for wrong ones."""
-    from eagor.cli.checks import tracker_config
-    from eagor.cli.ros import chosen
+    from eagor.cli.checks import perception_for_all, tracker_config
     from eagor.robots.ros.node import Node, NodeSettings
     from eagor.robots.safety.walking import WalkSettings
     from eagor_ros.graph import RclpyGraph
@@ -92,6 +91,6 @@ def made(ros_node: Any) -> Any:
         RclpyGraph(ros_node),
         queries=queries,
         settings=settings,
-        choose=lambda words: chosen(words, perception),
+        choose=lambda words: perception_for_all(words, perception),
         said=ros_node.get_logger().warning,
     )

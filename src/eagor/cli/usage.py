@@ -1,7 +1,7 @@
 """A usage error in one line, with the nearest command or option. It is only read after tyro has refused the arguments.
 
 tyro's own text shows the help of every option that it might have been. This module reads commands and options from the
-dataclasses of `eagor.cli.options`, and explains the first mistake that it finds.
+dataclasses of `eagor.cli.commands`, and explains the first mistake that it finds.
 """
 
 from __future__ import annotations

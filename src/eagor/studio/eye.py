@@ -32,7 +32,7 @@ from eagor.studio.caching import Kept, given_back
 from eagor.studio.houses import House, house_of, place_of
 from eagor.studio.messages import jpeg
 from eagor.studio.session import LOOKS, Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned
-from eagor.studio.steps import calibration_of
+from eagor.studio.steps import calibration_of, small_jpeg
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking.config import TrackerConfig
@@ -143,10 +143,8 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
         elif what == "picture":
             session, path, perception = rest
             found = _photograph(path)
-            rows = min(found.panorama.shape[0], PHOTO_ROWS)
-            sent = Photograph(found.panorama).panorama(STILL, np.eye(3), rows).rgb
-            assert sent is not None
-            say(Opened(session, jpeg(sent), found.facts, calibration_of(_loaded(perception), TrackerConfig())))
+            sent = small_jpeg(found.panorama, PHOTO_ROWS)
+            say(Opened(session, sent, found.facts, calibration_of(_loaded(perception), TrackerConfig())))
     except Exception as error:
         if what == "warm":
             say(("warm",))  # whoever opens it is told what is wrong
@@ -207,10 +205,8 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
                 looks = look_if_recorded(_loaded(job.perception), frame.panorama, job.query, frame.stamp, pose)
             except EagorError as error:
                 say(_refusal(job, error))
-        rows = min(frame.panorama.shape[0], FIRST_ROWS)
-        small = Photograph(frame.panorama).panorama(STILL, np.eye(3), rows).rgb
-        assert small is not None
-        say(Turned(job.session, frame.stamp, pose, jpeg(small), job.query, looks, lost))
+        small = small_jpeg(frame.panorama, FIRST_ROWS)
+        say(Turned(job.session, frame.stamp, pose, small, job.query, looks, lost))
     except Exception as error:
         say(Refused(job.session, "picture", _said(error)))
 

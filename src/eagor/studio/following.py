@@ -16,7 +16,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.session import Opening, Outbox, Refused
-from eagor.studio.steps import FLOATS, belief_of, error_deg, estimate_json, evidence_of, modes_json, stage
+from eagor.studio.steps import FLOATS, belief_of, believed, error_deg, estimate_json, evidence_of
 from eagor.tasks.methods import BASE, DESCRIPTIONS, NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.follower import Follower, Refresh
@@ -195,12 +195,8 @@ class FollowingSession:
         """Say what is believed now, and what is new. `truth`: the true direction ``(3,)``, body frame, if known."""
         header: dict[str, Any] = {
             "type": "step",
-            **stage(estimate, stamp, position),
-            "estimate": estimate_json(estimate, self._following.entropy),
-            "modes": modes_json(estimate),
+            **believed(estimate, stamp, position, truth, self._following.entropy),
             "rivals": self._rivals.answers(estimate.world_R_body, truth),
-            "truth": {"direction": rounded(truth)},
-            "error_deg": error_deg(estimate.direction, truth),
             "goal": None,
             **about,
             **self._parts,

@@ -14,15 +14,13 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
 from eagor.live.loop import LiveLoop, Watcher
-from eagor.studio.messages import Blob, Message, jpeg, rounded
-from eagor.studio.steps import FLOATS, belief_of, calibration_of, estimate_json, modes_json, stage
-from eagor.worlds.photograph import Photograph
+from eagor.studio.messages import Blob, Message, rounded
+from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, small_jpeg
 
 __all__ = ["Shown", "watch"]
 
 PICTURES = 0.2  # seconds between two panoramas that are sent, at least
 ROWS = 384  # of them, at most
-STILL = (0.0, 0.0, 0.0)
 
 
 class Shown:
@@ -62,12 +60,8 @@ class Shown:
             self._scene(estimate.config)
         header: dict[str, Any] = {
             "type": "step",
-            **stage(estimate, answer.stamp, self._position),
-            "estimate": estimate_json(estimate, estimate.posterior.entropy()),
-            "modes": modes_json(estimate),
+            **believed(estimate, answer.stamp, self._position),
             "rivals": {},
-            "truth": {"direction": None},
-            "error_deg": None,
             "goal": None,
             "faults": [fault.text for fault in answer.faults],
         }
@@ -84,10 +78,7 @@ class Shown:
             pose = None if self.core is None else self.core.orientation(picture.stamp)
             pose = estimate.world_R_body if pose is None else pose
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
-            rows = min(ROWS, picture.panorama.shape[0])
-            small = Photograph(picture.panorama).panorama(STILL, np.eye(3), rows).rgb
-            assert small is not None
-            blobs["panorama"] = Blob("image/jpeg", jpeg(small))
+            blobs["panorama"] = Blob("image/jpeg", small_jpeg(picture.panorama, ROWS))
         self._say(Message(header, blobs))
 
     def _scene(self, config: Any) -> None:

@@ -7,7 +7,6 @@ the live core again; of a robot's walk its report is read.
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -30,12 +29,11 @@ from eagor.live.recording import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.houses import plan_of
 from eagor.studio.messages import jpeg, rounded
-from eagor.studio.steps import belief_of, calibration_of, error_deg, estimate_json, modes_json, stage
+from eagor.studio.steps import belief_in_json, believed, calibration_of, small_jpeg
 from eagor.tasks.episodes import Episode
 from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
 from eagor.tasks.places import Place, load_place
 from eagor.tasks.play import Seen
-from eagor.worlds.photograph import Photograph
 
 __all__ = ["REPORT", "Redrawn", "recorded", "redraw", "walked"]
 
@@ -149,16 +147,8 @@ def _step(seen: Seen, degree: int) -> dict[str, Any]:
     """One step of the method whose belief is shown."""
     assert isinstance(seen.method, TrackerMethod)
     estimate = seen.method.estimate
-    header, coefficients = belief_of(estimate, seen.stamp, degree)
-    header["coefficients"] = base64.b64encode(coefficients).decode("ascii")
-    return {
-        **stage(estimate, seen.stamp, seen.position),
-        "estimate": estimate_json(estimate, estimate.posterior.entropy()),
-        "modes": modes_json(estimate),
-        "belief": header,
-        "truth": {"direction": rounded(seen.truth)},
-        "error_deg": error_deg(estimate.direction, seen.truth),
-    }
+    step = believed(estimate, seen.stamp, seen.position, seen.truth)
+    return step | {"belief": belief_in_json(estimate, seen.stamp, degree)}
 
 
 def _thin(found: Redrawn) -> None:
@@ -205,7 +195,6 @@ REPORT = "run.json"  # of a robot's walk
 KEPT = 120  # steps of a recording or of a walk that are shown
 APART = 0.2  # seconds between two of them, at least
 ROWS = 256  # of panoramas
-STILL = (0.0, 0.0, 0.0)
 
 
 def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda _: None) -> Redrawn:
@@ -252,23 +241,13 @@ def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda
 
 def _answered(answer: Any, panorama: FrameCame | None, place: np.ndarray | None, core: LiveCore) -> Any:
     estimate = answer.estimate
-    header, coefficients = belief_of(estimate, answer.stamp, core.config.degree)
-    header["coefficients"] = base64.b64encode(coefficients).decode("ascii")
-    step = {
-        **stage(estimate, answer.stamp, place),
-        "estimate": estimate_json(estimate, estimate.posterior.entropy()) | {"status_words": answer.status_words},
-        "modes": modes_json(estimate),
-        "belief": header,
-        "truth": {"direction": None},
-        "error_deg": None,
-    }
+    step = believed(estimate, answer.stamp, place)
+    step["estimate"]["status_words"] = answer.status_words
+    step["belief"] = belief_in_json(estimate, answer.stamp, core.config.degree)
     step["look"] = {"age": rounded(answer.look_age, 3), "fresh": False}
     picture = None
     if panorama is not None and panorama.panorama is not None:
-        rows = min(ROWS, panorama.panorama.shape[0])
-        small = Photograph(panorama.panorama).panorama(STILL, np.eye(3), rows).rgb
-        assert small is not None
-        picture = jpeg(small)
+        picture = small_jpeg(panorama.panorama, ROWS)
     return step, picture
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -14,10 +15,21 @@ from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import angular_distance
 from eagor.studio.density import DEGREE, MASS, Density, density_of
-from eagor.studio.messages import Blob, rounded
+from eagor.studio.messages import Blob, jpeg, rounded
 from eagor.tracking import Estimate, TrackerConfig
+from eagor.worlds.photograph import Photograph
 
-__all__ = ["FLOATS", "belief_of", "calibration_of", "error_deg", "estimate_json", "evidence_of", "modes_json", "stage"]
+__all__ = [
+    "FLOATS",
+    "belief_in_json",
+    "belief_of",
+    "believed",
+    "calibration_of",
+    "error_deg",
+    "estimate_json",
+    "evidence_of",
+    "small_jpeg",
+]
 
 FLOATS = "float32"
 
@@ -98,6 +110,40 @@ def stage(estimate: Estimate, stamp: float, position: np.ndarray | None) -> dict
         "position": rounded(position, 4),
         "look": {"age": rounded(estimate.age, 3), "fresh": False},
     }
+
+
+def believed(
+    estimate: Estimate,
+    stamp: float,
+    position: np.ndarray | None,
+    truth: np.ndarray | None = None,
+    entropy: float | None = None,
+) -> dict[str, Any]:
+    """The part of a step that says what is believed from where. `truth`: the true direction ``(3,)``, body frame.
+
+    `entropy` of the belief, where it has been computed already.
+    """
+    entropy = estimate.posterior.entropy() if entropy is None else entropy
+    return {
+        **stage(estimate, stamp, position),
+        "estimate": estimate_json(estimate, entropy),
+        "modes": modes_json(estimate),
+        "truth": {"direction": rounded(truth)},
+        "error_deg": error_deg(estimate.direction, truth),
+    }
+
+
+def belief_in_json(estimate: Estimate, stamp: float, degree: int) -> dict[str, Any]:
+    """The belief as `belief_of`, with its coefficients in the header."""
+    header, coefficients = belief_of(estimate, stamp, degree)
+    return header | {"coefficients": base64.b64encode(coefficients).decode("ascii")}
+
+
+def small_jpeg(panorama: np.ndarray, rows: int) -> bytes:
+    """A panorama ``(H, W, 3)`` uint8 as JPEG, shrunk to so many rows if it has more."""
+    small = Photograph(panorama).panorama((0.0, 0.0, 0.0), np.eye(3), min(rows, panorama.shape[0])).rgb
+    assert small is not None
+    return jpeg(small)
 
 
 def error_deg(direction: np.ndarray | None, truth: np.ndarray | None) -> float | None:
