@@ -160,6 +160,8 @@ test-slow: $(VENV)/.eagor-test-installed models page-check
 bench: $(VENV)/.eagor-test-installed
 	@echo "==> benchmarks/core.py"
 	$(BIN)/python benchmarks/core.py
+	echo "==> benchmarks/quality.py"
+	$(BIN)/python benchmarks/quality.py
 	echo "==> benchmarks/ideal.py"
 	$(BIN)/python benchmarks/ideal.py
 	echo "==> benchmarks/studio.py"

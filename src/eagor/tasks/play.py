@@ -9,7 +9,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,12 +23,14 @@ from eagor.tasks.episode_files import FileSlot, slot_of
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.methods import BASE, ORACLE, Method, Steers, answer_at, method_for
 from eagor.tasks.models import Delay, EpisodePerception, is_privileged, look_around, open_for_slot, shared
-from eagor.tasks.place_env import PlaceEnv
 from eagor.tasks.places import in_view, mask_of
 from eagor.tasks.rules import Camera, Disturbances, from_dict
 from eagor.tasks.search_space import Chance, SteeringInput, along_floor
 from eagor.tasks.searcher import seeking, steering_for
 from eagor.tasks.task import Played
+
+if TYPE_CHECKING:
+    from eagor.tasks.place_env import PlaceEnv
 
 STANDS = 1e-6  # metres of a step in which the body only turns: no metres at all would call stop
 MASS = 0.9  # of the credible regions whose coverage is measured
