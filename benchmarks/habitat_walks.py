@@ -1,6 +1,6 @@
 """Our episodes inside habitat-lab: can they be won there, and do we judge each walk as habitat-lab does?
 
-    python benchmarks/habitat_lab.py --out FOLDER [--parts apartments storeys] [--blind] [--seeds 0 1 ...] [--each 10]
+    python benchmarks/habitat_walks.py --out FOLDER [--parts apartments storeys] [--blind] [--seeds 0 1 ...] [--each 10]
 
 Needs habitat-lab and Habitat-Sim. An oracle walks every episode inside habitat-lab with its configuration
 ``benchmark/nav/objectnav/objectnav_hm3d.yaml``, of which only the path of the episodes is set (and the CPU, where there
