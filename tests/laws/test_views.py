@@ -202,6 +202,26 @@ def test_a_detector_that_returns_nonsense_is_told_so(nonsense):
         Views(lambda picture, query: nonsense, size=64)(painted(), "thing")
 
 
+def test_a_colour_in_the_query_weighs_the_boxes_of_a_detector_that_knows_none():
+    left, right = direction(0.6, 0.0), direction(-0.6, 0.0)
+    panorama = painted((left, math.radians(8)))
+    panorama[angular_distance(GRID.directions, right) < math.radians(8)] = (220, 20, 160)  # more purple than red
+
+    def chairs(picture, query):
+        boxes, scores = red(picture, query)
+        return boxes, scores, ["chair"] * len(boxes)
+
+    views = Views(chairs, size=128, classes=["chair"])
+    assert len(views(panorama, "chair", stamp=1.0).detections) == 2
+    seen = views(panorama, "the red chair", stamp=1.0).detections
+    surest = int(seen.scores.argmax())
+    assert angular_distance(seen.directions[surest], left) < math.radians(2)
+    assert seen.scores[surest] == pytest.approx(0.9), "a red thing fills enough of its box"
+    assert np.sort(seen.scores)[:-1].sum() < 0.1
+    with pytest.raises(QueryError, match="by the window"):
+        views(panorama, "red chair by the window")
+
+
 def test_wrong_settings_and_pictures_are_refused():
     with pytest.raises(GridError, match="cover the sphere"):
         Views(red, hfov=60, count=4)

@@ -162,6 +162,17 @@ def colour_in(query: str) -> Colour | None:
     return None
 
 
+def is_colour(query: str) -> bool:
+    """Whether `query` names a colour and nothing else: "red", "the dark green"."""
+    words = set(re.findall(r"[a-z]+", query.lower()))
+    return bool(words) and words <= {*COLOURS, *SYNONYMS, *_SHADES, "the", "a", "an", "thing", "one"}
+
+
+def share_of(colour: Colour, picture: np.ndarray) -> float:
+    """How much of a picture ``(h, w, 3)``, uint8 or floating in [0, 1], has this colour: the mean likeness."""
+    return float(_likeness(_reduced(picture, *picture.shape[:2]), colour, around=False).mean())
+
+
 def _shaded(colour: Colour, shade: str) -> Colour:
     """`colour` made "dark" or "light"; unchanged for ""."""
     zero_low, full_low, full_high, zero_high = colour.lightness

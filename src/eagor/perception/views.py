@@ -9,7 +9,7 @@ parts are put together; where a cut side stays open, the thing goes on there by 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ from eagor.media.cutting import cut, tangent_views
 from eagor.media.panorama import checked_picture
 from eagor.perception.adapters import Boxes, boxes_of
 from eagor.perception.blobs import spread_evidence
+from eagor.perception.colour import colour_in, share_of
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, unit, world_R_body
 
@@ -48,7 +49,8 @@ class Views:
     - `count`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
     - `size`: pixels along each side of a view.
     - `detector`: how the detector errs (default: `DetectorModel()`).
-    - `classes`: names of all that the detector knows (default: its own ``classes``); None: it takes any words.
+    - `classes`: names of all that the detector knows (default: its own ``classes``); None: it takes any words. A
+      detector with classes knows no colours: where the query names one ("brown chair"), the colour weighs its boxes.
 
     Raises `GridError` if so few views of this field cannot cover the sphere, `EagorError` for other wrong settings.
     """
@@ -129,19 +131,31 @@ class Views:
             for query, words, pieces in zip(queries, wanted, found, strict=True):
                 if seen is None or self.classes is None:
                     seen = boxes_of(self.detect(picture, query), self.classes)
-                pieces += _pieces(number, grid, seen, query, words)
+                pieces += self._weighed(_pieces(number, grid, seen, query, words), picture, query)
         return [things(pieces) for pieces in found]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
         wanted, image = self._wanted(query), checked_picture(image, "the picture")
-        pieces = list(_pieces(0, grid, boxes_of(self.detect(image, query), self.classes), query, wanted))
-        return spread_evidence(things(pieces), self.detector, View(grid), stamp)
+        pieces = _pieces(0, grid, boxes_of(self.detect(image, query), self.classes), query, wanted)
+        return spread_evidence(things([*self._weighed(pieces, image, query)]), self.detector, View(grid), stamp)
+
+    def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
+        """The boxes of a picture, with lower scores where they show little of the colour that the query names."""
+        colour = None if self.classes is None else colour_in(query)
+        for piece in pieces:
+            if colour is None:
+                yield piece
+                continue
+            (x0, y0), (x1, y1) = np.floor(piece.box[:2]).astype(int), np.ceil(piece.box[2:]).astype(int)
+            share = share_of(colour, picture[y0:y1, x0:x1])
+            if share > 0:
+                yield replace(piece, score=piece.score * min(1.0, share / COLOURED))
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         if not isinstance(query, str) or not query.strip():
             raise QueryError(f"the query is {query!r}; wanted words, such as 'chair'")
-        return None if self.classes is None else meant(query, self.classes)
+        return None if self.classes is None else meant(query, self.classes, coloured=True)
 
 
 def _pieces(
@@ -185,6 +199,8 @@ def _layout(size: int, hfov: float, count: int) -> tuple[PerspectiveGrid, ...]:
 
 # --- from boxes in views to things ------------------------------------------------------------------------------------
 
+# Of a box's pixels, so many have the thing's colour at least: it fills about half of its box, and has others, too.
+COLOURED = 0.25
 BORDER = 0.01  # of a view's side: a box that ends nearer to the border than that is cut
 SAME = 0.5  # of the smaller box, where both views look: with more in common, two boxes are of one thing
 # The visible part of a thing that is cut at a random place is on average (in the median) half of it.

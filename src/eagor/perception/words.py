@@ -1,7 +1,8 @@
 """Which classes of a detector a query means: articles, plurals, compounds, other names, wider words.
 
 A detector with a closed set of classes knows no colours and no relations: a query with one is refused, and the noun
-alone is suggested. The tables are in `eagor.perception.synonyms`.
+alone is suggested. `eagor.perception.views` takes colours, and weighs boxes by them. The tables are in
+`eagor.perception.synonyms`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from importlib.util import find_spec
 from eagor._extras import how_to_install
 from eagor.errors import QueryError
 from eagor.perception.colour import COLOURS as SHADES
+from eagor.perception.colour import is_colour
 from eagor.perception.synonyms import (
     DESCRIBING,
     DRINKING,
@@ -41,12 +43,12 @@ _EVERY = 8  # classes that an error names
 _ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
 
 
-def meant(query: str, classes: Sequence[str], *, described: bool = False) -> tuple[str, ...]:
+def meant(query: str, classes: Sequence[str], *, described: bool = False, coloured: bool = False) -> tuple[str, ...]:
     """The names among `classes` that `query` means, as they are spelt there and in their order.
 
     A class's own name wins over its other names, those over wider words ("animal" means every animal that is there),
     and those over the last word of a compound ("office chair" means a chair). `described`: leave out words that
-    describe ("red", "wooden", "by the window") instead of refusing them.
+    describe ("red", "wooden", "by the window") instead of refusing them; `coloured`: leave out words for colours alone.
 
     Raises `QueryError` for a word that no class fits, which names the nearest classes; for words that describe, as a
     detector with a closed set of classes finds every chair, not the red one; and for a query without words.
@@ -61,7 +63,7 @@ def meant(query: str, classes: Sequence[str], *, described: bool = False) -> tup
         return found
     noun, left_out = _noun(words)
     found = _found(noun, classes)
-    if found and (not left_out or described):
+    if found and (not left_out or described or (coloured and is_colour(" ".join(left_out)))):
         return found
     if all(word in _COLOURS for word in words):
         raise QueryError(
