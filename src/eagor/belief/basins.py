@@ -13,7 +13,6 @@ from eagor.belief.field import LARGEST, SphereField, cells_of
 # Nats from a peak down to the saddle at which it counts as one of its own. It is Rayleigh's criterion, by which the eye
 # sees two points of light apart: the light between them falls to 0.735 of that of the points.
 PROMINENCE = -math.log(0.735)
-LEVEL = 1e-9  # nats: heights that differ by less are level, so that rounding decides nothing
 
 
 def basins(field: np.ndarray, prominence: float) -> np.ndarray:
@@ -145,11 +144,8 @@ class Places:
 
 
 def labelled(values: np.ndarray) -> tuple[int, np.ndarray]:
-    """The number of basins of a field ``(H, W)``, and that of each cell ``(H, W)``: each climbs to its peak.
-
-    On a plateau the last bit of a sum would decide where a cell climbs, and make hundreds of basins of one.
-    """
-    label = climbed(np.rint(values / LEVEL)).reshape(-1)
+    """The number of basins of a field ``(H, W)``, and that of each cell ``(H, W)``: each climbs to its peak."""
+    label = climbed(values).reshape(-1)
     there = np.zeros(len(label), dtype=bool)
     there[label] = True
     return int(there.sum()), (np.cumsum(there) - 1)[label].reshape(values.shape)
