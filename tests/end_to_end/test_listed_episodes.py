@@ -76,7 +76,7 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
         assert listed.position[2] == pytest.approx(ground.floor + ON_MESH)
         assert len(path) == found["steps"] + 1 == len(entry["trace"]["pose"]) + 1
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        assert steps.max() <= 0.25 + 1e-9
+        assert steps.max() <= 0.25 + 2e-9  # records keep nine digits of each coordinate
         length, left, shortest = steps.sum(), float(way.distance(path[-1, :2])), float(way.distance(path[0, :2]))
         won = float(left < 0.1)
         efficiency = shortest / max(shortest, length)
