@@ -163,9 +163,9 @@ def colour_in(query: str) -> Colour | None:
 
 
 def is_colour(query: str) -> bool:
-    """Whether `query` names a colour and nothing else: "red", "the dark green"."""
+    """Whether `query` names a colour and nothing else: "red", "dark green"."""
     words = set(re.findall(r"[a-z]+", query.lower()))
-    return bool(words) and words <= {*COLOURS, *SYNONYMS, *_SHADES, "the", "a", "an", "thing", "one"}
+    return bool(words) and words <= {*COLOURS, *SYNONYMS, *_SHADES}
 
 
 def share_of(colour: Colour, picture: np.ndarray) -> float:
