@@ -49,10 +49,9 @@ from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.semantics import Things
 from eagor.worlds.habitat.simulator import Source as SimSource
 from eagor.worlds.habitat.simulator import configured
-from eagor.worlds.habitat_dataset import Source, config_of, export_dataset
+from eagor.worlds.habitat_dataset import Source, config_of, export_dataset, make_episodes, make_goals
 from eagor.worlds.habitat_mesh import LAB_BODY, ON_MESH
 from eagor.worlds.objectnav import Episode, Goal, SceneEpisodes, write_episodes
-from eagor.worlds.objectnav_making import make_episodes, make_goals
 from eagor.worlds.render import Frame
 from eagor.worlds.scene import Scene
 
@@ -167,8 +166,8 @@ def drawing_nothing(blind: bool) -> Iterator[None]:
     opened = simulator._made
     with ExitStack() as stack:
         for place, name, value in (
-            (sessions, "device_for", lambda *_: -1),
-            (sessions, "_made", lambda source, gpu, *_: opened(source, gpu, 8, ())),
+            (simulator, "device_for", lambda *_: -1),
+            (simulator, "_made", lambda source, gpu, *_: opened(source, gpu, 8, ())),
             (view.HabitatView, "panorama", empty),
             (world, "true_floor", lambda view, pathfinder, storey, name, options: storey.level - ON_MESH),
             (world, "things_of", lambda *_: Things((), (), BoxLabels(()), "none")),

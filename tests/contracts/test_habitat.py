@@ -36,7 +36,9 @@ from eagor.worlds.render import Renderer
 
 pytestmark = [
     pytest.mark.habitat,
-    pytest.mark.skipif(find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {simulator.HOW_TO_GET}"),
+    pytest.mark.skipif(
+        find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {simulator.HOW_TO_GET}"
+    ),
     pytest.mark.filterwarnings("default::DeprecationWarning"),  # its own, and those of its bindings
 ]
 HERE = (2.0, 2.9, 1.25)

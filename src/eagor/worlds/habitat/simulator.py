@@ -239,7 +239,6 @@ def main(asked: list[Any], line: int) -> None:
     _quieten()
     import habitat_sim  # pyright: ignore[reportMissingImports]
 
-
     _say("context")
     for stage, source in (("scene", Source("NONE")), ("done", Source(scene_id, dataset))):
         habitat_sim.Simulator(configured(habitat_sim, source, device, 8, ("depth",))).close()
