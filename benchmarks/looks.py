@@ -1,95 +1,83 @@
-"""What a look of `coco` costs, and what smaller views lose, on photographs. The first argument is their folder.
+"""What a look of `coco` at footage costs. The first argument is a photograph, the second how many looks.
 
-python benchmarks/looks.py PANORAMAS [--widths 1024,640] [--sizes 512,320] [--frames 8] [--together 1,2] [--repeat 3]
+python benchmarks/looks.py PHOTOGRAPH [--looks 10] [--repeat 3] [--widths 1024,640] [--cores 2]
 
-Each photograph (tests/photographs.json, truth marked by hand) is shrunk to each of the widths and turned as in
-`photographs.py` (yaw, tumble). The sizes are pixels along the side of a view and of the network's input. Printed are the recall per frame (a marked thing counts as found if a detection of
-its class lies within 15 degrees of it, or within half its size), how many detections per look are of nothing that is
-marked, and CPU and wall seconds of a look: the least of the repetitions, by how many views are looked at at a time.
+A camera turns in the photograph: a video with ten frames a second, of which two are looked at. Printed are CPU and wall
+seconds per look, of everything that `eagor track` does: decoding, the rotation from the pictures, the detector, the
+answer. "one by one": on one core; "together": as the command does it on so many cores, frames made ahead by a thread,
+views seen at the same time. The two take turns, and the least of the repetitions counts.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import math
-import os
+import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
-from photographs import ANNOTATIONS, NEAR, places, pictures, poses
-from PIL import Image
 
-from eagor.media.panorama import read_panorama
-from eagor.perception.coco import CLASSES, from_text
-from eagor.perception.views import Views
-from eagor.sphere import angular_distance
+from eagor.drawing.video import Movie
+from eagor.media.footage import LEAST_ROWS, FrameCheck, VideoFrames, open_video
+from eagor.media.panorama import read_panorama, turn
+from eagor.media.posed_frames import ahead, posed_by_sight
+from eagor.perception.coco import from_text
+from eagor.perception.footage import follow
+from eagor.sphere import world_R_body
+from eagor.tracking import TrackerConfig
 
-
-def recall(views: Views, folder: Path, width: int, frames: int) -> tuple[int, int, int, int]:
-    """Marked things found, marked things, detections of nothing that is marked, and looks."""
-    found = marked = wrong = looks = 0
-    for name, notes in json.loads(ANNOTATIONS.read_text()).items():
-        photograph = shrunk(read_panorama(folder / name), width)
-        classes = sorted({each for thing in notes["things"] for each in thing["names"]} | set(notes["absent"]))
-        for condition in ("yaw", "tumble"):
-            turned = zip(poses(condition)[:frames], pictures(photograph, condition), strict=False)
-            for pose, picture in turned:
-                looks += 1
-                seen = dict(zip(classes, views.things(picture, classes, pose), strict=True))
-                for query, things in seen.items():
-                    at, sizes = places([thing for thing in notes["things"] if query in thing["names"]])
-                    near = np.maximum(math.radians(NEAR), sizes / 2)
-                    angles = [angular_distance(at @ pose, thing.direction) for thing in things]
-                    hits = np.array([each <= near for each in angles]).reshape(len(things), len(at))
-                    found, marked = found + int(hits.any(axis=0).sum()), marked + len(at)
-                    wrong += int((~hits.any(axis=1)).sum())
-    return found, marked, wrong, looks
+RATE, FRAMES = 2.0, 10.0  # looks and frames per second
 
 
-def shrunk(photograph: np.ndarray, width: int) -> np.ndarray:
-    """The photograph with so many columns."""
-    image = Image.fromarray(photograph)
-    return np.asarray(image.resize((width, width // 2), Image.Resampling.BOX if width < image.width else Image.Resampling.BICUBIC))
+def film(photograph: np.ndarray, width: int, looks: int, path: Path) -> None:
+    """Write the video of a camera that turns and nods."""
+    size = (width, width // 2)
+    small = cv2.resize(photograph, size, interpolation=cv2.INTER_AREA)
+    movie = Movie(path, size, rate=FRAMES)
+    for stamp in np.arange(0, looks / RATE, 1 / FRAMES):
+        movie.add(turn(small, world_R_body(0.3 * stamp, 0.15 * np.sin(stamp)).T), stamp)
+    movie.close()
 
 
-def cost(views: Views, panorama: np.ndarray, repeat: int) -> tuple[float, float]:
-    """CPU and wall seconds of one look for all classes: the least of the repetitions."""
-    taken = []
-    for _ in range(repeat + 1):
-        before = time.process_time(), time.perf_counter()
-        views.things(panorama, CLASSES, np.eye(3))
-        taken.append((time.process_time() - before[0], time.perf_counter() - before[1]))
-    cpu, wall = zip(*taken[1:], strict=True)
-    return min(cpu), min(wall)
+def tracked(path: Path, cores: int) -> Callable[[], None]:
+    """A function that answers about all looks; `cores` above 1: as the command does it."""
+    perception = from_text(f"together={cores}")
+
+    def run() -> None:
+        frames = posed_by_sight(VideoFrames(open_video([path], rate=RATE, rows=LEAST_ROWS), FrameCheck()), False)
+        for _ in follow(ahead(frames) if cores > 1 else frames, perception, "chair", TrackerConfig()):
+            pass
+
+    return run
 
 
 def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("panoramas", type=Path, help="the folder of the photographs")
-    parser.add_argument("--widths", default="1024,640", help="of the panoramas, pixels, with commas")
-    parser.add_argument("--sizes", default="512,416,320", help="of the views, pixels, with commas")
-    parser.add_argument("--frames", type=int, default=8, help="of each photograph and way of turning")
-    parser.add_argument("--together", default="1,2", help="views at a time, with commas")
-    parser.add_argument("--repeat", type=int, default=3, help="looks of which the quickest counts")
+    parser.add_argument("photograph", type=Path, help="a panorama")
+    parser.add_argument("--looks", type=int, default=10, help="in the video")
+    parser.add_argument("--repeat", type=int, default=3, help="runs, of which the least counts")
+    parser.add_argument("--widths", default="1024,640", help="of the video, pixels, with commas")
+    parser.add_argument("--cores", type=int, default=2, help="to take")
     options = parser.parse_args()
-    widths, sizes, many = ([int(each) for each in text.split(",")] for text in (options.widths, options.sizes, options.together))
-    print(f"{'panorama':>12}{'views':>7}{'found':>11}{'recall':>8}{'wrong/look':>12}")
-    for width in widths if options.frames else ():
-        for size in sizes:
-            views = from_text(f"size={size}&together={many[-1]}")
-            found, marked, wrong, looks = recall(views, options.panoramas, width, options.frames)
-            print(f"{width:>7} x {width // 2:<4}{size:>5}{found:>6}/{marked:<5}{found / marked:>7.3f}{wrong / looks:>12.2f}", flush=True)
-    print(f"\n{os.cpu_count()} cores\n{'panorama':>12}{'views':>7}{'together':>10}{'CPU s':>8}{'wall s':>8}")
-    name = next(iter(json.loads(ANNOTATIONS.read_text())))
-    for width in widths:
-        panorama = shrunk(read_panorama(options.panoramas / name), width)
-        for size in sizes:
-            for together in many:
-                cpu, wall = cost(from_text(f"size={size}&together={together}"), panorama, options.repeat)
-                print(f"{width:>7} x {width // 2:<4}{size:>5}{together:>9}{cpu:>9.3f}{wall:>8.3f}", flush=True)
+    print(f"{'video':>12}  {'':14}{'CPU s':>8}{'wall s':>8}  per look")
+    photograph = read_panorama(options.photograph)
+    for width in map(int, options.widths.split(",")):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "clip.mp4"
+            film(photograph, width, options.looks, path)
+            ways = {"one by one": tracked(path, 1), "together": tracked(path, options.cores)}
+            taken: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
+            for _ in range(options.repeat):
+                for name, run in ways.items():
+                    before = time.process_time(), time.perf_counter()
+                    run()
+                    taken[name].append((time.process_time() - before[0], time.perf_counter() - before[1]))
+            for name, found in taken.items():
+                cpu, wall = (min(each) / options.looks for each in zip(*found, strict=True))
+                print(f"{width:>5} x {width // 2:<4}  {name:14}{cpu:>8.3f}{wall:>8.3f}", flush=True)
 
 
 if __name__ == "__main__":

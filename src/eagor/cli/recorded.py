@@ -45,9 +45,7 @@ def recorded(options: Common, places: Sequence[Path]) -> ReplayPerception | None
     return replay
 
 
-def list_seen(
-    options: Common, replay: ReplayPerception, config: TrackerConfig, hidden: HiddenParts, modes: int
-) -> int:
+def list_seen(options: Common, replay: ReplayPerception, config: TrackerConfig, hidden: HiddenParts, modes: int) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
     from eagor.perception.looks import about, asked_for, things_seen
 

@@ -24,7 +24,8 @@ from eagor.media.panorama import PanoramaFile
 from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
 
 __all__ = [
-    "Odometry", "PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned",
+    "Odometry", "PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight",
+    "thinned",
 ]  # fmt: skip
 
 HOLE = 0.5  # seconds without a pose that are worth a word

@@ -232,4 +232,3 @@ def _thing(
         if any(each.detections is None or len(each.detections) for each in evidence):
             looks, last = looks + 1, pose.stamp
     return ThingSeen(query, tracker.estimate(frames[-1].pose.stamp), looks, among, last) if looks else None
-

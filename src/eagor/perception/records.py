@@ -162,7 +162,7 @@ class _Line(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One line of the file, checked: `kind` is "boxes", "points", "response", "views", or "pose": nothing was looked at.
+    """One line of the file, checked: `kind` is "boxes", "points", "response", "views", or "pose" without a look.
 
     `query`: None for any query. `grid`: of the image or of the response; None for points anywhere. `values`: boxes
     ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
@@ -221,7 +221,7 @@ class Record:
     ) -> Evidence:
         if self.kind == "views":
             if self.query is None and wanted is None:
-                wanted = fitting(query, among or self.labels)
+                wanted = fitting(query, among or [label for label in self.labels if label is not None])
             chosen = None if wanted is None else [*wanted]
             return combined(self.views, query, chosen, detector, self.stamp)
         if self.kind == "response" and self.grid is not None:
@@ -374,8 +374,11 @@ def _views(views: Sequence[_View], logits: bool) -> tuple[Seen, ...]:
         need(labels is not None or told == [None] * len(told), "label", None, "one for each box of a view, or for none")
         found.append(Seen(grid, Boxes(boxes, _probabilities(each.boxes, logits), labels)))
     area = sum(float(view.grid.weights.sum()) for view in found)
-    need(len(found) == 1 or area >= 4 * math.pi * WHOLE, "views", f"{len(found)} views of {area:.1f} sr",
-         "one view, or several that cover the whole sphere; views of a part want lines of their own, with boxes")  # fmt: skip
+    if len(found) != 1 and area < 4 * math.pi * WHOLE:
+        raise FormatError(
+            f"has {len(found)} views of {area:.1f} sr in all; wanted one view, or several that cover the whole sphere. "
+            "Views of a part of it want lines of their own, with boxes"
+        )
     return tuple(found)
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eagor._checks import within
+from eagor._checks import warn_unless_whole, within
 from eagor._lazy import lazy
 from eagor.errors import EagorError, GridError, QueryError
 from eagor.evidence import DetectorModel, Evidence, View
@@ -132,6 +132,7 @@ class Views:
         """What the detector sees of each query, before any reading: one `Thing` each, the surest first."""
         wanted = [self._wanted(query) for query in queries]
         panorama = checked_picture(panorama)
+        warn_unless_whole(panorama)
         grids = self.views(world_R_body)
         pictures, seen = cut(panorama, *grids), None
         found: list[list[ViewBox]] = [[] for _ in queries]
@@ -154,6 +155,7 @@ class Views:
         `combined` makes of it what a call makes. Errors as there.
         """
         panorama = checked_picture(panorama)
+        warn_unless_whole(panorama)
         grids = self.views(world_R_body)
         found = self._detected(cut(panorama, *grids), query)
         return [Seen(grid, boxes) for grid, boxes in zip(grids, found, strict=True)]
