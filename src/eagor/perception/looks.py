@@ -99,7 +99,7 @@ def _view(seen: Seen) -> dict[str, Any]:
     image = {"projection": "perspective", "width": grid.width, "height": grid.height}
     image |= {"hfov_deg": round(math.degrees(grid.hfov), TURNS)} | _quaternion(grid.body_R_view)
     inside = np.clip(boxes, 0, [grid.width, grid.height] * 2).round(PIXELS)
-    real = (inside[:, 2:] > inside[:, :2]).all(axis=1)
+    real = np.all(inside[:, 2:] > inside[:, :2], axis=1).tolist()
     found = [
         {"box": box.tolist(), "score": round(float(score), SCORES)} | ({} if label is None else {"label": label})
         for box, score, label, kept in zip(inside, scores, labels or [None] * len(inside), real, strict=True)
@@ -113,7 +113,7 @@ def _runs(mask: BodyMask) -> dict[str, Any]:
     rows = mask.seen.shape[0]
     seen = mask.at(_centres(rows)).ravel()
     ends = np.flatnonzero(np.diff(seen)) + 1
-    runs = np.diff([0, *ends, len(seen)]).tolist()
+    runs = np.diff(np.concatenate([[0], ends, [len(seen)]])).tolist()
     return {"rows": rows, "runs": runs if seen[0] else [0, *runs]}
 
 
