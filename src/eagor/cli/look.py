@@ -106,7 +106,7 @@ def look(options: Look) -> int:
     else:
         example = next(iter(dict(labels.most_common(1))), None) or next(iter([*queries, *(views.classes or ())]))
         terminal.say(
-            f"{looks} looks, {labels.total()} boxes of {len(labels)} things: {options.out}",
+            f"{labels.total()} boxes of {len(labels)} things in {looks} look{'s' * (looks != 1)}: {options.out}",
             f"what there is:  eagor track {options.out}",
             f'where it is:    eagor track {options.out} "{example}"',
         )
