@@ -104,6 +104,6 @@ def test_frames_that_are_made_ahead_come_in_order_with_their_error_and_end_with_
     made.clear()
     coming = ahead(frames(1000))
     assert len([*islice(coming, 2)]) == 2
-    coming.close()
+    coming.close()  # type: ignore[attr-defined]
     assert len(made) <= 6
     assert not [each for each in threading.enumerate() if each.name == "eagor-frames"]

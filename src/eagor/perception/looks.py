@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from eagor.errors import EagorError, FormatError, PoseError, QueryError
 from eagor.evidence import BodyMask, model_as_json
+from eagor.grids import ErpGrid
 from eagor.media.footage import ShapeError
 from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame
@@ -27,7 +28,6 @@ from eagor.perception.footage import HiddenParts
 from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.views import Seen, Views
-from eagor.sphere import direction
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["ThingSeen", "first_line", "looked_at", "recorded_frames", "things_seen"]
@@ -111,17 +111,10 @@ def _view(seen: Seen) -> dict[str, Any]:
 def _runs(mask: BodyMask) -> dict[str, Any]:
     """A mask as the lengths of runs: seen, not seen, seen, ..., along the rows of a panorama twice as wide as high."""
     rows = mask.seen.shape[0]
-    seen = mask.at(_centres(rows)).ravel()
+    seen = mask.at(ErpGrid(rows, 2 * rows).directions).ravel()
     ends = np.flatnonzero(np.diff(seen)) + 1
     runs = np.diff(np.concatenate([[0], ends, [len(seen)]])).tolist()
     return {"rows": rows, "runs": runs if seen[0] else [0, *runs]}
-
-
-def _centres(rows: int) -> np.ndarray:
-    """Directions ``(rows, 2 * rows, 3)`` of the cells of a panorama."""
-    elevation = (0.5 - (np.arange(rows)[:, None] + 0.5) / rows) * np.pi
-    azimuth = np.pi - (np.arange(2 * rows) + 0.5) / rows * np.pi
-    return direction(azimuth, elevation)
 
 
 # --- reading --------------------------------------------------------------------------------------------------------
