@@ -101,8 +101,9 @@ def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
             done = check(domain, "--seconds", 1.5)
             assert done.returncode == 1, done.stderr
             assert "states of 236 bytes, without a planned path" in done.stdout
-            assert "777." in done.stdout
-            assert "behind this machine's" in done.stdout
+            behind = re.search(r"([\d.]+) s behind this machine's", done.stdout)
+            assert behind is not None, done.stdout
+            assert 770 < float(behind[1]) < 800  # less the time that messages take
             assert "problem: the robot reports error 1001" in done.stdout
             assert "problem: the battery is at 9 %: charge it" in done.stdout
             assert "2 publish rt/sportmodestate" in done.stdout
@@ -197,9 +198,12 @@ def test_the_page_about_the_go2_runs_as_written():
             said = list(takewhile(lambda line: line != "end it with Ctrl-C\n", robot.stdout))
             assert any("green sofa" in line for line in said)
             for words in others:
-                done = subprocess.run(
-                    [sys.executable, "-m", *words], capture_output=True, text=True, timeout=300, env=alone
-                )
+                for _ in range(4):  # on a busy machine nothing is looked at within so few seconds
+                    done = subprocess.run(
+                        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=300, env=alone
+                    )
+                    if "nothing was looked at" not in done.stderr:
+                        break
                 busy = words[2] == "check" and "processor" in done.stdout  # this machine, not the robot
                 assert done.returncode == (1 if busy else 0), (words, done.stdout, done.stderr)
                 if words[1] == "live":

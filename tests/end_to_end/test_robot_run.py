@@ -25,7 +25,8 @@ pytest.importorskip("onnxruntime")
 
 
 def command(*words):
-    return [sys.executable, "-m", "eagor", "robot", "run", *words]
+    """The command, which gives its processes time to start: this machine may be busy."""
+    return [sys.executable, "-m", "eagor", "robot", "run", *words, "--patience", "120"]
 
 
 def test_a_simulated_robot_walks_to_the_sofa_and_leaves_a_report(tmp_path):
