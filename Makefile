@@ -27,7 +27,7 @@ export MPLBACKEND := Agg
 # pyright is pinned, and comes with its own node: it need not ask the network about a newer one.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # The parent's environment must not leak into the one we make.
-unexport PYTHONPATH PYTHONHOME
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
