@@ -51,7 +51,7 @@ def robot():
 
 
 def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot, capsys):
-    words = ["ros:/image", "red chair", "--poses", "ros:/odom", "--domain", str(robot), "--interface", "lo"]
+    words = ["ros:/image", "red", "--poses", "ros:/odom", "--domain", str(robot), "--interface", "lo"]
     assert main(["live", *words, "--json", "--seconds", "8"]) == 0
     captured = capsys.readouterr()
     answers = [json.loads(line) for line in captured.out.splitlines()]
@@ -67,6 +67,6 @@ def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot, c
 
 
 def test_a_topic_that_is_not_there_is_an_error_that_names_those_there_are(robot, capsys):
-    words = ["ros:/nowhere", "red chair", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
+    words = ["ros:/nowhere", "red", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
     assert main(["live", *words]) == 2
     assert "/image" in capsys.readouterr().err
