@@ -168,7 +168,7 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/studio.py
 
 figures: $(VENV)/.eagor-installed
-	@for figure in architecture mean degree parallax belief moving demo results; do
+	@for figure in architecture mean degree parallax belief presence moving demo results; do
 	    echo "==> docs/figures/$$figure.py"
 	    $(BIN)/python docs/figures/$$figure.py
 	done

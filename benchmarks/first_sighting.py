@@ -24,51 +24,38 @@ from typing import Any
 import numpy as np
 
 from eagor.evaluation import traces
-from eagor.evidence import Evidence
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.episodes import Slot, slots
 from eagor.tasks.methods import answer_at
 from eagor.tasks.models import shared
-from eagor.tasks.play import Player
+from eagor.tasks.play import Player, Seen
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
 OURS, FRAME = "eagor", "frame"
 SHOWN = (traces.SEEN, traces.IN_SIGHT, traces.HIDDEN)
-Step = tuple[float, np.ndarray, Evidence | None, np.ndarray]  # stamp, pose, look, true direction
 
 
-class Writer(Player):
-    """A player that writes down every look."""
-
-    steps: list[Step]
-
-    def _look(self, eye, observation, info, query=""):
-        look = super()._look(eye, observation, info, query)
-        stamp = info["num_steps"] * self.camera.seconds
-        self.steps.append((stamp, observation["pose"], look, info["truth"]["direction"]))
-        return look
-
-
-def frame_errors(steps: list[Step]) -> np.ndarray:
+def frame_errors(steps: list[Seen]) -> np.ndarray:
     """Degrees ``(n,)`` between the truth and the highest value of each look; NaN where there is no response map."""
     found = []
-    for _, _, look, true in steps:
-        error = math.nan
+    for step in steps:
+        error, look = math.nan, step.evidence
         if look is not None and look.response is not None:
             best = look.grid.directions.reshape(-1, 3)[int(np.argmax(look.response))]
-            error = float(angular_error_deg(best, true))
+            error = float(angular_error_deg(best, step.truth))
         found.append(error)
     return np.array(found)
 
 
-def errors(player: Player, name: str, slot: Slot, steps: list[Step]) -> np.ndarray:
+def errors(player: Player, name: str, slot: Slot, steps: list[Seen]) -> np.ndarray:
     """Degrees ``(n,)`` of error of a method after each look."""
     if name == FRAME:
         return frame_errors(steps)
     method = player.method(name, slot)
-    return np.array([float(angular_error_deg(answer_at(method, *step[:3]), step[3])) for step in steps])
+    answers = [answer_at(method, step.stamp, step.pose, step.evidence) for step in steps]
+    return np.array([float(angular_error_deg(answer, step.truth)) for answer, step in zip(answers, steps, strict=True)])
 
 
 def means(record: dict[str, Any], name: str) -> list[float]:
@@ -95,13 +82,13 @@ def main() -> int:
     given = options.parse_args()
     settings = {"rules": NavigationRules(), "disturbances": Disturbances(), "camera": Camera()}
     config = {"task": "navigation", "perception": given.perception, "rows": rows_of(shared(given.perception))}
-    player = Writer(config | {key: as_dict(value) for key, value in settings.items()})
+    player = Player(config | {key: as_dict(value) for key, value in settings.items()})
     names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
     for slot in slots(config["task"], given.episodes, given.seed):
-        player.steps = []
-        record = player.play(slot, [OURS]) | {"status": "ok"}
+        steps: list[Seen] = []
+        record = player.play(slot, [OURS], steps.append) | {"status": "ok"}
         visible = record["methods"][OURS]["trace"]["visible"]
-        found = {name: errors(player, name, slot, player.steps) for name in names}
+        found = {name: errors(player, name, slot, steps) for name in names}
         record["methods"] = {name: {"trace": {"error_deg": found[name], "visible": visible}} for name in names}
         rows.append([means(record, name) for name in names])
         seeds.append(slot.seed)

@@ -16,7 +16,6 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
@@ -748,43 +747,36 @@ def test_control_c(tmp_path):
 
 def test_the_demo_leaves_a_report(tmp_path):
     found = answer("demo", "--seed", "3", "--episode", "1", "--out", tmp_path)
-    assert set(found["methods"]) >= {"centroid", "eagor_paper", "eagor"}
-    for metrics in found["methods"].values():
-        assert 1 <= metrics["steps"] <= 500
-        assert metrics["success"] in (0, 1)
+    assert set(found["errors_deg"]) == {"plain", *NAMES}
+    assert {len(errors) for errors in found["errors_deg"].values()} == {len(found["visible"])}
+    assert found["walk"]["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 3
+    assert page.index("data:image/png") < page.index("<table>") < page.index("<details>"), "first a picture"
     assert "http" not in re.sub(r"base64,[^\"]+", "", page)  # nothing is fetched
     for name in ("beliefs.png", "errors.png", "map.png"):
         assert picture_width(tmp_path / name) >= 1200
-    assert "A collision is a step that" in page
-    assert "What it gets wrong depends on the picture" in page  # the scout is a network
-    assert page.count("scrolls sideways") == 4
+    assert page.count("scrolls sideways") == 5
     assert "0 to 9999" in refused("demo", "--seed", "10000", "--out", tmp_path)
     assert "0 to 4" in refused("demo", "--episode", "5", "--out", tmp_path)
 
 
-def test_a_method_has_one_colour_in_both_pictures_of_the_demo(monkeypatch):
+def test_the_demo_tells_of_in_sight_and_hidden_what_is_so():
     from eagor.cli import demo_apartment
 
-    trace = {"error_deg": [3.0, 2.0], "pose": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]}
-    search = SimpleNamespace(methods={name: {"trace": trace} for name in NAMES}, episode={"targets": (0,)})
-    ground = SimpleNamespace(free=np.ones((2, 2)), structure=np.zeros((2, 2)), origin=(0, 0), cell=1.0)
-    place = SimpleNamespace(ground=ground, scene=SimpleNamespace(instances=[SimpleNamespace(centre=np.zeros(3))]))
-    monkeypatch.setattr(demo_apartment, "draw_errors", lambda stamps, errors: list(errors))
-    monkeypatch.setattr(demo_apartment, "draw_map", lambda walls, free, extent, paths, target: list(paths))
-    assert demo_apartment._errors(search) == demo_apartment._map(search, place)  # colours are given in this order
-
-
-@pytest.mark.parametrize(("drawn", "said"), [(True, "drawn from one seed"), (False, "depends on the picture")])
-def test_the_demo_says_of_mistakes_and_collisions_what_is_so(drawn, said):
-    from eagor.cli import demo_apartment
-
-    methods = {name: {"metrics": {"collisions": 3 + k, "steps": 32}} for k, name in enumerate(("eagor", "centroid"))}
-    search = SimpleNamespace(methods=methods, perception="mine", drawn=drawn)
-    assert said in demo_apartment.mistakes(search)
-    assert "through the same perception, mine." in demo_apartment.mistakes(search)
-    assert "3 in the 32 steps of our tracker, 3 to 4 over all methods" in demo_apartment.collisions(search)
+    trace = {"visible": [False, True, False, False, True]}
+    walk = {"trace": trace, "metrics": {"success": 1, "steps": 5}}
+    record = {"episode": {"query": "bed"}, "methods": {"eagor": walk}}
+    errors = {"eagor": np.array([90.0, 4.0, 6.0, 8.0, 2.0]), "plain": np.array([70.0, 5.0, 50.0, 70.0, 3.0])}
+    search = demo_apartment.Search(None, None, record, [], {}, errors, "scout")
+    assert search.hidden == [(0, 0), (2, 3)]
+    assert [*search.means["eagor"].values()] == [5.0, 3.0, 7.0]
+    told = " ".join(demo_apartment.summary(search))
+    assert "found the bed in 5 steps" in told
+    assert "out of sight in 3 of 5 looks" in told
+    assert "our tracker was off by 7.0°, the newest look alone by 60.0°. In sight: 3.0° and 4.0°." in told
+    walk["trace"] = {"visible": [False] * 5}
+    assert "hidden again" not in " ".join(demo_apartment.summary(search))
 
 
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
