@@ -28,7 +28,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 unexport PYTHONPATH PYTHONHOME
 
 help:
-	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
+	@echo "make demo    search a furnished apartment, leave a report with pictures"
 	echo "make test    every check: ruff, pyright, import-linter, the docs, pytest"
 	echo "make test-slow  what is slow and goes beyond one test per promise; before a release"
 	echo "make lint    the checks without the tests"

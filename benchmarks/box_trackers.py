@@ -25,7 +25,7 @@ FOREVER = 10_000  # frames until a thing that is not seen is given up
 
 
 class BoxTracker:
-    """One of `NAMES`, as `eagor.tasks.methods.Method`; without `turned`, the boxes stay in the pictures as they come."""
+    """One of `NAMES`, as `eagor.tasks.methods.Method`; without `turned`, boxes stay in the pictures as they come."""
 
     def __init__(self, name: str, turned: bool = True) -> None:
         import trackers

@@ -26,18 +26,18 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "docs" / "figures"))
 
-from footage import FRAMES, LOOKS, SECONDS, pose_at  # noqa: E402
+from footage import FRAMES, LOOKS, SECONDS, pose_at
 
-from eagor import DirectionTracker, TrackerConfig  # noqa: E402
-from eagor.drawing.panorama import paint_belief  # noqa: E402
-from eagor.drawing.sheet import INK, figure, image, plain  # noqa: E402
-from eagor.drawing.video import Animation  # noqa: E402
-from eagor.evidence import Evidence  # noqa: E402
-from eagor.media.panorama import read_panorama, turn  # noqa: E402
-from eagor.media.rotation import VisualOdometer  # noqa: E402
-from eagor.perception.coco import DETECTOR, coco_detector  # noqa: E402
-from eagor.perception.views import Views  # noqa: E402
-from eagor.sphere import angular_distance, azimuth_elevation, direction  # noqa: E402
+from eagor import DirectionTracker, TrackerConfig
+from eagor.drawing.panorama import paint_belief
+from eagor.drawing.sheet import INK, figure, image, plain
+from eagor.drawing.video import Animation
+from eagor.evidence import Evidence
+from eagor.media.panorama import read_panorama, turn
+from eagor.media.rotation import VisualOdometer
+from eagor.perception.coco import DETECTOR, coco_detector
+from eagor.perception.views import Views
+from eagor.sphere import angular_distance, azimuth_elevation, direction
 
 ANNOTATIONS = ROOT / "tests" / "photographs.json"
 OURS, TURNED, PLAIN = "eagor", "bot_sort", "as it comes"
