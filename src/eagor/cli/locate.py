@@ -48,7 +48,7 @@ class Locate(Common):
     """What to look for, in words."""
     perception: Annotated[str | None, bare("NAME")] = None
     (
-        "The detector (default: colour if the query names one, otherwise coco): colour (the colour that the query "
+        "The detector (default: coco, or colour where only the colour is known): colour (the colour that the query "
         "names; colour:rows=512 for things of 1 degree), "
         "coco (a small network for everyday things, `eagor models get coco`), "
         "replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), a model "
