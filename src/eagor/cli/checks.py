@@ -31,6 +31,7 @@ MAX_DEGREE = 63
 LEAST_ROWS = 8
 MOST_DRIFT = 90  # degrees
 NO_THING = ("a", "the", "something", "thing", "one")  # a query of these and a colour names nothing else
+SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
 
 
 # --- numbers and words ---------------------------------------------------------------------------------------------
@@ -200,12 +201,16 @@ def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
     return found.pop()
 
 
-def make_perception(spec: str) -> Perception:
-    """The perception that ``--perception`` names."""
+def make_perception(spec: str, busy: bool = False) -> Perception:
+    """The perception that ``--perception`` names. `busy`: nothing else runs meanwhile, so it may take all cores."""
+    from eagor._processes import cores_to_take
     from eagor.perception import load
 
-    if spec.partition(":")[0] == "replay" and not spec.partition(":")[2]:
+    name, _, text = spec.partition(":")
+    if name == "replay" and not text:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
+    if busy and name in SHARED and not re.search(r"\b(together|threads)=", text):
+        return load(spec, together=cores_to_take())
     return load(spec)
 
 

@@ -93,7 +93,7 @@ def locate(options: Locate) -> int:
     if options.picture is not None:
         checked_picture(options.picture)
     with table(options.out) if options.out is not None else nullcontext() as write:
-        perception, stamp = make_perception(spec), options.stamp
+        perception, stamp = make_perception(spec, busy=True), options.stamp
         if stamp is None:  # a replay answers at its own times
             records = perception.records if isinstance(perception, ReplayPerception) else ()
             stamp = next((record.stamp for record in records if record.answers(query)), 0.0)
