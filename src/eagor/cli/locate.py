@@ -31,7 +31,7 @@ from eagor.cli.options import Common, Detector, Floor, Force, Mask, Modes, Out, 
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.media.panorama import PanoramaFile
+    from eagor.media.panorama import Picture
     from eagor.perception import Perception
     from eagor.tracking.estimate import Estimate
 
@@ -98,7 +98,7 @@ def locate(options: Locate) -> int:
             records = perception.records if isinstance(perception, ReplayPerception) else ()
             stamp = next((record.stamp for record in records if record.answers(query)), 0.0)
         frame = _frame(options, perception)
-        looks = look(perception, frame.panorama, query, stamp, frame.level_R_body)
+        looks = look(perception, frame.picture, query, stamp, frame.level_R_body)
         looks = HiddenParts(mask_of(options.mask), terminal.log).covered(looks, frame)
         warn_of_detector(options.detector, looks)
         follower, stamps = Follower(config), sorted({float(evidence.stamp or 0.0) for evidence in looks})
@@ -109,7 +109,7 @@ def locate(options: Locate) -> int:
             follower.look(evidence)
         estimate = follower.estimate(stamps[-1])
         if options.picture is not None:
-            _draw(options, frame.panorama, estimate)
+            _draw(options, frame.picture, estimate)
         found = {
             "query": options.query, "perception": spec, "frame": options.panorama.name, "stamp": stamps[-1],
             **estimate.as_dict(options.modes, NEAR),
@@ -125,10 +125,10 @@ def locate(options: Locate) -> int:
     return terminal.OK
 
 
-def _frame(options: Locate, perception: Perception) -> PanoramaFile:
+def _frame(options: Locate, perception: Perception) -> Picture:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
     from eagor.media.footage import LEAST_ROWS, FrameCheck, LensPictures, is_video, open_video
-    from eagor.media.panorama import PanoramaFile
+    from eagor.media.panorama import Picture
     from eagor.perception import rows_of
 
     check = FrameCheck(options.force, terminal.log)
@@ -138,7 +138,7 @@ def _frame(options: Locate, perception: Perception) -> PanoramaFile:
     video = open_video([options.panorama], options.rig, start=options.stamp or 0.0, rows=rows)
     say_of_video(options.panorama.name, video.facts, video.duration)
     first = next(iter(video))
-    return check(PanoramaFile(first.panorama, video.unseen, video.level_R_body), first.name)
+    return check(Picture(first.picture, video.unseen, video.level_R_body), first.name)
 
 
 def _checked_floor(floor: float | None) -> float | None:

@@ -408,9 +408,9 @@ def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
     with BeliefVideo(checked_out(path, "--video"), rate=journey.shown, span=journey.span) as video:
 
         def add(result: FollowedFrame) -> None:
-            if result.panorama is not None:
+            if result.picture is not None:
                 video.add(
-                    result.panorama,
+                    result.picture,
                     result.estimate,
                     stamp=result.stamp - journey.begins,
                     query=query,
@@ -427,9 +427,9 @@ def _logged(path: Path, query: str) -> Iterator[Sink]:
     with RerunLog(checked_out(path, "--rerun"), f"{query}: {path.name}") as log:
 
         def add(result: FollowedFrame) -> None:
-            if result.panorama is not None or result.told:
+            if result.picture is not None or result.told:
                 log.add(
-                    result.panorama, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    result.picture, result.estimate, stamp=result.stamp, query=query, position=result.position,
                     others=result.others, problem=result.problem,
                 )  # fmt: skip
 
@@ -448,7 +448,7 @@ def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> It
             if result.lost:
                 page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
             at, problem = result.stamp - journey.begins, result.problem
-            page.add(result.panorama, result.estimate, stamp=at, name=result.frame, problem=problem)
+            page.add(result.picture, result.estimate, stamp=at, name=result.frame, problem=problem)
 
         yield add
 
@@ -468,13 +468,13 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
         if not result.told:
             return
         number = next(numbers)
-        if result.panorama is None:
+        if result.picture is None:
             return
         estimate = result.estimate
         title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         modes = [mode.direction for mode in estimate.modes[:most]]
-        picture = draw_belief(result.panorama, estimate, modes=modes, others=shown, title=title)
+        picture = draw_belief(result.picture, estimate, modes=modes, others=shown, title=title)
         keep_picture(picture, folder / f"{number:04d}.png")
 
     return draw

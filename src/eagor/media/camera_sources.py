@@ -188,7 +188,7 @@ class StitchedVideo:
 
     def __iter__(self) -> Iterator[Frame]:
         for frames in _together(self._videos):
-            pictures = (frame.panorama for frame in frames)
+            pictures = (frame.picture for frame in frames)
             yield Frame(frames[0].stamp, self.panoramas.make(*pictures), frames[0].name)
 
 
@@ -265,8 +265,8 @@ class VideoCamera:
             if self._closed:
                 return
             if number == 0 and self._panoramas is not None:
-                self._panoramas.check(frame.panorama)
-            yield Frame(frame.stamp - self.latency, frame.panorama, frame.name)
+                self._panoramas.check(frame.picture)
+            yield Frame(frame.stamp - self.latency, frame.picture, frame.name)
 
     def close(self) -> None:
         self._closed = True
@@ -323,7 +323,7 @@ class FolderCamera:
         with warnings.catch_warnings():  # of shapes, which are checked here
             warnings.simplefilter("ignore")
             if self._rig is None:
-                return [read_photograph(moment[0]).panorama]
+                return [read_photograph(moment[0]).picture]
             return [read_panorama(path) for path in moment]
 
     def close(self) -> None:

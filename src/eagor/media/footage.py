@@ -19,7 +19,7 @@ import numpy as np
 
 from eagor.errors import ImageError
 from eagor.media.defects import fisheye_circles, problems
-from eagor.media.panorama import PanoramaFile, in_order, is_whole, pictures_in, read_panorama, read_photograph
+from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
 
 if TYPE_CHECKING:
     from eagor.media.camera_sources import StitchedVideo
@@ -45,7 +45,7 @@ __all__ = [
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
-Read = Callable[[], PanoramaFile]
+Read = Callable[[], Picture]
 Say = Callable[[str], object]
 
 
@@ -65,20 +65,20 @@ class FrameCheck:
     say: Say = lambda text: None
     _said: set[str] = field(default_factory=set)
 
-    def read(self, path: Path) -> PanoramaFile:
+    def read(self, path: Path) -> Picture:
         """The panorama in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = read_photograph(path)
         return self(found, str(path))
 
-    def __call__(self, frame: PanoramaFile, name: str) -> PanoramaFile:
+    def __call__(self, frame: Picture, name: str) -> Picture:
         """`frame`. Raises `ShapeError` if it is not 2:1, or shows the circles of fisheye lenses, unless `force`."""
-        self._check_shape(frame.panorama, name)
+        self._check_shape(frame.picture, name)
         if "pixels" in self._said:
             return frame
-        found = problems(frame.panorama)
-        if not self.force and fisheye_circles(frame.panorama):
+        found = problems(frame.picture)
+        if not self.force and fisheye_circles(frame.picture):
             raise ShapeError(f"{name}: {found[0]}. To look at it all the same, add --force")
         self._said.add("pixels")  # not before: who reads a frame again that was refused is told again
         for fact in frame.facts:
@@ -127,7 +127,7 @@ class ImageFrames:
 
     paths: tuple[Path, ...]
     rate: float
-    read: Callable[[Path], PanoramaFile]
+    read: Callable[[Path], Picture]
     level_R_body: np.ndarray | None = None
 
     @property
@@ -156,7 +156,7 @@ class VideoFrames:
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for frame in self.video:
-            found = PanoramaFile(frame.panorama, self.video.unseen)
+            found = Picture(frame.picture, self.video.unseen)
             yield frame.stamp, frame.name, partial(self.check, found, frame.name)
 
 
@@ -186,8 +186,8 @@ class BagFrames:
             tick, name = number, f"{self.camera.topic} at {stamp:.3f} s"
             yield stamp, name, partial(self._checked, read, name)
 
-    def _checked(self, read: Callable[[], np.ndarray], name: str) -> PanoramaFile:
-        return self.check(PanoramaFile(read(), self.camera.unseen), name)
+    def _checked(self, read: Callable[[], np.ndarray], name: str) -> Picture:
+        return self.check(Picture(read(), self.camera.unseen), name)
 
 
 def is_video(places: Sequence[Path], rig: Path | None = None) -> bool:
@@ -233,7 +233,7 @@ class LensPictures:
                 "pictures with all circles in one"
             )
 
-    def read(self, path: Path) -> PanoramaFile:
+    def read(self, path: Path) -> Picture:
         """The panorama of the picture at `path`. Raises `ImageError`."""
         from eagor.media.stitching import Panoramas
 
@@ -243,7 +243,7 @@ class LensPictures:
         sizes = ((picture.shape[1], picture.shape[0]),)
         if self._panoramas is None or sizes != self._sizes:
             self._panoramas, self._sizes = Panoramas(sizes, self.rig, self.rows, str(path)), sizes
-        return PanoramaFile(self._panoramas.make(picture), self._panoramas.unseen)
+        return Picture(self._panoramas.make(picture), self._panoramas.unseen)
 
 
 def open_video(
