@@ -311,7 +311,7 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
 
 
 def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
-    """The box ``(4,)`` of a piece in its `ViewBox.plane`, longer at each cut side beyond which no other piece goes on."""
+    """The box ``(4,)`` of a piece in its plane, longer at each cut side beyond which no other goes on."""
     x0, y0, x1, y1 = piece.box
     middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
     found = piece.in_plane(piece.box).copy()
