@@ -72,7 +72,7 @@ def looked_at(
             lines = [
                 at | ({} if query is None else {"query": query}) | {"views": [*map(_view, seen)]}
                 for query in (queries or (None,))
-                for seen in [views.seen(picture.panorama, turn, query or "")]
+                for seen in [views.seen(picture.picture, turn, query or "")]
             ]
         except EagorError as error:
             if isinstance(error, QueryError) or (isinstance(error, ShapeError) and first):
