@@ -196,3 +196,24 @@ def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, eagor, tmp_path
     assert code == 3
     assert "2.png is left out" in err
     assert [each["frame"] for each in json.loads(out)["frames"]] == ["0.png", "1.png", "2.png", "3.png"]
+
+
+def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path):
+    from PIL import Image
+
+    from eagor.grids import PerspectiveGrid
+    from eagor.media.cutting import cut
+
+    folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
+    folder.mkdir()
+    room = painted_room(256, 512)
+    for k in range(3):
+        view = PerspectiveGrid(240, 320, math.radians(90), world_R_body(-0.6 + 0.1 * k))
+        Image.fromarray(cut(room, view)[0]).save(folder / f"{k}.png")
+    told = ("--perception", "paints", "--hfov", 90)
+    code, _, err = eagor("look", folder, "--out", looks, *told)
+    assert code == 0, err
+    found, wanted = (eagor("track", *words, "ball", "--json") for words in ((looks,), (folder, *told)))
+    assert (found[0], wanted[0]) == (0, 0), found[2] + wanted[2]
+    pairs = zip(*(numbers(json.loads(each[1])["frames"]) for each in (found, wanted)), strict=True)
+    assert all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
 from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception
-from eagor.cli.options import Common, Force, RigFile, bare
+from eagor.cli.options import Common, Force, Hfov, RigFile, bare
 from eagor.cli.track import Track, journey_of
 from eagor.errors import ImageError, PoseError
 
@@ -49,6 +49,7 @@ class Look(Common):
     """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
+    hfov: Hfov = None
     rig: RigFile = None
     force: Force = False
 
@@ -69,7 +70,7 @@ def look(options: Look) -> int:
     asked = Track(
         words=(*map(str, options.places), "everything"),
         poses=options.poses, rate=options.rate, start=options.start, end=options.end, image_topic=options.image_topic,
-        odom_topic=options.odom_topic, rig=options.rig, force=options.force,
+        odom_topic=options.odom_topic, rig=options.rig, hfov=options.hfov, force=options.force,
     )  # fmt: skip
     journey = journey_of(asked, options.places, views)
     of = ", ".join(place.name for place in options.places[:3]) + (" and more" if len(options.places) > 3 else "")

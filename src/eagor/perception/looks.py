@@ -65,6 +65,11 @@ def looked_at(
         at |= {"frame": frame.frame} | ({"lost": True} if frame.lost else {})
         try:
             picture = frame.read()
+            if picture.grid is not None and picture.grid.optics is not None:
+                raise ShapeError(
+                    f"{frame.frame} has a lens that a file of looks cannot hold (distortion, or an axis beside the "
+                    "middle); follow the footage itself: eagor track FRAMES QUERY. Of an ideal lens give --hfov"
+                )
             mask = hidden.of(picture)
             if mask is not None:
                 at["unseen"] = _runs(mask)
@@ -72,7 +77,7 @@ def looked_at(
             lines = [
                 at | ({} if query is None else {"query": query}) | {"views": [*map(_view, seen)]}
                 for query in (queries or (None,))
-                for seen in [views.seen(picture.panorama, turn, query or "")]
+                for seen in [views.seen(picture.picture, turn, query or "", picture.grid)]
             ]
         except EagorError as error:
             if isinstance(error, QueryError) or (isinstance(error, ShapeError) and first):

@@ -149,16 +149,24 @@ class Views:
         found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
         return [boxes_of(each, self.classes) for each in found]
 
-    def seen(self, panorama: np.ndarray, world_R_body: np.ndarray | None = None, query: str = "") -> list[Seen]:
+    def seen(
+        self,
+        picture: np.ndarray,
+        world_R_body: np.ndarray | None = None,
+        query: str = "",
+        grid: PerspectiveGrid | None = None,
+    ) -> list[Seen]:
         """All that the detector finds in each view of a look; one without `classes` is asked for `query`.
 
-        `combined` makes of it what a call makes. Errors as there.
+        `picture` is a panorama, or an ordinary one with the pixels of `grid`: then that is the only view. `combined`
+        makes of it what a call, or `view`, makes. Errors as there.
         """
-        panorama = checked_picture(panorama)
-        warn_unless_whole(panorama)
-        grids = self.views(world_R_body)
-        found = self._detected(cut(panorama, *grids), query)
-        return [Seen(grid, boxes) for grid, boxes in zip(grids, found, strict=True)]
+        picture = checked_picture(picture, "the panorama" if grid is None else "the picture")
+        grids = self.views(world_R_body) if grid is None else (grid,)
+        if grid is None:
+            warn_unless_whole(picture)
+        found = self._detected(cut(picture, *grids) if grid is None else [picture], query)
+        return [Seen(view, boxes) for view, boxes in zip(grids, found, strict=True)]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
@@ -267,6 +275,22 @@ class ViewBox:
         return np.concatenate([self.box[:2] <= near, self.box[2:] >= size - near])
 
     @lazy
+    def plane(self) -> PerspectiveGrid:
+        """The view without distortion, in whose plane a thing may go on beyond the border; as it is if it has none."""
+        lens = self.grid.lens
+        return PerspectiveGrid.of_lens(replace(lens, distortion=())) if any(lens.distortion) else self.grid
+
+    def in_plane(self, box: np.ndarray) -> np.ndarray:
+        """A box ``(4,)`` of the view as one of `plane`: as far as the middles of its sides."""
+        if self.plane is self.grid:
+            return np.asarray(box, dtype=np.float64)
+        lens, (x0, y0, x1, y1) = self.grid.lens, box
+        middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
+        right, down = lens.plane(np.array([x0, middle_x, x1, middle_x]), np.array([middle_y, y0, middle_y, y1]))
+        x, y = lens.centre[0] + lens.focal[0] * right, lens.centre[1] + lens.focal[1] * down
+        return np.array([x[0], y[1], x[2], y[3]])
+
+    @lazy
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
         """Directions ``(n, 3)`` in the body frame that fill the box, and their solid angles ``(n,)``."""
         return box_samples(self.box, self.grid)
@@ -322,7 +346,7 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
         return Thing(*moments_of(*whole.samples), score)
     directions, weights = [], []
     for number, piece in enumerate(group):
-        found, areas = box_samples(_opened(piece, group), piece.grid)
+        found, areas = box_samples(_opened(piece, group), piece.plane)
         new = np.ones(len(found), dtype=bool)
         for place, other in enumerate(group):
             held, seen = other.holds(found)
@@ -338,11 +362,13 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
 
 
 def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
-    """The box ``(4,)`` of a piece, longer at each cut side beyond which no other piece of the group goes on."""
+    """The box ``(4,)`` of a piece in its plane, longer at each cut side beyond which no other goes on."""
     x0, y0, x1, y1 = piece.box
-    wide, high = x1 - x0, y1 - y0
     middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
-    found = piece.box.astype(np.float64).copy()
+    found = piece.in_plane(piece.box).copy()
+    wide, high = found[2:] - found[:2]
+    grid, lens = piece.grid, piece.plane.lens
+    border = np.abs(piece.in_plane(np.array([0, 0, grid.width, grid.height])) - np.tile(lens.centre, 2))
     beyond = np.array([[x0 - 1, middle_y], [middle_x, y0 - 1], [x1 + 1, middle_y], [middle_x, y1 + 1]])
     for side in np.flatnonzero(piece.cut):
         there = piece.grid.unproject(*beyond[side])[None]
@@ -350,8 +376,10 @@ def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
             continue
         length = HIDDEN * (wide, high)[side % 2]
         # A plane stretches without bound towards its horizon: go on by the angle, not by pixels.
-        half = (piece.grid.width, piece.grid.height)[side % 2] / 2
-        angle = math.atan(half / piece.grid.focal) + min(length / piece.grid.focal, math.radians(60))
-        edge = half + piece.grid.focal * math.tan(min(angle, math.radians(80)))
-        found[side] = min(found[side] + length, edge) if side >= 2 else max(found[side] - length, 2 * half - edge)
+        centre, focal = lens.centre[side % 2], lens.focal[side % 2]
+        angle = math.atan(border[side] / focal) + min(length / focal, math.radians(60))
+        reach = focal * math.tan(min(angle, math.radians(80)))
+        found[side] = (
+            min(found[side] + length, centre + reach) if side >= 2 else max(found[side] - length, centre - reach)
+        )
     return found
