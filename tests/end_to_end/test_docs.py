@@ -207,6 +207,8 @@ def test_a_command_can_be_typed(words):
         assert (ROOT / arguments[0]).is_file()
     elif program == "make":
         assert re.search(rf"^{arguments[0]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    elif program == "python3":
+        assert arguments == "-m venv .venv && . .venv/bin/activate".split()
     else:
         assert program in ("pip", "vllm")
 
