@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,8 +15,6 @@ from eagor.media.bags.reader import BagWriter
 from eagor.media.frames import Pose
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
-
-pytestmark = pytest.mark.xdist_group("real time")
 
 START = 1_700_000_000.125
 ROOM = Room()
@@ -33,6 +32,13 @@ def camera_at(t):
     return turn @ MOUNT[0], place + turn @ MOUNT[1]
 
 
+@cache
+def panorama_at(t):
+    """What the camera sees; painted once for all bags."""
+    turn, place = camera_at(t)
+    return paint(ROOM, tuple(place), turn, 64, 128)
+
+
 def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False, frame="x3", lost=()):
     """Pictures at 4 Hz and odometry at 20 Hz for three seconds; the pictures are recorded 0.2 s after their capture.
 
@@ -41,8 +47,7 @@ def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_ze
     messages = []
     for k in range(COUNT):
         t = 0.25 * k
-        turn, place = camera_at(t)
-        panorama = paint(ROOM, tuple(place), turn, 64, 128)
+        panorama = panorama_at(t)
         if compressed:
             messages.append(
                 (t + 0.2, "/x3/image/compressed", m.COMPRESSED, m.compressed_message(panorama, START + t, "x3"))

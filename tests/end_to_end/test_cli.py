@@ -12,14 +12,13 @@ import re
 import signal
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from unittest.mock import patch
 
+import commands
 import numpy as np
 import pytest
+from commands import ENVIRONMENT
 from PIL import Image
 
 from eagor._extras import how_to_install
@@ -41,23 +40,10 @@ LYTHWOOD = SHARED / "panoramas" / "lythwood_room_1k.png"
 ANNOTATION = SHARED / "bench_samples" / "hstar_mini" / "hos_bench" / "lythwood_room" / "annotation.json"
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]
 FRAMES = 12
-# Several tests run side by side: threads inside the matrix library would only stand in each other's way.
-ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
-    "OPENBLAS_NUM_THREADS": "1"
-}
 
 
 def command(*words):
     return [sys.executable, "-m", "eagor", *map(str, words)]
-
-
-@dataclass(frozen=True)
-class Done:
-    """What a command has said."""
-
-    returncode: int
-    stdout: str
-    stderr: str
 
 
 def process(*words, env=None):
@@ -67,13 +53,7 @@ def process(*words, env=None):
 
 def eagor(*words, env=None):
     """Run the command to its end; here, unless it is to have an environment of its own."""
-    if env is not None:
-        return process(*words, env=env)
-    said = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)]
-    with redirect_stdout(said[0]), redirect_stderr(said[1]), patch.dict(os.environ, ENVIRONMENT):
-        os.environ.pop("EAGOR_DEBUG", None)
-        code = main([*map(str, words)])
-    return Done(code, *(each.buffer.getvalue().decode() for each in said))
+    return process(*words, env=env) if env is not None else commands.eagor(*words)
 
 
 def refused(*words, code=2):

@@ -183,6 +183,7 @@ def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
     assert "worlds (--world): apartment, habitat, hall, or a GLB file" in text
 
 
+@pytest.mark.slow
 def test_a_plugins_task_in_a_plugins_world_is_run_and_reported(eagor, tmp_path):
     run = ("bench", "run", "turntable", "--world", "hall", "--perception", "truth:ideal", "--episodes", "2", "--seed",
            "3", "--methods", "centroid", "eagor", "--set", "steps=8", "--out", "run")  # fmt: skip

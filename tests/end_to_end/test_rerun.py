@@ -70,6 +70,7 @@ def test_a_log_holds_the_answers_of_the_table(followed):
     assert any("TextLog:text" in key for key in log)
 
 
+@pytest.mark.slow
 def test_the_viewer_shows_it(followed):
     """A picture of the viewer without a screen; it is not blank, and the belief glows on the panorama."""
     if shutil.which("xvfb-run") is None:

@@ -228,6 +228,7 @@ def test_a_node_without_a_camera_or_with_a_wrong_topic(robot, capsys):
     assert "--name a b; wanted letters" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_run_of_some_seconds_is_recorded(robot, tmp_path):
     from eagor.media.bags.reader import Bag
 
@@ -239,6 +240,7 @@ def test_a_run_of_some_seconds_is_recorded(robot, tmp_path):
     assert Bag(tmp_path / "run").counts["/eagor/events"] > 10
 
 
+@pytest.mark.slow
 def test_a_killed_node_leaves_nothing_behind(robot):
     domain = robot(0.0)
     heard = Heard(domain)

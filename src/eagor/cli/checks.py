@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
     from eagor.evidence import BodyMask, Evidence
+    from eagor.media.intrinsics import Camera
     from eagor.perception import Perception
     from eagor.perception.calibrated import Calibrated
     from eagor.tracking.config import TrackerConfig
@@ -31,6 +32,7 @@ MAX_DEGREE = 63
 LEAST_ROWS = 8
 MOST_DRIFT = 90  # degrees
 NO_THING = ("a", "the", "something", "thing", "one")  # a query of these and a colour names nothing else
+SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
 
 
 # --- numbers and words ---------------------------------------------------------------------------------------------
@@ -200,12 +202,16 @@ def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
     return found.pop()
 
 
-def make_perception(spec: str) -> Perception:
-    """The perception that ``--perception`` names."""
+def make_perception(spec: str, busy: bool = False) -> Perception:
+    """The perception that ``--perception`` names. `busy`: nothing else runs meanwhile, so it may take all cores."""
+    from eagor._processes import cores_to_take
     from eagor.perception import load
 
-    if spec.partition(":")[0] == "replay" and not spec.partition(":")[2]:
+    name, _, text = spec.partition(":")
+    if name == "replay" and not text:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
+    if busy and name in SHARED and not re.search(r"\b(together|threads)=", text):
+        return load(spec, together=cores_to_take())
     return load(spec)
 
 
@@ -272,6 +278,21 @@ def mask_of(path: Path | None) -> BodyMask | None:
     from eagor.perception.partial import read_mask
 
     return None if path is None else read_mask(path)
+
+
+def ordinary(hfov: float | None, path: Path | None, rig: Path | None) -> Camera:
+    """``--hfov`` and ``--camera``. Raises `UsageError`, `FormatError`."""
+    from eagor.errors import FormatError, ImageError
+    from eagor.media.intrinsics import camera_of
+
+    if rig is not None and not (hfov is None and path is None):
+        raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov and --camera")
+    try:
+        return camera_of(hfov, path)
+    except FormatError:
+        raise
+    except ImageError as error:
+        raise UsageError(str(error)) from error
 
 
 def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
