@@ -233,7 +233,7 @@ def test_a_command_can_be_typed(words):
     elif program == "make":
         assert re.search(rf"^{arguments[0]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     elif program == "python3":
-        assert arguments == "-m venv .venv && . .venv/bin/activate".split()
+        assert arguments == ["-m", "venv", ".venv", "&&", ".", ".venv/bin/activate"]
     else:
         assert program in ("pip", "vllm")
 
