@@ -69,6 +69,8 @@ def cell(values: np.ndarray, seeds: np.ndarray) -> str:
     known = ~np.isnan(values)
     if not known.any():
         return f"{'-':>22s}"
+    if len({*seeds[known]}) < 2:  # one apartment alone says nothing about the spread
+        return f"{values[known].mean():8.2f} {'':>13s}"
     found = bootstrap_interval(values[known], np.random.default_rng(0), groups=seeds[known])
     return f"{values[known].mean():8.2f} [{found.low:5.1f} {found.high:5.1f}]"
 
