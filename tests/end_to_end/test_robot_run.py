@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -169,8 +168,6 @@ def test_a_perception_that_hangs_stops_the_robot(tmp_path):
 ])  # fmt: skip
 def test_what_cannot_be_is_said_and_nothing_is_started(words, said, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    begun = time.monotonic()
     assert main(["robot", "run", *words]) == 2
     assert said in capsys.readouterr().err
-    assert time.monotonic() - begun < 120
     assert not list(tmp_path.iterdir())
