@@ -133,6 +133,8 @@ def test_a_perception_that_hangs_stops_the_robot(tmp_path):
             said += line
             if " armed, " in line:
                 break
+        else:
+            raise AssertionError(said)
         # Of the processes that were spawned, the perception's is the youngest.
         started = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
         spawned = [int(pid) for pid in started if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
