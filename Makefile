@@ -30,7 +30,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
 help:
-	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
+	@echo "make demo    search a furnished apartment, leave a report with pictures"
 	echo "make test    every check: ruff, pyright, import-linter, the docs, pytest"
 	echo "make test-slow  what is slow and goes beyond one test per promise; before a release"
 	echo "make lint    the checks without the tests"
@@ -177,7 +177,7 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/studio.py
 
 figures: $(VENV)/.eagor-installed
-	@for figure in architecture mean degree parallax belief moving demo results; do
+	@for figure in architecture mean degree parallax belief presence moving demo results; do
 	    echo "==> docs/figures/$$figure.py"
 	    $(BIN)/python docs/figures/$$figure.py
 	done

@@ -77,8 +77,8 @@ def lean(tmp_path_factory):
 
 BASE = {
     "doctor": "doctor --json",
-    "locate": "locate room.png 'the red ball' --picture found.png --json",
-    "track": "track frames 'the red ball' --poses poses.csv --compare",
+    "locate": "locate room.png red --picture found.png --json",
+    "track": "track frames red --poses poses.csv --compare",
     "help": "--help",
     "list": "bench list",
 }

@@ -19,6 +19,7 @@ from PIL import Image
 
 import eagor
 from eagor.cli import _parse
+from eagor.cli.demo_apartment import STUDY, STUDY_COMMAND
 from eagor.worlds.painted import painted_room
 
 ROOT = Path(__file__).parents[2]
@@ -232,7 +233,7 @@ def test_a_command_can_be_typed(words):
         assert program in ("pip", "vllm")
 
 
-@pytest.mark.parametrize("script", ["mean", "degree", "parallax"])
+@pytest.mark.parametrize("script", ["mean", "degree", "parallax", "presence"])
 def test_the_tables_of_the_method_are_what_the_figures_show(script, monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS / "figures"))
     printed = "\n".join(importlib.import_module(script).table()) + "\n"
@@ -256,6 +257,13 @@ def test_the_charts_of_the_results_are_drawn_from_the_tables(monkeypatch, tmp_pa
     for draw in (results.right, results.honest, results.searches, results.cost):
         draw()
     assert {path.name for path in tmp_path.iterdir()} <= {path.name for path in (DOCS / "images").iterdir()}
+
+
+def test_the_demo_shows_the_study_of_the_docs():
+    page = (DOCS / "results" / "navigation.md").read_text(encoding="utf-8").partition(STUDY_COMMAND)[2]
+    rows = [row.split()[1:] for row in page.splitlines() if re.match("(frame|eagor|vmf|grid_filter) +[0-9]", row)][:4]
+    written = [[float(word.strip("[]")) for word in row if word.strip("[]")][:9] for row in rows]
+    assert written == [[number for cell in cells for number in cell] for cells in STUDY.values()]
 
 
 def test_the_page_of_the_architecture_agrees_with_the_source(monkeypatch):

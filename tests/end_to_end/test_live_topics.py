@@ -54,7 +54,7 @@ def robot():
 
 
 def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot):
-    words = ["ros:/image", "red chair", "--poses", "ros:/odom", "--domain", str(robot), "--interface", "lo", "--json"]
+    words = ["ros:/image", "red", "--poses", "ros:/odom", "--domain", str(robot), "--interface", "lo", "--json"]
     command, known = [sys.executable, "-m", "eagor", "live", *words, "--seconds", "120"], []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -75,6 +75,6 @@ def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot):
 
 
 def test_a_topic_that_is_not_there_is_an_error_that_names_those_there_are(robot, capsys):
-    words = ["ros:/nowhere", "red chair", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
+    words = ["ros:/nowhere", "red", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
     assert main(["live", *words]) == 2
     assert "/image" in capsys.readouterr().err
