@@ -70,7 +70,7 @@ def test_the_border_is_that_of_the_still_picture():
     still.paint_belief(drawn, PANORAMA, estimate)
     lines = [
         [line for found in axes.collections if isinstance(found, LineCollection) for line in found.get_segments()]
-        for axes in (drawn, painter._scene)
+        for axes in (drawn, painter._scene.axes)
     ]
     assert len(lines[0]) == 2
     assert all(np.array_equal(a, b) for a, b in zip(*lines, strict=True))
@@ -117,7 +117,7 @@ def test_a_frame_that_cannot_be_read_shows_the_belief_and_the_reason():
     painter = StepPainter(640)
     painter.paint(PANORAMA, first)
     picture = painter.paint(None, second, problem="0001.png is not a picture")
-    assert "left out: 0001.png is not a picture" in [text.get_text() for text in painter._scene.texts]
+    assert "left out: 0001.png is not a picture" in [text.get_text() for text in painter._scene.axes.texts]
     assert len(cyan(picture)) > 20
     assert painter.line.last.problem == "0001.png is not a picture"
 

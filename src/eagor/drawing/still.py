@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.posterior import Readable
+from eagor.drawing.mosaic import Mosaic
 from eagor.drawing.panorama import backdrop, heat_of, paint_marks
-from eagor.drawing.sheet import INK, figure, image, plain
+from eagor.drawing.sheet import DESIGN, INK, WORDS, blank, figure, ground, image, over, plain
+from eagor.drawing.view import ViewScene
+from eagor.errors import EagorError
+from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -24,21 +28,24 @@ WHOLE = (180, -180, -90, 90)  # degrees: left, right, bottom, top
 
 
 def draw_belief(
-    panorama: np.ndarray,
+    picture: np.ndarray,
     belief: Estimate | Readable,
     truth: np.ndarray | None = None,
     others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
     title: str = "",
     width: int = 1200,
+    grid: PerspectiveGrid | None = None,
+    mosaic: Mosaic | None = None,
 ) -> Image:
-    """`belief` as heat over `panorama` ``(H, W, 3)``, with the border of its 90 % region.
+    """`belief` as heat over `picture` ``(H, W, 3)``, with the border of its 90 % region.
 
     The region is not drawn, and a note says so, if it is larger than half of the sphere or if its border depends on
     ripples alone. Nothing is drawn for a uniform belief.
 
     Args:
-        panorama: the image, uint8, in the body frame of the belief.
+        picture: the image, uint8: a panorama in the body frame of the belief, or with `grid` what an ordinary camera
+            saw, and then `belief` is an `Estimate`.
         belief: an `Estimate`, drawn with its answer, an arrow from forward to it (unless 90 % of the belief need a cone
             of more than 90 degrees about it), and its candidates; or a single belief, which has no answer.
         truth: the true direction ``(3,)``, if known.
@@ -46,15 +53,49 @@ def draw_belief(
         modes: directions of candidates; default: those of the estimate.
         title: a line above the picture.
         width: of the picture in pixels.
+        grid: which directions of the body the pixels of an ordinary camera show. An arrow at the edge points to an
+            answer out of view; a small panorama beside it shows the whole belief.
+        mosaic: what an ordinary camera was shown before, for the small panorama; this picture is added.
+
+    Raises `EagorError` for a picture of another shape.
     """
+    if grid is not None:
+        return _draw_view(picture, belief, truth, others, modes, title, width, grid, mosaic)
     sheet = figure(width, round(width * 0.595))
     axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
-    paint_belief(axes, panorama, belief, truth, others, modes)
+    paint_belief(axes, picture, belief, truth, others, modes)
     axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
     axes.set_ylabel("elevation", color=INK)
     sheet.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
     _legend(sheet, [axes])
     return image(sheet)
+
+
+def _draw_view(
+    picture: np.ndarray,
+    belief: Estimate | Readable,
+    truth: np.ndarray | None,
+    others: Mapping[str, np.ndarray | None] | None,
+    modes: Sequence[np.ndarray] | None,
+    title: str,
+    width: int,
+    grid: PerspectiveGrid,
+    mosaic: Mosaic | None,
+) -> Image:
+    """`draw_belief` of what an ordinary camera saw."""
+    from PIL import Image
+
+    if not isinstance(belief, Estimate):
+        raise EagorError(f"with a grid the belief is a {type(belief).__name__}; wanted an Estimate, which has a pose")
+    head, rows = round(0.05 * width), round(0.5 * width)
+    sheet = blank(width, head + rows, 100 * width / DESIGN)
+    pixels = ground(width, head + rows)
+    scene = ViewScene(sheet.figure, (width, head + rows), (0, head, width, rows), mosaic)
+    scene.paint(pixels, picture, grid, belief, truth, others, modes)
+    sheet.figure.text(
+        0.012, 1 - 0.5 * head / (head + rows), title, fontsize=14, color=WORDS, weight="bold", va="center"
+    )
+    return Image.fromarray(over(sheet, pixels))
 
 
 def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int = 1400) -> Image:

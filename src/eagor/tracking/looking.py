@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from eagor._arrays import frozen
 from eagor._checks import above, require, within
@@ -146,8 +146,9 @@ def looks(
     cells = _cells()
     mass = np.bincount(_nearest(parts[1]), parts[0], minlength=CELLS)
     if usual is not None:
-        even, degrees = np.ones(CELLS), np.degrees(azimuth_elevation(cells)[1])
-        mass *= even_and_usual(degrees, even, *(math.degrees(a) for a in (usual.height, usual.tilt)), usual.elsewhere)
+        height, tilt = math.degrees(usual.height), math.degrees(usual.tilt)
+        elevations = np.degrees(azimuth_elevation(cells)[1])
+        mass *= even_and_usual(elevations, np.ones(CELLS), height, tilt, usual.elsewhere)
         mass /= mass.sum()
     if hypotheses.standing.bank is None:
         recall, false = np.full(CELLS, RECALL), _even(shown, ALARM)
@@ -196,8 +197,8 @@ def _cells() -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
-def _tree() -> cKDTree:
-    return cKDTree(_cells())
+def _tree() -> KDTree:
+    return KDTree(_cells())
 
 
 def _nearest(directions: np.ndarray) -> np.ndarray:
