@@ -51,7 +51,7 @@ class SearchRules:
 
     The defaults were tuned on development apartments (random trials, as in ``benchmarks/search.py --fit``), `shift`
     and `slope` by the log score of the probability stated at each of ten turns; the prior on development scenes with
-    things at all heights (``benchmarks/search_heights.py``).
+    things at all heights.
 
     Raises `EagorError` for numbers out of range.
     """
