@@ -140,10 +140,9 @@ def test_locate_asks_a_server(eagor, panorama):
 
 def seen_in_a_view(perception, place):
     """Where a view of 54 x 96 pixels towards azimuth 0 has its best direction, with a red thing at `place`."""
-    pitch, hfov = 0.1, math.radians(100)
-    grid = PerspectiveGrid(54, 96, hfov, world_R_body(0.0, -pitch))
+    grid = PerspectiveGrid(54, 96, math.radians(100), world_R_body(0.0, -0.1))
     image = cut(vlm_models.marked(*place, radius=0.2, rows=256, seed=5), grid)[0]
-    evidence = look_at_view(perception, image, pitch, hfov, "red thing", stamp=2.0)
+    evidence = look_at_view(perception, image, grid, "red thing", stamp=2.0)
     return evidence, Belief.uniform(15).update(evidence).mode()
 
 

@@ -281,7 +281,7 @@ def test_damaged_videos(folder, blob):
         frames, _ = clips.taken(video)
         stamps = [f.stamp for f in frames]
         assert sorted(set(stamps)) == stamps
-        assert all(f.panorama.shape == (*video.shape, 3) for f in frames)
+        assert all(f.picture.shape == (*video.shape, 3) for f in frames)
 
     reads(look, "b.mp4")
 

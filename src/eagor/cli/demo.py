@@ -107,7 +107,7 @@ def _read(path: Path) -> np.ndarray:
     from eagor.media.footage import FrameCheck, ShapeError
 
     try:
-        return FrameCheck(say=terminal.log).read(path).panorama
+        return FrameCheck(say=terminal.log).read(path).picture
     except ShapeError as error:
         raise ShapeError(f"{str(error).partition(';')[0]}; wanted a whole panorama: pad it to 2:1 first") from None
 

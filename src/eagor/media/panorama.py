@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from eagor.errors import ImageError
-from eagor.grids import ErpGrid, Grid
+from eagor.grids import ErpGrid, Grid, PerspectiveGrid
 from eagor.media.metadata import GPANO, Projection, of_photograph, properties
 from eagor.sphere import check_rotation
 
@@ -224,19 +224,21 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
 
 
 @dataclass(frozen=True, eq=False)
-class PanoramaFile:
-    """A picture of the whole sphere, and what its file says of it.
+class Picture:
+    """A picture of the whole sphere, or of an ordinary camera, and what its file says of it.
 
-    `panorama` ``(H, W, 3)`` uint8; a cropped one is put on a black sphere, and the mask `unseen` ``(H, W)`` says where
-    nothing is known (None: all is seen). `level_R_body`: None, or the rotation ``(3, 3)`` that makes it level.
-    `world_R_body`: None, or the same with its compass heading: x north, y west, z up. `facts`: sentences.
+    `picture` ``(H, W, 3)`` uint8; a cropped panorama is put on a black sphere, and the mask `unseen` ``(H, W)`` says
+    where nothing is known (None: all is seen). `level_R_body`: None, or the rotation ``(3, 3)`` that makes it level.
+    `world_R_body`: None, or the same with its compass heading: x north, y west, z up. `facts`: sentences. `grid`: the
+    pixels of an ordinary camera's picture, in the body frame; None for a whole panorama.
     """
 
-    panorama: np.ndarray
+    picture: np.ndarray
     unseen: np.ndarray | None = None
     level_R_body: np.ndarray | None = None
     world_R_body: np.ndarray | None = None
     facts: tuple[str, ...] = ()
+    grid: PerspectiveGrid | None = None
 
 
 def pictures_in(folder: Path) -> tuple[Path, ...]:
@@ -260,7 +262,7 @@ def _natural(name: str) -> list[tuple[int, str | int]]:
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
-def read_photograph(path: str | os.PathLike[str]) -> PanoramaFile:
+def read_photograph(path: str | os.PathLike[str]) -> Picture:
     """The photograph in the file at `path` (JPEG, PNG, WebP, ...).
 
     As `eagor.media.panorama.read_panorama` where the file says nothing of itself, with its warning about pictures that
@@ -274,7 +276,7 @@ def read_photograph(path: str | os.PathLike[str]) -> PanoramaFile:
     if found is None:
         for warning in warned:
             warnings.warn(str(warning.message), UserWarning, stacklevel=2)
-        return PanoramaFile(image)
+        return Picture(image)
     found.check(name)
     return _placed(image, found)
 
@@ -285,12 +287,12 @@ def is_whole(panorama: np.ndarray) -> bool:
     return abs(width - 2 * height) <= ROUNDING
 
 
-def _placed(image: np.ndarray, found: Projection) -> PanoramaFile:
+def _placed(image: np.ndarray, found: Projection) -> Picture:
     height, width = image.shape[:2]
     layout = found.layout(height, width)
     panorama = layout.place(resized(image, layout.size))
     tilted, turned = bool(found.pitch or found.roll), bool(found.yaw)
-    return PanoramaFile(
+    return Picture(
         panorama,
         layout.unseen,
         found.level_R_body if tilted else None,

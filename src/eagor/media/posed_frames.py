@@ -11,15 +11,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from eagor.errors import EagorError, PoseError
 from eagor.media.footage import BagFrames, Frames, ImageFrames, Read
 from eagor.media.frames import Pose
-from eagor.media.panorama import PanoramaFile
+from eagor.media.panorama import Picture
 from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
+
+if TYPE_CHECKING:
+    from eagor.media.rotation import Turned, VisualOdometer
 
 __all__ = ["Odometry", "PosedFrame", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
 
@@ -54,7 +57,7 @@ def posed_by_file(source: Frames, poses: Sequence[FramePose], name: Path) -> Ite
 
 
 def _by_image(
-    pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, read: Callable[[Path], PanoramaFile]
+    pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, read: Callable[[Path], Picture]
 ) -> Iterator[PosedFrame]:
     """Each pose of a file, and the image that was taken there."""
     for told, image in pairs:
@@ -66,7 +69,7 @@ def _by_image(
             yield PosedFrame(here, image.name, partial(_placeless, told))
 
 
-def _placeless(pose: FramePose) -> PanoramaFile:
+def _placeless(pose: FramePose) -> Picture:
     assert pose.position is not None
     raise PoseError(f"its pose has the position {pose.position.tolist()}; wanted metres that can be")
 
@@ -109,11 +112,18 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
         except EagorError:  # the caller meets it again, and says so
             yield PosedFrame(FramePose(stamp, turn, None, frame), frame, read)
             continue
-        turned = odometer.add(found.panorama)
+        turned = _turned(odometer, found, stamp)
         turn = upright @ turned.world_R_body
         pose = FramePose(stamp, turn, None, frame)
         yield PosedFrame(pose, frame, lambda found=found: found, lost=turned.lost and met)
         met = True
+
+
+def _turned(odometer: VisualOdometer, found: Picture, stamp: float) -> Turned:
+    """How the camera stands at a picture, a panorama or an ordinary one."""
+    if found.grid is None:
+        return odometer.add(found.picture)
+    return odometer.add(found.picture, stamp, grid=found.grid)
 
 
 class Odometry(Protocol):

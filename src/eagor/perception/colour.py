@@ -123,7 +123,7 @@ class ColourPerception:
         times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # the same factor in both directions
         linear = _reduced(image, max(1, round(grid.height / times)), max(1, round(grid.width / times)))
         response = _likeness(linear, colour, around=False)
-        return self._evidence(response, replace(grid, height=response.shape[0], width=response.shape[1]), grid, stamp)
+        return self._evidence(response, grid.resized(*response.shape), grid, stamp)
 
     def _evidence(
         self, response: np.ndarray, cells: PatchGrid | PerspectiveGrid, seen: Grid, stamp: float | None

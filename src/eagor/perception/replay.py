@@ -19,8 +19,10 @@ from eagor.errors import EagorError, FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
+from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
 from eagor.perception import look as one_look
+from eagor.perception.partial import look_at_view
 from eagor.perception.records import Record, fitting, parse_record, read_records, write_record
 from eagor.tracking.tracks import SAME_MOMENT
 
@@ -161,27 +163,34 @@ class ReplayPerception:
 
 def look(
     perception: Perception,
-    panorama: np.ndarray,
+    picture: np.ndarray,
     query: str,
     stamp: float,
     world_R_body: np.ndarray | None = None,
+    grid: PerspectiveGrid | None = None,
 ) -> tuple[Evidence, ...]:
-    """The evidence of `perception`: one, or one per view if a replay has several views of one moment."""
+    """The evidence of `perception`: one, or one per view if a replay has several views of one moment.
+
+    `picture` ``(H, W, 3)`` uint8 is a panorama, or an ordinary one with the pixels of `grid`.
+    """
     if isinstance(perception, ReplayPerception):
         return perception.looks(query, stamp)
-    return (one_look(perception, panorama, query, stamp=stamp, world_R_body=world_R_body),)
+    if grid is not None:
+        return (look_at_view(perception, picture, grid, query, stamp=stamp),)
+    return (one_look(perception, picture, query, stamp=stamp, world_R_body=world_R_body),)
 
 
 def look_if_recorded(
     perception: Perception,
-    panorama: np.ndarray,
+    picture: np.ndarray,
     query: str,
     stamp: float,
     world_R_body: np.ndarray | None = None,
+    grid: PerspectiveGrid | None = None,
 ) -> tuple[Evidence, ...]:
     """As `look`, but empty if a replay has no line for this time."""
     try:
-        return look(perception, panorama, query, stamp, world_R_body)
+        return look(perception, picture, query, stamp, world_R_body, grid)
     except TimeError:
         if isinstance(perception, ReplayPerception):
             return ()

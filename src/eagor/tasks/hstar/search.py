@@ -20,9 +20,10 @@ from eagor._lazy import lazy
 from eagor.belief import Belief
 from eagor.belief.information import even_and_usual, information
 from eagor.evidence import Evidence
-from eagor.grids import PatchGrid
+from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
+from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import HFOV_DEG, View, headings_of, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 
@@ -202,7 +203,8 @@ def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, 
 
 def _shares(pitch: int) -> np.ndarray:
     """The fraction of each cell ``(H, W)`` that a view at yaw 0 and this pitch shows."""
-    return coverage(*CELLS.shape, *size_of(), math.radians(HFOV_DEG), math.radians(pitch))
+    (height, width), pose = size_of(), world_R_body(0.0, -math.radians(pitch))
+    return coverage(*CELLS.shape, PerspectiveGrid(height, width, math.radians(HFOV_DEG), pose))
 
 
 @lru_cache(maxsize=256)
