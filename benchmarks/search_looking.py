@@ -2,14 +2,11 @@
 
     python benchmarks/search_looking.py [PANORAMAS] [--apartments 30] [--hfov 90] [--json FILE]
 
-A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows. A thing is found once the
-answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24 looks the search ends; it
-then counts as 24. Who chooses where to look next:
-
-- next: `Estimate.next_look`, where a look is expected to tell most, with the usual heights of things.
-- follow: the direction of the estimate.
-- sweep: ten views in a fixed order, as in H*Bench: around the horizon, below it, above it; then again.
-- ring: four views around the horizon, again and again.
+A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows (`eagor.tasks.turning`). A thing
+is found once the answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24 looks the
+search ends; it then counts as 24. Who chooses where to look next: `next`, `Estimate.next_look` with the usual heights
+of things; `follow`, the direction of the estimate; `sweep`, ten views in a fixed order, as in H*Bench; `ring`, four
+views around the horizon.
 
 In the built-in apartments (seeds from 1200 on, which are for development), things that a query names uniquely are
 looked for through `truth`, a detector with moderate noise: 30 % misses, a false alarm in every fifth look, both partly
@@ -39,20 +36,17 @@ from eagor.media.panorama import read_panorama
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco import from_text
 from eagor.perception.truth import TruthPerception
-from eagor.sphere import angular_distance, azimuth_elevation, direction, unit, world_R_body
+from eagor.sphere import angular_distance, direction, unit
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.hstar.apartments import Spot, spot
-from eagor.tasks.hstar.play import SWEEP
-from eagor.tracking import DirectionTracker, Estimate, Heights, TurningCamera
+from eagor.tasks.turning import CHOICES, Look, search
 
-NEAR, PRESENT, MOST = math.radians(15), 0.9, 24
+NEAR, MOST = math.radians(15), 24
 STARTS = (0, 90, 180, 270)
 FIRST = 1200  # apartment
 ROWS = 128  # of the ids that truth reads
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
 ERRS = {"detection_probability": 0.7, "false_alarms_per_look": 0.2, "look_alikes": 0, "spread": math.radians(9)}
-Look = Callable[[np.ndarray, float], Evidence]  # the pose of the camera, and the time
-Heading = tuple[float, float]  # azimuth (left) and elevation, degrees, world frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,53 +58,17 @@ class Case:
     look: Callable[[int], Look]
 
 
-def next_look(estimate: Estimate, camera: TurningCamera, turn: int, start: float) -> Heading:
-    """Where a look is expected to tell most."""
-    return _heading(estimate, estimate.next_look(camera, Heights()).direction)
-
-
-def follow(estimate: Estimate, camera: TurningCamera, turn: int, start: float) -> Heading:
-    """The direction of the estimate."""
-    known = estimate.direction
-    return _heading(estimate, np.array([1.0, 0.0, 0.0]) if known is None else known)
-
-
-def sweep(estimate: Estimate, camera: TurningCamera, turn: int, start: float) -> Heading:
-    """Ten views in a fixed order."""
-    yaw, pitch = SWEEP[turn % len(SWEEP)]
-    return start - yaw, pitch
-
-
-def ring(estimate: Estimate, camera: TurningCamera, turn: int, start: float) -> Heading:
-    """Four views around the horizon."""
-    return start - 90.0 * turn, 0.0
-
-
-CHOICES = {"next": next_look, "follow": follow, "sweep": sweep, "ring": ring}
-
-
-def _heading(estimate: Estimate, toward: np.ndarray) -> Heading:
-    """In the world, to whole degrees."""
-    azimuth, elevation = np.degrees(azimuth_elevation(estimate.world_R_body @ toward))
-    return float(round(float(azimuth))), float(round(float(elevation)))
-
-
-def search(case: Case, choice: str, start: int, camera: TurningCamera) -> int:
+def looks_until_found(case: Case, choice: str, start: int, grid: PerspectiveGrid) -> int:
     """The number of looks until the thing is found; `MOST` + 1 if it is not."""
-    tracker, look, heading = DirectionTracker(), case.look(start), (float(start), 0.0)
-    for turn in range(1, MOST + 1):
-        stamp, pose = float(turn), world_R_body(math.radians(heading[0]), -math.radians(heading[1]))
-        tracker.add_pose(stamp, pose)
-        tracker.observe(look(pose, stamp))
-        estimate = tracker.estimate(stamp)
-        known = estimate.direction is not None and estimate.presence > PRESENT
-        if known and angular_distance(case.targets @ pose, estimate.direction).min() <= NEAR:
-            return turn
-        heading = CHOICES[choice](estimate, camera, turn, start)
+    for count, taken in enumerate(search(case.look(start), choice, grid, MOST, start), 1):
+        toward = taken.estimate.direction
+        known = taken.sure and toward is not None
+        if known and angular_distance(case.targets @ taken.world_R_body, toward).min() <= NEAR:
+            return count
     return MOST + 1
 
 
-def apartments(count: int, grid: PerspectiveGrid) -> Iterator[Case]:
+def apartments(count: int) -> Iterator[Case]:
     """Things in built-in apartments, seen by `truth`."""
     perception, model, cells = TruthPerception(), DetectorModel(**ERRS), PatchGrid(ROWS, 2 * ROWS)
     for seed in range(FIRST, FIRST + count):
@@ -121,13 +79,13 @@ def apartments(count: int, grid: PerspectiveGrid) -> Iterator[Case]:
         def looks(query: str, luck: int, stand: Spot = stand, ids: np.ndarray = ids, seed: int = seed) -> Look:
             eye = perception.episode(stand.place.scene.instances, 1000 * seed + luck)
 
-            def look(pose: np.ndarray, stamp: float) -> Evidence:
-                there = replace(grid, body_R_view=pose)
+            def look(pose: np.ndarray, view: PerspectiveGrid, stamp: float) -> Evidence:
+                there = replace(view, body_R_view=pose @ view.body_R_view)
                 shown = np.where(there.project(cells.directions)[2], ids, -1)
                 found = [report.direction for report in eye.look(shown, query, np.eye(3))]  # in the world's axes
                 found = [toward for toward in found if there.project(toward)[2]]
                 found_here = np.array(found).reshape(-1, 3) @ pose
-                return spread_evidence([(d, np.zeros((2, 2)), 1.0) for d in found_here], model, View(grid), stamp)
+                return spread_evidence([(d, np.zeros((2, 2)), 1.0) for d in found_here], model, View(view), stamp)
 
             return look
 
@@ -137,7 +95,7 @@ def apartments(count: int, grid: PerspectiveGrid) -> Iterator[Case]:
             yield Case(f"{stand.name}, {query}", middle[None], partial(looks, query))
 
 
-def photographs(folder: Path, grid: PerspectiveGrid) -> Iterator[Case]:
+def photographs(folder: Path) -> Iterator[Case]:
     """Things in photographs, seen by `coco`."""
     views = from_text()
     detect, known = views.detect, {}
@@ -153,8 +111,9 @@ def photographs(folder: Path, grid: PerspectiveGrid) -> Iterator[Case]:
         picture = read_panorama(folder / name)
 
         def looks(query: str, luck: int, picture: np.ndarray = picture) -> Look:
-            def look(pose: np.ndarray, stamp: float) -> Evidence:
-                return views.view(cut(picture, replace(grid, body_R_view=pose))[0], grid, query, stamp=stamp)
+            def look(pose: np.ndarray, view: PerspectiveGrid, stamp: float) -> Evidence:
+                seen = cut(picture, replace(view, body_R_view=pose @ view.body_R_view))[0]
+                return views.view(seen, view, query, stamp=stamp)
 
             return look
 
@@ -164,9 +123,11 @@ def photographs(folder: Path, grid: PerspectiveGrid) -> Iterator[Case]:
             yield Case(f"{name}, {query}", direction(*angles.T), partial(looks, query))
 
 
-def table(cases: list[Case], camera: TurningCamera) -> dict[str, object]:
+def table(cases: list[Case], grid: PerspectiveGrid) -> dict[str, object]:
     """Search for every thing from every heading with every choice; print and return the figures."""
-    counts = {choice: np.array([[search(c, choice, s, camera) for s in STARTS] for c in cases]) for choice in CHOICES}
+    counts = {
+        choice: np.array([[looks_until_found(c, choice, s, grid) for s in STARTS] for c in cases]) for choice in CHOICES
+    }
     groups, found = np.repeat(np.arange(len(cases)), len(STARTS)), {}
     print(f"{'':8}{'looks until found':>26}{'found':>8}{'more than next':>26}")
     for choice, all_looks in counts.items():
@@ -194,14 +155,14 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     grid = PerspectiveGrid(480, 640, math.radians(options.hfov))
-    camera = TurningCamera(grid.hfov, 2 * math.atan(math.tan(grid.hfov / 2) * 480 / 640))
-    sets = {"apartments, truth": list(apartments(options.apartments, grid.resized(48, 64)))}
+    sets = {"apartments, truth": (apartments(options.apartments), grid.resized(48, 64))}
     if options.panoramas:
-        sets["photographs, coco"] = list(photographs(options.panoramas, grid))
+        sets["photographs, coco"] = photographs(options.panoramas), grid
     found = {}
-    for name, cases in sets.items():
-        print(f"\n{name}: {len(cases)} things, {len(STARTS)} headings each, {options.hfov:g} degrees")
-        found[name] = table(cases, camera) if cases else {}
+    for name, (cases, pixels) in sets.items():
+        if things := list(cases):
+            print(f"\n{name}: {len(things)} things, {len(STARTS)} headings each, {options.hfov:g} degrees", flush=True)
+            found[name] = table(things, pixels)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0

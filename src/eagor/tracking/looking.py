@@ -39,8 +39,8 @@ RECALL, ALARM = 0.7, 0.2  # of a perception whose habits are not known: found wh
 class Heights:
     """Where things usually are: elevations about `height` (standard deviation `tilt`, radians), seen from a camera.
 
-    A share `elsewhere` of the probability is even over the sphere. The defaults are those of furnished rooms
-    (``benchmarks/search_heights.py``).
+    A share `elsewhere` of the probability is even over the sphere. The defaults are those of furnished rooms, as in
+    `eagor.tasks.hstar.search.SearchRules`.
     """
 
     height: float = math.radians(-15)
