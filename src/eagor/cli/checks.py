@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
     from eagor.evidence import BodyMask, Evidence
+    from eagor.media.intrinsics import Camera
     from eagor.perception import Perception
     from eagor.perception.calibrated import Calibrated
     from eagor.tracking.config import TrackerConfig
@@ -256,6 +257,21 @@ def mask_of(path: Path | None) -> BodyMask | None:
     from eagor.perception.partial import read_mask
 
     return None if path is None else read_mask(path)
+
+
+def ordinary(hfov: float | None, path: Path | None, rig: Path | None) -> Camera:
+    """``--hfov`` and ``--camera``. Raises `UsageError`, `FormatError`."""
+    from eagor.errors import FormatError, ImageError
+    from eagor.media.intrinsics import camera_of
+
+    if rig is not None and not (hfov is None and path is None):
+        raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov and --camera")
+    try:
+        return camera_of(hfov, path)
+    except FormatError:
+        raise
+    except ImageError as error:
+        raise UsageError(str(error)) from error
 
 
 def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:

@@ -1,7 +1,8 @@
-"""``eagor track``: a video or a sequence of panoramas, one line per look.
+"""``eagor track``: a video or a sequence of pictures, one line per look.
 
 A frame that cannot be read is reported on stderr; the poses carry the belief over it, and the exit code is 3. A first
-frame that is not 2:1 ends the run, because the others will hardly be. ``--out`` is flushed after every line.
+frame of which nothing tells where it looks ends the run, because the others will hardly do better. ``--out`` is flushed
+after every line.
 """
 
 from __future__ import annotations
@@ -29,17 +30,36 @@ from eagor.cli.checks import (
     keep_picture,
     make_perception,
     mask_of,
+    ordinary,
     perception_for,
     say_of_replay,
     say_of_video,
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import Common, Detector, Flag, Floor, Force, Mask, Modes, Out, Rerun, RigFile, Whole, bare, given
+from eagor.cli.options import (
+    CameraFile,
+    Common,
+    Detector,
+    Flag,
+    Floor,
+    Force,
+    Hfov,
+    Mask,
+    Modes,
+    Out,
+    Rerun,
+    RigFile,
+    Whole,
+    bare,
+    given,
+)
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
-    from eagor.media.footage import Frames
+    import numpy as np
+
+    from eagor.media.footage import FrameCheck, Frames
     from eagor.media.pose_files import FramePose
     from eagor.media.posed_frames import PosedFrame
     from eagor.perception import Perception
@@ -48,12 +68,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Track(Common):
-    """Follow an object through a 360-degree video, or a sequence of panoramas."""
+    """Follow an object through a video or a sequence of pictures: panoramas, or of an ordinary camera."""
 
     runs: ClassVar[str] = "track"
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
-    """A video, a folder of panoramas, several image files (sorted by name), or a ROS 2 bag; then what to look for."""
+    """A video, a folder of pictures, several image files (sorted by name), or a ROS 2 bag; then what to look for."""
     poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
     (
         "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
@@ -97,6 +117,8 @@ class Track(Common):
     """Draw each frame with the belief into this folder."""
     rerun: Rerun = None
     out: Out = None
+    hfov: Hfov = None
+    camera: CameraFile = None
     mask: Mask = None
     rig: RigFile = None
     force: Force = False
@@ -107,6 +129,7 @@ SEEN = {
     "level": "headings from the pictures themselves, which are taken as level",
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
+PASTED = 512  # rows of the panoramas on which ordinary pictures are drawn
 
 
 def track(options: Track) -> int:
@@ -200,13 +223,13 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
 
 
 def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
-    from eagor.media.footage import FrameCheck, VideoFrames, open_video
+    from eagor.media.footage import VideoFrames, open_video
     from eagor.media.posed_frames import thinned
 
     looks, shown = _rates(options)
     video = open_video(places, options.rig, rate=shown, start=options.start, end=options.end, rows=rows)
     say_of_video(places[0].name, video.facts, video.duration)
-    source = VideoFrames(video, FrameCheck(options.force, terminal.log))
+    source = VideoFrames(video, _check(options))
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
     end = options.end or video.duration
@@ -215,14 +238,14 @@ def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose]
 
 
 def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:
-    from eagor.media.footage import FrameCheck, images
+    from eagor.media.footage import images
 
     if wrong := given(options, ("start", "end", "fps")):
         raise terminal.UsageError(f"--{wrong[0]} is for a video; these are images")
     if poses and options.rate is not None:
         raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
     rate = options.rate or 1.0
-    source = images(places, rate, FrameCheck(options.force, terminal.log), options.rig)
+    source = images(places, rate, _check(options), options.rig)
     frames, told = _posed(options, source, poses)
     if poses:
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
@@ -234,7 +257,7 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
-    from eagor.media.footage import BagFrames, FrameCheck
+    from eagor.media.footage import BagFrames
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
@@ -244,7 +267,7 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
 
         rig = read_rig(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
-    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
+    source = BagFrames(camera, shown, options.start, options.end, _check(options))
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)
@@ -256,6 +279,13 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
     terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
     placed = odometry is not None and odometry.kind != IMU
     return Journey(thinned(frames, looks, camera.begins), None, told, poses, shown, None, camera.begins, placed)
+
+
+def _check(options: Track) -> FrameCheck:
+    """What is asked of each frame: a whole panorama, or a lens that the options or its file tell."""
+    from eagor.media.footage import FrameCheck
+
+    return FrameCheck(options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig))
 
 
 def _rates(options: Track) -> tuple[float, float]:
@@ -379,6 +409,15 @@ class _Run:
 Sink = Callable[["FollowedFrame"], None]
 
 
+def _panorama(result: FollowedFrame) -> np.ndarray | None:
+    """The frame as a panorama; an ordinary picture is put where it looked."""
+    from eagor.perception.partial import pasted
+
+    if result.picture is None or result.grid is None:
+        return result.picture
+    return pasted(result.picture, result.grid, PASTED)
+
+
 def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
     """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
     if options.out:
@@ -410,7 +449,7 @@ def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
         def add(result: FollowedFrame) -> None:
             if result.picture is not None:
                 video.add(
-                    result.picture,
+                    _panorama(result),
                     result.estimate,
                     stamp=result.stamp - journey.begins,
                     query=query,
@@ -429,7 +468,7 @@ def _logged(path: Path, query: str) -> Iterator[Sink]:
         def add(result: FollowedFrame) -> None:
             if result.picture is not None or result.told:
                 log.add(
-                    result.picture, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    _panorama(result), result.estimate, stamp=result.stamp, query=query, position=result.position,
                     others=result.others, problem=result.problem,
                 )  # fmt: skip
 
@@ -448,7 +487,7 @@ def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> It
             if result.lost:
                 page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
             at, problem = result.stamp - journey.begins, result.problem
-            page.add(result.picture, result.estimate, stamp=at, name=result.frame, problem=problem)
+            page.add(_panorama(result), result.estimate, stamp=at, name=result.frame, problem=problem)
 
         yield add
 
@@ -474,7 +513,7 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
         title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         modes = [mode.direction for mode in estimate.modes[:most]]
-        picture = draw_belief(result.picture, estimate, modes=modes, others=shown, title=title)
+        picture = draw_belief(_panorama(result), estimate, modes=modes, others=shown, title=title)
         keep_picture(picture, folder / f"{number:04d}.png")
 
     return draw

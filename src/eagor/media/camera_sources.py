@@ -25,6 +25,7 @@ from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid
 from eagor.media.bags.reader import is_bag, split_bag
 from eagor.media.frames import CameraSource, Frame
+from eagor.media.intrinsics import Told
 from eagor.media.live_camera import LiveCamera
 from eagor.media.metadata import read_metadata
 from eagor.media.panorama import pictures_in, read_panorama, read_photograph
@@ -184,7 +185,7 @@ class StitchedVideo:
         first = self._videos[0]
         self.shape, self.unseen = self.panoramas.grid.shape, self.panoramas.unseen
         self.duration, self.frame_rate, self.count = first.duration, first.frame_rate, first.count
-        self.facts, self.motion, self.level_R_body = first.facts, first.motion, None
+        self.facts, self.motion, self.level_R_body, self.told = first.facts, first.motion, None, Told()
 
     def __iter__(self) -> Iterator[Frame]:
         for frames in _together(self._videos):

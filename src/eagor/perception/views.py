@@ -224,6 +224,22 @@ class ViewBox:
         return np.concatenate([self.box[:2] <= near, self.box[2:] >= size - near])
 
     @lazy
+    def plane(self) -> PerspectiveGrid:
+        """The view without distortion, in whose plane a thing may go on beyond the border; as it is if it has none."""
+        lens = self.grid.lens
+        return PerspectiveGrid.of_lens(replace(lens, distortion=())) if any(lens.distortion) else self.grid
+
+    def in_plane(self, box: np.ndarray) -> np.ndarray:
+        """A box ``(4,)`` of the view as one of `plane`: as far as the middles of its sides."""
+        if self.plane is self.grid:
+            return np.asarray(box, dtype=np.float64)
+        lens, (x0, y0, x1, y1) = self.grid.lens, box
+        middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
+        right, down = lens.plane(np.array([x0, middle_x, x1, middle_x]), np.array([middle_y, y0, middle_y, y1]))
+        x, y = lens.centre[0] + lens.focal[0] * right, lens.centre[1] + lens.focal[1] * down
+        return np.array([x[0], y[1], x[2], y[3]])
+
+    @lazy
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
         """Directions ``(n, 3)`` in the body frame that fill the box, and their solid angles ``(n,)``."""
         return box_samples(self.box, self.grid)
@@ -279,7 +295,7 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
         return Thing(*moments_of(*whole.samples), score)
     directions, weights = [], []
     for number, piece in enumerate(group):
-        found, areas = box_samples(_opened(piece, group), piece.grid)
+        found, areas = box_samples(_opened(piece, group), piece.plane)
         new = np.ones(len(found), dtype=bool)
         for place, other in enumerate(group):
             held, seen = other.holds(found)
@@ -295,11 +311,13 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
 
 
 def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
-    """The box ``(4,)`` of a piece, longer at each cut side beyond which no other piece of the group goes on."""
+    """The box ``(4,)`` of a piece in its plane, longer at each cut side beyond which no other goes on."""
     x0, y0, x1, y1 = piece.box
-    wide, high = x1 - x0, y1 - y0
     middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
-    found = piece.box.astype(np.float64).copy()
+    found = piece.in_plane(piece.box).copy()
+    wide, high = found[2:] - found[:2]
+    grid, lens = piece.grid, piece.plane.lens
+    border = np.abs(piece.in_plane(np.array([0, 0, grid.width, grid.height])) - np.tile(lens.centre, 2))
     beyond = np.array([[x0 - 1, middle_y], [middle_x, y0 - 1], [x1 + 1, middle_y], [middle_x, y1 + 1]])
     for side in np.flatnonzero(piece.cut):
         there = piece.grid.unproject(*beyond[side])[None]
@@ -307,8 +325,10 @@ def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
             continue
         length = HIDDEN * (wide, high)[side % 2]
         # A plane stretches without bound towards its horizon: go on by the angle, not by pixels.
-        half = (piece.grid.width, piece.grid.height)[side % 2] / 2
-        angle = math.atan(half / piece.grid.focal) + min(length / piece.grid.focal, math.radians(60))
-        edge = half + piece.grid.focal * math.tan(min(angle, math.radians(80)))
-        found[side] = min(found[side] + length, edge) if side >= 2 else max(found[side] - length, 2 * half - edge)
+        centre, focal = lens.centre[side % 2], lens.focal[side % 2]
+        angle = math.atan(border[side] / focal) + min(length / focal, math.radians(60))
+        reach = focal * math.tan(min(angle, math.radians(80)))
+        found[side] = (
+            min(found[side] + length, centre + reach) if side >= 2 else max(found[side] - length, centre - reach)
+        )
     return found
