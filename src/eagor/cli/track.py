@@ -254,17 +254,21 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
-    from eagor.media.footage import BagFrames
+    from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
+    if wrong := given(options, ("hfov", "camera")):
+        raise terminal.UsageError(
+            f"--{wrong[0]} is for videos and pictures, and {place} is a bag: give its lens as a rig (--rig)"
+        )
     bag, (looks, shown), rig = Bag(place), _rates(options), None
     if options.rig is not None:
         from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
-    source = BagFrames(camera, shown, options.start, options.end, _check(options))
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)
