@@ -132,6 +132,8 @@ def rows(seen: dict[tuple[str, int], list[dict[str, list[Thing]]]], folder: Path
             whole = play(seen[name, WHOLE], query, targets, WHOLE, POSES, "eagor")
             for field in FIELDS:
                 visible = np.array([grid_of(field).project(targets @ pose)[2].any() for pose in POSES])
+                if not visible.any():  # it stands below the camera's view
+                    continue
                 for poses, method in METHODS:
                     if poses == "sight" and field != SIGHTED:
                         continue
