@@ -35,7 +35,8 @@ from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_inp
 from eagor.media.video import Video
 
 __all__ = [
-    "BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "Newest", "StitchedVideo", "VideoCamera", "lens_videos",
+    "BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "Newest", "StitchedVideo", "VideoCamera", "lens_files",
+    "lens_videos",
     "open_camera", "partner_of",
 ]  # fmt: skip
 
@@ -173,7 +174,7 @@ class StitchedVideo:
         end: float | None = None,
         rows: int | None = None,
     ) -> None:
-        files = _lens_files([Path(path) for path in paths], len(rig.sizes))
+        files = lens_files([Path(path) for path in paths], len(rig.sizes))
         settings = {"rate": rate, "start": start, "end": end, "lenses": True}
         videos = [Video(path, track=track, **settings) for path, track in files]
         self.path = str(paths[0])
@@ -204,7 +205,7 @@ def lens_videos(
     if count is None and len(found) == 1 and found[0].is_file():
         tracks = read_metadata(str(found[0]), lenses=True).tracks
         count = tracks if tracks > 1 else 2 if partner_of(found[0]) else 1
-    files = _lens_files(found, len(found) if count is None else count)
+    files = lens_files(found, len(found) if count is None else count)
     yield from _together([Video(path, track=track, lenses=True, rate=rate, start=start) for path, track in files])
 
 
@@ -224,8 +225,8 @@ def _together(videos: Sequence[Video]) -> Iterator[tuple[Frame, ...]]:
         yield frames
 
 
-def _lens_files(paths: Sequence[Path], count: int) -> list[tuple[Path, int]]:
-    """Path and track of each of `count` pictures."""
+def lens_files(paths: Sequence[Path], count: int) -> list[tuple[Path, int]]:
+    """Path and track of each of `count` pictures: files of their own, tracks of one, or a file and its partner."""
     if len(paths) == 1 and count > 1:
         if paths[0].is_file() and read_metadata(str(paths[0]), lenses=True).tracks >= count:
             return [(paths[0], track) for track in range(count)]
