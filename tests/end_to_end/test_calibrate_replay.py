@@ -9,7 +9,7 @@ from PIL import Image
 
 from eagor.cli import main
 from eagor.errors import FormatError, QueryError
-from eagor.evaluation.replayed import read_truth, replayed_looks
+from eagor.evaluation.labelled_looks import read_truth, replayed_looks
 from eagor.media.panorama import turn
 from eagor.perception.calibrated import read_calibrated
 from eagor.perception.replay import ReplayPerception, write_record

@@ -16,7 +16,7 @@ from eagor._extras import how_to_install
 from eagor.belief import Belief
 from eagor.cli import main, models
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation.labelled_apartments import apartment_labels
+from eagor.evaluation.labelled_looks import apartment_labels
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.media.cutting import cut
@@ -445,7 +445,7 @@ def test_labels_of_apartments_are_true():
 
 def test_labels_of_apartments_point_at_the_thing(monkeypatch):
     """The instance that is seen in the direction of a label is the one that the query names."""
-    from eagor.evaluation import labelled_apartments
+    from eagor.evaluation import labelled_looks
     from eagor.tasks.places import Place
 
     frames = []
@@ -457,7 +457,7 @@ def test_labels_of_apartments_point_at_the_thing(monkeypatch):
 
     monkeypatch.setattr(Place, "ids", ids)
     hits = []
-    for example in labelled_apartments.apartment_labels(4, 11, 32):
+    for example in labelled_looks.apartment_labels(4, 11, 32):
         place, seen = frames[-1]
         (target,) = (thing for thing, query in place.nameable().items() if str(query) == example.query)
         grid = ErpGrid(*seen.shape)

@@ -58,8 +58,6 @@ from eagor.cli.options import (
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from eagor.media.footage import FrameCheck, Frames
     from eagor.media.pose_files import FramePose
     from eagor.media.posed_frames import PosedFrame
@@ -131,7 +129,6 @@ SEEN = {
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
 BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is found: neighbours have to overlap
-PASTED = 512  # rows of the panoramas on which ordinary pictures are drawn
 
 
 def track(options: Track) -> int:
@@ -442,15 +439,6 @@ class _Run:
 Sink = Callable[["FollowedFrame"], None]
 
 
-def _panorama(result: FollowedFrame) -> np.ndarray | None:
-    """The frame as a panorama; an ordinary picture is put where it looked."""
-    from eagor.perception.partial import pasted
-
-    if result.picture is None or result.grid is None:
-        return result.picture
-    return pasted(result.picture, result.grid, PASTED)
-
-
 def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
     """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
     if options.out:
@@ -482,12 +470,9 @@ def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
         def add(result: FollowedFrame) -> None:
             if result.picture is not None:
                 video.add(
-                    _panorama(result),
-                    result.estimate,
-                    stamp=result.stamp - journey.begins,
-                    query=query,
-                    problem=result.problem,
-                )
+                    result.picture, result.estimate, stamp=result.stamp - journey.begins, query=query,
+                    problem=result.problem, grid=result.grid,
+                )  # fmt: skip
 
         yield add
 
@@ -501,8 +486,8 @@ def _logged(path: Path, query: str) -> Iterator[Sink]:
         def add(result: FollowedFrame) -> None:
             if result.picture is not None or result.told:
                 log.add(
-                    _panorama(result), result.estimate, stamp=result.stamp, query=query, position=result.position,
-                    others=result.others, problem=result.problem,
+                    result.picture, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    others=result.others, problem=result.problem, grid=result.grid,
                 )  # fmt: skip
 
         yield add
@@ -519,8 +504,10 @@ def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> It
                 return
             if result.lost:
                 page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
-            at, problem = result.stamp - journey.begins, result.problem
-            page.add(_panorama(result), result.estimate, stamp=at, name=result.frame, problem=problem)
+            page.add(
+                result.picture, result.estimate, stamp=result.stamp - journey.begins, name=result.frame,
+                problem=result.problem, grid=result.grid,
+            )  # fmt: skip
 
         yield add
 
@@ -530,11 +517,11 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
 
     Pictures are numbered as the lines of the table, and show at most `most` candidates.
     """
-    from eagor.drawing import draw_belief
+    from eagor.drawing import Mosaic, draw_belief
     from eagor.drawing.words import answer_in_words
 
     checked_folder(folder, "--pictures")
-    numbers = count()
+    numbers, mosaic = count(), Mosaic()
 
     def draw(result: FollowedFrame) -> None:
         if not result.told:
@@ -546,7 +533,9 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
         title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         modes = [mode.direction for mode in estimate.modes[:most]]
-        picture = draw_belief(_panorama(result), estimate, modes=modes, others=shown, title=title)
-        keep_picture(picture, folder / f"{number:04d}.png")
+        drawn = draw_belief(
+            result.picture, estimate, modes=modes, others=shown, title=title, grid=result.grid, mosaic=mosaic
+        )
+        keep_picture(drawn, folder / f"{number:04d}.png")
 
     return draw

@@ -25,6 +25,7 @@ from eagor.drawing.step import ScenePainter
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, Thinned, TimeLine, ticks
 from eagor.drawing.words import STATUS, answer_in_words, far_in_words, in_words, signed
 from eagor.errors import EagorError, StorageError
+from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
 __all__ = ["BeliefPage", "Step", "as_address", "write_page"]
@@ -43,13 +44,17 @@ QUALITIES = (82, 74, 66, 58, 48, 36)  # of JPEG, best first
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One frame: its panorama ``(H, W, 3)``, or None if it cannot be read; the answer; when; its name; a problem."""
+    """One frame: its picture ``(H, W, 3)``, or None if it cannot be read; the answer; when; its name; a problem.
 
-    panorama: np.ndarray | None
+    The picture is a panorama, or what an ordinary camera with this `grid` saw.
+    """
+
+    picture: np.ndarray | None
     estimate: Estimate
     stamp: float | None = None
     name: str = ""
     problem: str | None = None
+    grid: PerspectiveGrid | None = None
 
 
 class BeliefPage:
@@ -86,12 +91,13 @@ class BeliefPage:
 
     def add(
         self,
-        panorama: np.ndarray | None,
+        picture: np.ndarray | None,
         estimate: Estimate,
         *,
         stamp: float | None = None,
         name: str = "",
         problem: str | None = None,
+        grid: PerspectiveGrid | None = None,
     ) -> None:
         """Append one step, as in `Step`. Raises `TimeError` unless the stamps grow."""
         moment = Moment.of(estimate, stamp, problem)
@@ -100,10 +106,12 @@ class BeliefPage:
         name = name or f"frame {self._rows.count}"
         if problem:
             self._problems.append((name, problem))
-        picture = None
+        address = None
         if self._pictures.wants:
-            picture = as_address(self._painter.paint(panorama, estimate, problem))
-        self._pictures.add((picture, self._rows.count, name, moment))
+            address = as_address(self._painter.paint(picture, estimate, problem, grid))
+        else:
+            self._painter.look(picture, estimate, grid)
+        self._pictures.add((address, self._rows.count, name, moment))
         self._rows.add((self._rows.count, name, moment))
 
     def note(self, text: str) -> None:
@@ -224,7 +232,9 @@ def write_page(
     """
     with BeliefPage(path, query=query, used=used, span=span) as page:
         for step in steps:
-            page.add(step.panorama, step.estimate, stamp=step.stamp, name=step.name, problem=step.problem)
+            page.add(
+                step.picture, step.estimate, stamp=step.stamp, name=step.name, problem=step.problem, grid=step.grid
+            )
     if page.line.last is None:
         raise EagorError(f"{path}: there are no steps; wanted at least one frame")
     return page.path

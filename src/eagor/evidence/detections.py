@@ -28,8 +28,10 @@ class View:
     @property
     def is_whole(self) -> bool:
         """Whether it covers the whole sphere."""
-        partial = isinstance(self.grid, PerspectiveGrid | FisheyeGrid) and self.grid.depth_inside() is not None
-        return not partial and self.coverage is None
+        around = not isinstance(self.grid, PerspectiveGrid | FisheyeGrid)
+        if isinstance(self.grid, FisheyeGrid):
+            around = self.grid.depth_inside() is None
+        return around and self.coverage is None
 
     def share(self, directions: np.ndarray) -> np.ndarray:
         """v ``(...)`` in [0, 1] at directions ``(..., 3)`` of the body frame."""
