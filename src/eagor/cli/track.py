@@ -296,7 +296,8 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
         from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
-    camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
+    told = ordinary(options.hfov, options.camera, options.rig)
+    camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig, camera=told)
     source = BagFrames(camera, shown, options.start, options.end, _check(options))
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
