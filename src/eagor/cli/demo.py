@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from eagor.perception import Perception
 
+NARROWEST, WIDEST = 20, 120  # degrees: fields of a camera that searches
 AUTO = "auto"  # the default of --perception
 
 
@@ -82,6 +83,8 @@ def _apartment(options: Demo) -> int:
 def _photo(options: Demo, path: Path) -> int:
     if mistaken := given(options, ("seed", "episode")):
         raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
+    if options.hfov is not None and not NARROWEST <= options.hfov <= WIDEST:
+        raise terminal.UsageError(f"--hfov {options.hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
     checked_folder(options.out)
     need("eagor demo --photo", "sim", "jinja2")
     spec = options.perception

@@ -13,7 +13,7 @@ import numpy as np
 from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.demo_photo import as_image
-from eagor.cli.terminal import RunError, UsageError
+from eagor.cli.terminal import RunError
 from eagor.drawing.words import in_words, sureness
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
@@ -29,7 +29,6 @@ OURS, SHOWN = "next", ("next", "follow", "sweep")
 MOST = 16  # looks
 AROUND = (0, 20, 40, 60)  # degrees: headings of the looks all around, to which the answers are compared
 WIDTH, RATIO = 640, 4 / 3  # of the camera's pictures
-NARROWEST, WIDEST = 20, 120  # degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +65,8 @@ def play(
 ) -> Searches:
     """Search the photograph `image` for `query` with a camera of `hfov` degrees, until it is sure.
 
-    Raises `UsageError` for a field that no such camera has, `RunError` if looks all around do not see the thing.
+    Raises `RunError` if looks all around do not see the thing.
     """
-    if not NARROWEST <= hfov <= WIDEST:
-        raise UsageError(f"--hfov {hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
     whole = DirectionTracker()
     for stamp, azimuth in enumerate(AROUND):
         pose = world_R_body(math.radians(azimuth))
