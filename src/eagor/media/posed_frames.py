@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -35,7 +35,8 @@ class PosedFrame:
 
     `frame`: its name; None for odometry between the frames. `read`: gives its panorama, or raises `EagorError`.
     `looked`: whether the perception looks at it; otherwise it is only drawn. `lost`: whether nothing tells how the
-    camera turned since the frame before, so that the belief has to start anew.
+    camera turned since the frame before, so that the belief has to start anew. `spread`: deviation of the pose's error,
+    radians per axis, where it is known.
     """
 
     pose: FramePose
@@ -43,6 +44,7 @@ class PosedFrame:
     read: Read | None = None
     looked: bool = True
     lost: bool = False
+    spread: float = 0.0
 
 
 def posed_by_file(source: Frames, poses: Sequence[FramePose], name: Path) -> Iterator[PosedFrame]:
@@ -115,7 +117,8 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
         turned = _turned(odometer, found, stamp)
         turn = upright @ turned.world_R_body
         pose = FramePose(stamp, turn, None, frame)
-        yield PosedFrame(pose, frame, lambda found=found: found, lost=turned.lost and met)
+        lost = turned.lost and met
+        yield PosedFrame(pose, frame, lambda found=found: found, lost=lost, spread=turned.spread)
         met = True
 
 
@@ -191,5 +194,5 @@ def thinned(frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.
             yield each
             continue
         number = math.floor((each.pose.stamp - begins) * rate + 1e-6)
-        yield each if number > tick else PosedFrame(each.pose, each.frame, each.read, looked=False)
+        yield each if number > tick else replace(each, looked=False)
         tick = max(tick, number)

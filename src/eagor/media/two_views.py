@@ -35,6 +35,17 @@ _USUAL_SHIFT = 0.1  # radians: a step of 0.2 m, things at 2 m
 
 
 @dataclass(frozen=True, eq=False)
+class Inertia:
+    """What is known of a turn before: a camera cannot stop at once. `old_R_new` ``(3, 3)``, off by `most` radians."""
+
+    old_R_new: np.ndarray
+    most: float
+
+    def allows(self, old_R_new: np.ndarray) -> bool:
+        return float(Rotation.from_matrix(self.old_R_new.T @ old_R_new).magnitude()) <= self.most
+
+
+@dataclass(frozen=True, eq=False)
 class Turn:
     """`old_R_new` ``(3, 3)`` with the `covariance` ``(3, 3)`` of its error (radians squared, axes of the old frame).
 
@@ -50,13 +61,22 @@ class Turn:
 
 
 def turn_between(
-    old: np.ndarray, new: np.ndarray, *, level: bool = False, moves: bool = True, area: float = SPHERE
+    old: np.ndarray,
+    new: np.ndarray,
+    *,
+    level: bool = False,
+    moves: bool = True,
+    area: float = SPHERE,
+    inertia: Inertia | None = None,
 ) -> Turn | None:
     """The turn from matched unit vectors `old` and `new` ``(n, 3)``; None if they agree no better than by chance.
 
     A camera that stood still and one that moved are both fitted; the Bayesian information criterion decides. `level`:
-    turns are about z only. `moves`: False leaves out the second model. `area`: steradians that the camera sees. The same
-    input gives the same result: the random samples have a fixed seed.
+    turns are about z only. `moves`: False leaves out the second model. `area`: steradians that the camera sees. The
+    same input gives the same result: the random samples have a fixed seed.
+
+    In a narrow field a turn looks much like a step to the side, all the more if something moves on its own. So where
+    only one of the two fits to `inertia`, it is taken.
     """
     random = np.random.default_rng(0)
     still = agreeing_rotation(old, new, random, level, area)
@@ -73,7 +93,8 @@ def turn_between(
         assert moved.direction is not None
         guess = _yaw_of(moved.rotation) if level else moved.rotation
         found.append(_fitted(Moving(old, new, guess, axes, parts, moved.direction), moved))
-    _, model, parameters = max(found, key=lambda each: each[0])
+    able = [each for each in found if inertia is None or inertia.allows(each[1].rotation)]
+    _, model, parameters = max(able or found, key=lambda each: each[0])
     d = len(axes)
     spread = covariance(model, parameters)
     if spread is None:
@@ -272,7 +293,8 @@ def right(model: Model, parameters: np.ndarray) -> np.ndarray:
 def _log_likelihood(model: Model, parameters: np.ndarray) -> np.ndarray:
     """Log-density ``(p, n + 1)`` of each pair under parameters ``(p, k)``; the priors come last."""
     logit = parameters[:, len(model.axes) + 1, None]
-    pairs = np.logaddexp(model.log_inlier(parameters) + log_expit(logit), log_expit(-logit) - math.log(model.parts.area))
+    wrong = log_expit(-logit) - math.log(model.parts.area)
+    pairs = np.logaddexp(model.log_inlier(parameters) + log_expit(logit), wrong)
     return np.concatenate([pairs, model.log_prior(parameters)[:, None]], axis=1)
 
 
