@@ -20,16 +20,27 @@ from eagor.tasks.rules import Camera, NavigationRules
 from eagor.worlds.scene import STRUCTURE, Instance
 from eagor.worlds.walkable import Walkable
 
-__all__ = ["Body", "House", "Walker", "house_of", "place_of", "plan_of"]
+__all__ = ["Body", "House", "Tour", "Walker", "house_of", "place_of", "plan_of", "walled"]
 
-EPISODE = 2  # of the apartment `SEED`, as in `eagor demo`
+# The first walk, in the apartment `SEED`: `docs/figures/studio.py choose` says by which rule it is chosen.
+TOUR = "refrigerator", "4.68,2.12 4.23,4.97 4.23,5.12 4.33,5.32 4.43,5.37 4.88,5.47 5.08,5.47 5.53,5.27 5.83,5.07"
+
+
+@dataclass(frozen=True, eq=False)
+class Tour:
+    """The first walk: what it looks for, points ``(2,)`` of the `way`, and the `yaw` with which it faces the thing."""
+
+    query: str
+    way: tuple[np.ndarray, ...]
+    yaw: float
 
 
 @dataclass(frozen=True, eq=False)
 class House:
     """An apartment as a session needs it: it can be pickled, and renders nothing.
 
-    `names`: what can be asked for without doubt; `start` ``(2,)``, `yaw` and `query` of an episode in it.
+    `names`: what can be asked for without doubt; `start` ``(2,)``, `yaw` and `query` of an episode in it; `tour`: the
+    first walk, if it is the apartment for that.
     """
 
     seed: int
@@ -40,6 +51,7 @@ class House:
     yaw: float
     query: str
     plan: dict[str, Any]
+    tour: Tour | None = None
 
     def targets(self, query: str) -> list[int]:
         """The things that a query names; none if it names nothing that is known here."""
@@ -57,9 +69,9 @@ def place_of(seed: int) -> Place:
 
 def house_of(seed: int, place: Place) -> House:
     """The apartment `place`, of this seed, for a session. Raises `WorldError` if nobody can walk to anything in it."""
-    number = EPISODE if seed == SEED else seed % PER_PLACE
+    number = seed % PER_PLACE
     episode = navigation.plan(Slot("navigation", APARTMENT, seed, number, number), Camera(), NavigationRules())
-    return House(
+    found = House(
         seed,
         replace(place.ground),  # type: ignore[type-var]  # without what it keeps for itself, so that it can be pickled
         tuple(place.scene.instances),
@@ -69,6 +81,12 @@ def house_of(seed: int, place: Place) -> House:
         str(episode.query),
         plan_of(place.ground, place.scene.instances),
     )
+    if seed != SEED:
+        return found
+    query, points = TOUR
+    way = tuple(np.array(point.split(","), dtype=float) for point in points.split())
+    ahead = np.asarray(found.things[found.targets(query)[0]].centre)[:2] - way[0]
+    return replace(found, tour=Tour(query, way, math.atan2(ahead[1], ahead[0])))
 
 
 def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
@@ -83,6 +101,19 @@ def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
             if thing.category not in (*STRUCTURE, "ceiling lamp", "rug", "curtain")
         ],
     }
+
+
+def walled(ground: Walkable, xy: np.ndarray, point: np.ndarray) -> bool:
+    """Whether a wall (or a door's or a window's frame) of the plan stands between two points ``(2,)``.
+
+    The last half metre does not count: things stand against walls.
+    """
+    gap = float(np.linalg.norm(point - xy))
+    count = math.ceil(gap / ground.cell * 4) + 1
+    line = xy + np.linspace(0.0, max(0.0, 1 - 0.5 / max(gap, 0.5)), count)[:, None] * (point - xy)
+    col, row = np.floor((line - ground.origin) / ground.cell).astype(np.intp).T
+    inside = (row >= 0) & (row < ground.structure.shape[0]) & (col >= 0) & (col < ground.structure.shape[1])
+    return bool(np.any(np.asarray(ground.structure)[row[inside], col[inside]]))
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:
@@ -133,6 +164,7 @@ def _metres(line: np.ndarray, origin: np.ndarray, cell: float) -> list[list[floa
     return rounded(origin + line * cell, 3)
 
 
+WAITS = 4.0  # seconds at the end of the first walk, before the policy leads back
 SPEED, TURN = 0.5, math.radians(75)  # metres and radians per second, of the policy
 FASTEST, QUICKEST = 1.2, math.radians(150)  # of the person
 
@@ -168,13 +200,15 @@ class Body:
 
 @dataclass
 class Walker:
-    """Moves a body: `by` the policy as time passes, or by the person, who says how."""
+    """Moves a body: `by` the policy as time passes, along a `way` and then by the policy ("tour"), or by the person."""
 
     body: Body
     by: str = "policy"
+    way: list[np.ndarray] = field(default_factory=list)  # points ``(2,)`` that are still to come
     policy: Policy = field(default_factory=lambda: Policy(Camera().step))
-    _heading: float | None = None  # of the policy's step that is under way
-    _left: float = 0.0  # metres of that step
+    _heading: float | None = None  # of the straight part that is under way
+    _left: float = 0.0  # metres of it
+    _waited: float = 0.0  # seconds at the end of the way
     _stood: tuple[float, ...] = field(init=False)  # where it stood when it was last asked
 
     def __post_init__(self) -> None:
@@ -187,23 +221,31 @@ class Walker:
             self.body.advance(min(max(forward, -FASTEST), FASTEST) * seconds)
 
     def drive(self, by: str) -> None:
-        """Hand over to "policy" or "person"."""
+        """Hand over to "policy", "person" or "tour"."""
         if by != self.by:
             self.by, self._heading = by, None
             self.policy = Policy(self.policy.step)
 
     def move(self, seconds: float, direction: np.ndarray | None, arrived: bool) -> bool:
         """Let time pass; `direction` ``(3,)``: the estimate, body frame. Returns whether the body has moved since."""
-        if self.by == "policy" and not arrived:
+        if self.by == "tour" or (self.by == "policy" and not arrived):
             self._walk(min(seconds, LATE), direction)
         before, self._stood = self._stood, (*self.body.xy, self.body.yaw)
         return before != self._stood
 
     def _walk(self, seconds: float, direction: np.ndarray | None) -> None:
-        if direction is None:  # nothing is known: look around
-            self._turned(TURN / 2 * seconds)
+        if direction is None:  # nothing is known: look around, or wait for the first look
+            self._turned(TURN / 2 * seconds * (self.by == "policy"))
             return
-        if self._heading is None:
+        if self._heading is None and self.by == "tour":
+            if not self.way:
+                self._waited += seconds
+                if self._waited > WAITS:
+                    self.drive("policy")
+                return
+            ahead = self.way.pop(0) - self.body.xy
+            self._heading, self._left = math.atan2(ahead[1], ahead[0]), float(np.hypot(*ahead))
+        elif self._heading is None:
             azimuth = float(azimuth_elevation(direction)[0])
             self._heading = self.body.yaw + self.policy.heading(azimuth, self.body.xy, self.body.yaw)
             self._left = self.policy.step

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, small_jpeg
@@ -33,33 +33,64 @@ class Shown:
         self._position: np.ndarray | None = None
         self._fresh = False
         self._shown: Any = None  # the belief that was sent last
-        self._number = 0
-        self._query = ""
-        self._faults = ""
-        self.core: Any = None  # of the loop: where the camera pointed when a picture was taken
+        self._asked: tuple[str, int] | None = None  # the query that is answered, and the number of its question
+        self._next: tuple[str, int] | None = None  # what is looked for in its place
+        self.loop: Any = None
+        self._lock = threading.Lock()  # questions come in a thread of their own
+
+    def ask(self, query: str, number: int) -> None:
+        """Look for something else, too, until it is seen or refused; then for one of the two alone."""
+        with self._lock:
+            if self._next is not None:
+                self._refused(self._next, f"Before {self._next[0]!r} could be looked for, something else was asked.")
+            self._next = query, number
+            self.loop.follow([*([self._asked[0]] if self._asked else self.loop.core.queries[:1]), query])
+
+    def _refused(self, asked: tuple[str, int], problem: str) -> None:
+        said = {"problem": problem, "change": "Ask for something else.", "fatal": False, "question": asked[1]}
+        self._say(Message({"type": "problem", **said}))
+
+    def _tried(self, event: Event) -> None:
+        """Take up a new query with the first look for it, drop one that cannot be looked for."""
+        asked = self._next
+        if asked is None or self._asked is None:
+            return
+        if isinstance(event, EvidenceCame) and event.query == asked[0]:
+            self._asked, self._next = asked, None
+            self._scene()
+        elif isinstance(event, Trouble) and event.part == "perception" and event.about == asked[0] and event.text:
+            self._next = None
+            self._refused(asked, f"{event.text[:1].upper()}{event.text[1:]}.")
+        else:
+            return
+        self.loop.follow([self._asked[0]])
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop, and the answers to it."""
+        with self._lock:
+            self._tried(event)
         if isinstance(event, FrameCame) and event.panorama is not None:
             self._picture = event
         elif isinstance(event, PoseCame):
             self._position = event.pose.position
         elif isinstance(event, EvidenceCame):
             self._fresh = True
-        for answer in answers[:1]:
-            self._answered(answer)
+        for answer in answers:
+            if self._asked is None:
+                self._asked = answer.query, 0
+                self._scene()
+            if answer.query == self._asked[0]:
+                self._answered(answer, self._asked[1])
 
     def close(self) -> None:
         """The loop has ended."""
         self._say(Message({"type": "status", "words": f"{self._source} has ended."}))
 
-    def _answered(self, answer: Answer) -> None:
+    def _answered(self, answer: Answer, number: int) -> None:
         estimate = answer.estimate
-        if answer.query != self._query:
-            self._query = answer.query
-            self._scene(estimate.config)
         header: dict[str, Any] = {
             "type": "step",
+            "question": number,
             **believed(estimate, answer.stamp, self._position),
             "rivals": {},
             "goal": None,
@@ -75,19 +106,22 @@ class Shown:
         picture = self._picture
         if picture is not None and picture.panorama is not None and answer.stamp - self._sent >= PICTURES:
             self._picture, self._sent = None, answer.stamp
-            pose = None if self.core is None else self.core.orientation(picture.stamp)
+            pose = self.loop.core.orientation(picture.stamp)
             pose = estimate.world_R_body if pose is None else pose
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
             blobs["panorama"] = Blob("image/jpeg", small_jpeg(picture.panorama, ROWS))
         self._say(Message(header, blobs))
 
-    def _scene(self, config: Any) -> None:
+    def _scene(self) -> None:
+        assert self._asked is not None
+        config = self.loop.core.config
         scene = {
             "type": "scene",
+            "question": self._asked[1],
             "view": "live",
             "title": self._source,
             "session": "live",
-            "query": self._query,
+            "query": self._asked[0],
             "targets": [],
             "plan": None,
             "degree": config.degree,
@@ -104,7 +138,8 @@ def watch(
 ) -> None:  # fmt: skip
     """Run the loop that `opens` makes and say what happens, until the line or the parent ends.
 
-    It is told ``("query", text)``. What cannot be opened is said as a fatal problem.
+    It is told ``("query", text, number)``: the number of the question, which answers carry. What cannot be opened is
+    said as a fatal problem.
     """
     lock = threading.Lock()
 
@@ -119,8 +154,8 @@ def watch(
         _problem(say, str(error))
         _until_told_to_end(line, None)
         return
-    shown.core = loop.core
-    threading.Thread(target=_until_told_to_end, args=(line, loop), daemon=True).start()
+    shown.loop = loop
+    threading.Thread(target=_until_told_to_end, args=(line, shown), daemon=True).start()
     say(Message({"type": "status", "words": f"Opening {source}. The perception is being loaded."}))
     try:
         loop.run(lambda _: None)
@@ -134,10 +169,10 @@ def _problem(say: Callable[[Message], None], text: str) -> None:
     say(Message({"type": "problem", **words, "fatal": True}))
 
 
-def _until_told_to_end(line: Connection, loop: LiveLoop | None) -> None:
+def _until_told_to_end(line: Connection, shown: Shown | None) -> None:
     with suppress(EOFError, OSError):
         while (told := line.recv()) is not None:
-            if loop is not None and told[0] == "query":
-                loop.follow([told[1]])
-    if loop is not None:
-        loop.stop()
+            if shown is not None and told[0] == "query":
+                shown.ask(*told[1:])
+    if shown is not None:
+        shown.loop.stop()

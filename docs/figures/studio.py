@@ -1,0 +1,162 @@
+"""The studio's first walk: how it is chosen.
+
+    python docs/figures/studio.py choose [--seeds 50]     the rule below, on development seeds 0, 1, ...
+
+The rule. In each apartment, of each thing that the scout knows and that has a name of its own: the walk begins at the
+roomiest place that is 1.5 to 3 m from the thing and sees it, and leads by the shortest way to a place from which a wall
+hides it. Of all such ways of 4 to 8 m on which the thing is in sight for the first 1.5 m and behind a wall for the last
+2.5 m, it takes the shortest. The scout looks once a second. The studio shows the first apartment that has such a walk,
+with its first such thing, where every half second from the third look on, there and on the policy's way back, the 90 %
+region that is drawn held the thing's centre, the status was "tracking" and the answer at most 15 degrees off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eagor.errors import EagorError
+from eagor.perception.scout import ScoutPerception
+from eagor.sphere import angular_distance
+from eagor.studio.density import density_of
+from eagor.studio.houses import Body, Walker, place_of, walled
+from eagor.tasks.navigation import distance_to_box
+from eagor.tasks.places import Place, pixels_of
+from eagor.tasks.rules import NavigationRules
+from eagor.tracking import TrackerConfig
+from eagor.tracking.follower import Follower
+from eagor.worlds.walkable import along, length_of
+
+NEAR, FAR = 1.5, 3.0  # metres from the thing at first
+SHORTEST, LONGEST = 4.0, 8.0  # metres of walking
+SEEN, HIDDEN = 1.5, 2.5  # metres in sight at first, out of sight at last
+ROOM = 0.35  # metres of clearance
+STEP, ASK, LOOK, LASTS = 0.1, 0.5, 1.0, 60.0  # seconds: a step, between answers, between looks, the whole walk
+OFF = 15.0  # degrees
+TRIES = 40  # ends of ways
+
+
+def in_sight(place: Place, target: int, xy: np.ndarray) -> bool:
+    """Whether the camera sees the thing from there: two pixels of 64 x 128, as in the tasks."""
+    return pixels_of(place.ids(place.eye(xy, 1.25), np.eye(3)), (target,)) >= 2
+
+
+def way_of(place: Place, target: int) -> np.ndarray | None:
+    """The walk of the rule to a thing: a path ``(n, 2)``, or None."""
+    thing, ground = place.scene.instances[target], place.ground
+    points = ground.points
+    col, row = np.floor((points - ground.origin) / ground.cell).astype(int).T
+    room = ground.clearance[row, col]
+    away = distance_to_box(points, thing.low[:2], thing.high[:2])
+    roomy = np.flatnonzero((away >= NEAR) & (away <= FAR) & (room >= ROOM))
+    begin = next((points[k] for k in roomy[np.argsort(-room[roomy], kind="stable")][:TRIES]
+                  if in_sight(place, target, points[k])), None)  # fmt: skip
+    if begin is None:
+        return None
+    metres = ground.at_points(ground.field(begin))
+    ends = np.flatnonzero((metres >= SHORTEST) & (metres <= LONGEST) & (room >= ROOM))
+    ends = ends[np.argsort(metres[ends], kind="stable")]
+    for k in ends[:: max(1, len(ends) // TRIES)]:
+        if in_sight(place, target, points[k]):
+            continue
+        way = ground.path(begin, points[k])
+        length = length_of(way)
+        first = along(way, np.arange(0.0, SEEN + 0.01, 0.5))
+        last = along(way, np.arange(length - HIDDEN, length, 0.25))
+        if (
+            length >= SHORTEST
+            and all(in_sight(place, target, xy) for xy in first)
+            and all(walled(ground, xy, thing.centre[:2]) and not in_sight(place, target, xy) for xy in last)
+        ):
+            return way
+    return None
+
+
+@dataclass
+class Walked:
+    """What was said every half second from the third look on: region right, thing hidden, tracking; errors, degrees."""
+
+    held: list[bool] = field(default_factory=list)
+    hidden: list[bool] = field(default_factory=list)
+    tracking: list[bool] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    reached: bool = False
+
+    @property
+    def right(self) -> bool:
+        """Whether the rule takes it."""
+        return all(self.held) and all(self.tracking) and max(self.errors) <= OFF and self.reached
+
+
+def played(place: Place, target: int, way: np.ndarray, query: str) -> Walked:
+    """Walk there, wait, and let the policy lead back."""
+    scout, follower, found = ScoutPerception(), Follower(TrackerConfig()), Walked()
+    thing = np.asarray(place.scene.instances[target].centre)
+    home = place.way_to((target,))
+    yaw = math.atan2(*(thing[:2] - way[0])[::-1])
+    walker = Walker(Body(place.ground, way[0].copy(), yaw), "tour", [*way[1:]])
+    known = None
+    for number in range(round(LASTS / STEP)):
+        stamp, body = number * STEP, walker.body
+        follower.move(stamp, body.world_R_body, body.position)
+        if number % round(LOOK / STEP) == 0:
+            seen = place.renderer.panorama(body.position, body.world_R_body, scout.rows, range=False, ids=False).rgb
+            assert seen is not None
+            follower.look(scout(seen, query, stamp=stamp))
+        if number % round(ASK / STEP) == 0 and stamp > 2 * LOOK:
+            estimate = follower.estimate(stamp)
+            known, density = estimate.direction, density_of(estimate.posterior)
+            assert known is not None
+            d = (thing - body.position) / np.linalg.norm(thing - body.position)
+            found.held.append(float(density(d)) >= density.level)
+            found.hidden.append(not in_sight(place, target, body.xy))
+            found.tracking.append(estimate.status == "tracking")
+            found.errors.append(math.degrees(float(angular_distance(body.world_R_body @ known, d))))
+        found.reached = walker.by == "policy" and float(home.distance(body.xy)) < NavigationRules().success_distance
+        if found.reached:
+            break
+        walker.move(STEP, known, False)
+    return found
+
+
+def choose(seeds: int) -> None:
+    """Print what the rule finds in each apartment."""
+    known = set(ScoutPerception().categories)
+    for seed in range(seeds):
+        try:
+            place = place_of(seed)
+        except EagorError as error:
+            print(f"{seed}: {error}")
+            continue
+        for target, query in sorted(place.nameable().items()):
+            if query.category not in known or (way := way_of(place, target)) is None:
+                continue
+            found = played(place, target, way, str(query))
+            parts = [f"{100 * np.mean(each):.0f} %" for each in (found.held, found.hidden, found.tracking)]
+            points = " ".join(f"{x:.2f},{y:.2f}" for x, y in way)
+            print(
+                f"{seed}: {query}, {length_of(way):.1f} m; region right {parts[0]}, hidden {parts[1]}, tracking "
+                f"{parts[2]}, at most {max(found.errors):.1f} degrees off, {'' if found.reached else 'not '}reached "
+                f"after {ASK * len(found.held):.0f} s{': right' if found.right else ''}; {points}",
+                flush=True,
+            )
+            break
+        else:
+            print(f"{seed}: no such walk", flush=True)
+
+
+def main() -> int:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("choose",))
+    parser.add_argument("--seeds", type=int, default=50)
+    given = parser.parse_args()
+    choose(given.seeds)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
