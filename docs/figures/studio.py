@@ -1,31 +1,40 @@
-"""The studio's first walk: how it is chosen.
+"""The studio's first walk: how it is chosen, and a picture of it.
 
-    python docs/figures/studio.py choose [--seeds 50]     the rule below, on development seeds 0, 1, ...
+    python docs/figures/studio.py choose --seeds 20    the rule below, on development seeds 0, 1, ...
+    python docs/figures/studio.py picture [OUT.webp]   the page at the far end of the walk (needs Chromium, Playwright)
 
 The rule. In each apartment, of each thing that the scout knows and that has a name of its own: the walk begins at the
 roomiest place that is 1.5 to 3 m from the thing and sees it, and leads by the shortest way to a place from which a wall
 hides it. Of all such ways of 4 to 8 m on which the thing is in sight for the first 1.5 m and behind a wall for the last
 2.5 m, it takes the shortest. The scout looks once a second. The studio shows the first apartment that has such a walk,
-with its first such thing, where every half second from the third look on, there and on the policy's way back, the 90 %
-region that is drawn held the thing's centre, the status was "tracking" and the answer at most 15 degrees off.
+with its first such thing, where every half second from the third look on, there and on the way back, the 90 % region
+that is drawn held the thing's centre, the status was "tracking" and the answer at most 15 degrees off.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
+import itertools
+import json
 import math
+import shutil
+import subprocess
+import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from eagor.errors import EagorError
 from eagor.perception.scout import ScoutPerception
 from eagor.sphere import angular_distance
 from eagor.studio.density import density_of
-from eagor.studio.houses import Body, Walker, place_of, walled
+from eagor.studio.houses import Body, Tour, Walker, place_of, walled
+from eagor.studio.walk import FINE
 from eagor.tasks.navigation import distance_to_box
 from eagor.tasks.places import Place, pixels_of
-from eagor.tasks.rules import NavigationRules
 from eagor.tracking import TrackerConfig
 from eagor.tracking.follower import Follower
 from eagor.worlds.walkable import along, length_of
@@ -34,7 +43,7 @@ NEAR, FAR = 1.5, 3.0  # metres from the thing at first
 SHORTEST, LONGEST = 4.0, 8.0  # metres of walking
 SEEN, HIDDEN = 1.5, 2.5  # metres in sight at first, out of sight at last
 ROOM = 0.35  # metres of clearance
-STEP, ASK, LOOK, LASTS = 0.1, 0.5, 1.0, 60.0  # seconds: a step, between answers, between looks, the whole walk
+STEP, ASK, LOOK, STANDS = 0.1, 0.5, 1.0, 6.0  # seconds: a step, between answers, between looks, standing at the end
 OFF = 15.0  # degrees
 TRIES = 40  # ends of ways
 
@@ -83,23 +92,21 @@ class Walked:
     hidden: list[bool] = field(default_factory=list)
     tracking: list[bool] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
-    reached: bool = False
 
     @property
     def right(self) -> bool:
         """Whether the rule takes it."""
-        return all(self.held) and all(self.tracking) and max(self.errors) <= OFF and self.reached
+        return all(self.held) and all(self.tracking) and max(self.errors) <= OFF
 
 
 def played(place: Place, target: int, way: np.ndarray, query: str) -> Walked:
-    """Walk there, wait, and let the policy lead back."""
+    """Walk there and back."""
     scout, follower, found = ScoutPerception(), Follower(TrackerConfig()), Walked()
     thing = np.asarray(place.scene.instances[target].centre)
-    home = place.way_to((target,))
-    yaw = math.atan2(*(thing[:2] - way[0])[::-1])
-    walker = Walker(Body(place.ground, way[0].copy(), yaw), "tour", [*way[1:]])
-    known = None
-    for number in range(round(LASTS / STEP)):
+    tour = Tour.to(query, thing, [*way])
+    walker = Walker(Body(place.ground, way[0].copy(), tour.yaw), "tour", [*tour.way[1:]])
+    known, stood = None, 0.0
+    for number in itertools.count():
         stamp, body = number * STEP, walker.body
         follower.move(stamp, body.world_R_body, body.position)
         if number % round(LOOK / STEP) == 0:
@@ -115,10 +122,9 @@ def played(place: Place, target: int, way: np.ndarray, query: str) -> Walked:
             found.hidden.append(not in_sight(place, target, body.xy))
             found.tracking.append(estimate.status == "tracking")
             found.errors.append(math.degrees(float(angular_distance(body.world_R_body @ known, d))))
-        found.reached = walker.by == "policy" and float(home.distance(body.xy)) < NavigationRules().success_distance
-        if found.reached:
-            break
-        walker.move(STEP, known, False)
+        stood = 0.0 if walker.move(STEP, known, False) else stood + STEP
+        if stood > STANDS and not walker.way:
+            return found
     return found
 
 
@@ -139,8 +145,7 @@ def choose(seeds: int) -> None:
             points = " ".join(f"{x:.2f},{y:.2f}" for x, y in way)
             print(
                 f"{seed}: {query}, {length_of(way):.1f} m; region right {parts[0]}, hidden {parts[1]}, tracking "
-                f"{parts[2]}, at most {max(found.errors):.1f} degrees off, {'' if found.reached else 'not '}reached "
-                f"after {ASK * len(found.held):.0f} s{': right' if found.right else ''}; {points}",
+                f"{parts[2]}, at most {max(found.errors):.1f} degrees off{': right' if found.right else ''}; {points}",
                 flush=True,
             )
             break
@@ -148,13 +153,54 @@ def choose(seeds: int) -> None:
             print(f"{seed}: no such walk", flush=True)
 
 
+WIDTH, HEIGHT, SHARP = 1400, 875, 1.5  # of the picture: CSS pixels, and pixels for each
+HIDDEN_FOR = 8.0  # seconds
+QUALITY = 80
+SHOWN = "window.eagorStudio?.store"
+
+
+def picture(out: Path) -> None:
+    """Start the studio as a visitor does, pause at the far end of the first walk, and keep what the page shows."""
+    from playwright.sync_api import sync_playwright
+
+    command = [sys.executable, "-m", "eagor", "studio", "--port", "0", "--json"]
+    browser = next(path for name in ("chromium", "chromium-browser") if (path := shutil.which(name)))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server, sync_playwright() as playwright:
+        try:
+            assert server.stdout is not None
+            address = json.loads(server.stdout.readline())["address"]
+            chromium = playwright.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+            size = {"width": WIDTH, "height": HEIGHT}
+            page = chromium.new_page(viewport=size, device_scale_factor=SHARP, color_scheme="dark")  # type: ignore[arg-type]
+            page.goto(address)
+
+            def until(condition: str) -> None:
+                while not page.evaluate(condition):
+                    page.wait_for_timeout(100)
+
+            until(f"(({SHOWN}?.step?.goal?.words ?? '').match(/hidden .* for (\\d+) s/)?.[1] ?? 0) >= {HIDDEN_FOR}")
+            page.get_by_role("button", name="Pause").click()
+            until(f"{SHOWN}.panorama.image.width >= {2 * FINE[-1][1]} && window.eagorStudio.summary.rests")
+            page.wait_for_timeout(1000)
+            shot = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+            chromium.close()
+        finally:
+            server.terminate()
+    shot.save(out, quality=QUALITY, method=6)
+    print(f"{out}: {shot.width} x {shot.height}, {out.stat().st_size / 1e3:.0f} kB")
+
+
 def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("choose",))
-    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("what", choices=("choose", "picture"))
+    parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parents[1] / "images" / "studio.webp")
+    parser.add_argument("--seeds", type=int, default=20)
     given = parser.parse_args()
-    choose(given.seeds)
+    if given.what == "choose":
+        choose(given.seeds)
+    else:
+        picture(given.out)
     return 0
 
 

@@ -109,7 +109,7 @@ export class Store {
   /** What is looked for at the moment, without a look yet; null: there is an answer, or nothing is asked. */
   get lookingFor(): string | null {
     if (this.waiting !== null) return this.waiting;
-    return this.scene?.question !== undefined && this.step?.look?.age == null && !this.direction ? this.scene.query : null;
+    return this.scene?.question && this.step?.look?.age == null && !this.direction ? this.scene.query : null;
   }
 
   /** The camera's pose: that of the step, or one that a person has asked for and the server does not know yet. */

@@ -61,7 +61,7 @@ export const words = {
     house: "Apartment",
     perception: "Perception",
     drive: "Steered by",
-    tour: "the first walk",
+    tour: "tour",
     policy: "policy",
     person: "me",
     start: "Start again",

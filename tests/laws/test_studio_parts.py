@@ -5,6 +5,8 @@ import json
 import math
 import struct
 from contextlib import suppress
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,15 +16,19 @@ from starlette.datastructures import Headers
 
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
+from eagor.live.events import Answer, Asked, EvidenceCame, Trouble
 from eagor.studio import runs
 from eagor.studio.guard import Gate
 from eagor.studio.houses import Body, Walker, outlines
 from eagor.studio.hub import Channel, Slot
+from eagor.studio.live import Shown
 from eagor.studio.messages import LONGEST, Blob, Message, PageError, merged, packed, read, rounded
 from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.replays import Redrawn
 from eagor.studio.runs import page_of
 from eagor.studio.session import Loaded, Opened, Opening, Outbox, Question, Refused, See, Seen, Turn, Turned
+from eagor.tracking import TrackerConfig
+from eagor.tracking.follower import Follower
 
 
 def unpacked(frame):
@@ -467,3 +473,40 @@ def test_a_paused_view_answers_a_new_question_and_stands_still_again(heard):
     heard.looks()
     assert heard.told("step")[-1]["question"] == 2
     assert len(heard.looks()) == before + 1
+
+
+class Loop:
+    """What a live source's watcher needs of the loop: it notes what is followed."""
+
+    def __init__(self):
+        self.core = SimpleNamespace(config=TrackerConfig(), queries=("ball",))
+        self.followed = []
+        self.follow = self.followed.append
+
+
+def test_a_live_source_goes_on_with_the_question_before_one_that_is_refused():
+    said, estimate = [], Follower()
+    estimate.move(0.0, np.eye(3))
+    estimate.look(replace(ball(), stamp=0.0))
+    shown = Shown(lambda message: said.append(message.header), "camera", "colour")
+    shown.loop = Loop()
+
+    def answers(query):
+        return [Answer(1.0, query, estimate.estimate(1.0), None, 0.1, 0.1)]
+
+    shown.take(Asked(1.0), answers("ball"))
+    shown.ask("zzz", 7)
+    assert shown.loop.followed[-1] == ["ball", "zzz"]
+    shown.take(Asked(1.0), answers("ball") + answers("zzz"))
+    shown.take(Trouble(1.0, "perception", "no such word", "zzz"), [])
+    assert shown.loop.followed[-1] == ["ball"]
+    assert [(one["problem"], one["question"]) for one in said if one["type"] == "problem"] == [("No such word.", 7)]
+    assert {one["question"] for one in said if one["type"] == "step"} == {0}
+    shown.ask("cup", 8)
+    shown.take(EvidenceCame(1.0, 1.0, None, "cup", (), 0.1), [])
+    assert shown.loop.followed[-1] == ["cup"]
+    shown.take(Asked(1.0), answers("ball") + answers("cup"))
+    assert [(one["type"], one["question"]) for one in said[-2:]] == [("scene", 8), ("step", 8)]
+    shown.close()
+    shown.ask("ball", 9)
+    assert (said[-1]["type"], said[-1]["question"]) == ("problem", 9)

@@ -43,7 +43,7 @@ from eagor.studio.session import (
     Seen,
     Turn,
     Turned,
-)
+)  # fmt: skip
 from eagor.studio.steps import calibration_of, small_jpeg
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place

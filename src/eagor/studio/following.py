@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.session import Loaded, Opening, Outbox, Question, Refused
-from eagor.studio.steps import FLOATS, belief_of, believed, error_deg, estimate_json, evidence_of
+from eagor.studio.steps import FLOATS, belief_of, believed, error_deg, estimate_json, evidence_of, scene_of
 from eagor.tasks.methods import BASE, DESCRIPTIONS, NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.follower import Follower, Refresh
@@ -128,7 +129,8 @@ class FollowingSession:
     """What all sessions share: the question, what is believed about it, and how that is said to the page.
 
     A new question changes nothing until a look for it has been taken: so one that is refused changes nothing at all. A
-    session of a kind says when it looks, and when it takes a step; see `eagor.studio.session.Session`.
+    session of a kind says when it looks, and when it takes a step. `due`: when `tick` is to be called, on
+    `time.monotonic`.
     """
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
@@ -137,7 +139,7 @@ class FollowingSession:
         self._asked: Question = opening.question  # what is answered,
         self._next: Question | None = None  # and what is looked for in its place
         self._refused = False  # what is asked cannot be looked for
-        self._names = opening.methods
+        self._names, self._steps = opening.methods, itertools.count(1)
         self._calibrated: dict[str, dict[str, Any]] = {}  # of the perceptions that are loaded
         self._running = self._paused = self._due_once = False  # the last: a step, though it is paused
         self._load()
@@ -197,6 +199,18 @@ class FollowingSession:
             return True
         return question == self._asked
 
+    def tick(self, now: float, soonest: float = SOONEST) -> float:
+        """Go on; `soonest`: seconds between two computations of the belief. Returns the seconds of one, or 0."""
+        raise NotImplementedError
+
+    def saw(self, said: Any, now: float) -> None:
+        """Take in what the eye says."""
+        raise NotImplementedError
+
+    def told(self, message: dict[str, Any], now: float) -> None:
+        """Take in what the page says, which has been checked."""
+        raise NotImplementedError
+
     def _follow(self) -> None:
         """Forget what was believed, and say what is followed from now on."""
         raise NotImplementedError
@@ -243,6 +257,8 @@ class FollowingSession:
         """Say what is believed now, and what is new. `truth`: the true direction ``(3,)``, body frame, if known."""
         header: dict[str, Any] = {
             "type": "step",
+            "number": next(self._steps),
+            "sent": time.time(),
             "question": self._asked.number,
             **believed(estimate, stamp, position, truth, self._following.entropy),
             "rivals": self._rivals.answers(estimate.world_R_body, truth),
@@ -255,24 +271,14 @@ class FollowingSession:
             header["belief"] = self._following.belief
             self._blobs["belief"] = Blob(FLOATS, self._following.coefficients)
             self._following.news = False
-        self._out.step(self.number, Message(header, self._blobs))
+        self._out.send(self.number, Message(header, self._blobs))
         self._parts, self._blobs, self._due_once = {}, {}, False
 
     def _scene(self, view: str, title: str, **about: Any) -> None:
         """Say what is shown."""
-        scene = {
-            "type": "scene",
-            "question": self._asked.number,
-            "view": view,
-            "title": title,
-            "session": str(self.number),
-            "query": self._asked.query,
-            "targets": [],
-            "plan": None,
-            "degree": self._asked.degree,
-            "calibration": self._calibrated[self._asked.perception],
-            "perception": self._asked.perception,
-            "methods": list(OFFERED),
-            "region": 0.9,
-        }
-        self._out.send(self.number, Message(scene | about))
+        asked = self._asked
+        told = scene_of(
+            view, title, asked.query, question=asked.number, degree=asked.degree, perception=asked.perception,
+            calibration=self._calibrated[asked.perception], methods=list(OFFERED), **about,
+        )  # fmt: skip
+        self._out.send(self.number, Message({"type": "scene", **told}))

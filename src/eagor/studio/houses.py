@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,16 +24,22 @@ from eagor.worlds.walkable import Walkable
 __all__ = ["Body", "House", "Tour", "Walker", "house_of", "place_of", "plan_of", "walled"]
 
 # The first walk, in the apartment `SEED`: `docs/figures/studio.py choose` says by which rule it is chosen.
-TOUR = "refrigerator", "4.68,2.12 4.23,4.97 4.23,5.12 4.33,5.32 4.43,5.37 4.88,5.47 5.08,5.47 5.53,5.27 5.83,5.07"
+TOUR = "green sofa", "4.13,3.52 3.78,2.07 3.78,1.77 3.68,1.57 3.58,1.52 1.48,1.57 0.78,1.67"
 
 
 @dataclass(frozen=True, eq=False)
 class Tour:
-    """The first walk: what it looks for, points ``(2,)`` of the `way`, and the `yaw` with which it faces the thing."""
+    """The first walk: what it looks for, points ``(2,)`` of the `way` there and back, and the `yaw` to begin with."""
 
     query: str
     way: tuple[np.ndarray, ...]
     yaw: float
+
+    @classmethod
+    def to(cls, query: str, thing: np.ndarray, way: Sequence[np.ndarray]) -> Tour:
+        """It faces the `thing` ``(3,)``, walks along the way, stops at its end, and walks back."""
+        ahead = thing[:2] - way[0]
+        return cls(query, (*way, *reversed(way)), math.atan2(ahead[1], ahead[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +91,8 @@ def house_of(seed: int, place: Place) -> House:
     if seed != SEED:
         return found
     query, points = TOUR
-    way = tuple(np.array(point.split(","), dtype=float) for point in points.split())
-    ahead = np.asarray(found.things[found.targets(query)[0]].centre)[:2] - way[0]
-    return replace(found, tour=Tour(query, way, math.atan2(ahead[1], ahead[0])))
+    way = [np.array(point.split(","), dtype=float) for point in points.split()]
+    return replace(found, tour=Tour.to(query, np.asarray(found.things[found.targets(query)[0]].centre), way))
 
 
 def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
@@ -164,7 +170,7 @@ def _metres(line: np.ndarray, origin: np.ndarray, cell: float) -> list[list[floa
     return rounded(origin + line * cell, 3)
 
 
-WAITS = 4.0  # seconds at the end of the first walk, before the policy leads back
+STOP, HERE = 5.0, 0.05  # seconds of a stop on a way, and metres from a point at which the body is there
 SPEED, TURN = 0.5, math.radians(75)  # metres and radians per second, of the policy
 FASTEST, QUICKEST = 1.2, math.radians(150)  # of the person
 
@@ -200,7 +206,10 @@ class Body:
 
 @dataclass
 class Walker:
-    """Moves a body: `by` the policy as time passes, along a `way` and then by the policy ("tour"), or by the person."""
+    """Moves a body: `by` the policy or along a `way` ("tour") as time passes, or by the person, who says how.
+
+    A point of the way at which the body is already is a stop.
+    """
 
     body: Body
     by: str = "policy"
@@ -208,7 +217,7 @@ class Walker:
     policy: Policy = field(default_factory=lambda: Policy(Camera().step))
     _heading: float | None = None  # of the straight part that is under way
     _left: float = 0.0  # metres of it
-    _waited: float = 0.0  # seconds at the end of the way
+    _waits: float = 0.0  # seconds of a stop that are left
     _stood: tuple[float, ...] = field(init=False)  # where it stood when it was last asked
 
     def __post_init__(self) -> None:
@@ -238,12 +247,13 @@ class Walker:
             self._turned(TURN / 2 * seconds * (self.by == "policy"))
             return
         if self._heading is None and self.by == "tour":
-            if not self.way:
-                self._waited += seconds
-                if self._waited > WAITS:
-                    self.drive("policy")
+            self._waits = max(0.0, self._waits - seconds)
+            if self._waits or not self.way:
                 return
             ahead = self.way.pop(0) - self.body.xy
+            if float(np.hypot(*ahead)) < HERE:
+                self._waits = STOP
+                return
             self._heading, self._left = math.atan2(ahead[1], ahead[0]), float(np.hypot(*ahead))
         elif self._heading is None:
             azimuth = float(azimuth_elevation(direction)[0])

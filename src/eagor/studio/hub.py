@@ -9,7 +9,6 @@ import asyncio
 import itertools
 import time
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -193,7 +192,7 @@ class Page:
 
 
 class Studio:
-    """The server's state. Used in the loop's thread alone, except `_heard` and `_died`."""
+    """The server's state. Used in the loop's thread alone."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.ready = settings, False
@@ -202,14 +201,12 @@ class Studio:
         self.uploads, self.library = Uploads(), Library(settings.runs)
         self.open = 0
         self._numbers, self._steps = itertools.count(1), itertools.count(1)
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._engine: Backend | None = None
         self._live: Backend | None = None
         self._channel = Channel()
 
     def start(self) -> None:
         """Start the processes; from the loop's thread."""
-        self._loop = asyncio.get_running_loop()
         walks = [offer.name for offer in self.offers if offer.ready and "walk" in offer.views]
         names = tuple(walks) or ("colour",)
         seed = self.settings.seed if walks else None
@@ -315,11 +312,7 @@ class Studio:
             page.session = 0
 
     def _heard(self, said: tuple[int, Message]) -> None:
-        assert self._loop is not None
-        with suppress(RuntimeError):  # the loop is closed: the server ends
-            self._loop.call_soon_threadsafe(self._deliver, *said)
-
-    def _deliver(self, number: int, message: Message) -> None:
+        number, message = said
         if number == 0:
             self.ready = True
             self.library.warm()  # now that nobody waits for the first apartment
@@ -327,27 +320,17 @@ class Studio:
             page.slot.put(message)
 
     def _seen(self, message: Message) -> None:
-        assert self._loop is not None
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._channel.put, self._stamped(message))
+        """What the live source says; a step with its number and the time."""
+        if message.header["type"] == "step":
+            told = {**message.header, "number": next(self._steps), "sent": time.time()}
+            message = Message(told, message.blobs)
+        self._channel.put(message)
 
     def _unseen(self) -> None:
         words = {"problem": "The process that watches the source has ended.", "change": "It is started anew; wait."}
         self._seen(Message({"type": "problem", **words, "fatal": False}))
 
-    def _stamped(self, message: Message) -> Message:
-        """A step of the live source, with its number and the time."""
-        if message.header["type"] != "step":
-            return message
-        header = {**message.header, "number": next(self._steps), "sent": time.time()}
-        return Message(header, message.blobs)
-
     def _died(self) -> None:
-        assert self._loop is not None
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._lost)
-
-    def _lost(self) -> None:
         """The engine has died: every page is told to open its view again."""
         words = {"problem": "The process of all views has ended unexpectedly.", "change": "Open the view again."}
         for page in list(self.pages.values()):

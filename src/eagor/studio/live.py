@@ -15,7 +15,7 @@ from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, small_jpeg
+from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, scene_of, small_jpeg
 
 __all__ = ["Shown", "watch"]
 
@@ -35,6 +35,7 @@ class Shown:
         self._shown: Any = None  # the belief that was sent last
         self._asked: tuple[str, int] | None = None  # the query that is answered, and the number of its question
         self._next: tuple[str, int] | None = None  # what is looked for in its place
+        self._ended = False
         self.loop: Any = None
         self._lock = threading.Lock()  # questions come in a thread of their own
 
@@ -42,13 +43,19 @@ class Shown:
         """Look for something else, too, until it is seen or refused; then for one of the two alone."""
         with self._lock:
             if self._next is not None:
-                self._refused(self._next, f"Before {self._next[0]!r} could be looked for, something else was asked.")
+                self._refused(f"Before {self._next[0]!r} could be looked for, something else was asked.")
             self._next = query, number
+            if self._ended:
+                self._refused(f"{self._source} has ended: nothing more can be looked for in it.")
+                return
             self.loop.follow([*([self._asked[0]] if self._asked else self.loop.core.queries[:1]), query])
 
-    def _refused(self, asked: tuple[str, int], problem: str) -> None:
-        said = {"problem": problem, "change": "Ask for something else.", "fatal": False, "question": asked[1]}
-        self._say(Message({"type": "problem", **said}))
+    def _refused(self, problem: str) -> None:
+        """Say why the newest question is not answered; the one before goes on."""
+        if self._next is not None:
+            said = {"problem": problem, "change": "", "fatal": False, "question": self._next[1]}
+            self._say(Message({"type": "problem", **said}))
+        self._next = None
 
     def _tried(self, event: Event) -> None:
         """Take up a new query with the first look for it, drop one that cannot be looked for."""
@@ -59,8 +66,7 @@ class Shown:
             self._asked, self._next = asked, None
             self._scene()
         elif isinstance(event, Trouble) and event.part == "perception" and event.about == asked[0] and event.text:
-            self._next = None
-            self._refused(asked, f"{event.text[:1].upper()}{event.text[1:]}.")
+            self._refused(f"{event.text[:1].upper()}{event.text[1:]}.")
         else:
             return
         self.loop.follow([self._asked[0]])
@@ -84,6 +90,9 @@ class Shown:
 
     def close(self) -> None:
         """The loop has ended."""
+        with self._lock:
+            self._ended = True
+            self._refused(f"{self._source} has ended.")
         self._say(Message({"type": "status", "words": f"{self._source} has ended."}))
 
     def _answered(self, answer: Answer, number: int) -> None:
@@ -114,23 +123,11 @@ class Shown:
 
     def _scene(self) -> None:
         assert self._asked is not None
+        query, number = self._asked
         config = self.loop.core.config
-        scene = {
-            "type": "scene",
-            "question": self._asked[1],
-            "view": "live",
-            "title": self._source,
-            "session": "live",
-            "query": self._asked[0],
-            "targets": [],
-            "plan": None,
-            "degree": config.degree,
-            "calibration": calibration_of(None, config),
-            "perception": self._perception,
-            "methods": [],
-            "region": 0.9,
-        }
-        self._say(Message(scene))
+        calibrated = calibration_of(None, config)
+        about = {"question": number, "degree": config.degree, "perception": self._perception, "calibration": calibrated}
+        self._say(Message({"type": "scene", **scene_of("live", self._source, query, **about)}))
 
 
 def watch(

@@ -24,7 +24,7 @@ OTHER_FILE, OTHER_QUERY = "Drop another file.", "Ask for something else, or choo
 
 
 class PictureSession(FollowingSession):
-    """One person's view of one photograph; see `eagor.studio.session.Session`.
+    """One person's view of one photograph.
 
     A photograph does not change, so its time passes with looks: each is half a second after the one before.
     """
@@ -113,7 +113,7 @@ class PictureSession(FollowingSession):
 
 
 class VideoSession(FollowingSession):
-    """One person's view of one video; see `eagor.studio.session.Session`. Its time is that of the video.
+    """One person's view of one video. Its time is that of the video.
 
     It is played as fast as it can be looked at, at its own speed at most; one can pause and seek.
     """

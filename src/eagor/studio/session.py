@@ -1,12 +1,11 @@
-"""What every session has: how it is opened, what it sends, and what it and the process that sees tell each other."""
+"""How sessions are opened, what they send, and what they and the process that sees tell each other."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,22 +17,9 @@ if TYPE_CHECKING:
     from eagor.studio.houses import House
 
 __all__ = [
-    "LOOKS",
-    "Built",
-    "Close",
-    "Loaded",
-    "Opened",
-    "Opening",
-    "Outbox",
-    "Panorama",
-    "Question",
-    "Refused",
-    "See",
-    "Seen",
-    "Session",
-    "Turn",
-    "Turned",
-]
+    "LOOKS", "Built", "Close", "Loaded", "Opened", "Opening", "Outbox", "Panorama", "Question", "Refused", "See",
+    "Seen", "Turn", "Turned",
+]  # fmt: skip
 
 LOOKS = 4.0  # frames of a video per second that are taken, at most
 
@@ -183,12 +169,6 @@ class Outbox:
 
     send: Callable[[int, Message], None]
     eye: Callable[[Any], None]
-    _numbers: dict[int, int] = field(default_factory=dict)
-
-    def step(self, session: int, message: Message) -> None:
-        """A step, with its number and the time at which it is sent."""
-        number = self._numbers[session] = self._numbers.get(session, 0) + 1
-        self.send(session, Message({**message.header, "number": number, "sent": time.time()}, message.blobs))
 
     def status(self, session: int, words: str) -> None:
         """What is going on."""
@@ -198,27 +178,3 @@ class Outbox:
         """What is wrong, and what to do; `question`: the number of one that is refused."""
         told = {"problem": problem, "change": change, "fatal": fatal, "question": question}
         self.send(session, Message({"type": "problem", **told}))
-
-    def forget(self, session: int) -> None:
-        """The session is closed."""
-        self._numbers.pop(session, None)
-
-
-class Session(Protocol):
-    """One page's view of something. `due`: when `tick` wants to be called, on `time.monotonic`."""
-
-    number: int
-    opening: Opening
-    due: float
-
-    def tick(self, now: float, soonest: float) -> float:
-        """Go on; `soonest`: seconds between two computations of the belief. Returns the seconds of one, or 0."""
-        ...
-
-    def saw(self, said: Any, now: float) -> None:
-        """What the eye says to this session."""
-        ...
-
-    def told(self, message: dict[str, Any], now: float) -> None:
-        """What the page says, checked."""
-        ...

@@ -29,7 +29,7 @@ FINE = ((0.5, 512), (1.5, 1024))  # seconds of rest, and rows of the panorama th
 
 
 class WalkSession(FollowingSession):
-    """One person's walk; see `eagor.studio.session.Session`."""
+    """One person's walk."""
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
         super().__init__(number, opening, out)
@@ -75,12 +75,12 @@ class WalkSession(FollowingSession):
         """What the page says; its fields have been checked."""
         kind = message["type"]
         if kind == "pause":
-            self._paused = message["on"]
-            self._last = now
+            if self._running and message["on"] != self._paused:  # its time stands still, too
+                self._stopped, self._begun = now, self._begun + (now - self._stopped) * self._paused
+            self._paused, self._last = message["on"], now
         elif not self._told(message) and self._running:
-            if kind == "restart" or (kind == "drive" and message["by"] == "tour"):
-                drive = message.get("by", self._walker.by)
-                self.opening = replace(self.opening, drive=drive)
+            if kind == "restart":
+                self.opening = replace(self.opening, drive=self._walker.by)
                 self._begin(now)
             elif kind == "drive":
                 self._walker.drive(message["by"])
@@ -94,7 +94,7 @@ class WalkSession(FollowingSession):
         if not self._running or (idle and self._rows == FINE[-1][1] and "panorama" not in self._parts):
             self.due = math.inf
             return 0.0
-        stamp = now - self._begun
+        stamp = (self._stopped if self._paused else now) - self._begun
         body, before = self._walker.body, self._estimate
         known = None if before is None else before.direction
         if self._walker.by == "tour" and self._looks < SURE:
@@ -103,11 +103,11 @@ class WalkSession(FollowingSession):
         self._last = now
         self._following.pose(stamp, body.world_R_body, body.position)
         self._estimate = estimate = self._following.answer(stamp, soonest)
-        self._moved = stamp if moved else self._moved
+        self._moved = now if moved else self._moved
         goal = self._goal(stamp)
         self._step(estimate, stamp, body.position, self._truth(), goal=goal, drive=self._walker.by)
-        self._see(stamp, stamp - self._moved)
-        self.due = now + (PERIOD if stamp - self._moved < STILL else RESTING)
+        self._see(stamp, now - self._moved)
+        self.due = now + (PERIOD if now - self._moved < STILL else RESTING)
         return self._following.took
 
     def _begin(self, now: float) -> None:
@@ -122,9 +122,8 @@ class WalkSession(FollowingSession):
             self._walker = Walker(body, by)
         else:
             self._walker = Walker(Body(self.house.ground, tour.way[0].copy(), tour.yaw), "tour", [*tour.way[1:]])
-        self._begun = self._last = now
-        self._moved, self._looked, self._seen_from, self._poses = 0.0, -math.inf, None, {}
-        self._paused = False
+        self._begun = self._last = self._moved = self._stopped = now
+        self._looked, self._seen_from, self._poses, self._paused = -math.inf, None, {}, False
         self._follow()
 
     def _follow(self) -> None:

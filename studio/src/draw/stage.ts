@@ -14,6 +14,7 @@ const FIELDS: readonly [number, number] = [0.35, 2.1];
 const STEEPEST = 1.5;
 const QUICK = 0.25; // of the way to the answer per step
 const CALM = 0.02; // radians
+const UNSEEN = 0.01; // radians or metres: so small a movement is drawn finely
 const POLL = 16; // milliseconds from one look at whether a drawing is finished to the next
 
 interface Pair {
@@ -28,7 +29,7 @@ export class Stage {
   readonly pace: Pace;
   readonly broken: boolean;
   follows = false; // the view stays with the answer, until a person looks elsewhere
-  private drawnFrom: unknown[] = []; // where the camera was, and where one looked, at the newest request
+  private drawnFrom: number[] = []; // where the camera was, and where one looked, when they moved last
   private textures: object | null = null;
   private drawnSent: number | null = null;
   private begun = 0;
@@ -65,8 +66,8 @@ export class Stage {
   private request(): void {
     const { look, step } = this.store;
     const from = [look.yaw, look.pitch, look.field, ...this.world_R_body, ...(step?.position ?? [])];
-    const moves = from.some((value, i) => value !== this.drawnFrom[i]);
-    this.drawnFrom = from;
+    const moves = from.some((value, i) => !(Math.abs(value - this.drawnFrom[i]) < UNSEEN));
+    if (moves) this.drawnFrom = from;
     this.pace.request(moves);
   }
 
