@@ -26,11 +26,13 @@ export function walk(page: Page): ViewHandler {
     session.send({ type: "drive", by });
     if (paused) hold(false); // who takes over wants to go
     mark();
+    page.stage.follows = false;
+    // After a click the arrow keys steer at once; who chose by keys stays where the keys choose.
+    if (by === "person" && byHand) shell.look.focus({ preventScroll: true });
   });
-  // After a click the arrow keys steer at once; who chose by keys stays where the keys choose.
-  steering.addEventListener("click", (event) => {
-    if (drive === "person" && event.detail > 0) shell.look.focus({ preventScroll: true });
-  });
+  let byHand = false;
+  steering.addEventListener("pointerdown", () => (byHand = true));
+  steering.addEventListener("keydown", () => (byHand = false));
   const pause = h("button", { type: "button", onclick: () => hold(!paused) }, words.walk.pause);
 
   function hold(on: boolean): void {
