@@ -1,7 +1,8 @@
 """The studio's first walk: how it is chosen, and a picture of it.
 
-    python docs/figures/studio.py choose --seeds 20    the rule below, on development seeds 0, 1, ...
+    python docs/figures/studio.py choose --seeds 16    the rule below, on development seeds 0, 1, ...
     python docs/figures/studio.py picture [OUT.webp]   the page at the far end of the walk (needs Chromium, Playwright)
+    python docs/figures/studio.py cost                 what its panoramas cost, by their rows
 
 The rule. In each apartment, of each thing that the scout knows and that has a name of its own: the walk begins at the
 roomiest place that is 1.5 to 3 m from the thing and sees it, and leads by the shortest way to a place from which a wall
@@ -21,6 +22,7 @@ import math
 import shutil
 import subprocess
 import sys
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,7 +33,8 @@ from eagor.errors import EagorError
 from eagor.perception.scout import ScoutPerception
 from eagor.sphere import angular_distance
 from eagor.studio.density import density_of
-from eagor.studio.houses import Body, Tour, Walker, place_of, walled
+from eagor.studio.houses import Body, Tour, Walker, house_of, place_of, walled
+from eagor.studio.messages import SEED, jpeg
 from eagor.studio.walk import FINE
 from eagor.tasks.navigation import distance_to_box
 from eagor.tasks.places import Place, pixels_of
@@ -190,15 +193,33 @@ def picture(out: Path) -> None:
     print(f"{out}: {shot.width} x {shot.height}, {out.stat().st_size / 1e3:.0f} kB")
 
 
+def cost() -> None:
+    """Print milliseconds of CPU and kilobytes (JPEG) of panoramas where the first walk begins."""
+    place = place_of(SEED)
+    tour = house_of(SEED, place).tour
+    assert tour is not None
+    for rows in (256, 384, 512, 1024, 1536):
+        took = []
+        for number in range(4):  # the first makes tables
+            begun = time.process_time()
+            eye = place.eye(tour.way[0] + 0.01 * number, 1.25)
+            seen = place.renderer.panorama(eye, np.eye(3), rows, range=False, ids=False).rgb
+            assert seen is not None
+            took.append(time.process_time() - begun)
+        print(f"{rows} rows: {1e3 * min(took):.0f} ms, {len(jpeg(seen)) / 1e3:.0f} kB", flush=True)
+
+
 def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("choose", "picture"))
+    parser.add_argument("what", choices=("choose", "picture", "cost"))
     parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parents[1] / "images" / "studio.webp")
     parser.add_argument("--seeds", type=int, default=20)
     given = parser.parse_args()
     if given.what == "choose":
         choose(given.seeds)
+    elif given.what == "cost":
+        cost()
     else:
         picture(given.out)
     return 0
