@@ -87,7 +87,7 @@ class Reel:
             with suppress(EagorError):  # the track may be shorter than the video
                 self._found = frame, motion.world_R_body(frame.stamp), False
                 return self._found
-        turned = self._odometer.add(frame.panorama)
+        turned = self._odometer.add(frame.picture)
         self._found = frame, np.asarray(turned.world_R_body), turned.lost
         return self._found
 
@@ -158,7 +158,7 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
         elif what == "picture":
             session, path = rest
             found = _photograph(path)
-            say(Opened(session, small_jpeg(found.panorama, PHOTO_ROWS), found.facts))
+            say(Opened(session, small_jpeg(found.picture, PHOTO_ROWS), found.facts))
     except Exception as error:
         if what == "warm":
             say(("warm",))  # whoever opens it is told what is wrong
@@ -217,11 +217,11 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
         looks, asked = (), job.question
         if asked is not None:
             try:
-                looks = look_if_recorded(_loaded(asked.perception), frame.panorama, asked.query, frame.stamp, pose)
+                looks = look_if_recorded(_loaded(asked.perception), frame.picture, asked.query, frame.stamp, pose)
             except EagorError as error:
                 say(_refusal(job, error))
                 asked = None
-        small = small_jpeg(frame.panorama, FIRST_ROWS)
+        small = small_jpeg(frame.picture, FIRST_ROWS)
         say(Turned(job.session, frame.stamp, pose, small, asked, looks, lost))
     except Exception as error:
         say(Refused(job.session, "picture", _said(error)))
@@ -269,7 +269,7 @@ def _looked(job: See, shown: np.ndarray | None = None) -> tuple[Evidence, ...]:
         return (_informed(asked.perception, job.seed)(ids, asked.query, stamp=job.stamp),)
     rows = rows_of(perception)
     if job.picture is not None:
-        rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).panorama.shape[0]))
+        rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).picture.shape[0]))
     panorama = shown if shown is not None and len(shown) == rows else _rendered(job, rows)
     return look_if_recorded(perception, panorama, asked.query, job.stamp, job.world_R_body)
 
@@ -288,7 +288,7 @@ def _informed(perception: str, seed: int) -> Any:
 @lru_cache(maxsize=16)
 def _small(path: Path, rows: int) -> Photograph:
     """The photograph, shrunk once to the rows that are looked at."""
-    found = Photograph(_photograph(path).panorama).panorama(STILL, np.eye(3), rows).rgb
+    found = Photograph(_photograph(path).picture).panorama(STILL, np.eye(3), rows).rgb
     assert found is not None
     return Photograph(found)
 
