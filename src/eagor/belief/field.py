@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Self
 
 import numpy as np
 
-from eagor._lazy import inherited, lazy
+from eagor._lazy import altered, inherited, known, lazy
 from eagor.grids import ErpGrid, ErpWindow, PatchGrid
 
 
@@ -63,6 +63,16 @@ def _weights(beyond: np.ndarray) -> np.ndarray:
     return np.stack(found, axis=1)
 
 
+def _thrice(count: int, place: float) -> np.ndarray:
+    """From values at `count` nodes along an axis to those a node before a place, there, and a node after it."""
+    node = min(max(int(place), 1), count - 2)
+    weights = _weights(np.full((1, 1), place - node)).reshape(-1)
+    table = np.zeros((3, 6))
+    for shift in range(3):
+        table[shift, shift : shift + 4] = weights
+    return table @ _coefficients(count)[:, node - 1 : node + 5].T
+
+
 @lru_cache(maxsize=16)
 def _coefficients(count: int) -> np.ndarray:
     """From `count` values to the coefficients of the spline through them ``(count, count + 3)``.
@@ -84,6 +94,7 @@ def _neighbours(shape: tuple[int, ...]) -> np.ndarray:
 
 MARGIN = 4  # cells of padding that interpolation needs
 LARGEST = 700.0  # nats: the exponential still fits a float64
+FINER = 4  # refinement (per side) of patches and heavy cells where masses are summed
 EVEN = 1e-3  # a smaller bend counts as 0
 
 
@@ -103,7 +114,7 @@ class Nodes:
 
     def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; cached geometry is kept."""
-        return inherited(replace(self, values=values), self, "directions", "weights")
+        return inherited(altered(self, values=values), self, "directions", "weights")
 
     @lazy
     def directions(self) -> np.ndarray:
@@ -145,18 +156,24 @@ class Patch(Nodes):
         """The flat indices ``(m,)`` of the cells of a grid whose middles lie inside."""
         return _cells(grid, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
+    def around(self, u: float, v: float) -> np.ndarray:
+        """Values ``(3, 3)`` at coordinates as `places` gives them and a node to each side of them, as `at`."""
+        count = len(self.values)
+        first, second = (_thrice(count, (t + 1) * ((count - 1) / 2)) for t in (u, v))
+        return first @ self.values @ second.T
+
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
         return interpolated(self.values, (places + 1) * ((self.values.shape[0] - 1) / 2))
 
-    def finer(self, times: int) -> np.ndarray:
-        """Values ``(m, m)`` at nodes `times` as dense, m = (n - 1) times + 1, by the same spline."""
-        table = _refining(len(self.values), times)
+    def finer(self) -> np.ndarray:
+        """Values ``(m, m)`` at nodes `FINER` times as dense, m = (n - 1) FINER + 1, by the same spline."""
+        table = _refining(len(self.values), FINER)
         return table @ self.values @ table.T
 
-    def fine_nodes(self, grid: ErpGrid, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fine_nodes(self, grid: ErpGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Directions ``(m m, 3)`` and solid angles ``(m m,)`` of these nodes, and the cell of a grid around each."""
-        count = (len(self.values) - 1) * times + 1
+        count = (len(self.values) - 1) * FINER + 1
         return _fine_nodes(grid, count, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
     @property
@@ -279,18 +296,74 @@ class SphereField:
             rows, columns = where.shape
             y = (np.arange(rows) + top + 0.5)[:, None] * (height / whole.height) + np.zeros(columns)
             x = ((np.arange(columns) + left + 0.5) * (width / whole.width))[None, :] % width + np.zeros((rows, 1))
-        places = np.stack([y - 0.5 + MARGIN, x - 0.5 + MARGIN])
-        padded = self.values.reshape(-1)[_padded(self.grid)]
-        return map_coordinates(padded, places, order=order, mode="mirror")
+        y, x = y + (MARGIN - 0.5), x + (MARGIN - 0.5)
+        flat, around = self.values.reshape(-1), _padded(self.grid)
+        if order > 1:
+            return map_coordinates(flat[around], np.stack([y, x]), order=order, mode="mirror")
+        top, left = y.astype(np.intp), x.astype(np.intp)
+        start, high, wide = top * around.shape[1] + left, 1 - (y - top), 1 - (x - left)
+        low, beside = 1 - high, 1 - wide
+        a, b, c, d = (flat[around.take(start + step)] for step in (0, 1, around.shape[1], around.shape[1] + 1))
+        return a * high * wide + b * high * beside + c * low * wide + d * low * beside
 
     def plus(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
         """With `values` ``(H, W)`` added, and to the patches what `patches` ``(n, n)`` hold."""
-        added = zip(self.patches, patches, strict=True)
-        return SphereField(self.grid, self.values + values, tuple(patch.like(patch.values + x) for patch, x in added))
+        added = [patch.values + x for patch, x in zip(self.patches, patches, strict=True)]
+        return self.like(self.values + values, added)
 
     def like(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
         """The same grid and patches with other values ``(H, W)`` and ``(n, n)``."""
-        return SphereField(self.grid, values, tuple(p.like(x) for p, x in zip(self.patches, patches, strict=True)))
+        others = tuple(p.like(x) for p, x in zip(self.patches, patches, strict=True))
+        return known(SphereField(self.grid, values, others), layout=self.layout)
+
+    @lazy
+    def layout(self) -> Layout:
+        """The geometry, which fields on the same nodes share."""
+        return Layout(self.grid, self.patches)
+
+    @lazy
+    def logs(self) -> np.ndarray:
+        """Values ``(n,)`` of the cells in no patch and the nodes of patches, in the order of the `layout`."""
+        if not self.patches:
+            return self.values.reshape(-1)
+        cells = self.values.reshape(-1).take(self.layout.free)
+        return np.concatenate([cells, *(patch.values.reshape(-1) for patch in self.patches)])
+
+    def averaged(self, level: float) -> np.ndarray:
+        """exp(field - level), averaged over each cell of the grid ``(H, W)``.
+
+        Patches are integrated over the cells, which are too wide to sample a sharp peak.
+        """
+        found = np.exp(np.minimum(self.values - level, LARGEST)).reshape(-1)
+        weights = self.grid.weights.reshape(-1)
+        for patch, shares in zip(self.patches, self.layout.shares, strict=True):
+            inside = patch.cells(self.grid)
+            mass = float(np.sum(np.exp(np.minimum(patch.values - level, LARGEST)) * shares))
+            cells = float(found[inside] @ weights[inside])
+            if cells > 0:
+                found[inside] *= mass / cells
+            elif not len(inside):  # the patch contains no cell centre
+                nearest = int((self.grid.directions @ patch.frame[0]).argmax())
+                found[nearest] += mass / weights.min()
+        return found.reshape(self.grid.shape)
+
+    @lazy
+    def log_mean(self) -> float:
+        """log of the mean of exp(field) over the sphere."""
+        top = float(self.logs.max())
+        mass, weights, total, start = np.exp(self.logs - top), self.layout.weights, 0.0, 0
+        for part in (len(mass) - sum(p.values.size for p in self.patches), *(p.values.size for p in self.patches)):
+            total += float(mass[start : start + part] @ weights[start : start + part])
+            start += part
+        return top + math.log(total / (4 * math.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the values of a field lie: the cells of a `grid` that are in none of its `patches`, and the patches."""
+
+    grid: ErpGrid
+    patches: tuple[Patch, ...]
 
     @lazy
     def outside(self) -> np.ndarray:
@@ -306,18 +379,11 @@ class SphereField:
         return np.flatnonzero(self.outside)
 
     @lazy
-    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Values and solid angles of the cells in no patch, and of the nodes of each patch."""
-        cells = self.values.reshape(-1)[self.free], self.grid.weights[:, 0][self.free // self.grid.width]
-        nodes = [(p.values.reshape(-1), s.reshape(-1)) for p, s in zip(self.patches, self.shares, strict=True)]
-        return [cells, *nodes]
-
-    @lazy
     def shares(self) -> tuple[np.ndarray, ...]:
         """Solid angles ``(n, n)`` of the nodes of each patch; 0 where a node lies deeper in another patch."""
-        return tuple(self.owned(index, patch.directions, patch.weights) for index, patch in enumerate(self.patches))
+        return tuple(self._owned(index, patch.directions, patch.weights) for index, patch in enumerate(self.patches))
 
-    def owned(self, index: int, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def _owned(self, index: int, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """`weights` ``(...)`` of `directions` ``(..., 3)`` in one patch; 0 for what lies deeper in another."""
         if len(self.patches) == 1:
             return weights
@@ -331,40 +397,34 @@ class SphereField:
         return weights
 
     @lazy
-    def nodes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Values, solid angles ``(n,)`` and directions ``(n, 3)`` of the cells in no patch and the nodes of patches."""
+    def weights(self) -> np.ndarray:
+        """Solid angles ``(n,)`` of the cells in no patch and the nodes of patches."""
+        cells = self.grid.weights.reshape(-1)
         if not self.patches:
-            return self.values.reshape(-1), self.grid.weights.reshape(-1), self.grid.directions.reshape(-1, 3)
-        values = [part for part, _ in self._parts]
-        weights = [part for _, part in self._parts]
-        directions = [self.grid.directions.reshape(-1, 3).take(self.free, axis=0)]
-        directions += [patch.directions.reshape(-1, 3) for patch in self.patches]
-        return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
-
-    def averaged(self, level: float) -> np.ndarray:
-        """exp(field - level), averaged over each cell of the grid ``(H, W)``.
-
-        Patches are integrated over the cells, which are too wide to sample a sharp peak.
-        """
-        found = np.exp(np.minimum(self.values - level, LARGEST)).reshape(-1)
-        weights = self.grid.weights.reshape(-1)
-        for patch, shares in zip(self.patches, self.shares, strict=True):
-            inside = patch.cells(self.grid)
-            mass = float(np.sum(np.exp(np.minimum(patch.values - level, LARGEST)) * shares))
-            cells = float(found[inside] @ weights[inside])
-            if cells > 0:
-                found[inside] *= mass / cells
-            elif not len(inside):  # the patch contains no cell centre
-                nearest = int((self.grid.directions @ patch.frame[0]).argmax())
-                found[nearest] += mass / weights.min()
-        return found.reshape(self.grid.shape)
+            return cells
+        return np.concatenate([cells.take(self.free), *(share.reshape(-1) for share in self.shares)])
 
     @lazy
-    def log_mean(self) -> float:
-        """log of the mean of exp(field) over the sphere."""
-        top = max(float(values.max()) for values, _ in self._parts if values.size)
-        total = sum(float(np.exp(values - top) @ weights) for values, weights in self._parts)
-        return top + math.log(total / (4 * math.pi))
+    def directions(self) -> np.ndarray:
+        """Directions ``(n, 3)`` of the same."""
+        cells = self.grid.directions.reshape(-1, 3)
+        if not self.patches:
+            return cells
+        return np.concatenate([cells.take(self.free, axis=0), *(p.directions.reshape(-1, 3) for p in self.patches)])
+
+    @lazy
+    def fine(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Of nodes `FINER` times as dense in each patch, where they lie deeper than in any other.
+
+        Which these are ``(m,)``, their solid angles ``(m,)``, directions ``(m, 3)``, and the cell around each ``(m,)``.
+        """
+        found = []
+        for index, patch in enumerate(self.patches):
+            directions, weights, cells = patch.fine_nodes(self.grid)
+            shares = self._owned(index, directions, weights)
+            counts = np.flatnonzero(shares)
+            found.append((counts, shares[counts], directions.take(counts, axis=0), cells[counts]))
+        return found
 
 
 @lru_cache(maxsize=16)

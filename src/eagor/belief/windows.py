@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from eagor._lazy import known, lazy
+from eagor._lazy import altered, known, lazy
 from eagor.belief.bank import Bank
 from eagor.belief.field import EVEN, Nodes, Patch, bent, interpolated
 from eagor.evidence.detections import resolved, tangent_frame
@@ -212,7 +212,7 @@ class Window(Nodes):
             likely = 0 if self.bank is None else int(np.exp(values - values.max()).sum(axis=(0, 2, 3)).argmax())
             across = places[:, likely]  # habits are carried along at the likeliest range
         bank = None if self.bank is None else self.bank.at_nodes(across)
-        return replace(new.like(values), bank=bank), beyond if beyond.any() else None
+        return altered(new.like(values), bank=bank), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, clipped at the borders, and which lie beyond them."""

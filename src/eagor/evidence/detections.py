@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import altered, lazy
 from eagor.evidence.coverage import Region, confine, region, taper
 from eagor.evidence.detector import Alarms, DetectorModel
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
@@ -90,11 +90,11 @@ class Detections:
             key: np.concatenate([getattr(self, key), getattr(other, key)])
             for key in ("directions", "axes", "ratios", "clutter", "scores", "sizes")
         }
-        return replace(self, views=views, **pairs)
+        return altered(self, views=views, **pairs)
 
     def turned(self, new_R_old: np.ndarray) -> Detections:
         """The detections in other axes; `share` still takes directions of the body."""
-        return replace(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
+        return altered(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
 
     def share(self, directions: np.ndarray) -> np.ndarray | float:
         """v ``(...)``: how far any of the views covered each direction ``(..., 3)`` of the body frame."""
@@ -143,7 +143,7 @@ class Detections:
         own = np.maximum(lengths**-2 - self.model.spread**2, 0.0)  # the detection's own part, such as a box's size
         axes = self.axes / lengths / np.sqrt(own + model.spread**2)
         ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
-        return replace(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
+        return altered(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
 
     def response(self, directions: np.ndarray) -> np.ndarray:
         """The set drawn as a response ``(...)`` in [0, 1]: the maximum of score times bump."""

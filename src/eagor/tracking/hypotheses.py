@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import altered, lazy
 from eagor.belief.bank import Bank, log_detected
 from eagor.belief.field import LARGEST, Patch, SphereField, bent, blurred
 from eagor.belief.ranged import RangedBelief
@@ -95,7 +95,7 @@ class TargetHypotheses:
         if turns < _UNLIKELY:
             stays, turns = stays + turns, 0.0
         level = math.log(max(stays, 1e-300)) - self.standing.log_mean
-        stands = replace(
+        stands = altered(
             stands,
             values=stands.values + level,
             patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
@@ -155,7 +155,7 @@ class TargetHypotheses:
             moves = None if moves is None else moves.renewed(anew)
         kept = self
         if standing is not self.standing or moves is not self.moves:
-            kept = replace(self, standing=standing, moves=moves)
+            kept = altered(self, standing=standing, moves=moves)
         if elapsed <= 0:
             return kept
         flows = self.weights[:, None] * motion.transitions(elapsed)
@@ -171,13 +171,13 @@ class TargetHypotheses:
         spread, others = standing.spread, np.delete(flows, 1, axis=1)
         left = float(others[1].sum() / max(others.sum(), 1e-300))  # the share that stood before
         if left > 0:
-            standing = standing.spreading(replace(spread, otherwise=spread.mixed(left).weights))
+            standing = standing.spreading(altered(spread, otherwise=spread.mixed(left).weights))
         if newly.sum() > stays:  # it has stopped just now
             standing = self._restarted(standing, newly)
         weights = flows.sum(axis=0)
         weights[1] *= math.exp(lost)
         weights = weights / weights.sum()
-        return replace(kept, weights=weights, standing=standing, wandering=wandering, turning=turning)
+        return altered(kept, weights=weights, standing=standing, wandering=wandering, turning=turning)
 
     def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> TurningTarget | None:
         """The turning target after `elapsed` seconds, with the inflow from the other hypotheses."""
@@ -340,11 +340,11 @@ class TargetHypotheses:
         standing, spread = self.standing, self.standing.spread
         field, support, explained = standing.field, standing.support, standing.explained
         banks = [window.habits for window in standing.windows]
-        values, weights, directions = field.nodes
-        owned = weights / (4 * math.pi)
+        layout = field.layout
+        values, owned, directions = field.logs, layout.weights / (4 * math.pi), layout.directions
 
         def nodes(grid: np.ndarray, patches: Sequence[np.ndarray]) -> np.ndarray:
-            return np.concatenate([grid[field.outside], *(patch.reshape(-1) for patch in patches)])
+            return np.concatenate([grid[layout.outside], *(patch.reshape(-1) for patch in patches)])
 
         def caused(amounts: np.ndarray) -> np.ndarray:
             counts = np.flatnonzero(amounts > _UNHEARD)
@@ -392,7 +392,7 @@ def _with_offset(field: SphereField, offset: float) -> SphereField:
         around = np.full(wide.values.shape, -np.inf)
         around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
         patches.append(wide.like(np.logaddexp(wide.values, around)))
-    return replace(field, patches=tuple(patches))
+    return altered(field, patches=tuple(patches))
 
 
 def _widened(field: SphereField, spread: float) -> SphereField:

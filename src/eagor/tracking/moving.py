@@ -15,11 +15,11 @@ direction is exp(phi) d, and after t seconds phi becomes R phi + t (error of the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import altered, lazy
 from eagor.belief.bank import mixed
 from eagor.belief.field import Patch, SphereField
 from eagor.evidence.detections import bump_norms, scaled_frames, tangent_frames
@@ -72,7 +72,7 @@ class WanderingTarget:
         born, begun, kept = (flow[wander, None, None] for flow in (flows[0], flows[1], np.diagonal(flows)))
         mixed = kept * roamed + begun * stands + born
         means = np.einsum("mij,ij->m", mixed, grid.weights) / (4 * math.pi)
-        return replace(self, densities=mixed / means[:, None, None])
+        return altered(self, densities=mixed / means[:, None, None])
 
     def updated(self, ratio: np.ndarray, new: np.ndarray) -> tuple[WanderingTarget, np.ndarray]:
         """After one more look of this likelihood `ratio` ``(H, W)``, and its logarithm for each pace ``(M,)``.
@@ -85,7 +85,7 @@ class WanderingTarget:
         gains = np.log(np.einsum("mij,ij->m", self.densities, new * shares))
         densities = self.densities * ratio
         densities /= np.einsum("mij,ij->m", densities, shares)[:, None, None]
-        return replace(self, densities=densities), gains
+        return altered(self, densities=densities), gains
 
 
 MOST = 24  # components
@@ -124,7 +124,7 @@ class TurningTarget:
 
     def after(self, elapsed: float, jumped: float, drift: float) -> TurningTarget:
         """After `elapsed` seconds, in which a share `jumped` has jumped anywhere; `drift`: of the odometry."""
-        kept = replace(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
+        kept = altered(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
         if not len(self.weights):
             return kept
         turned = _rotations(self.turns * elapsed)
@@ -141,7 +141,7 @@ class TurningTarget:
         covariances[:, :3, :] *= scale
         covariances[:, :, :3] *= scale
         directions = np.einsum("nij,nj->ni", turned, self.directions)
-        return replace(kept, directions=directions, covariances=covariances)
+        return altered(kept, directions=directions, covariances=covariances)
 
     def mixed(self, share: float, directions: np.ndarray, shares: np.ndarray, covariances: np.ndarray) -> TurningTarget:
         """With a `share` of targets that begin to turn now, at `directions` ``(n, 3)`` with covariances ``(n, 3, 3)``.
@@ -150,7 +150,7 @@ class TurningTarget:
         """
         born = self._born(share * shares, directions, covariances)
         unseen = (1 - share) * self.unseen + share * (1 - float(shares.sum()))
-        old = replace(self, weights=self.weights * (1 - share))
+        old = altered(self, weights=self.weights * (1 - share))
         return _joined(old, born, unseen=unseen)
 
     def updated(
@@ -163,7 +163,7 @@ class TurningTarget:
         """
         missed = sightings.missed(self.directions)
         peaks, amplitudes, spreads = sightings.directions, sightings.amplitudes, sightings.covariances
-        found = replace(self, weights=self.weights * missed)
+        found = altered(self, weights=self.weights * missed)
         born = self._born(self.unseen * amplitudes / (4 * math.pi), peaks, spreads)
         unseen = self.unseen * sightings.mean_missed
         parts = [found, born]
@@ -190,7 +190,7 @@ class TurningTarget:
         joint[..., 3:, 3:] = (rates**2)[:, None, None, None, None] * across
         shares = np.tile(np.array(BEND_SHARES) / len(rates), len(rates))
         bent = np.outer(rates, BENDS).reshape(-1, 1, 1) * directions
-        return replace(
+        return altered(
             self,
             weights=np.outer(shares, weights).reshape(-1),
             directions=np.tile(directions, (len(shares), 1)),
@@ -213,7 +213,7 @@ class TurningTarget:
         owner = kept[0]
         gain = gains[owner] @ inverse[kept]
         change = np.einsum("mia,ma->mi", gains[owner], pull[kept])
-        detected = replace(
+        detected = altered(
             self,
             weights=weights[kept],
             directions=np.einsum("nij,nj->ni", _rotations(change[:, :3]), self.directions[owner]),
@@ -323,7 +323,7 @@ def _joined(*parts: TurningTarget, unseen: float) -> TurningTarget:
         name: np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("directions", "turns", "covariances")
     }
-    return replace(parts[0], unseen=unseen / total, weights=weights[order] / total, **pick)
+    return altered(parts[0], unseen=unseen / total, weights=weights[order] / total, **pick)
 
 
 def _rotations(vectors: np.ndarray) -> np.ndarray:
