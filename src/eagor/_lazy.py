@@ -64,11 +64,12 @@ def altered(source: Owner, **values: Any) -> Owner:
 
 def bare(value: Value) -> Value:
     """A copy without lazy values, of an immutable object and of those that it consists of; arrays are shared."""
-    if isinstance(value, tuple):
-        return tuple(map(bare, value))  # type: ignore[return-value]
-    if not is_dataclass(value) or type(value).__eq__ is not object.__eq__:  # what is equal by value is shared
+    kind = type(value)
+    if kind is tuple:
+        return tuple(map(bare, value))  # type: ignore[return-value, arg-type]
+    if not is_dataclass(kind) or kind.__eq__ is not object.__eq__:  # what is equal by value is shared
         return value
-    made = object.__new__(type(value))
+    made = object.__new__(kind)
     made.__dict__.update({name: bare(each) for name, each in state_of(value).items()})
     return made
 

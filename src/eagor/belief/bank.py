@@ -96,8 +96,8 @@ class Bank:
 
     @property
     def missed(self) -> np.ndarray:
-        """log M ``(...)``."""
-        return np.broadcast_to(self.never[-1], self.lead.shape)
+        """log M ``(...)``, or of shape ``(1, 1)`` where it is the same everywhere."""
+        return self.never[-1]
 
     def judged(self, support: np.ndarray, explained: np.ndarray | None) -> np.ndarray:
         """log LR ``(...)`` from log T, where look-alikes explain so much: log(1 + Q); None: there are none."""

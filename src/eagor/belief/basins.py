@@ -160,10 +160,10 @@ def labelled(values: np.ndarray) -> tuple[int, np.ndarray]:
 def log_sums(field: SphereField, places: Places) -> np.ndarray:
     """log of the integral ``(m,)`` of exp(field) over each of the places."""
     log, weight = field.logs, field.layout.weights
-    of_patches = [np.full(patch.values.size, home) for patch, home in zip(field.patches, places.patches, strict=True)]
-    home = np.concatenate([places.cells.reshape(-1)[field.layout.free], *of_patches])
+    of_patches = np.repeat(places.patches, [patch.values.size for patch in field.patches])
+    home = np.concatenate([places.cells.reshape(-1)[field.layout.free], of_patches])
     top = np.full(places.count, -np.inf)
     np.maximum.at(top, home, log)
-    top = np.clip(top, -LARGEST, None)  # a place may lie under patches of other places
+    top = np.maximum(top, -LARGEST)  # a place may lie under patches of other places
     sums = np.bincount(home, np.exp(log - top[home]) * weight, minlength=places.count)
     return np.log(np.maximum(sums, math.exp(-LARGEST))) + top

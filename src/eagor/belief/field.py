@@ -114,7 +114,7 @@ class Nodes:
 
     def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; cached geometry is kept."""
-        return inherited(altered(self, values=values), self, "directions", "weights")
+        return inherited(altered(self, values=values), self, "directions", "weights", "spacing")
 
     @lazy
     def directions(self) -> np.ndarray:
@@ -126,7 +126,7 @@ class Nodes:
         """Solid angles ``(n, n)`` of the nodes."""
         return plane_weights(self.values.shape[-1], self.half, self.bend)
 
-    @property
+    @lazy
     def spacing(self) -> np.ndarray:
         """Spacing ``(2,)`` of the nodes in the middle, in units of the plane."""
         return 2 / (self.values.shape[-1] - 1) * self.half * self.bend / np.sinh(self.bend)
@@ -212,6 +212,14 @@ def cells_of(grid: ErpGrid | PatchGrid, directions: np.ndarray) -> np.ndarray:
     return np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
 
 
+@lru_cache(maxsize=16)
+def even(count: int) -> np.ndarray:
+    """`count` numbers from -1 to 1."""
+    found = np.linspace(-1, 1, count)
+    found.setflags(write=False)
+    return found
+
+
 def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates ``(2, n)`` on the plane of nodes at t = `at` ``(n,)``, and their derivatives by t."""
     scale, steps = (half / np.sinh(bend))[:, None], bend[:, None] * at
@@ -224,7 +232,7 @@ def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     `reach`: standard deviations from the middle of a patch to its border. The plane is treated as flat: sigma is small.
     """
     half = np.hypot(patch.half, reach * math.tan(sigma))
-    at = np.linspace(-1, 1, len(patch.values))
+    at = even(len(patch.values))
     top = float(patch.values.max())
     mass = np.exp(patch.values - top) * patch.weights
     new, old = bent(at, half, patch.bend)[0], bent(at, patch.half, patch.bend)[0]
@@ -235,7 +243,7 @@ def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
 
 def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Unit vectors ``(count, count, 3)`` of nodes on the plane of a `Patch`; the first axis is u."""
-    (u, v), _ = bent(np.linspace(-1, 1, count), half, bend)
+    (u, v), _ = bent(even(count), half, bend)
     plane = frame[0] + u[:, None, None] * frame[1] + v[None, :, None] * frame[2]
     return plane / np.sqrt(np.einsum("...i,...i->...", plane, plane))[..., None]
 
@@ -243,8 +251,9 @@ def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.n
 def plane_weights(count: int, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Solid angles ``(count, count)`` of such nodes: du dv / (1 + u^2 + v^2)^(3/2), half of it at a border."""
     share = np.full(count, 2 / (count - 1))
-    share[[0, -1]] /= 2
-    (u, v), (du, dv) = bent(np.linspace(-1, 1, count), half, bend)
+    share[0] /= 2
+    share[-1] /= 2
+    (u, v), (du, dv) = bent(even(count), half, bend)
     return (share * du)[:, None] * (share * dv) * (1 + (u * u)[:, None] + v * v) ** -1.5
 
 
@@ -376,7 +385,7 @@ class Layout:
     @lazy
     def free(self) -> np.ndarray:
         """The flat indices ``(m,)`` of the cells outside of all patches."""
-        return np.flatnonzero(self.outside)
+        return self.outside.reshape(-1).nonzero()[0]
 
     @lazy
     def shares(self) -> tuple[np.ndarray, ...]:
@@ -422,7 +431,7 @@ class Layout:
         for index, patch in enumerate(self.patches):
             directions, weights, cells = patch.fine_nodes(self.grid)
             shares = self._owned(index, directions, weights)
-            counts = np.flatnonzero(shares)
+            counts = shares.nonzero()[0]
             found.append((counts, shares[counts], directions.take(counts, axis=0), cells[counts]))
         return found
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from eagor._lazy import altered, known, lazy
-from eagor.belief.bank import Bank
+from eagor.belief.bank import Bank, mixed
 from eagor.belief.field import EVEN, Nodes, Patch, bent, interpolated
 from eagor.evidence.detections import resolved, tangent_frame
 from eagor.sphere import cross
@@ -153,7 +153,7 @@ class Window(Nodes):
         """The window, without values, that fits the peak after a `step`; at least `border` wide."""
         values = self.by_range if prior is None else self.by_range + prior
         mass = np.exp(values - values.max())
-        mean = np.tensordot(self.shares, mass, axes=1)
+        mean = mixed(self.shares, mass)
         peak = _component(np.log(np.maximum(mean, 1e-300)))
         if self.logs is None:
             points, shares = self.directions[peak], mean[peak] * self.weights[peak]

@@ -136,7 +136,9 @@ class TargetHypotheses:
         """The reading if all directions together may be off by `spread` radians per axis."""
         if spread not in self._readings:
             field = self.field if spread == 0 else _widened(self.field, spread)
-            least = -math.inf if self.standing.bank is None else float(np.median(field.values)) + _RISE
+            middle = field.values.size // 2
+            ranked = np.partition(field.values.reshape(-1), (middle - 1, middle))[middle - 1 : middle + 1]
+            least = -math.inf if self.standing.bank is None else float(ranked.sum()) / 2 + _RISE
             self._readings[spread] = Reading(field, least)
         return self._readings[spread]
 
@@ -167,8 +169,8 @@ class TargetHypotheses:
             sharp, standing = standing, _drifted(standing, drift, elapsed)
             if sharp.explained is not None:  # else looks at a look-alike would regain it again and again
                 lost = standing.log_mean - sharp.log_mean
-        stays, newly = flows[1, 1], np.delete(flows[:, 1], 1)
-        spread, others = standing.spread, np.delete(flows, 1, axis=1)
+        others, spread = np.concatenate([flows[:, :1], flows[:, 2:]], axis=1), standing.spread
+        stays, newly = flows[1, 1], np.concatenate([flows[:1, 1], flows[2:, 1]])
         left = float(others[1].sum() / max(others.sum(), 1e-300))  # the share that stood before
         if left > 0:
             standing = standing.spreading(altered(spread, otherwise=spread.mixed(left).weights))
@@ -189,7 +191,7 @@ class TargetHypotheses:
         if total <= 0:
             return turned
         patches = self.standing.field.patches
-        masses = self.standing.masses()
+        masses = self.standing.masses
         widths = np.array([patch.spacing for patch in patches]).reshape(-1, 2)
         across = np.array([patch.frame[1:] for patch in patches]).reshape(-1, 2, 3) * widths[..., None]
         covariances = np.einsum("nai,naj->nij", across, across)
@@ -367,7 +369,7 @@ class TargetHypotheses:
 
 def _near(grid: ErpGrid, found: Detections, scale: float, least: float) -> np.ndarray:
     """The flat indices ``(m,)`` of the cells that any detection speaks for, widened by `scale`, or to `least`."""
-    widths = np.maximum(scale / np.linalg.norm(found.axes, axis=-1).min(axis=-1), least)
+    widths = np.maximum(scale / np.sqrt((found.axes**2).sum(axis=-1)).min(axis=-1), least)
     reach = np.cos(np.minimum(_FAR * widths, math.pi))
     return np.flatnonzero((grid.directions.reshape(-1, 3) @ found.directions.T > reach).any(axis=1))
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -98,6 +99,7 @@ ALIKE = 0.05  # of the variance: nearer components are merged for drawing
 LIGHT = 1e-2  # of the weight: lighter ones are not drawn
 FINE = 2  # patches
 NODES, REACH = 11, 4.0  # of a patch about a component
+_EYE = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +132,12 @@ class TurningTarget:
         turned = _rotations(self.turns * elapsed)
         step = np.zeros((len(self.weights), 6, 6))
         step[:, :3, :3] = turned
-        step[:, :3, 3:] = elapsed * np.eye(3) + 0.5 * elapsed**2 * _crosses(self.turns)  # of first order in the turn
-        step[:, 3:, 3:] = np.eye(3)
+        step[:, :3, 3:] = elapsed * _EYE + 0.5 * elapsed**2 * _crosses(self.turns)  # of first order in the turn
+        step[:, 3:, 3:] = _EYE
         covariances = step @ self.covariances @ np.swapaxes(step, 1, 2)
         speed = np.sum(self.turns**2, axis=1) + min(self.rates) ** 2
-        covariances[:, 3:, 3:] += (STEADY**2 * elapsed * speed)[:, None, None] * np.eye(3)
-        covariances[:, :3, :3] += drift**2 * elapsed * np.eye(3)
+        covariances[:, 3:, 3:] += (STEADY**2 * elapsed * speed)[:, None, None] * _EYE
+        covariances[:, :3, :3] += drift**2 * elapsed * _EYE
         wide = WIDEST**2 / np.maximum(np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1], WIDEST**2)
         scale = np.sqrt(wide)[:, None, None]
         covariances[:, :3, :] *= scale
@@ -181,20 +183,17 @@ class TurningTarget:
 
     def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> TurningTarget:
         """New components, of which only the direction is known."""
-        rates, count, bends = np.array(self.rates), len(directions), len(BENDS)
-        along = directions[:, :, None] * directions[:, None, :]
         # The bend of a path shows late, and then no single Gaussian fits: start with three for each rate.
-        joint = np.zeros((len(rates), bends, count, 6, 6))
+        shares, bends, variances = _starts(self.rates)
+        joint = np.zeros((len(shares), len(directions), 6, 6))
         joint[..., :3, :3] = covariances
-        across = np.eye(3) - (1 - BEND_VARIANCE) * along
-        joint[..., 3:, 3:] = (rates**2)[:, None, None, None, None] * across
-        shares = np.tile(np.array(BEND_SHARES) / len(rates), len(rates))
-        bent = np.outer(rates, BENDS).reshape(-1, 1, 1) * directions
+        across = _EYE - (1 - BEND_VARIANCE) * (directions[:, :, None] * directions[:, None, :])
+        joint[..., 3:, 3:] = variances[:, None, None, None] * across
         return altered(
             self,
-            weights=np.outer(shares, weights).reshape(-1),
-            directions=np.tile(directions, (len(shares), 1)),
-            turns=bent.reshape(-1, 3),
+            weights=(shares[:, None] * weights).reshape(-1),
+            directions=np.concatenate([directions] * len(shares)),
+            turns=(bends[:, None, None] * directions).reshape(-1, 3),
             covariances=joint.reshape(-1, 6, 6),
         )
 
@@ -264,7 +263,7 @@ class TurningTarget:
         """
         frames, _, own = self._across
         covariances = np.swapaxes(frames, 1, 2) @ own @ frames
-        traces = np.trace(own, axis1=1, axis2=2)
+        traces = own[:, 0, 0] + own[:, 1, 1]
         apart = 1 - self.directions @ self.directions.T
         alike = (apart < ALIKE * traces) & (np.abs(np.log(traces[:, None] / traces)) < 0.5)
         np.fill_diagonal(alike, True)  # also where rounding leaves a direction a little shorter than 1
@@ -313,6 +312,13 @@ class TurningTarget:
         return tuple(found)
 
 
+@lru_cache(maxsize=16)
+def _starts(rates: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the new components of one direction ``(n,)``: shares, rates along the bend, variances of the rates."""
+    shares = np.tile(np.array(BEND_SHARES) / len(rates), len(rates))
+    return shares, np.outer(rates, BENDS).reshape(-1), np.repeat(np.array(rates) ** 2, len(BENDS))
+
+
 def _joined(*parts: TurningTarget, unseen: float) -> TurningTarget:
     """The likeliest components of all, weights that sum to 1 with `unseen`."""
     weights = np.concatenate([part.weights for part in parts])
@@ -329,12 +335,16 @@ def _joined(*parts: TurningTarget, unseen: float) -> TurningTarget:
 def _rotations(vectors: np.ndarray) -> np.ndarray:
     """Rotation matrices ``(n, 3, 3)`` about `vectors` ``(n, 3)`` by their lengths (Rodrigues' formula)."""
     angles, crosses = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None, None], _crosses(vectors)
-    once, twice = np.sinc(angles / math.pi), 0.5 * np.sinc(angles / (2 * math.pi)) ** 2
-    return np.eye(3) + once * crosses + twice * (crosses @ crosses)
+    angles = np.maximum(angles, 1e-20)
+    whole, half = math.pi * (angles / math.pi), math.pi * (angles / (2 * math.pi))
+    once, twice = np.sin(whole) / whole, 0.5 * (np.sin(half) / half) ** 2
+    return _EYE + once * crosses + twice * (crosses @ crosses)
 
 
 def _crosses(vectors: np.ndarray) -> np.ndarray:
     """Matrices ``(n, 3, 3)`` that take a vector to its cross product with each of `vectors` ``(n, 3)``."""
+    found = np.zeros((len(vectors), 3, 3))
     x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), 2, 0)
+    found[:, 0, 1], found[:, 0, 2], found[:, 1, 0] = -z, y, z
+    found[:, 1, 2], found[:, 2, 0], found[:, 2, 1] = -x, -y, x
+    return found

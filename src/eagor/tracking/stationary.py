@@ -248,7 +248,7 @@ class StationaryTarget:
 
     def _alike(self, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `field`."""
-        names = "support", "labels", "places", "explained", "field", "log_mean"
+        names = "support", "labels", "places", "explained", "field", "log_mean", "masses"
         return inherited(altered(self, **changes), self, *names)
 
     def _with(self, patches: tuple[Patch, ...] | None = None, **changes: Any) -> StationaryTarget:
@@ -335,7 +335,7 @@ class StationaryTarget:
             )
             found = self._with(patches, windows=windows)
         found = found._searched()
-        masses, least = found.masses(), LEAST if found.explained is None else LEAST_OF_MANY
+        masses, least = found.masses, LEAST if found.explained is None else LEAST_OF_MANY
         alone = with_own_peaks(found.windows, found.field.patches)
         if found.explained is not None and isinstance(found.coarse, RangedBelief):
             alone |= {int(i) for i in np.flatnonzero(masses > MOST_OF_IT)}  # capped shells could not stand in for it
@@ -348,7 +348,7 @@ class StationaryTarget:
         if not any(window.border for window in self.windows):
             return found
         around, grid = skirts(self.degree), self.field.grid
-        for index, (window, mass) in enumerate(zip(self.windows, self.masses(), strict=True)):
+        for index, (window, mass) in enumerate(zip(self.windows, self.masses, strict=True)):
             if not window.border:
                 continue
             cosine = grid.directions @ window.frame[0]
@@ -358,6 +358,7 @@ class StationaryTarget:
             found[index] = math.tan(around) if held > SPILL * mass else 0.0
         return found
 
+    @lazy
     def masses(self) -> np.ndarray:
         """The share of the belief in each window."""
         pairs = zip(self.field.patches, self.field.layout.shares, strict=True)
