@@ -90,10 +90,10 @@ def _saddles(field: np.ndarray, label: np.ndarray) -> tuple[list[int], list[int]
     Saddles of equal height are in the order in which they are met.
     """
     others = np.array(_neighbours(label)[:4])
-    border = np.flatnonzero(others != label)
+    border = (others != label).reshape(-1).nonzero()[0]
     home = border % field.size
-    a, b = label.reshape(-1)[home], others.reshape(-1)[border]
-    heights = np.minimum(field.reshape(-1)[home], np.array(_neighbours(field)[:4]).reshape(-1)[border])
+    a, b = label.reshape(-1).take(home), others.reshape(-1).take(border)
+    heights = np.minimum(field.reshape(-1).take(home), np.array(_neighbours(field)[:4]).reshape(-1).take(border))
     key = np.minimum(a, b) * field.size + np.maximum(a, b)
     order = np.argsort(key, kind="stable")
     key = key[order]
@@ -161,9 +161,9 @@ def log_sums(field: SphereField, places: Places) -> np.ndarray:
     """log of the integral ``(m,)`` of exp(field) over each of the places."""
     log, weight = field.logs, field.layout.weights
     of_patches = np.repeat(places.patches, [patch.values.size for patch in field.patches])
-    home = np.concatenate([places.cells.reshape(-1)[field.layout.free], of_patches])
+    home = np.concatenate([places.cells.reshape(-1).take(field.layout.free), of_patches])
     top = np.full(places.count, -np.inf)
     np.maximum.at(top, home, log)
     top = np.maximum(top, -LARGEST)  # a place may lie under patches of other places
-    sums = np.bincount(home, np.exp(log - top[home]) * weight, minlength=places.count)
+    sums = np.bincount(home, np.exp(log - top.take(home)) * weight, minlength=places.count)
     return np.log(np.maximum(sums, math.exp(-LARGEST))) + top

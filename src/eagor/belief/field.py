@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = No
     """
     shape = values.shape[-len(places) :]
     lower = places.astype(np.intp).reshape(len(places), -1)
-    weights = _weights(places.reshape(lower.shape) - lower)
+    weights = np.stack(_weights(places.reshape(lower.shape) - lower), axis=1)
     first = np.zeros(lower.shape[1], dtype=np.intp)
     coefficients = values
     for axis, count in enumerate(shape, start=-len(shape)):
@@ -55,22 +55,19 @@ def _corners(shape: tuple[int, ...]) -> np.ndarray:
     return np.ravel_multi_index(np.ix_(*[np.arange(2)] * len(shape)), shape).reshape(-1, 1)
 
 
-def _weights(beyond: np.ndarray) -> np.ndarray:
-    """Of the four nodes around points ``(d, 4, m)`` that lie `beyond` ``(d, m)`` the second: the cubic B-spline."""
+def _weights(beyond: Any) -> list[Any]:
+    """Of the four nodes around points of which the second lies `beyond` ``(...)`` before them: the cubic B-spline."""
     short = 1 - beyond
     squared, rest = beyond * beyond, short * short
-    found = [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
-    return np.stack(found, axis=1)
+    return [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
 
 
 def _thrice(count: int, place: float) -> np.ndarray:
     """From values at `count` nodes along an axis to those a node before a place, there, and a node after it."""
     node = min(max(int(place), 1), count - 2)
-    weights = _weights(np.full((1, 1), place - node)).reshape(-1)
-    table = np.zeros((3, 6))
-    for shift in range(3):
-        table[shift, shift : shift + 4] = weights
-    return table @ _coefficients(count)[:, node - 1 : node + 5].T
+    one, two, three, four = _weights(place - node)
+    table = [[one, two, three, four, 0.0, 0.0], [0.0, one, two, three, four, 0.0], [0.0, 0.0, one, two, three, four]]
+    return np.array(table) @ _coefficients(count)[:, node - 1 : node + 5].T
 
 
 @lru_cache(maxsize=16)
@@ -114,7 +111,7 @@ class Nodes:
 
     def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; cached geometry is kept."""
-        return inherited(altered(self, values=values), self, "directions", "weights", "spacing")
+        return inherited(altered(self, values=values), self, "directions", "weights", "spacing", "_scale")
 
     @lazy
     def directions(self) -> np.ndarray:
@@ -131,6 +128,10 @@ class Nodes:
         """Spacing ``(2,)`` of the nodes in the middle, in units of the plane."""
         return 2 / (self.values.shape[-1] - 1) * self.half * self.bend / np.sinh(self.bend)
 
+    @lazy
+    def _scale(self) -> np.ndarray:
+        return np.sinh(self.bend) / self.half
+
     def located(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The t ``(2, ...)`` of directions ``(..., 3)`` of any length, and their components ``(...)`` along the middle.
 
@@ -139,8 +140,7 @@ class Nodes:
         local = (self.frame @ directions.reshape(-1, 3).T).reshape(3, *directions.shape[:-1])
         across = local[1:] / np.maximum(local[0], 1e-6)
         shape = (2, *[1] * (across.ndim - 1))
-        scale, bend = (np.sinh(self.bend) / self.half).reshape(shape), self.bend.reshape(shape)
-        return np.arcsinh(across * scale) / bend, local[0]
+        return np.arcsinh(across * self._scale.reshape(shape)) / self.bend.reshape(shape), local[0]
 
     def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The t ``(2, ...)`` of directions ``(..., 3)``, -1 to 1, and which of them lie inside."""

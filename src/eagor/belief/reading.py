@@ -33,8 +33,8 @@ class Reading:
         return self._parts[:3]
 
     @lazy
-    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The `parts`, and the cell of the grid ``(n,)`` that each lies in; first the cells that are not refined."""
+    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+        """The `parts`, and the cell of the grid ``(n,)`` that each lies in; first so many cells that are not refined."""
         field, grid = self.field, self.field.grid
         row_weights = grid.weights[:, 0]
 
@@ -59,7 +59,7 @@ class Reading:
         for patch, (counts, *where) in zip(field.patches, field.layout.fine, strict=True):
             found.append((patch.finer().reshape(-1)[counts], *where))
         values, weights, directions, homes = (np.concatenate(column) for column in zip(*found, strict=True))
-        return values, weights, directions, homes
+        return values, weights, directions, homes, len(light)
 
     @lazy
     def log_total(self) -> float:
@@ -146,12 +146,12 @@ class Reading:
 
         Parts further from their top than `NEAR` belong to no basin: a slope all around the sphere is not a place.
         """
-        values, _, directions, home = self._parts
+        values, _, directions, home, whole = self._parts
         grid = self.field.grid
         tops = self.field.values.reshape(-1).copy()
         if self.field.patches:
             tops[~self.field.layout.outside.reshape(-1)] = -np.inf
-            np.maximum.at(tops, home, values)
+            np.maximum.at(tops, home[whole:], values[whole:])
             lost = np.flatnonzero(~np.isfinite(tops))  # cells without own nodes
             if len(lost):
                 cells = self.field.values.reshape(-1)[lost]
@@ -160,11 +160,11 @@ class Reading:
         label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
         there = np.zeros(len(label), dtype=bool)
         there[label] = True
-        of_part = (np.cumsum(there) - 1)[label[home]]
+        of_part = (np.cumsum(there) - 1).take(label.take(home))
         count = int(np.count_nonzero(there))
         highest = np.full(count, -np.inf)
         np.maximum.at(highest, of_part, values)
-        tied = np.flatnonzero(values == highest[of_part])
+        tied = (values == highest.take(of_part)).nonzero()[0]
         top = np.zeros(count, dtype=np.intp)
         top[of_part[tied]] = tied  # of equal ones the last
         near = np.einsum("ij,ij->i", directions, directions[top].take(of_part, axis=0)) > math.cos(NEAR)

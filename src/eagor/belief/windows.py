@@ -70,7 +70,7 @@ class Window(Nodes):
         frame = np.concatenate([centre[None], tangent_frame(centre)])
         return cls(frame, half, np.zeros((1, 1, NODES, NODES)), bend, border=border)
 
-    @property
+    @lazy
     def shares(self) -> np.ndarray:
         """Prior probability ``(K,)`` of the ranges: even in the logarithm."""
         if self.logs is None:
