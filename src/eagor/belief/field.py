@@ -315,15 +315,18 @@ class SphereField:
         a, b, c, d = (flat[around.take(start + step)] for step in (0, 1, around.shape[1], around.shape[1] + 1))
         return a * high * wide + b * high * beside + c * low * wide + d * low * beside
 
-    def plus(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
+    def plus(self, values: np.ndarray | float, patches: Sequence[np.ndarray | float]) -> SphereField:
         """With `values` ``(H, W)`` added, and to the patches what `patches` ``(n, n)`` hold."""
         added = [patch.values + x for patch, x in zip(self.patches, patches, strict=True)]
         return self.like(self.values + values, added)
 
     def like(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
         """The same grid and patches with other values ``(H, W)`` and ``(n, n)``."""
-        others = tuple(p.like(x) for p, x in zip(self.patches, patches, strict=True))
-        return known(SphereField(self.grid, values, others), layout=self.layout)
+        return self.redrawn(values, tuple(p.like(x) for p, x in zip(self.patches, patches, strict=True)))
+
+    def redrawn(self, values: np.ndarray, patches: tuple[Patch, ...]) -> SphereField:
+        """With other `values` ``(H, W)``, and patches on the same nodes."""
+        return known(SphereField(self.grid, values, patches), layout=self.layout)
 
     @lazy
     def layout(self) -> Layout:

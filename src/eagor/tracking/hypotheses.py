@@ -95,11 +95,7 @@ class TargetHypotheses:
         if turns < _UNLIKELY:
             stays, turns = stays + turns, 0.0
         level = math.log(max(stays, 1e-300)) - self.standing.log_mean
-        stands = altered(
-            stands,
-            values=stands.values + level,
-            patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
-        )
+        stands = stands.plus(level, [level] * len(stands.patches))
         if not len(self.wandering) and not turns:
             return stands
         wandering = self.wandering.mixed(shares[1 : 1 + len(self.wandering)])
@@ -121,7 +117,8 @@ class TargetHypotheses:
         moving = moves(wandering, self.grid.directions)
         # Like `logaddexp`, ten times as fast; values are too large for it only where patches lie.
         values = np.log(np.exp(np.minimum(stands.values, LARGEST)) + np.maximum(moving, 1e-300))
-        return SphereField(self.grid, values, tuple(patches))
+        found = SphereField(self.grid, values, tuple(patches))
+        return found if len(fine) > len(stands.patches) else stands.redrawn(values, found.patches)
 
     @property
     def reading(self) -> Reading:

@@ -195,7 +195,7 @@ class StationaryTarget:
             found = altered(self, coarse=self.coarse.plus(share * coefficients), windows=tuple(windows))
             # What is said of all ranges alike adds as much to the field over directions.
             drawn = tuple(w.patch(self._prior(w)) if p is None else p for w, p in zip(windows, patches, strict=True))
-            return known(found, support=SphereField(self.grid, self.support.values + share * look.values, drawn))
+            return known(found, support=self.support.redrawn(self.support.values + share * look.values, drawn))
         ranges = self.coarse.ranges
         alike = np.broadcast_to(share * coefficients, (len(ranges), len(coefficients)))
         carried = RangedBelief(alike, ranges).predict(np.eye(3), since).shells
@@ -231,7 +231,7 @@ class StationaryTarget:
             else:
                 patches.append(windows[-1].patch(self._prior(window)))
         found = altered(self, coarse=self.coarse.plus(added), windows=tuple(windows), bank=bank)
-        return known(found, support=SphereField(self.grid, self.support.values + values, tuple(patches)))
+        return known(found, support=self.support.redrawn(self.support.values + values, tuple(patches)))
 
     def _ready(self, look: Look) -> Bank:
         """The habits of the cells, for the detector of this look."""
