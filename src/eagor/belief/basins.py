@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor.belief.field import LARGEST, SphereField, cells_of
+from eagor.evidence.detections import LOWEST
 
 # Nats from a peak down to the saddle at which it counts as one of its own. It is Rayleigh's criterion, by which the eye
 # sees two points of light apart: the light between them falls to 0.735 of that of the points.
@@ -165,5 +166,5 @@ def log_sums(field: SphereField, places: Places) -> np.ndarray:
     top = np.full(places.count, -np.inf)
     np.maximum.at(top, home, log)
     top = np.maximum(top, -LARGEST)  # a place may lie under patches of other places
-    sums = np.bincount(home, np.exp(log - top.take(home)) * weight, minlength=places.count)
+    sums = np.bincount(home, np.exp(np.maximum(log - top.take(home), LOWEST)) * weight, minlength=places.count)
     return np.log(np.maximum(sums, math.exp(-LARGEST))) + top

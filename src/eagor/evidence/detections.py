@@ -15,6 +15,7 @@ from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
 
 LEAST_RATIO = 1e-3  # of a score: no single one is a proof of absence
+LOWEST = -600.0  # nats: nothing; for what underflows, the exponential and products take ten times as long
 RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood that the degree represents without loss
 
 
@@ -164,7 +165,7 @@ class Detections:
         lengths, exponents = self._lengths, self._exponents(directions)
         factors = 1 / np.maximum(scales[:, None, None], np.reshape(least, (-1, 1)) * lengths)  # (S, n, 2)
         first, second = (-(factors**2)).transpose(2, 0, 1)[..., None]
-        falls = np.exp(first * exponents[:, 0] + second * exponents[:, 1])
+        falls = np.exp(np.maximum(first * exponents[:, 0] + second * exponents[:, 1], LOWEST))
         heights = rows / self.clutter * bump_norms(lengths * factors)[:, None]  # (S, k, n)
         return (heights @ falls).reshape(len(scales), len(rows), *directions.shape[:-1])
 

@@ -23,7 +23,7 @@ import numpy as np
 from eagor._lazy import altered, lazy
 from eagor.belief.bank import mixed
 from eagor.belief.field import Patch, SphereField
-from eagor.evidence.detections import bump_norms, scaled_frames, tangent_frames
+from eagor.evidence.detections import LOWEST, bump_norms, scaled_frames, tangent_frames
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
@@ -293,7 +293,7 @@ class TurningTarget:
         ahead = centres @ points
         along = (axes.reshape(-1, 3) @ points).reshape(len(weights), 2, -1)
         along *= along
-        falls = np.exp(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead, 1e-9))
+        falls = np.exp(np.maximum(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead, 1e-9), LOWEST))
         falls[ahead <= reach[:, None]] = 0.0
         return (self.unseen + heights @ falls).reshape(where.shape[:-1])
 
