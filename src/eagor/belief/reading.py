@@ -34,7 +34,7 @@ class Reading:
 
     @lazy
     def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        """The `parts`, and the cell of the grid ``(n,)`` that each lies in; first so many cells that are not refined."""
+        """The `parts`, and the cell of the grid ``(n,)`` that each lies in; so many of the first are not refined."""
         field, grid = self.field, self.field.grid
         row_weights = grid.weights[:, 0]
 
@@ -56,8 +56,8 @@ class Reading:
             cosine = np.cos(math.pi / 2 - math.pi * y / grid.height)
             shares = cosine / cosine.sum(axis=(1, 2), keepdims=True) * weights[heavy][:, None, None]
             found.append((field.smooth(cells), shares.reshape(-1), cells, np.repeat(home, FINER * FINER)))
-        for patch, (counts, *where) in zip(field.patches, field.layout.fine, strict=True):
-            found.append((patch.finer().reshape(-1)[counts], *where))
+        for patch, (counts, shares, cells, home) in zip(field.patches, field.layout.fine, strict=True):
+            found.append((patch.finer().reshape(-1).take(counts), shares, cells, home))
         values, weights, directions, homes = (np.concatenate(column) for column in zip(*found, strict=True))
         return values, weights, directions, homes, len(light)
 

@@ -133,9 +133,10 @@ class TargetHypotheses:
         """The reading if all directions together may be off by `spread` radians per axis."""
         if spread not in self._readings:
             field = self.field if spread == 0 else _widened(self.field, spread)
-            middle = field.values.size // 2
-            ranked = np.partition(field.values.reshape(-1), (middle - 1, middle))[middle - 1 : middle + 1]
-            least = -math.inf if self.standing.bank is None else float(ranked.sum()) / 2 + _RISE
+            least, middle = -math.inf, field.values.size // 2
+            if self.standing.bank is not None:  # over the median, as of `np.median`
+                ranked = np.partition(field.values.reshape(-1), (middle - 1, middle))
+                least = float(ranked[middle - 1] + ranked[middle]) / 2 + _RISE
             self._readings[spread] = Reading(field, least)
         return self._readings[spread]
 
