@@ -190,7 +190,7 @@ def on_clock(seed: int, scene: str, path: Path) -> None:
             for state in [each for each in came if isinstance(each, BodyState)][-1:]:
                 keeping.state(state)
             for frame in [each for each in came if isinstance(each, Frame)]:
-                keeping.picture(messages.compressed_message(frame.panorama, frame.stamp, "x3_link"))
+                keeping.picture(messages.compressed_message(frame.picture, frame.stamp, "x3_link"))
             if step % round(STATES / STEERING) == 0:
                 (ball,) = robot.targets_now()
                 keeping.ball(robot.now, ball.centre.tolist())

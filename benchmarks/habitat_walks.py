@@ -44,15 +44,14 @@ from eagor.conventions import from_gltf, to_gltf
 from eagor.worlds.apartment import generate
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat.configuring import Source as SimSource
-from eagor.worlds.habitat.configuring import configured
 from eagor.worlds.habitat.floors import settings_for
 from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.semantics import Things
-from eagor.worlds.habitat_dataset import Source, config_of, export_dataset
+from eagor.worlds.habitat.simulator import Source as SimSource
+from eagor.worlds.habitat.simulator import configured
+from eagor.worlds.habitat_dataset import Source, config_of, export_dataset, make_episodes, make_goals
 from eagor.worlds.habitat_mesh import LAB_BODY, ON_MESH
 from eagor.worlds.objectnav import Episode, Goal, SceneEpisodes, write_episodes
-from eagor.worlds.objectnav_making import make_episodes, make_goals
 from eagor.worlds.render import Frame
 from eagor.worlds.scene import Scene
 
@@ -158,17 +157,17 @@ def snapping(glb: Path, config: Path) -> Any:
 @contextmanager
 def drawing_nothing(blind: bool) -> Iterator[None]:
     """Open our scenes without a camera: no things, no pictures, and a floor just below the mesh, for `blind` runs."""
-    from eagor.worlds.habitat import sessions, view, world
-    from eagor.worlds.habitat.labels import BoxLabels
+    from eagor.worlds.habitat import simulator, view, world
+    from eagor.worlds.habitat.semantics import BoxLabels
 
     def empty(self: Any, position: Any, world_R_body: Any, height: int, **_: Any) -> Frame:
         return Frame(None, None, np.full((height, 2 * height), -1, dtype=np.int32))
 
-    opened = sessions._made
+    opened = simulator._made
     with ExitStack() as stack:
         for place, name, value in (
-            (sessions, "device_for", lambda *_: -1),
-            (sessions, "_made", lambda source, gpu, *_: opened(source, gpu, 8, ())),
+            (simulator, "device_for", lambda *_: -1),
+            (simulator, "_made", lambda source, gpu, *_: opened(source, gpu, 8, ())),
             (view.HabitatView, "panorama", empty),
             (world, "true_floor", lambda view, pathfinder, storey, name, options: storey.level - ON_MESH),
             (world, "things_of", lambda *_: Things((), (), BoxLabels(()), "none")),

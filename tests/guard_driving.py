@@ -135,7 +135,7 @@ class Time:
     standing: float
 
 
-def until(what: Callable[[], Any], seconds: float = 20.0) -> Any:
+def until(what: Callable[[], Any], seconds: float = 60.0) -> Any:
     """Wait until `what` is true; returns it."""
     end = time.monotonic() + seconds
     while not (found := what()):

@@ -22,7 +22,7 @@ from eagor.errors import WorldError
 from eagor.tasks.places import load_place
 from eagor.worlds.glb import import_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import sessions, world
+from eagor.worlds.habitat import simulator, world
 from eagor.worlds.render import Renderer
 
 LIFT = 0.05  # metres: the mesh floats above the floor
@@ -259,9 +259,9 @@ def installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
     monkeypatch.setitem(sys.modules, "magnum", magnum())
     monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
-    monkeypatch.setattr(sessions, "device_for", lambda scene, dataset, gpu, name: -1)
+    monkeypatch.setattr(simulator, "device_for", lambda scene, dataset, gpu, name: -1)
     yield
-    sessions.close_all()
+    simulator.close_all()
     world.open_scene.cache_clear()
     world._ground.cache_clear()
     load_place.cache_clear()

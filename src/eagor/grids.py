@@ -13,7 +13,7 @@ A grid holds no values. All grids have the same interface:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -225,13 +225,15 @@ class PerspectiveGrid(_Sampled):
     """A pinhole view: rows, columns, horizontal field of view (radians, below pi) and its pose in the body.
 
     The view frame is x forward, y left, z up like the body's, so that the identity looks forward:
-    ``body_R_view @ direction_in_view = direction_in_body``. Pixels are square.
+    ``body_R_view @ direction_in_view = direction_in_body``. Pixels are square and the axis is in the middle, unless
+    `optics` is a calibrated lens, with distortion as well: `of_lens` makes the grid of one.
     """
 
     height: int
     width: int
     hfov: float
     body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
+    optics: PinholeLens | None = None
 
     def __post_init__(self) -> None:
         _check_size(self.height, self.width)
@@ -239,7 +241,30 @@ class PerspectiveGrid(_Sampled):
             raise GridError(
                 f"hfov = {self.hfov:g} rad; a perspective view needs 0 < hfov < pi. Given in degrees? Use math.radians"
             )
+        if self.optics is not None and self.optics.size != (self.width, self.height):
+            raise GridError(
+                f"the lens {self.optics.name!r} has a picture of {self.optics.size[0]} x {self.optics.size[1]}, the "
+                f"grid of {self.width} x {self.height}; wanted the same: use PerspectiveGrid.of_lens, or resized"
+            )
         self._keep_pose()
+
+    @classmethod
+    def of_lens(cls, lens: PinholeLens) -> PerspectiveGrid:
+        """The pixels of a calibrated ordinary lens, at its pose in the body."""
+        wide, high = lens.size
+        left, right = lens.plane(np.array([0.0, wide]), np.full(2, lens.centre[1]))[0]
+        hfov = math.atan(float(right)) - math.atan(float(left))
+        return cls(high, wide, hfov, lens.body_R_lens, lens)
+
+    def resized(self, height: int, width: int) -> PerspectiveGrid:
+        """The grid of the same picture with other numbers of pixels."""
+        optics = self.optics
+        if optics is not None:
+            by = width / self.width, height / self.height
+            (fx, fy), (cx, cy) = optics.focal, optics.centre
+            focal, centre = (fx * by[0], fy * by[1]), (cx * by[0], cy * by[1])
+            optics = replace(optics, size=(width, height), focal=focal, centre=centre)
+        return replace(self, height=height, width=width, optics=optics)
 
     @property
     def shape(self) -> tuple[int, int]:  # type: ignore[override]
@@ -254,29 +279,48 @@ class PerspectiveGrid(_Sampled):
     @lazy
     def lens(self) -> PinholeLens:  # type: ignore[override]
         """The lens whose pixels these are."""
+        if self.optics is not None:
+            return replace(self.optics, body_R_lens=self.body_R_view)
         size, focal, centre = (self.width, self.height), (self.focal, self.focal), (self.width / 2, self.height / 2)
         return PinholeLens("view", size, focal, centre, (), self.body_R_view)
 
     @lazy
     def weights(self) -> np.ndarray:
-        """Exact solid angles ``(H, W)`` of the pixels: differences of atan(x y / sqrt(1 + x^2 + y^2)) over corners."""
+        """Solid angles ``(H, W)`` of the pixels: differences of atan(x y / sqrt(1 + x^2 + y^2)) over corners.
+
+        Exact but for a lens with distortion, where each is that of the pixel's centre.
+        """
+        if any(self.lens.distortion):
+            return _frozen(self.density(*_centres(*self.shape)))
         x, y = self.lens.plane(np.arange(self.width + 1), np.arange(self.height + 1)[:, None])
         corner = np.arctan2(x * y, np.sqrt(1 + x * x + y * y))
         return _frozen(np.diff(np.diff(corner, axis=0), axis=1))
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Steradians per square pixel: cos^3 of the angle off the axis, over the focal length squared."""
+        """Steradians per square pixel: cos^3 of the angle off the axis, times the pixel's area in the plane."""
         right, down = self.lens.plane(x, y)
-        return (1 + right**2 + down**2) ** -1.5 / self.focal**2
+        area = 1 / (self.lens.focal[0] * self.lens.focal[1])
+        if any(self.lens.distortion):  # central differences over a pixel
+            (right_x, down_x), (right_y, down_y) = (
+                np.subtract(self.lens.plane(x + dx, y + dy), self.lens.plane(x - dx, y - dy))
+                for dx, dy in ((0.5, 0.0), (0.0, 0.5))
+            )
+            area = np.abs(right_x * down_y - right_y * down_x)
+        return (1 + right**2 + down**2) ** -1.5 * area
 
     def depth_inside(self) -> np.ndarray:
-        """Angle (radians, ``(H, W)``) from each pixel to the border: image edges are great circles."""
+        """Angle (radians, ``(H, W)``) from each pixel to the border: image edges are great circles.
+
+        With distortion edges bend, and it is the angle as `eagor.lenses.PinholeLens.project` has it.
+        """
+        if any(self.lens.distortion):
+            return np.maximum(self.lens.project(self.directions)[2], 0.0)
         right, down = self.lens.plane(*_centres(*self.shape))
-        half_width, half_height = self.width / 2 / self.focal, self.height / 2 / self.focal
+        (left, end), (top, bottom) = self.lens.plane(np.array([0.0, self.width]), np.array([0.0, self.height]))
         length = np.sqrt(1 + right**2 + down**2)
-        to_sides = (half_width - np.abs(right)) / math.hypot(1, half_width)
-        to_ends = (half_height - np.abs(down)) / math.hypot(1, half_height)
-        return np.arcsin(np.minimum(to_sides, to_ends) / length)
+        sides = np.minimum((right - left) / math.hypot(1, left), (end - right) / math.hypot(1, end))
+        ends = np.minimum((down - top) / math.hypot(1, top), (bottom - down) / math.hypot(1, bottom))
+        return np.arcsin(np.minimum(sides, ends) / length)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -333,21 +377,26 @@ class FisheyeGrid(_Sampled):
 
 
 Grid = ErpGrid | PatchGrid | PerspectiveGrid | FisheyeGrid
-ViewKey = tuple[str, int, int, float]
+ViewKey = tuple[str, int, int, "float | tuple[float, ...]"]
 
 
 def view_key(grid: PerspectiveGrid | FisheyeGrid) -> ViewKey:
-    """A view without its pose: hashable, so that plans can be cached."""
-    if isinstance(grid, PerspectiveGrid):
+    """A view without its pose: hashable, so that plans can be cached. The last item is its field, or all of a lens."""
+    if isinstance(grid, FisheyeGrid):
+        return "fisheye", grid.size, grid.size, grid.fov
+    if grid.optics is None:
         return "perspective", grid.height, grid.width, grid.hfov
-    return "fisheye", grid.size, grid.size, grid.fov
+    return "perspective", grid.height, grid.width, (*grid.optics.focal, *grid.optics.centre, *grid.optics.distortion)
 
 
 @lru_cache(maxsize=16)
 def forward_view(key: ViewKey) -> PerspectiveGrid | FisheyeGrid:
     """The view with this key that looks forward."""
-    kind, height, width, fov = key
-    return PerspectiveGrid(height, width, fov) if kind == "perspective" else FisheyeGrid(height, fov)
+    kind, height, width, optics = key
+    if isinstance(optics, tuple):
+        fx, fy, cx, cy, *distortion = optics
+        return PerspectiveGrid.of_lens(PinholeLens("view", (width, height), (fx, fy), (cx, cy), tuple(distortion)))
+    return PerspectiveGrid(height, width, optics) if kind == "perspective" else FisheyeGrid(height, optics)
 
 
 def _check_size(height: int, width: int) -> None:

@@ -209,6 +209,21 @@ class PinholeLens:
         focal, centre = (tuple(v * factor for v in pair) for pair in (self.focal, self.centre))
         return replace(self, size=(wide, high), focal=focal, centre=centre)
 
+    def turned(self, quarters: int) -> PinholeLens:
+        """The lens of the same picture turned counterclockwise by so many quarter turns; its pose stays.
+
+        As ``numpy.rot90(picture, quarters)`` turns it: the pose is that of the picture as it is shown.
+        """
+        lens = self
+        for _ in range(quarters % 4):  # x, y becomes y, width - x
+            (fx, fy), (cx, cy), (wide, high) = lens.focal, lens.centre, lens.size
+            distortion = lens.distortion
+            if len(distortion) > 2:
+                k1, k2, p1, p2, *others = (*distortion, 0.0)[: max(4, len(distortion))]
+                distortion = (k1, k2, -p2, p1, *others)
+            lens = replace(lens, size=(high, wide), focal=(fy, fx), centre=(cy, wide - cx), distortion=distortion)
+        return lens
+
     def plane(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The plane at distance 1 (right, down), without distortion, at pixel coordinates."""
         a, b = np.broadcast_arrays((x - self.centre[0]) / self.focal[0], (y - self.centre[1]) / self.focal[1])

@@ -119,7 +119,7 @@ def test_a_folder_keeps_the_contract(tmp_path):
     frames = list(open_camera(str(place), rate=4, latency=0.5, rows=32))
     assert [frame.stamp for frame in frames] == [k / 4 - 0.5 for k in range(12)]
     assert [frame.name for frame in frames] == [f"{k}.png" for k in range(12)], "10 comes after 9"
-    assert frames[0].panorama.shape == (32, 64, 3)
+    assert frames[0].picture.shape == (32, 64, 3)
 
 
 def test_names_that_are_times_are_stamps(tmp_path):
@@ -143,7 +143,7 @@ def test_a_video_keeps_the_contract(tmp_path):
     camera = open_camera(str(path), rate=10, rows=32, latency=0.25)
     frames = list(camera)
     assert [frame.stamp for frame in frames] == pytest.approx([k / 10 - 0.25 for k in range(10)], abs=1e-3)
-    assert frames[0].panorama.shape == (32, 64, 3)
+    assert frames[0].picture.shape == (32, 64, 3)
     assert not camera.live
 
 
@@ -170,7 +170,7 @@ def test_with_a_rig_the_circles_are_stitched(tmp_path, kind):
     check_camera(camera)
     frame = next(iter(open_camera(str(source), rig=LENSES, rows=64)))
     wanted = np.asarray(Image.fromarray(painted_room(128, 256)).resize((128, 64), Image.Resampling.BOX))
-    assert np.abs(frame.panorama.astype(int) - wanted).mean() < 6
+    assert np.abs(frame.picture.astype(int) - wanted).mean() < 6
 
 
 def test_each_lens_may_have_its_own_file(tmp_path):
@@ -186,13 +186,13 @@ def test_each_lens_may_have_its_own_file(tmp_path):
     names = ["VID_20260101_120000_00_001.insv", "VID_20260101_120000_10_001.insv"]
     videos = [clips.clip(tmp_path / f"{k}.mp4", [half] * 5, options={"crf": "10"}) for k, half in enumerate(halves)]
     both = f"{videos[0]},{videos[1]}"
-    wanted = next(iter(open_camera(both, rig=rig))).panorama
+    wanted = next(iter(open_camera(both, rig=rig))).picture
     for video, name in zip(videos, names, strict=True):
         video.rename(tmp_path / name)
-    found = next(iter(open_camera(str(tmp_path / names[1]), rig=rig))).panorama
+    found = next(iter(open_camera(str(tmp_path / names[1]), rig=rig))).picture
     assert np.array_equal(found, wanted), "the front lens comes first, whichever file is named"
     whole = open_camera(str(folder(tmp_path, [CIRCLES])), rig=LENSES)
-    assert np.abs(next(iter(whole)).panorama.astype(int) - found).mean() < 6
+    assert np.abs(next(iter(whole)).picture.astype(int) - found).mean() < 6
     with pytest.raises(ImageError, match="gives 1 picture at a time, and the rig is for 2"):
         open_camera(str(tmp_path / "frames"), rig=rig)
 
@@ -246,7 +246,7 @@ def test_a_stream_over_udp_keeps_the_contract_and_tells_of_a_stall():
         for _ in range(5):
             frame = next(frames)
             assert 0.125 <= time.time() - frame.stamp < WAIT
-            assert frame.panorama.shape == (32, 64, 3)
+            assert frame.picture.shape == (32, 64, 3)
         assert camera.problem is None
         stop()
         until(lambda: camera.problem is not None, "word about the stall")
@@ -335,7 +335,7 @@ def test_a_picture_of_lenses_is_stitched_live():
     camera = LiveCamera([raw_pipe(f"pipe:rgb24:{size[1]}x{size[0]}", file)], rig=LENSES)
     with pytest.warns(UserWarning, match="tells no times"):
         frame = next(iter(camera))
-    assert np.abs(frame.panorama.astype(int) - painted_room(*camera.grid.shape)).mean() < 8
+    assert np.abs(frame.picture.astype(int) - painted_room(*camera.grid.shape)).mean() < 8
     camera.close()
     file.close()
 
@@ -373,7 +373,7 @@ from eagor.media.camera_sources import open_camera
 
 camera = open_camera(sys.argv[1])
 frame = next(iter(camera))
-print(frame.stamp, frame.panorama.shape, int(frame.panorama.astype(int).sum()))
+print(frame.stamp, frame.picture.shape, int(frame.picture.astype(int).sum()))
 """
 
 

@@ -28,8 +28,11 @@ def robot(link: Link, wire: WireSettings | None = None, **settings) -> Go2Server
     return Go2Server(plant, link, wire, rng=np.random.default_rng(4))
 
 
-@pytest.mark.parametrize("short", [False, True])
-@pytest.mark.parametrize("source", ["sport", "slow", "lidar"])
+@pytest.mark.parametrize(
+    ("source", "short"),
+    [("sport", False), ("slow", True), ("lidar", False),
+     *(pytest.param(*each, marks=pytest.mark.slow) for each in [("sport", True), ("slow", False), ("lidar", True)])],
+)  # fmt: skip
 def test_states_come_in_both_forms_and_from_the_lidar_on_our_clock(short, source):
     domain = free_domain()
     wire = WireSettings(short=short, clock_offset=-4000.5)

@@ -30,13 +30,15 @@ from eagor.tasks.task import load as load_task
 from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import probe
-from eagor.worlds.habitat.sessions import close_all
+from eagor.worlds.habitat import simulator
+from eagor.worlds.habitat.simulator import close_all
 from eagor.worlds.render import Renderer
 
 pytestmark = [
     pytest.mark.habitat,
-    pytest.mark.skipif(find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {probe.HOW_TO_GET}"),
+    pytest.mark.skipif(
+        find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {simulator.HOW_TO_GET}"
+    ),
     pytest.mark.filterwarnings("default::DeprecationWarning"),  # its own, and those of its bindings
 ]
 HERE = (2.0, 2.9, 1.25)

@@ -18,9 +18,8 @@ from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.worlds.glb import import_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat_dataset import Source, export_dataset
+from eagor.worlds.habitat_dataset import Source, export_dataset, make_goals
 from eagor.worlds.objectnav import read_episodes
-from eagor.worlds.objectnav_making import make_goals
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import Room
 from eagor.worlds.semantic_glb import FIRST_ID, colours_of, semantic_glb, semantic_text
@@ -263,7 +262,7 @@ def test_a_place_too_small_for_a_start_is_refused(tmp_path):
 
 
 def test_other_seeds_of_the_same_scene_make_other_episodes():
-    from eagor.worlds.objectnav_making import make_episodes
+    from eagor.worlds.habitat_dataset import make_episodes
 
     scene = furnished()
     ground = Ground.from_scene(scene)

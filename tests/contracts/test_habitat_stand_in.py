@@ -23,11 +23,10 @@ from eagor.tasks.task import load as load_task
 from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import floors, probe, sessions, world
-from eagor.worlds.habitat.frames import Frames
+from eagor.worlds.habitat import floors, simulator, world
 from eagor.worlds.habitat.options import parse
-from eagor.worlds.habitat.storeys import main_storey
-from eagor.worlds.habitat.view import euclidean
+from eagor.worlds.habitat.surface import main_storey
+from eagor.worlds.habitat.view import Frames, euclidean
 from eagor.worlds.render import Renderer
 
 
@@ -262,7 +261,7 @@ def test_the_simulator_with_the_graphics_context_is_closed_last(flat, tmp_path):
     scenes = [worlds.load(f"habitat:{file}")(0) for file in (flat, *(_copy(flat, tmp_path / name) for name in "ab"))]
     for scene in (*scenes, *scenes):
         scene.view().panorama((2.0, 2.9, 1.25), np.eye(3), 16)
-        assert Simulator.opened <= sessions.MOST + 1
+        assert Simulator.opened <= simulator.MOST + 1
     for scene in scenes:
         scene.close()
     assert Simulator.opened == 0
@@ -279,9 +278,9 @@ def _copy(file, folder):
 
 def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.delitem(sys.modules, "habitat_sim")
-    monkeypatch.setattr(probe, "find_spec", lambda name: None)
+    monkeypatch.setattr(simulator, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"needs Habitat-Sim .* aihabitat .* from the sources"):
-        probe.device_for("scene.glb", "default")
+        simulator.device_for("scene.glb", "default")
 
 
 @pytest.mark.parametrize(
@@ -297,13 +296,13 @@ def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
 def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, device, says):
     (tmp_path / "habitat_sim.py").write_text(module)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delenv(probe.PROBED, raising=False)
+    monkeypatch.delenv(simulator.PROBED, raising=False)
     with pytest.raises(EagorError, match=says) as raised:
-        probe.device_for("scene.glb", "default", device)
+        simulator.device_for("scene.glb", "default", device)
     assert "\n" not in str(raised.value)
 
 
 def test_the_device_comes_from_the_environment(monkeypatch):
     monkeypatch.setenv("EAGOR_HABITAT_GPU", "first")
     with pytest.raises(WorldError, match="wanted the number of a GPU"):
-        probe.device_for("scene.glb", "default")
+        simulator.device_for("scene.glb", "default")

@@ -11,10 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import WorldError
-from eagor.worlds.habitat.frames import Frames
-from eagor.worlds.habitat.steps import HELD, SHORT, stepped
-from eagor.worlds.habitat.storeys import Storey
-from eagor.worlds.habitat.surface import Surface
+from eagor.worlds.habitat.surface import HELD, SHORT, Storey, Surface, stepped
+from eagor.worlds.habitat.view import Frames
 
 WALL = 1.0  # our x of the edge of the mesh
 

@@ -17,6 +17,7 @@ import pytest
 from PIL import Image
 
 from eagor.errors import EagorError, FormatError, ImageError
+from eagor.grids import PerspectiveGrid
 from eagor.perception.endpoint.server import ServedChat
 from eagor.perception.partial import look_at_view
 from eagor.perception.vlm.prompts import IMAGE, Message
@@ -166,7 +167,8 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
     perception = hstar_perception.open_perception("colour")
     view = View(0.0, 0.0)
     drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
-    assert look_at_view(perception, drawn, 0.0, math.radians(100), "green square").response.max() > 0.5
+    ahead = PerspectiveGrid(54, drawn.shape[1], math.radians(100))
+    assert look_at_view(perception, drawn, ahead, "green square").response.max() > 0.5
     seen = hstar_perception.open_eye(perception, asked, 0, 54)(view).evidence
     assert seen.response.max() < 0.2
 

@@ -44,9 +44,9 @@ def test_a_picture_is_put_where_it_was_taken():
 def test_evidence_is_where_the_thing_is_and_nowhere_beyond_the_view(pitch):
     grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
     picture = view(red_spot(0.2, pitch - 0.1), grid)
-    found = look_at_view(Painted(Calibration()), picture, pitch, HFOV, "red", stamp=3.0)
+    found = look_at_view(Painted(Calibration()), picture, grid, "red", stamp=3.0)
     assert found.stamp == 3.0
-    shown = coverage(*found.grid.shape, 180, 320, HFOV, pitch)
+    shown = coverage(*found.grid.shape, grid)
     log_ratio = np.asarray(found.log_ratio)
     assert (log_ratio[shown < 0.5] == 0).all()
     assert (log_ratio[shown > 0.5] != 0).mean() > 0.99
@@ -69,7 +69,7 @@ class Painted:
 def test_detections_in_a_view_say_nothing_beyond_it(perception, pitch):
     grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
     picture = view(red_spot(0.2, pitch - 0.1), grid)
-    found = look_at_view(perception, picture, pitch, HFOV, "red", stamp=3.0)
+    found = look_at_view(perception, picture, grid, "red", stamp=3.0)
     assert found.stamp == 3.0
     assert len(found.detections) == 1
     assert isinstance(found.grid, PerspectiveGrid)
@@ -79,7 +79,7 @@ def test_detections_in_a_view_say_nothing_beyond_it(perception, pitch):
     off = cells.directions @ grid.body_R_view[:, 0] < math.cos(math.radians(55 + 30))
     field = RealHarmonics(15).synthesise(found.coefficients(15), cells)
     assert np.abs(field[off]).max() < 0.1  # of the 4 nats in the view: what a field of degree 15 leaks
-    nothing = look_at_view(perception, np.full_like(picture, 128), pitch, HFOV, "red", stamp=3.0)
+    nothing = look_at_view(perception, np.full_like(picture, 128), grid, "red", stamp=3.0)
     assert len(nothing.detections) == 0
 
 
@@ -87,7 +87,7 @@ def test_what_fills_a_panorama_around_a_picture_is_no_detection():
     """The rest is painted with the picture's mean colour, which may be the one that is asked for."""
     picture = np.full((90, 160, 3), (220, 30, 30), dtype=np.uint8)
     picture[:40] = (200, 25, 25)
-    found = look_at_view(ColourPerception(), picture, 0.0, HFOV, "red")
+    found = look_at_view(ColourPerception(), picture, PerspectiveGrid(90, 160, HFOV), "red")
     assert (found.detections.directions[:, 0] > 0.5).all()
 
 
@@ -103,21 +103,24 @@ def test_a_perception_that_takes_pictures_is_given_the_picture():
             )
 
     viewer, picture = Viewer(), np.zeros((18, 32, 3), dtype=np.uint8)
-    found = look_at_view(viewer, picture, 0.4, HFOV, "cup", stamp=1.0)
+    posed = PerspectiveGrid(18, 32, HFOV, world_R_body(0.0, -0.4))
+    found = look_at_view(viewer, picture, posed, "cup", stamp=1.0)
     image, grid, query = viewer.seen
     assert image is picture
     assert query == "cup"
-    np.testing.assert_allclose(grid.body_R_view[:, 0], direction(0.0, 0.4), atol=1e-12)
+    assert grid is posed
     assert found.grid.shape == (9, 16)
 
 
 def test_what_is_no_picture_is_refused():
     with pytest.raises(ImageError, match="uint8"):
-        look_at_view(load("colour"), np.zeros((4, 4)), 0.0, HFOV, "red")
+        look_at_view(load("colour"), np.zeros((4, 4)), PerspectiveGrid(4, 4, HFOV), "red")
+    with pytest.raises(ImageError, match="resized"):
+        look_at_view(load("colour"), np.zeros((4, 4, 3), dtype=np.uint8), PerspectiveGrid(8, 8, HFOV), "red")
 
 
 def test_coverage_is_the_share_of_the_sphere_that_a_view_has():
     grid = PerspectiveGrid(90, 160, HFOV, world_R_body(0.0, -0.7))
     cells = ErpGrid(60, 120)
-    share = (coverage(60, 120, 90, 160, HFOV, 0.7) * cells.weights).sum() / (4 * math.pi)
+    share = (coverage(60, 120, grid) * cells.weights).sum() / (4 * math.pi)
     assert share == pytest.approx(float(grid.weights.sum()) / (4 * math.pi), rel=0.02)

@@ -82,7 +82,7 @@ def test_stamps_are_those_of_the_headers_and_topics_are_guessed():
         assert (camera.topic, camera.kind, camera.frame) == ("/x3/image/compressed", jpeg, "x3_link")
         frame = next(iter(camera))
         assert (frame.stamp - START + 0.25) % 1 == 0
-        np.testing.assert_array_equal(frame.panorama, ROOM)
+        np.testing.assert_array_equal(frame.picture, ROOM)
         camera.close()
 
 
@@ -295,7 +295,7 @@ def test_pictures_of_a_bag(bag):
     camera = BagCamera(bag)
     assert (camera.topic, camera.frame, camera.count, camera.grid.shape) == ("/image", "x3_link", 10, (32, 64))
     assert [frame.stamp for frame in camera] == pytest.approx([START + 0.48 + k for k in range(10)], abs=1e-6)
-    np.testing.assert_array_equal(next(iter(camera)).panorama, np.roll(ROOM, 5, axis=1))
+    np.testing.assert_array_equal(next(iter(camera)).picture, np.roll(ROOM, 5, axis=1))
     check_camera(BagCamera(bag, latency=0.1, rows=16))
 
 

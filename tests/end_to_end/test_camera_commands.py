@@ -91,26 +91,26 @@ def test_a_video_of_lenses_can_be_viewed(capsys, place):
 
 
 def test_locate_finds_the_ball_in_circles(capsys, place):
-    code, _, err = run(capsys, "locate", place / "room.png", "the red ball", "--json")
+    code, _, err = run(capsys, "locate", place / "room.png", "red", "--json")
     assert code == 2
     assert "two circles of a dual fisheye" in err
     assert "--rig" in err
     wanted = place / "wanted.png"
     Image.fromarray(ROOM).save(wanted)
-    true = json.loads(run(capsys, "locate", wanted, "the red ball", "--json")[1])
+    true = json.loads(run(capsys, "locate", wanted, "red", "--json")[1])
     for picture in ("room.png", "room.mp4"):
-        code, out, err = run(capsys, "locate", place / picture, "the red ball", "--rig", place / "true.yaml", "--json")
+        code, out, err = run(capsys, "locate", place / picture, "red", "--rig", place / "true.yaml", "--json")
         assert code == 0, err
         assert abs(json.loads(out)["azimuth_deg"] - true["azimuth_deg"]) < 2
 
 
 def test_track_follows_it_through_pictures_and_a_video_of_lenses(capsys, place):
     rig = ("--rig", place / "true.yaml", "--json")
-    code, out, err = run(capsys, "track", place / "frames", "the red ball", *rig)
+    code, out, err = run(capsys, "track", place / "frames", "red", *rig)
     assert code == 0, err
     azimuths = [frame["azimuth_deg"] for frame in json.loads(out)["frames"]]
     assert np.diff(azimuths) == pytest.approx([-math.degrees(0.2)] * 2, abs=2)
-    code, out, err = run(capsys, "track", place / "room.mp4", "the red ball", *rig)
+    code, out, err = run(capsys, "track", place / "room.mp4", "red", *rig)
     assert code == 0, err
     assert len(json.loads(out)["frames"]) == 6
 

@@ -1,19 +1,25 @@
 """What the documentation says holds: its code runs, its commands can be typed, its tables are what scripts print."""
 
+import contextlib
 import importlib
+import io
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import commands
 import pytest
 import yaml
 from PIL import Image
 
 import eagor
 from eagor.cli import _parse
+from eagor.cli.demo_apartment import STUDY, STUDY_COMMAND
 from eagor.worlds.painted import painted_room
 
 ROOT = Path(__file__).parents[2]
@@ -48,10 +54,26 @@ def fences(page):
         yield here[1], here[2], needs and needs[0].strip(), after[2] if after is not None and under else None
 
 
-def run_python(texts, folder):
-    """What each of the texts prints, run as one program in `folder`."""
+def written(texts, folder):
+    """The program that the texts make together."""
     script = folder / "page.py"
     script.write_text("\nprint(chr(30), end='')\n".join(texts), encoding="utf-8")
+    return script
+
+
+def run_here(texts, folder, monkeypatch):
+    """What each of the texts prints, run as one program in this process, for which warnings are errors, too."""
+    monkeypatch.chdir(folder)
+    script = str(written(texts, folder))
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        runpy.run_path(script, run_name="__main__")
+    assert err.getvalue() == ""
+    return out.getvalue().split(chr(30))
+
+
+def run_python(texts, folder):
+    """The same in a process of its own, which others may import."""
+    script = written(texts, folder)
     environment = os.environ | {"PYTHONWARNINGS": "error", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, script.name], cwd=folder, env=environment, capture_output=True, text=True, timeout=300
@@ -61,11 +83,11 @@ def run_python(texts, folder):
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if any(not needs for _, needs in blocks(p, "python"))], ids=name)
-def test_the_python_of_a_page_runs_and_prints_what_stands_under_it(page, tmp_path):
+def test_the_python_of_a_page_runs_and_prints_what_stands_under_it(page, tmp_path, monkeypatch):
     if page.name != "README.md":  # whose programs need no picture
         Image.fromarray(painted_room(128, 256)).save(tmp_path / "room.png")
     parts = [(text, under) for kind, text, needs, under in fences(page) if kind == "python" and not needs]
-    printed = run_python([text for text, _ in parts], tmp_path)
+    printed = run_here([text for text, _ in parts], tmp_path, monkeypatch)
     assert len(printed) == len(parts)
     for out, (_, under) in zip(printed, parts, strict=True):
         assert under is None or out == under
@@ -94,9 +116,8 @@ def check_commands(page, folder, apart=0.0, share=0.0):
             (line,) = text.splitlines()
             words = shlex.split(line, comments=True)
             assert words[0] == "eagor"
-            done = subprocess.run(
-                [sys.executable, "-m", *words], cwd=folder, capture_output=True, text=True, timeout=300
-            )
+            with contextlib.chdir(folder):
+                done = commands.eagor(*words[1:])
             said = [row for row in done.stderr.splitlines() if not re.match("eagor: (?!warning|error)", row)]
             assert (done.returncode, said) == (0, []), line
             shown = done.stdout + (done.stderr if "\neagor: " in under else "")  # notes come after the results
@@ -137,14 +158,19 @@ def test_a_clip_is_followed_as_the_page_on_footage_says(tmp_path):
     assert check_commands(page, tmp_path, apart=1.0) == 1
 
 
-def test_a_bag_and_a_node_do_what_the_page_on_ros_says(tmp_path):
-    """The bag, the command on it; then robot, node and listener, each a process, on a domain of their own."""
+def test_a_bag_is_followed_as_the_page_on_ros_says(tmp_path):
+    page = DOCS / "how-to" / "ros2.md"
+    run_python([text for text, _ in blocks(page, "python")][:1], tmp_path)
+    assert check_commands(page, tmp_path, apart=0.3) == 1
+
+
+@pytest.mark.slow
+def test_a_node_answers_as_the_page_on_ros_says(tmp_path):
+    """Robot, node and listener, each a process, on a domain of their own."""
     from eagor.robots.dds import free_domain
 
     page, domain = DOCS / "how-to" / "ros2.md", str(free_domain())
-    bag, robot, listener = [text for text, _ in blocks(page, "python")]
-    run_python([bag], tmp_path)
-    assert check_commands(page, tmp_path, apart=0.3) == 1
+    _, robot, listener = [text for text, _ in blocks(page, "python")]
     (node,) = [text for text, _ in blocks(page, "sh") if "--domain 42" in text]
     words = shlex.split(node.replace("--domain 42", f"--domain {domain}"))
     started = [
@@ -186,7 +212,7 @@ def test_a_camera_is_fitted_as_the_page_on_cameras_says(tmp_path):
         assert lens["centre"] == pytest.approx(centre, abs=0.5)
 
 
-def commands():
+def typed():
     """Every command of the pages' shell blocks, without its comment."""
     for page in PAGES:
         for text, _ in blocks(page, "sh", "bash"):
@@ -196,7 +222,7 @@ def commands():
                     yield pytest.param(words, id=f"{name(page)}: {' '.join(words)}")
 
 
-@pytest.mark.parametrize("words", [*commands()])
+@pytest.mark.parametrize("words", [*typed()])
 def test_a_command_can_be_typed(words):
     """Options exist and take what is given; scripts and targets of make are there. Nothing is run."""
     program, *arguments = words
@@ -210,7 +236,7 @@ def test_a_command_can_be_typed(words):
         assert program in ("pip", "vllm")
 
 
-@pytest.mark.parametrize("script", ["mean", "degree", "parallax"])
+@pytest.mark.parametrize("script", ["mean", "degree", "parallax", "presence"])
 def test_the_tables_of_the_method_are_what_the_figures_show(script, monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS / "figures"))
     printed = "\n".join(importlib.import_module(script).table()) + "\n"
@@ -234,6 +260,13 @@ def test_the_charts_of_the_results_are_drawn_from_the_tables(monkeypatch, tmp_pa
     for draw in (results.right, results.honest, results.searches, results.cost):
         draw()
     assert {path.name for path in tmp_path.iterdir()} <= {path.name for path in (DOCS / "images").iterdir()}
+
+
+def test_the_demo_shows_the_study_of_the_docs():
+    page = (DOCS / "results" / "navigation.md").read_text(encoding="utf-8").partition(STUDY_COMMAND)[2]
+    rows = [row.split()[1:] for row in page.splitlines() if re.match("(frame|eagor|vmf|grid_filter) +[0-9]", row)][:4]
+    written = [[float(word.strip("[]")) for word in row if word.strip("[]")][:9] for row in rows]
+    assert written == [[number for cell in cells for number in cell] for cells in STUDY.values()]
 
 
 def test_the_page_of_the_architecture_agrees_with_the_source(monkeypatch):

@@ -16,7 +16,7 @@ from eagor._extras import how_to_install
 from eagor.belief import Belief
 from eagor.cli import main, models
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation.labelled_apartments import apartment_labels
+from eagor.evaluation.labelled_looks import apartment_labels
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.media.cutting import cut
@@ -40,6 +40,14 @@ RUNS = {"waypoint": "leg_steps=4", "navigation": "max_steps=3", "tracking": "ste
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
+# Of each family by itself: tests/contracts/test_transformers.py.
+families = pytest.mark.parametrize(
+    "family",
+    [
+        one if one in ("qwen2_5_vl", "gemma3") else pytest.param(one, marks=pytest.mark.slow)
+        for one in vlm_models.LANGUAGE
+    ],
+)
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +117,7 @@ def nobody():
 # --- locate ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+@families
 def test_locate_points_at_what_the_planted_head_looks_at(eagor, planted, panorama, family):
     folder = planted(family)
     spec = f"{folder}?extractor=attention&presence=false&heads={folder / 'heads.json'}"
@@ -140,14 +148,13 @@ def test_locate_asks_a_server(eagor, panorama):
 
 def seen_in_a_view(perception, place):
     """Where a view of 54 x 96 pixels towards azimuth 0 has its best direction, with a red thing at `place`."""
-    pitch, hfov = 0.1, math.radians(100)
-    grid = PerspectiveGrid(54, 96, hfov, world_R_body(0.0, -pitch))
+    grid = PerspectiveGrid(54, 96, math.radians(100), world_R_body(0.0, -0.1))
     image = cut(vlm_models.marked(*place, radius=0.2, rows=256, seed=5), grid)[0]
-    evidence = look_at_view(perception, image, pitch, hfov, "red thing", stamp=2.0)
+    evidence = look_at_view(perception, image, grid, "red thing", stamp=2.0)
     return evidence, Belief.uniform(15).update(evidence).mode()
 
 
-@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+@families
 def test_a_model_looks_at_an_ordinary_picture(planted, family):
     folder = planted(family)
     pixels = {"pixels": vlm_models.PIXELS[family]} if family in vlm_models.PIXELS else {}
@@ -186,7 +193,9 @@ def records(folder):
     return [json.loads(line) for file in files for line in file.read_text().splitlines() if line]
 
 
-@pytest.mark.parametrize("task", RUNS)
+@pytest.mark.parametrize(
+    "task", ["navigation", *(pytest.param(task, marks=pytest.mark.slow) for task in ("waypoint", "tracking"))]
+)
 def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
     loads, really = [], loading.load_model
     monkeypatch.setattr(loading, "load_model", lambda name, **rest: loads.append(name) or really(name, **rest))
@@ -214,6 +223,7 @@ def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
     assert "ms each on average" in page
 
 
+@pytest.mark.slow
 def test_a_run_on_two_processes(eagor, planted, tmp_path):
     spec = f"{planted(QWEN)}?{SMALL}&extractor=attention"
     words = ("bench", "run", "navigation", "--perception", spec, "--seed", "3", "--set", "max_steps=2")
@@ -270,7 +280,7 @@ def test_a_perception_is_made_once_per_process():
     shared.cache_clear()
 
 
-@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+@families
 def test_panoramas_are_rendered_as_fine_as_the_model_sees(planted, family):
     perception = load(str(planted(family)))
     rows = rows_of(perception)
@@ -446,7 +456,7 @@ def test_labels_of_apartments_are_true():
 
 def test_labels_of_apartments_point_at_the_thing(monkeypatch):
     """The instance that is seen in the direction of a label is the one that the query names."""
-    from eagor.evaluation import labelled_apartments
+    from eagor.evaluation import labelled_looks
     from eagor.tasks.places import Place
 
     frames = []
@@ -458,7 +468,7 @@ def test_labels_of_apartments_point_at_the_thing(monkeypatch):
 
     monkeypatch.setattr(Place, "ids", ids)
     hits = []
-    for example in labelled_apartments.apartment_labels(4, 11, 32):
+    for example in labelled_looks.apartment_labels(4, 11, 32):
         place, seen = frames[-1]
         (target,) = (thing for thing, query in place.nameable().items() if str(query) == example.query)
         grid = ErpGrid(*seen.shape)

@@ -35,7 +35,7 @@ def followed(tmp_path_factory):
         Image.fromarray(np.roll(room, 16 * k, axis=1)).save(folder / "frames" / f"{k}.png")
         lines.append(f"{k / 2},{22.5 * k},0,0,{0.1 * k},0,1,{k}.png")
     (folder / "poses.csv").write_text("\n".join(lines) + "\n")
-    words = ["track", folder / "frames", "the red ball", "--poses", folder / "poses.csv"]
+    words = ["track", folder / "frames", "red", "--poses", folder / "poses.csv"]
     words += ["--out", folder / "found.jsonl", "--rerun", folder / "run.rrd"]
     assert main([str(word) for word in words]) == 0
     return folder
@@ -72,6 +72,7 @@ def test_a_log_holds_the_answers_of_the_table(followed):
     assert any("TextLog:text" in key for key in log)
 
 
+@pytest.mark.slow
 def test_the_viewer_shows_it(followed):
     """A picture of the viewer without a screen; it is not blank, and the belief glows on the panorama."""
     if shutil.which("xvfb-run") is None:

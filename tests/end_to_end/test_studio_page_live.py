@@ -146,6 +146,7 @@ def test_a_walk_shows_a_belief_that_is_the_servers(studio: Studio) -> None:
     page.kept("walk")
 
 
+@pytest.mark.slow
 def test_a_person_asks_for_something_else(studio: Studio) -> None:
     page = go(studio, "walk")
     page.until("window.eagorStudio.store.scene")
@@ -175,6 +176,7 @@ def test_a_person_steers_with_the_arrow_keys_and_the_stick(studio: Studio) -> No
     page.get_by_role("radio", name="policy").check(force=True)
 
 
+@pytest.mark.slow
 def test_the_degree_is_changed_and_the_belief_with_it(studio: Studio) -> None:
     page = go(studio, "walk")
     page.until("window.eagorStudio.store.scene?.degree === 15 && window.eagorStudio.summary.peak")
@@ -243,6 +245,7 @@ def test_a_picture_is_dropped_and_the_belief_stays_with_it(studio: Studio) -> No
     page.kept("picture")
 
 
+@pytest.mark.slow
 def test_the_newest_look_is_a_layer(studio: Studio) -> None:
     """What the evidence of one look says is highest where the ball is; drawn, it is another picture than the belief."""
     page = dropped(studio)
@@ -288,6 +291,7 @@ def test_a_video_is_dropped_paused_and_sought(studio: Studio, tmp_path: Path) ->
     page.kept("video")
 
 
+@pytest.mark.slow
 def test_a_run_that_is_empty_is_said_so(studio: Studio) -> None:
     page = go(studio, "run")
     page.until("document.querySelectorAll('.controls option').length >= 2")
@@ -299,6 +303,7 @@ def test_a_run_that_is_empty_is_said_so(studio: Studio) -> None:
     page.errors[:] = [error for error in page.errors if "status of 4" not in error]
 
 
+@pytest.mark.slow
 def test_a_folder_without_runs_says_how_to_make_one(studio: Studio) -> None:
     page = studio.page
     empty = json.dumps({"folder": "/nowhere/runs", "runs": []})
@@ -327,6 +332,7 @@ def test_a_live_source_is_watched(studio: Studio) -> None:
     page.kept("live")
 
 
+@pytest.mark.slow
 def test_updates_are_evaluated_as_they_come(studio: Studio) -> None:
     page = go(studio, "walk")
     page.until("window.eagorStudio.store.history.length > 3")

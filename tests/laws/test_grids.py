@@ -10,9 +10,17 @@ from strategies import random_directions, rotations
 
 from eagor.errors import GridError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid, fejer_weights
+from eagor.lenses import PinholeLens
 from eagor.sphere import angular_distance, direction
 
-VIEWS = [PerspectiveGrid(36, 64, math.radians(100)), FisheyeGrid(48, math.radians(190))]
+OFF_CENTRE = PinholeLens("phone", (64, 36), (40.0, 44.0), (30.0, 20.0))
+DISTORTED = PinholeLens("wide", (640, 360), (330.0, 332.0), (318.0, 176.0), (-0.28, 0.09, 0.0007, -0.0004, -0.013))
+VIEWS = [
+    PerspectiveGrid(36, 64, math.radians(100)),
+    FisheyeGrid(48, math.radians(190)),
+    PerspectiveGrid.of_lens(OFF_CENTRE),
+    PerspectiveGrid.of_lens(DISTORTED),
+]
 WHOLE = [ErpGrid(9, 20), PatchGrid(9, 20), ErpGrid(64, 128), PatchGrid(37, 74)]
 
 

@@ -1,7 +1,6 @@
 """Primitives: where they lie, that they are closed and wound outwards, and that their texture is measured in metres."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +9,8 @@ from hypothesis import strategies as st
 from strategies import rotations
 
 from eagor.errors import WorldError
-from eagor.worlds.apartment import curved, mesh
+from eagor.worlds.apartment import mesh as m
 from eagor.worlds.scene import Material
-
-m = SimpleNamespace(**{**vars(mesh), **vars(curved)})  # all primitives under one name
 
 LENGTHS = st.floats(0.05, 2.0)
 SIZES = st.tuples(LENGTHS, LENGTHS, LENGTHS)

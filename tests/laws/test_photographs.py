@@ -61,10 +61,10 @@ def test_a_cropped_panorama_is_put_where_it_was(tmp_path, kind):
     area = {"FullPanoWidthPixels": 256, "FullPanoHeightPixels": 128, "CroppedAreaImageWidthPixels": 160}
     area |= {"CroppedAreaImageHeightPixels": 64, "CroppedAreaLeftPixels": 48, "CroppedAreaTopPixels": 32}
     photo = read_photograph(saved(tmp_path, whole[32:96, 48:208], xmp(**area), kind))
-    assert photo.panorama.shape == (*SHAPE, 3)
-    assert off(mark(photo.panorama), 40, 15) < 1.0
+    assert photo.picture.shape == (*SHAPE, 3)
+    assert off(mark(photo.picture), 40, 15) < 1.0
     assert photo.unseen.mean() == pytest.approx(1 - 0.5 * 160 / 256)
-    assert (photo.panorama[photo.unseen] == 0).all()
+    assert (photo.picture[photo.unseen] == 0).all()
     assert any("225 x 90 degrees of the sphere" in fact for fact in photo.facts)
     assert photo.level_R_body is None
 
@@ -80,14 +80,14 @@ def test_a_cropped_panorama_is_put_where_it_was(tmp_path, kind):
 def test_how_the_camera_was_held(tmp_path, said, at, level):
     photo = read_photograph(saved(tmp_path, marked(*at), xmp(**said)))
     assert photo.unseen is None
-    assert off(photo.level_R_body @ mark(photo.panorama), *level) < 1.0
-    assert off(mark(turn(photo.panorama, photo.level_R_body)), *level) < 1.0
+    assert off(photo.level_R_body @ mark(photo.picture), *level) < 1.0
+    assert off(mark(turn(photo.picture, photo.level_R_body)), *level) < 1.0
 
 
 def test_the_heading_is_clockwise_from_north(tmp_path):
     photo = read_photograph(saved(tmp_path, marked(0, 0), xmp(PoseHeadingDegrees=90)))
     assert photo.level_R_body is None
-    assert off(photo.world_R_body @ mark(photo.panorama), -90, 0) < 1.0  # east, where north is 0 and west 90
+    assert off(photo.world_R_body @ mark(photo.picture), -90, 0) < 1.0  # east, where north is 0 and west 90
 
 
 def test_as_roll_increases_the_horizon_turns_counterclockwise(tmp_path):
@@ -100,11 +100,11 @@ def test_as_roll_increases_the_horizon_turns_counterclockwise(tmp_path):
 def test_a_photograph_that_says_nothing(tmp_path):
     Image.fromarray(painted_room(64, 128)).save(tmp_path / "room.png")
     photo = read_photograph(tmp_path / "room.png")
-    assert np.array_equal(photo.panorama, painted_room(64, 128))
+    assert np.array_equal(photo.picture, painted_room(64, 128))
     assert (photo.unseen, photo.level_R_body, photo.world_R_body, photo.facts) == (None, None, None, ())
     Image.fromarray(painted_room(64, 128)[:, :100]).save(tmp_path / "room.png")
     with pytest.warns(UserWarning, match="not 2:1"):
-        assert read_photograph(tmp_path / "room.png").panorama.shape == (64, 100, 3)
+        assert read_photograph(tmp_path / "room.png").picture.shape == (64, 100, 3)
 
 
 @pytest.mark.parametrize("kind", ["cylindrical", "cubestrip"])
@@ -125,5 +125,5 @@ def test_other_projections(tmp_path, kind):
 )  # fmt: skip
 def test_what_is_impossible_is_ignored(tmp_path, said):
     photo = read_photograph(saved(tmp_path, marked(0, 0), xmp(**said)))
-    assert photo.panorama.shape == (*SHAPE, 3)
+    assert photo.picture.shape == (*SHAPE, 3)
     assert (photo.unseen, photo.level_R_body) == (None, None)

@@ -1,7 +1,7 @@
 """habitat-lab reads what we write, its measures of our recorded paths are ours, and our episodes can be won in it.
 
-Needs habitat-lab and Habitat-Sim, which no extra of ours brings: `benchmarks/habitat_measures.py` and
-`benchmarks/habitat_walks.py` say the figures.
+Needs habitat-lab and Habitat-Sim, which no extra of ours brings: `benchmarks/habitat_walks.py` says
+the figures.
 """
 
 import habitat_lab

@@ -1,4 +1,4 @@
-"""Promised: a record that is not what was written is named, with what is wrong; ``benchmarks/attack.py`` does more."""
+"""Promised: a record that is not what was written is named, with what is wrong."""
 
 import copy
 import html

@@ -14,7 +14,7 @@ from strategies import HOSTILE
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
 from eagor.evaluation import ledger, predictions
-from eagor.evaluation.replayed import read_truth
+from eagor.evaluation.labelled_looks import read_truth
 from eagor.evidence import Evidence
 from eagor.media.pose_files import read_poses
 from eagor.perception.calibrated import Calibrated, read_calibrated

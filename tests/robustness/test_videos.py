@@ -281,7 +281,7 @@ def test_damaged_videos(folder, blob):
         frames, _ = clips.taken(video)
         stamps = [f.stamp for f in frames]
         assert sorted(set(stamps)) == stamps
-        assert all(f.panorama.shape == (*video.shape, 3) for f in frames)
+        assert all(f.picture.shape == (*video.shape, 3) for f in frames)
 
     reads(look, "b.mp4")
 
@@ -349,6 +349,7 @@ with av.open(sys.argv[1], "w") as container:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is of Linux")
+@pytest.mark.slow
 def test_8k_stays_below_one_and_a_half_gigabytes(tmp_path):
     path = str(tmp_path / "8k.mp4")
     subprocess.run([sys.executable, "-c", WRITE, path], check=True, timeout=300)

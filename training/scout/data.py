@@ -76,8 +76,7 @@ def make(job: tuple[int, Path, int, int, bool]) -> tuple[int, float]:
     from eagor.worlds.apartment import generate
     from eagor.worlds.ground import Ground
     from eagor.worlds.lattice import STEP, Lattice
-    from eagor.worlds.render import Renderer
-    from eagor.worlds.shading import Shader
+    from eagor.worlds.render import Renderer, Shader
 
     scene = generate(seed)
     place = Place(scene, Ground.from_scene(scene), Renderer(scene))

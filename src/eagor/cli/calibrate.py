@@ -33,8 +33,7 @@ from eagor.errors import EagorError, PoseError
 if TYPE_CHECKING:
     from eagor.evaluation.detector_fit import DetectorFit
     from eagor.evaluation.detector_unlabelled import UnlabelledFit
-    from eagor.evaluation.labelled_looks import LabelledLook
-    from eagor.evaluation.replayed import Pose
+    from eagor.evaluation.labelled_looks import LabelledLook, Pose
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.vlm.labelled import Labelled
 
@@ -150,7 +149,7 @@ def responses(options: Calibrate) -> int:
 def replay(options: Calibrate, what: str) -> int:
     """``eagor calibrate --replay FILE --truth FILE``."""
     from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
-    from eagor.evaluation.replayed import read_truth, replayed_looks
+    from eagor.evaluation.labelled_looks import read_truth, replayed_looks
     from eagor.perception.replay import ReplayPerception
 
     if wrong := given(options, ("perception", *NOT_OF_LOOKS)):
@@ -233,8 +232,7 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
     import numpy as np
 
     from eagor.cli.track import journey_of
-    from eagor.evaluation.labelled_looks import LabelledLook
-    from eagor.evaluation.replayed import joined
+    from eagor.evaluation.labelled_looks import LabelledLook, joined
     from eagor.perception.footage import HiddenParts, look_at
 
     perception, found, lost, bad = make_perception(spec), [], 0, 0
@@ -369,7 +367,7 @@ def heads(options: Calibrate) -> int:
     if "attention" not in perception.family.extractors:
         raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
     if options.labels is None:
-        from eagor.evaluation.labelled_apartments import apartment_labels
+        from eagor.evaluation.labelled_looks import apartment_labels
         from eagor.perception import rows_of
 
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))

@@ -304,7 +304,7 @@ def _film(
     count = 0
     for frames in lens_videos(paths, None if rig is None else len(rig.sizes), rate=rate, start=start):
         count += 1
-        yield tuple(frame.panorama for frame in frames)
+        yield tuple(frame.picture for frame in frames)
     if not count:
         raise ImageError(f"{paths[0]} has no picture from {start:g} s on")
 

@@ -1,4 +1,4 @@
-"""``eagor locate``: one panorama, one look, one answer."""
+"""``eagor locate``: one picture, one look, one answer."""
 
 from __future__ import annotations
 
@@ -20,35 +20,34 @@ from eagor.cli.checks import (
     keep_picture,
     make_perception,
     mask_of,
+    ordinary,
     perception_for,
     say_of_replay,
     say_of_video,
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import Common, Detector, Floor, Force, Mask, Modes, Out, RigFile, Whole, bare
+from eagor.cli.options import CameraFile, Common, Detector, Floor, Force, Hfov, Mask, Modes, Out, RigFile, Whole, bare
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from eagor.media.panorama import PanoramaFile
+    from eagor.media.panorama import Picture
     from eagor.perception import Perception
     from eagor.tracking.estimate import Estimate
 
 
 @dataclass(frozen=True, kw_only=True)
 class Locate(Common):
-    """Find the direction of an object in one panorama."""
+    """Find the direction of an object in one picture: a panorama, or one of an ordinary camera."""
 
     runs: ClassVar[str] = "locate"
 
-    panorama: Annotated[Path, Positional, arg(metavar="PANO")]
-    """An equirectangular image, or a 360-degree video; its centre is forward."""
+    file: Annotated[Path, Positional, arg(metavar="PICTURE")]
+    """An equirectangular image, an ordinary picture (--hfov, --camera), or a video; its centre is forward."""
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
     perception: Annotated[str | None, bare("NAME")] = None
     (
-        "The detector (default: colour if the query names one, otherwise coco): colour (the colour that the query "
+        "The detector (default: coco, or colour where only the colour is known): colour (the colour that the query "
         "names; colour:rows=512 for things of 1 degree), "
         "coco (a small network for everyday things, `eagor models get coco`), "
         "replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), a model "
@@ -65,13 +64,16 @@ class Locate(Common):
     stamp: Annotated[float | None, bare("SECONDS")] = None
     """Time of the replay record to use (default: the first record for this query), or of a video's frame."""
     picture: Annotated[Path | None, bare("FILE.png")] = None
-    """Draw the belief over the panorama."""
+    """Draw the belief over the picture."""
     out: Out = None
+    hfov: Hfov = None
+    camera: CameraFile = None
     mask: Mask = None
     rig: RigFile = None
     force: Force = False
 
 
+PASTED = 512  # rows of the panorama on which an ordinary picture is drawn
 NEAR = 15  # degrees: the error that still leads a person to the object
 
 
@@ -86,19 +88,19 @@ def locate(options: Locate) -> int:
     query = checked_query(options.query)
     spec = perception_for(query, options.perception)
     checked_modes(options.modes)
-    check_not_read(options.picture, "--picture", [options.panorama])
-    check_not_read(options.out, "--out", [options.panorama])
+    check_not_read(options.picture, "--picture", [options.file])
+    check_not_read(options.out, "--out", [options.file])
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     config = replace(config, floor_height=_checked_floor(options.floor))
     if options.picture is not None:
         checked_picture(options.picture)
     with table(options.out) if options.out is not None else nullcontext() as write:
-        perception, stamp = make_perception(spec), options.stamp
+        perception, stamp = make_perception(spec, busy=True), options.stamp
         if stamp is None:  # a replay answers at its own times
             records = perception.records if isinstance(perception, ReplayPerception) else ()
             stamp = next((record.stamp for record in records if record.answers(query)), 0.0)
         frame = _frame(options, perception)
-        looks = look(perception, frame.panorama, query, stamp, frame.level_R_body)
+        looks = look(perception, frame.picture, query, stamp, frame.level_R_body, frame.grid)
         looks = HiddenParts(mask_of(options.mask), terminal.log).covered(looks, frame)
         warn_of_detector(options.detector, looks)
         follower, stamps = Follower(config), sorted({float(evidence.stamp or 0.0) for evidence in looks})
@@ -109,9 +111,9 @@ def locate(options: Locate) -> int:
             follower.look(evidence)
         estimate = follower.estimate(stamps[-1])
         if options.picture is not None:
-            _draw(options, frame.panorama, estimate)
+            _draw(options, frame, estimate)
         found = {
-            "query": options.query, "perception": spec, "frame": options.panorama.name, "stamp": stamps[-1],
+            "query": options.query, "perception": spec, "frame": options.file.name, "stamp": stamps[-1],
             **estimate.as_dict(options.modes, NEAR),
         }  # fmt: skip
         if write is not None:
@@ -125,20 +127,20 @@ def locate(options: Locate) -> int:
     return terminal.OK
 
 
-def _frame(options: Locate, perception: Perception) -> PanoramaFile:
+def _frame(options: Locate, perception: Perception) -> Picture:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
     from eagor.media.footage import LEAST_ROWS, FrameCheck, LensPictures, is_video, open_video
-    from eagor.media.panorama import PanoramaFile
+    from eagor.media.panorama import Picture
     from eagor.perception import rows_of
 
-    check = FrameCheck(options.force, terminal.log)
-    if not is_video([options.panorama]):
-        return check.read(options.panorama) if options.rig is None else LensPictures(options.rig).read(options.panorama)
+    check = FrameCheck(options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig))
+    if not is_video([options.file]):
+        return check.read(options.file) if options.rig is None else LensPictures(options.rig).read(options.file)
     rows = max(rows_of(perception), LEAST_ROWS)
-    video = open_video([options.panorama], options.rig, start=options.stamp or 0.0, rows=rows)
-    say_of_video(options.panorama.name, video.facts, video.duration)
+    video = open_video([options.file], options.rig, start=options.stamp or 0.0, rows=rows)
+    say_of_video(options.file.name, video.facts, video.duration)
     first = next(iter(video))
-    return check(PanoramaFile(first.panorama, video.unseen, video.level_R_body), first.name)
+    return check(Picture(first.picture, video.unseen, video.level_R_body), first.name, video.told)
 
 
 def _checked_floor(floor: float | None) -> float | None:
@@ -155,7 +157,7 @@ def _print(options: Locate, spec: str, estimate: Estimate) -> None:
     from eagor.perception import short_name
 
     known = estimate.direction is not None
-    print(f"{options.query}, in {options.panorama.name}, as {short_name(spec)} sees it")
+    print(f"{options.query}, in {options.file.name}, as {short_name(spec)} sees it")
     print(f"  status          {estimate.status}: {STATUS[estimate.status]}")
     print(f"  direction       {answer_in_words(estimate)}")
     if known:
@@ -185,11 +187,13 @@ def _print_modes(estimate: Estimate, count: int) -> None:
     print(f"                  {'':17} {100 * elsewhere:5.0f} %  elsewhere")
 
 
-def _draw(options: Locate, panorama: np.ndarray, estimate: Estimate) -> None:
+def _draw(options: Locate, frame: Picture, estimate: Estimate) -> None:
     from eagor.drawing import draw_belief
     from eagor.drawing.words import answer_in_words
+    from eagor.perception.partial import pasted
 
     assert options.picture is not None
     title = f"“{options.query}”: {answer_in_words(estimate)} ({estimate.status})"
     modes = [mode.direction for mode in estimate.modes[: options.modes]]
+    panorama = frame.picture if frame.grid is None else pasted(frame.picture, frame.grid, PASTED)
     keep_picture(draw_belief(panorama, estimate, modes=modes, title=title), options.picture)

@@ -68,6 +68,14 @@ RigFile = Annotated[
     Path | None,
     bare("FILE.yaml", "Lenses, for pictures that are not stitched: their circles (eagor camera calibrate)."),
 ]
+Hfov = Annotated[
+    float | None,
+    bare("DEGREES", "An ordinary camera: its field of view across the picture's width (default: as its file says)."),
+]
+CameraFile = Annotated[
+    Path | None,
+    bare("FILE", "An ordinary camera: its calibration by ROS, OpenCV, Kalibr or COLMAP, or a rig with one lens."),
+]
 Mask = Annotated[
     Path | None,
     bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),

@@ -1,7 +1,8 @@
-"""``eagor track``: a video or a sequence of panoramas, one line per look.
+"""``eagor track``: a video or a sequence of pictures, one line per look.
 
 A frame that cannot be read is reported on stderr; the poses carry the belief over it, and the exit code is 3. A first
-frame that is not 2:1 ends the run, because the others will hardly be. ``--out`` is flushed after every line.
+frame of which nothing tells where it looks ends the run, because the others will hardly do better. ``--out`` is flushed
+after every line.
 """
 
 from __future__ import annotations
@@ -29,31 +30,55 @@ from eagor.cli.checks import (
     keep_picture,
     make_perception,
     mask_of,
+    ordinary,
     perception_for,
     say_of_replay,
     say_of_video,
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import Common, Detector, Flag, Floor, Force, Mask, Modes, Out, Rerun, RigFile, Whole, bare, given
+from eagor.cli.options import (
+    CameraFile,
+    Common,
+    Detector,
+    Flag,
+    Floor,
+    Force,
+    Hfov,
+    Mask,
+    Modes,
+    Out,
+    Rerun,
+    RigFile,
+    Whole,
+    bare,
+    given,
+)
+from eagor.cli.recorded import list_seen, recorded
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
-    from eagor.media.footage import Frames
+    import numpy as np
+
+    from eagor.media.footage import FrameCheck, Frames
     from eagor.media.pose_files import FramePose
     from eagor.media.posed_frames import PosedFrame
     from eagor.perception import Perception
     from eagor.perception.footage import FollowedFrame, Method
+    from eagor.perception.replay import ReplayPerception
 
 
 @dataclass(frozen=True, kw_only=True)
 class Track(Common):
-    """Follow an object through a 360-degree video, or a sequence of panoramas."""
+    """Follow an object through a video or a sequence of pictures: panoramas, or of an ordinary camera."""
 
     runs: ClassVar[str] = "track"
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
-    """A video, a folder of panoramas, several image files (sorted by name), or a ROS 2 bag; then what to look for."""
+    (
+        "A video, a folder of pictures, several image files (sorted by name), or a ROS 2 bag; then what to look for. "
+        "Or what eagor look wrote (LOOKS.jsonl); without QUERY, that lists what was seen."
+    )
     poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
     (
         "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
@@ -97,6 +122,8 @@ class Track(Common):
     """Draw each frame with the belief into this folder."""
     rerun: Rerun = None
     out: Out = None
+    hfov: Hfov = None
+    camera: CameraFile = None
     mask: Mask = None
     rig: RigFile = None
     force: Force = False
@@ -107,19 +134,24 @@ SEEN = {
     "level": "headings from the pictures themselves, which are taken as level",
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
+PASTED = 512  # rows of the panoramas on which ordinary pictures are drawn
 
 
 def track(options: Track) -> int:
     """Run the command; returns its exit code."""
+    from eagor.media.posed_frames import ahead
     from eagor.perception.footage import HiddenParts, follow
 
+    if len(options.words) == 1 and (replay := recorded(options, [Path(options.words[0])])) is not None:
+        return _list_seen(options, replay)
     if len(options.words) < 2:
         raise terminal.UsageError(
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
     query = checked_query(options.words[-1])
-    spec = perception_for(query, options.perception)
     places = [Path(word) for word in options.words[:-1]]
+    replay = recorded(options, places)
+    spec = perception_for(query, options.perception) if replay is None else _seen_by(replay)
     check_not_read(options.out, "--out", [*places, Path(options.poses)])
     check_not_read(options.picture, "--pictures", places)
     check_not_read(options.video, "--video", places)
@@ -127,8 +159,8 @@ def track(options: Track) -> int:
     check_not_read(options.rerun, "--rerun", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     checked_modes(options.modes)
-    perception = make_perception(spec)
-    journey = journey_of(options, places, perception)
+    perception = make_perception(spec, busy=True) if replay is None else replay
+    journey = journey_of(options, places, perception) if replay is None else _of_looks(replay)
     floor = _checked_floor(options.floor, journey)
     config = replace(config, floor_height=floor, drift=checked_drift(options.drift))
     run = _Run(options, query, spec, perception, journey.begins)
@@ -137,7 +169,8 @@ def track(options: Track) -> int:
         keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
         advance = stack.enter_context(terminal.progress("looking", journey.count, shown=not options.json))
         hidden = HiddenParts(mask_of(options.mask), terminal.log)
-        for result in _until_it_breaks(follow(journey.frames, perception, query, config, rivals, hidden), run):
+        frames = ahead(journey.frames)
+        for result in _until_it_breaks(follow(frames, perception, query, config, rivals, hidden), run):
             run.add(result)
             for each in keep:
                 each(result)
@@ -199,14 +232,43 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
     return _of_images(options, places, poses)
 
 
+def _of_looks(replay: ReplayPerception) -> Journey:
+    """The journey that a file of looks holds: no pictures, and the poses as they were when it was made."""
+    from eagor.perception.looks import about, recorded_frames
+
+    frames, footage = recorded_frames(replay), about(replay)
+    looks = [each for each in frames if each.frame is not None]
+    span = frames[-1].pose.stamp - frames[0].pose.stamp
+    poses = [each.pose for each in frames]
+    terminal.log(f"{len(looks)} looks of {footage.perception} at {footage.of}, {footage.poses}")
+    return Journey(iter(frames), len(looks), footage.poses, poses, None, span, footage.begins)
+
+
+def _seen_by(replay: ReplayPerception) -> str:
+    from eagor.perception.looks import about
+
+    return about(replay).perception
+
+
+def _list_seen(options: Track, replay: ReplayPerception) -> int:
+    """Print what was seen where."""
+    from eagor.perception.footage import HiddenParts
+
+    spec, journey = _seen_by(replay), _of_looks(replay)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    floor, drift = _checked_floor(options.floor, journey), checked_drift(options.drift)
+    hidden = HiddenParts(mask_of(options.mask), terminal.log)
+    return list_seen(options, replay, replace(config, floor_height=floor, drift=drift), hidden, options.modes)
+
+
 def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
-    from eagor.media.footage import FrameCheck, VideoFrames, open_video
+    from eagor.media.footage import VideoFrames, open_video
     from eagor.media.posed_frames import thinned
 
     looks, shown = _rates(options)
     video = open_video(places, options.rig, rate=shown, start=options.start, end=options.end, rows=rows)
     say_of_video(places[0].name, video.facts, video.duration)
-    source = VideoFrames(video, FrameCheck(options.force, terminal.log))
+    source = VideoFrames(video, _check(options))
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
     end = options.end or video.duration
@@ -215,14 +277,14 @@ def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose]
 
 
 def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:
-    from eagor.media.footage import FrameCheck, images
+    from eagor.media.footage import images
 
     if wrong := given(options, ("start", "end", "fps")):
         raise terminal.UsageError(f"--{wrong[0]} is for a video; these are images")
     if poses and options.rate is not None:
         raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
     rate = options.rate or 1.0
-    source = images(places, rate, FrameCheck(options.force, terminal.log), options.rig)
+    source = images(places, rate, _check(options), options.rig)
     frames, told = _posed(options, source, poses)
     if poses:
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
@@ -234,7 +296,7 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
-    from eagor.media.footage import BagFrames, FrameCheck
+    from eagor.media.footage import BagFrames
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
@@ -244,7 +306,7 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
 
         rig = read_rig(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
-    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
+    source = BagFrames(camera, shown, options.start, options.end, _check(options))
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)
@@ -256,6 +318,13 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
     terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
     placed = odometry is not None and odometry.kind != IMU
     return Journey(thinned(frames, looks, camera.begins), None, told, poses, shown, None, camera.begins, placed)
+
+
+def _check(options: Track) -> FrameCheck:
+    """What is asked of each frame: a whole panorama, or a lens that the options or its file tell."""
+    from eagor.media.footage import FrameCheck
+
+    return FrameCheck(options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig))
 
 
 def _rates(options: Track) -> tuple[float, float]:
@@ -379,6 +448,15 @@ class _Run:
 Sink = Callable[["FollowedFrame"], None]
 
 
+def _panorama(result: FollowedFrame) -> np.ndarray | None:
+    """The frame as a panorama; an ordinary picture is put where it looked."""
+    from eagor.perception.partial import pasted
+
+    if result.picture is None or result.grid is None:
+        return result.picture
+    return pasted(result.picture, result.grid, PASTED)
+
+
 def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
     """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
     if options.out:
@@ -408,9 +486,9 @@ def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
     with BeliefVideo(checked_out(path, "--video"), rate=journey.shown, span=journey.span) as video:
 
         def add(result: FollowedFrame) -> None:
-            if result.panorama is not None:
+            if result.picture is not None:
                 video.add(
-                    result.panorama,
+                    _panorama(result),
                     result.estimate,
                     stamp=result.stamp - journey.begins,
                     query=query,
@@ -427,9 +505,9 @@ def _logged(path: Path, query: str) -> Iterator[Sink]:
     with RerunLog(checked_out(path, "--rerun"), f"{query}: {path.name}") as log:
 
         def add(result: FollowedFrame) -> None:
-            if result.panorama is not None or result.told:
+            if result.picture is not None or result.told:
                 log.add(
-                    result.panorama, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    _panorama(result), result.estimate, stamp=result.stamp, query=query, position=result.position,
                     others=result.others, problem=result.problem,
                 )  # fmt: skip
 
@@ -448,7 +526,7 @@ def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> It
             if result.lost:
                 page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
             at, problem = result.stamp - journey.begins, result.problem
-            page.add(result.panorama, result.estimate, stamp=at, name=result.frame, problem=problem)
+            page.add(_panorama(result), result.estimate, stamp=at, name=result.frame, problem=problem)
 
         yield add
 
@@ -468,13 +546,13 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
         if not result.told:
             return
         number = next(numbers)
-        if result.panorama is None:
+        if result.picture is None:
             return
         estimate = result.estimate
         title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         modes = [mode.direction for mode in estimate.modes[:most]]
-        picture = draw_belief(result.panorama, estimate, modes=modes, others=shown, title=title)
+        picture = draw_belief(_panorama(result), estimate, modes=modes, others=shown, title=title)
         keep_picture(picture, folder / f"{number:04d}.png")
 
     return draw

@@ -8,9 +8,9 @@
   `benchmark_tables` make the figures of a run, and `comparison` those of two; `predictions`: what others answered;
 - the report: a page (`page`, `sheets`, `charts`, `traces`, `figures`, `scenes`), Markdown, LaTeX and CSV (`export`),
   beside what was `published`;
-- `calibration`: how a perception's responses are read; `labelled_apartments`: panoramas with labels;
+- `calibration`: how a perception's responses are read;
 - `labelled_looks`, `detector_fit` (`detector_em`, `detector_places`): a detector's model from looks with known truth;
-  `replayed`: such looks from files; `detector_unlabelled`: from looks without it.
+  `detector_unlabelled`: from looks without it.
 
 Nothing heavy is imported here.
 """

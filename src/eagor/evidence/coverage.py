@@ -27,7 +27,7 @@ PENALTY = 1000.0
 CONFINE_UP_TO = 31  # above this degree the ringing is narrow and only the taper is used
 
 # A region: what was seen, hashable. The grid's kind and size (or the lens), and the packed mask where one was given.
-Region = tuple[str, int, int, float, bytes]
+Region = tuple[str, int, int, "float | tuple[float, ...]", bytes]
 
 
 def region(grid: Grid, mask: np.ndarray | None) -> Region | None:
@@ -60,12 +60,12 @@ def confine(degree: int, coefficients: Array, where: Region) -> Array:
 
 
 def _forward_grid(where: Region) -> PerspectiveGrid | FisheyeGrid | ErpGrid | PatchGrid:
-    kind, height, width, fov, _ = where
+    kind, height, width, optics, _ = where
     if kind == "pixels":
         return ErpGrid(height, width)
     if kind == "patches":
         return PatchGrid(height, width)
-    lens: ViewKey = (kind, height, width, fov)
+    lens: ViewKey = (kind, height, width, optics)
     return forward_view(lens)
 
 

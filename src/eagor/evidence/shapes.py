@@ -28,7 +28,7 @@ def canvas_of(grid: Grid) -> Grid:
     # Square pixels at the same field of view: the width whose matching height is nearest to a whole number.
     ratio = grid.height / grid.width
     width = min(range(48, 97), key=lambda w: abs(w * ratio - round(w * ratio)) / (w * ratio) if w * ratio >= 1 else 1.0)
-    return replace(grid, height=max(1, round(width * ratio)), width=width)
+    return grid.resized(max(1, round(width * ratio)), width)
 
 
 def moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:

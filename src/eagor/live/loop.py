@@ -285,13 +285,13 @@ class LiveLoop:
                 yield from self._taken(Asked(tick))
                 ticks += 1
             take_poses(now)
-            self._taken(FrameCame(now, now, frame.name, frame.panorama))
-            picture = Picture(now, now, frame.panorama)
+            self._taken(FrameCame(now, now, frame.name, frame.picture))
+            picture = Picture(now, now, frame.picture)
             if self._visual_poses is not None:
                 for event in self._visual_poses.of(picture, lambda at=now: at):
                     self._taken(event)
             queries = [query for query in self.core.queries if query not in self._refused]
-            for said in self._keeper.look(frame.panorama, queries, now, self.core.orientation(now)):
+            for said in self._keeper.look(frame.picture, queries, now, self.core.orientation(now)):
                 self._found(picture, said, now)
         if begun is not None:
             yield from self._taken(Asked(now))
@@ -379,12 +379,12 @@ class LiveLoop:
     def _frame(self, item: tuple[Frame, float]) -> None:
         frame, told = item
         self._last_frame = self.clock.now()
-        shown = frame.panorama if self._watchers else None  # who else would hold on to it?
+        shown = frame.picture if self._watchers else None  # who else would hold on to it?
         self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown))
-        if self.live and (froze := self._frozen.take(frame.panorama, frame.stamp)) != self._froze:
+        if self.live and (froze := self._frozen.take(frame.picture, frame.stamp)) != self._froze:
             self._froze = froze
             self._post(Trouble(self._last_frame, "camera", froze, "frozen"))
-        picture = Picture(frame.stamp, told, frame.panorama)
+        picture = Picture(frame.stamp, told, frame.picture)
         if self._seer is not None:
             self._seer.pictures.give(picture)
         assert self._perception is not None

@@ -25,6 +25,7 @@ from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid
 from eagor.media.bags.reader import is_bag, split_bag
 from eagor.media.frames import CameraSource, Frame
+from eagor.media.intrinsics import Told
 from eagor.media.live_camera import LiveCamera
 from eagor.media.metadata import read_metadata
 from eagor.media.panorama import pictures_in, read_panorama, read_photograph
@@ -184,11 +185,11 @@ class StitchedVideo:
         first = self._videos[0]
         self.shape, self.unseen = self.panoramas.grid.shape, self.panoramas.unseen
         self.duration, self.frame_rate, self.count = first.duration, first.frame_rate, first.count
-        self.facts, self.motion, self.level_R_body = first.facts, first.motion, None
+        self.facts, self.motion, self.level_R_body, self.told = first.facts, first.motion, None, Told()
 
     def __iter__(self) -> Iterator[Frame]:
         for frames in _together(self._videos):
-            pictures = (frame.panorama for frame in frames)
+            pictures = (frame.picture for frame in frames)
             yield Frame(frames[0].stamp, self.panoramas.make(*pictures), frames[0].name)
 
 
@@ -265,8 +266,8 @@ class VideoCamera:
             if self._closed:
                 return
             if number == 0 and self._panoramas is not None:
-                self._panoramas.check(frame.panorama)
-            yield Frame(frame.stamp - self.latency, frame.panorama, frame.name)
+                self._panoramas.check(frame.picture)
+            yield Frame(frame.stamp - self.latency, frame.picture, frame.name)
 
     def close(self) -> None:
         self._closed = True
@@ -323,7 +324,7 @@ class FolderCamera:
         with warnings.catch_warnings():  # of shapes, which are checked here
             warnings.simplefilter("ignore")
             if self._rig is None:
-                return [read_photograph(moment[0]).panorama]
+                return [read_photograph(moment[0]).picture]
             return [read_panorama(path) for path in moment]
 
     def close(self) -> None:

@@ -2,7 +2,8 @@
 
 Hypotheses come from random small samples (RANSAC). They are compared by the expected number of equally good agreements
 among directions that have nothing to do with each other (a contrario RANSAC: Moisan & Stival, IJCV 57, 2004). That
-number also tells whether there is an agreement at all.
+number also tells whether there is an agreement at all. What is probable by chance depends on the field: directions in a
+picture of 60 degrees are never far from each other. So all functions take its area.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from scipy.special import gammaln
 BATCH = 128
 MOST_ROTATIONS, MOST_MOTIONS = 2048, 512  # hypotheses
 MISSED = 1e-4  # probability that no sample was free of mistakes, where sampling stops early
+SPHERE = 4 * math.pi  # steradians
 PARTS = 4  # squares along each edge of a cube's face, about 22 degrees: what is seen there may be one thing
+IN_FIELD = 40  # parts of a field, at least: in a narrow one they are smaller, or there would be too few to vote
 _LEAST = math.sin(math.radians(0.2) / 2) ** 2  # share of the sphere: SIFT's points are no more precise (half a pixel)
 
 
@@ -34,13 +37,13 @@ class Agreement:
 
 
 def agreeing_rotation(
-    here: np.ndarray, there: np.ndarray, random: np.random.Generator, level: bool = False
+    here: np.ndarray, there: np.ndarray, random: np.random.Generator, level: bool = False, area: float = SPHERE
 ) -> Agreement | None:
     """The rotation with ``rotation @ there = here`` for most of the unit vectors ``(n, 3)``; None if there are too few.
 
-    `level`: only about z. A sample is two pairs, or one if level.
+    `level`: only about z. A sample is two pairs, or one if level. `area`: of the field in which they are, steradians.
     """
-    size, parts = 1 if level else 2, Parts(here)
+    size, parts = 1 if level else 2, Parts(here, area)
     if parts.count <= size:
         return None
     products = (here[:, :, None] * there[:, None, :]).reshape(-1, 9)
@@ -52,7 +55,8 @@ def agreeing_rotation(
         rotations = _yaws(u[:, 0], v[:, 0]) if level else _triads(u, v)
         tried += BATCH
         if len(rotations):
-            shares = np.clip((1 - rotations.reshape(-1, 9) @ products.T) / 2, _LEAST, 1)
+            shares = np.maximum((1 - rotations.reshape(-1, 9) @ products.T) / 2, _LEAST)  # of the sphere
+            shares = np.minimum(shares * (SPHERE / area), 1)
             index, log_chance, inliers, part = parts.least_likely(shares, size)
             if best is None or log_chance < best.log_chance:
                 best = Agreement(rotations[index], None, log_chance, inliers)
@@ -61,7 +65,11 @@ def agreeing_rotation(
 
 
 def agreeing_motion(
-    here: np.ndarray, there: np.ndarray, rotation: np.ndarray, random: np.random.Generator
+    here: np.ndarray,
+    there: np.ndarray,
+    rotation: np.ndarray,
+    random: np.random.Generator,
+    area: float = SPHERE,
 ) -> Agreement | None:
     """A rotation and a direction of motion that put most pairs of unit vectors ``(n, 3)`` on epipolar great circles.
 
@@ -69,7 +77,7 @@ def agreeing_motion(
     pairs; and the best that takes both from eight pairs (Longuet-Higgins 1981, in unit vectors). The direction's sign
     and the rotation's twist by half a turn about it are chosen so that things lie ahead. None from too few parts.
     """
-    parts = Parts(here)
+    parts = Parts(here, area)
     if parts.count <= 8:
         return None
     products = (here[:, :, None] * there[:, None, :]).reshape(-1, 9)
@@ -88,7 +96,7 @@ def agreeing_motion(
                 rotations, directions = _eight_points(products[chosen])
             if len(directions) == 0:
                 continue
-            shares = _off_circles(here, there, products, rotations, directions)
+            shares = np.minimum(_off_circles(here, there, products, rotations, directions) * _band(area), 1)
             index, by_pairs, inliers = _least_likely(shares, size)
             if best is None or by_pairs < best[1]:
                 chance = parts.least_likely(shares[index : index + 1], 8)[1]
@@ -103,11 +111,12 @@ class Parts:
     """Pairs grouped by the part of the sphere in which they lie, so that each part counts once.
 
     Neighbours are not independent: a chair seen in two rooms is one coincidence, not thirty, and a tripod with a
-    pattern is not more of the world than a wall with few points.
+    pattern is not more of the world than a wall with few points. `area`: of the field, steradians.
     """
 
-    def __init__(self, here: np.ndarray) -> None:
-        owners = part_of_sphere(here)
+    def __init__(self, here: np.ndarray, area: float = SPHERE) -> None:
+        self.area = area
+        owners = part_of_sphere(here, max(PARTS, math.ceil(math.sqrt(IN_FIELD * SPHERE / area / 6))))
         self.order = np.argsort(owners, kind="stable")
         _, self.starts, self.sizes = np.unique(owners[self.order], return_index=True, return_counts=True)
         self.count = len(self.starts)
@@ -166,14 +175,26 @@ def _off_circles(
     return np.clip(np.abs(across.reshape(-1, 9) @ products.T) / sines, 2 * math.sqrt(_LEAST), 1)
 
 
-def part_of_sphere(directions: np.ndarray) -> np.ndarray:
-    """A number ``(n,)`` for the part of the sphere of each direction ``(n, 3)``: a square on a face of the cube."""
+def _band(area: float) -> float:
+    """How much larger a share of a field than of the sphere a thin band along a great circle is, if the field is round.
+
+    On the sphere a band of half-width d has the share sin d. A field of radius r has a band of 2 r at most.
+    """
+    radius = math.acos(max(1 - area / (2 * math.pi), -1.0))
+    return 4 * radius / area
+
+
+def part_of_sphere(directions: np.ndarray, parts: int = PARTS) -> np.ndarray:
+    """A number ``(n,)`` for the part of the sphere of each direction ``(n, 3)``: a square on a face of the cube.
+
+    `parts`: squares along each edge of the face.
+    """
     axis = np.abs(directions).argmax(axis=1)
     row = np.arange(len(directions))
     ahead = directions[row, axis]
     plane = np.stack([directions[row, (axis + 1) % 3], directions[row, (axis + 2) % 3]], axis=1) / ahead[:, None]
-    square = np.clip(((plane + 1) / 2 * PARTS).astype(int), 0, PARTS - 1)
-    return ((axis * 2 + (ahead < 0)) * PARTS + square[:, 0]) * PARTS + square[:, 1]
+    square = np.clip(((plane + 1) / 2 * parts).astype(int), 0, parts - 1)
+    return ((axis * 2 + (ahead < 0)) * parts + square[:, 0]) * parts + square[:, 1]
 
 
 def _enough(share: float, size: int) -> float:

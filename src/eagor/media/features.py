@@ -1,11 +1,13 @@
-"""Points of a panorama that can be found again: SIFT features to match, and corners to follow by optical flow.
+"""Points of a picture that can be found again: SIFT features to match, and corners to follow by optical flow.
 
 SIFT (Lowe, IJCV 60, 2004) on flat views that cover the sphere, so that neither the seam nor the poles differ from
-other places. Of OpenCV's features it gave the most precise directions: see benchmarks/rotation.py.
+other places. Of OpenCV's features it gave the most precise directions: see benchmarks/rotation.py. The picture of an
+ordinary camera is one such view already, as it is: distortion bends directions, not points.
 
 Following corners takes a fiftieth of the work of matching features. Pyramidal Lucas-Kanade (Bouguet, Intel 2001) needs
 things nearly where they were. So the second panorama is cut into views that stand still in the world by a guess of the
-turn: what is left are errors of the guess, and parallax.
+turn: what is left are errors of the guess, and parallax. An ordinary picture is warped in the same way, as far as the
+two overlap.
 """
 
 from __future__ import annotations
@@ -19,16 +21,24 @@ import numpy as np
 
 from eagor._extras import need
 from eagor._lazy import lazy
+from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
+from eagor.media.consensus import SPHERE
 from eagor.media.cutting import cut, tangent_views
+from eagor.media.panorama import checked_picture
 
 FIELD = math.radians(100)  # of a view; six such views cover the sphere
 SIZE = 320  # pixels of a view
 CONTRAST = 0.02  # half of SIFT's usual threshold: dim rooms have few strong points
 MOST = 400  # points of a view, strongest first
+WIDE = 640  # pixels along the longer side of an ordinary picture; larger ones are shrunk
+MOST_ALONE = 1000  # points of an ordinary picture
 RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004, section 7.1)
 
 CORNERS = 56  # of a view, strongest first; six views give as many pairs as a turn needs
+CORNERS_ALONE = 240  # of an ordinary picture
+PROBES = 9  # points along each side of a picture at which its overlap with another is found
+COARSE = 8  # pixels from node to node of a table of where to read; between them it is straight to a fiftieth of a pixel
 WINDOW = (15, 15)  # pixels about a corner that are compared
 LEVELS = 3  # of the pyramid, each half as large: windows reach 8 degrees and more from the guess
 APART = 7.0  # pixels between corners
@@ -53,10 +63,42 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Six flat views that cover the sphere: `grids` in the body frame, and the grey `pictures` ``(size, size)``."""
+    """Flat views: six that cover the sphere, or the one of an ordinary camera.
+
+    `grids` in the body frame, and the grey `pictures` ``(H, W)``. `within`: None, or of an ordinary picture that was
+    warped its own grid: only there is something to see.
+    """
 
     grids: tuple[PerspectiveGrid, ...]
     pictures: tuple[np.ndarray, ...]
+    within: PerspectiveGrid | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Whether they cover the sphere."""
+        return len(self.grids) > 1
+
+    @classmethod
+    def of_picture(cls, picture: np.ndarray, grid: PerspectiveGrid) -> Views:
+        """The one view of an ordinary picture ``(H, W, 3)`` uint8 with its `grid`, shrunk to `WIDE` pixels.
+
+        Raises `ImageError` where the sizes differ, and `MissingExtraError` without OpenCV.
+        """
+        need("finding features in a picture", "photos", "cv2")
+        import cv2
+
+        image = checked_picture(picture, "the picture")
+        if image.shape[:2] != grid.shape:
+            raise ImageError(
+                f"the picture is {image.shape[1]} x {image.shape[0]}, its grid {grid.width} x {grid.height}; wanted "
+                "the same size: give the grid of this picture, such as grid.resized(rows, columns)"
+            )
+        grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+        by = WIDE / max(grid.shape)
+        if by < 1:
+            grid = grid.resized(max(1, round(grid.height * by)), max(1, round(grid.width * by)))
+            grey = cv2.resize(grey, grid.shape[::-1], interpolation=cv2.INTER_AREA)
+        return cls((grid,), (grey,))
 
     @classmethod
     def of(cls, panorama: np.ndarray, size: int = SIZE, grids: tuple[PerspectiveGrid, ...] = ()) -> Views:
@@ -73,7 +115,7 @@ class Views:
 
     @lazy
     def features(self) -> Features:
-        """The points of the panorama; none in a blank picture.
+        """The points of the picture; none in a blank one.
 
         Views overlap. Each point counts in the view whose axis is nearest, so there are no duplicates.
         """
@@ -89,17 +131,30 @@ class Views:
             rays, own = self.seen(index, np.array([point.pt for point in points]))
             strength = np.array([point.response for point in points])
             own = np.flatnonzero(own)
-            own = own[np.argsort(-strength[own], kind="stable")][:MOST]
+            own = own[np.argsort(-strength[own], kind="stable")][: MOST if self.whole else MOST_ALONE]
             directions.append(rays[own])
             descriptors.append(found[own])
         return Features(np.concatenate(directions), _rooted(np.concatenate(descriptors)))
 
     def seen(self, index: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions ``(n, 3)`` of OpenCV's `points` ``(n, 2)`` in a view, and whether its axis is the nearest one."""
+        """Directions ``(n, 3)`` of OpenCV's `points` ``(n, 2)`` in a view, and whether they count there.
+
+        That is, whether its axis is the nearest one, or whether a warped picture shows them.
+        """
         x, y = points.T.astype(np.float64) + 0.5  # OpenCV counts from the centre of the first pixel
         rays = self.grids[index].unproject(x, y)
+        if self.within is not None:
+            return rays, self.within.project(rays)[2]
         axes = np.array([grid.body_R_view[:, 0] for grid in self.grids])
         return rays, (rays @ axes.T).argmax(axis=1) == index
+
+    @lazy
+    def area(self) -> float:
+        """Steradians that the views show."""
+        if self.whole:
+            return SPHERE
+        (grid,) = self.grids
+        return float(grid.resized(max(1, grid.height // COARSE), max(1, grid.width // COARSE)).weights.sum())
 
 
 def features_of(panorama: np.ndarray, size: int = SIZE) -> Features:
@@ -151,7 +206,7 @@ def corners_of(views: Views) -> tuple[np.ndarray, ...]:
 
     found = []
     for index, picture in enumerate(views.pictures):
-        points = cv2.goodFeaturesToTrack(picture, CORNERS, QUALITY, APART)
+        points = cv2.goodFeaturesToTrack(picture, CORNERS if views.whole else CORNERS_ALONE, QUALITY, APART)
         if points is None:
             points = np.empty((0, 1, 2), np.float32)
         found.append(points[views.seen(index, points[:, 0])[1]])
@@ -164,10 +219,44 @@ def steadied(panorama: np.ndarray, views: Views, old_R_new: np.ndarray) -> Views
     return Views.of(panorama, grids=grids)
 
 
+def warped(new: Views, old: Views, old_R_new: np.ndarray) -> Views:
+    """An ordinary camera's picture `new` as it would be where `old` was taken, if it has turned by `old_R_new` since.
+
+    What `old` shows and `new` does not is made up.
+    """
+    import cv2
+
+    (own,), (picture,), (grid,) = new.grids, new.pictures, old.grids
+    there = replace(grid, body_R_view=old_R_new.T @ grid.body_R_view)
+    (y, down), (x, across) = map(_nodes, grid.shape)
+    u, v, _ = own.project(there.unproject(x, y[:, None]))
+    column, row = (down @ (table - 0.5).astype(np.float32) @ across.T for table in (u, v))
+    seen = cv2.remap(picture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return Views((there,), (seen,), own)
+
+
+@lru_cache(maxsize=8)
+def _nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates ``(n,)`` every `COARSE` pixels, and what interpolates from them ``(count, n)``."""
+    centres = np.arange(count) + 0.5
+    nodes = np.linspace(0.5, count - 0.5, max(2, -(-count // COARSE) + 1))
+    columns = [np.interp(centres, nodes, row) for row in np.eye(len(nodes))]
+    return nodes, np.stack(columns, axis=1).astype(np.float32)
+
+
+def overlap(new: Views, old: Views, old_R_new: np.ndarray) -> float:
+    """The share of `new` that `old` shows as well, if the camera has turned by `old_R_new` ``(3, 3)`` between them."""
+    if old.whole:
+        return 1.0
+    rays = new.grids[0].resized(PROBES, PROBES).directions @ old_R_new.T
+    return float(old.grids[0].project(rays)[2].mean())
+
+
 def followed(old: Views, corners: tuple[np.ndarray, ...], new: Views) -> tuple[np.ndarray, np.ndarray]:
     """Directions ``(m, 3)`` of `corners` that are found again, each in its own body frame.
 
-    A corner counts if it returns to its place when it is followed back. `new`: steadied views of the same size.
+    A corner counts if it returns to its place when it is followed back. `new`: steadied or warped views of the same
+    size.
     """
     import cv2
 
@@ -179,6 +268,8 @@ def followed(old: Views, corners: tuple[np.ndarray, ...], new: Views) -> tuple[n
         back, behind, _ = cv2.calcOpticalFlowPyrLK(now, before, moved, moved.copy(), winSize=WINDOW, maxLevel=LEVELS)
         miss = np.abs(back - points).max(axis=(1, 2))
         good = (ahead[:, 0] == 1) & (behind[:, 0] == 1) & (miss < RETURN)
-        here.append(old.seen(index, points[good, 0])[0])
-        there.append(new.seen(index, moved[good, 0])[0])
+        to, shown = new.seen(index, moved[good, 0])
+        shown |= new.within is None
+        here.append(old.seen(index, points[good, 0])[0][shown])
+        there.append(to[shown])
     return np.concatenate(here), np.concatenate(there)

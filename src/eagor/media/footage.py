@@ -1,7 +1,7 @@
 """Frames of footage in order of time: images, a video, the pictures of a bag; each read when it is its turn.
 
-A long video needs no more memory than a short one. Frames have to be whole panoramas, or are stitched from pictures of
-lenses.
+A long video needs no more memory than a short one. Frames are whole panoramas, are stitched from pictures of lenses, or
+are ordinary pictures with the grid of their lens.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,7 +19,8 @@ import numpy as np
 
 from eagor.errors import ImageError
 from eagor.media.defects import fisheye_circles, problems
-from eagor.media.panorama import PanoramaFile, in_order, is_whole, pictures_in, read_panorama, read_photograph
+from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid, told_by_photograph
+from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
 
 if TYPE_CHECKING:
     from eagor.media.camera_sources import StitchedVideo
@@ -45,40 +46,50 @@ __all__ = [
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
-Read = Callable[[], PanoramaFile]
+NOTHING = Told()
+Read = Callable[[], Picture]
 Say = Callable[[str], object]
 
 
 class ShapeError(ImageError):
-    """A picture is not a whole panorama: its aspect ratio is not 2:1."""
+    """A picture is neither a whole panorama, 2:1, nor known to be that of an ordinary lens."""
 
 
 @dataclass
 class FrameCheck:
-    """Checks that frames are whole panoramas; `say` gets facts that files tell, and what looks odd.
+    """Checks that frames are whole panoramas, or gives them the grid of an ordinary `camera`.
 
-    Only the first whole frame is judged by its pixels, and a wrong shape is mentioned once. With `force`, pictures that
-    are not 2:1 are accepted.
+    `say` gets facts that files tell, and what looks odd. Only the first whole frame is judged by its pixels, and a
+    wrong shape is mentioned once. With `force`, pictures that are not 2:1 are accepted as panoramas. Without a `camera`
+    all have to be panoramas; with one that knows nothing itself, those that are not have a lens that files tell.
     """
 
     force: bool = False
     say: Say = lambda text: None
+    camera: Camera | None = None
     _said: set[str] = field(default_factory=set)
+    _wide: dict[tuple[int, int], Panoramas] = field(default_factory=dict)
 
-    def read(self, path: Path) -> PanoramaFile:
-        """The panorama in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
+    def read(self, path: Path) -> Picture:
+        """The picture in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = read_photograph(path)
-        return self(found, str(path))
+        return self(found, str(path), told_by_photograph(path) if self._is_ordinary(found) else NOTHING)
 
-    def __call__(self, frame: PanoramaFile, name: str) -> PanoramaFile:
-        """`frame`. Raises `ShapeError` if it is not 2:1, or shows the circles of fisheye lenses, unless `force`."""
-        self._check_shape(frame.panorama, name)
+    def __call__(self, frame: Picture, name: str, told: Told = NOTHING) -> Picture:
+        """`frame`, with its grid if it is an ordinary picture; `told`: what its file says of the lens.
+
+        Raises `ShapeError` if nothing is known of the lens, and it is not 2:1, or shows the circles of fisheye lenses,
+        unless `force`.
+        """
+        if self._is_ordinary(frame):
+            return self._ordinary(frame, name, told)
+        self._check_shape(frame.picture, name)
         if "pixels" in self._said:
             return frame
-        found = problems(frame.panorama)
-        if not self.force and fisheye_circles(frame.panorama):
+        found = problems(frame.picture)
+        if not self.force and fisheye_circles(frame.picture):
             raise ShapeError(f"{name}: {found[0]}. To look at it all the same, add --force")
         self._said.add("pixels")  # not before: who reads a frame again that was refused is told again
         for fact in frame.facts:
@@ -87,17 +98,50 @@ class FrameCheck:
             self.say(f"warning: {name}: {problem}")
         return frame
 
+    def _is_ordinary(self, frame: Picture) -> bool:
+        if self.camera is None or frame.unseen is not None:  # its file says where on the sphere it is
+            return False
+        return self.camera.known or not (self.force or is_whole(frame.picture))
+
+    def _ordinary(self, frame: Picture, name: str, told: Told) -> Picture:
+        """An ordinary picture with its grid; that of a fisheye as a panorama, with what it does not see."""
+        assert self.camera is not None
+        height, width = frame.picture.shape[:2]
+        if self.camera.wide:
+            return self._stitched(frame, name)
+        grid = ordinary_grid(self.camera, told, (width, height), name)
+        if grid is None:
+            what = f"{name} is {width} x {height}, not 2:1 as a whole panorama is, and does not tell its lens"
+            why = f" ({'; '.join(told.facts)})" if told.facts else ""
+            raise ShapeError(f"{what}{why}. {ASK}. A panorama all the same: --force (all columns for 360 degrees)")
+        if "lens" not in self._said:
+            self._said.add("lens")
+            high = 2 * math.degrees(math.atan(math.tan(grid.hfov / 2) * height / width))
+            source = self.camera.name or told.source
+            self.say(f"{name}: an ordinary camera, {math.degrees(grid.hfov):.1f} x {high:.1f} degrees, says {source}")
+            for fact in (*frame.facts, *told.facts):
+                self.say(fact if fact.startswith("warning: ") else f"{name}: {fact}")
+        return replace(frame, grid=grid)
+
+    def _stitched(self, frame: Picture, name: str) -> Picture:
+        from eagor.media.stitching import Panoramas
+
+        assert self.camera is not None
+        assert self.camera.rig is not None
+        size = (frame.picture.shape[1], frame.picture.shape[0])
+        if size not in self._wide:
+            self._wide[size] = Panoramas((size,), self.camera.rig, None, name)
+            self.say(f"{name}: a fisheye, as {self.camera.name} says: it is looked at as a part of a panorama")
+        panoramas = self._wide[size]
+        return Picture(panoramas.make(frame.picture), panoramas.unseen)
+
     def _check_shape(self, panorama: np.ndarray, name: str) -> None:
         if is_whole(panorama):
             return
         height, width = panorama.shape[:2]
         what = f"{name} is {width} x {height}, not 2:1"
         if not self.force:
-            raise ShapeError(
-                f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height}). Pad an image that "
-                "covers less than the sphere, or accept it with --force (all columns for 360 degrees, all rows for "
-                "180)"
-            )
+            raise ShapeError(f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height})")
         if "shape" not in self._said:
             self._said.add("shape")
             self.say(f"warning: {what}; accepted, with all columns for 360 degrees and all rows for 180")
@@ -123,11 +167,11 @@ class Frames(Protocol):
 
 @dataclass(frozen=True)
 class ImageFrames:
-    """Panoramas in files, `rate` per second; `read` gives one of them."""
+    """Pictures in files, `rate` per second; `read` gives one of them."""
 
     paths: tuple[Path, ...]
     rate: float
-    read: Callable[[Path], PanoramaFile]
+    read: Callable[[Path], Picture]
     level_R_body: np.ndarray | None = None
 
     @property
@@ -156,8 +200,8 @@ class VideoFrames:
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for frame in self.video:
-            found = PanoramaFile(frame.panorama, self.video.unseen)
-            yield frame.stamp, frame.name, partial(self.check, found, frame.name)
+            found = Picture(frame.picture, self.video.unseen)
+            yield frame.stamp, frame.name, partial(self.check, found, frame.name, self.video.told)
 
 
 @dataclass(frozen=True)
@@ -186,8 +230,8 @@ class BagFrames:
             tick, name = number, f"{self.camera.topic} at {stamp:.3f} s"
             yield stamp, name, partial(self._checked, read, name)
 
-    def _checked(self, read: Callable[[], np.ndarray], name: str) -> PanoramaFile:
-        return self.check(PanoramaFile(read(), self.camera.unseen), name)
+    def _checked(self, read: Callable[[], np.ndarray], name: str) -> Picture:
+        return self.check(Picture(read(), self.camera.unseen), name)
 
 
 def is_video(places: Sequence[Path], rig: Path | None = None) -> bool:
@@ -197,7 +241,7 @@ def is_video(places: Sequence[Path], rig: Path | None = None) -> bool:
 
 
 def images(places: Sequence[Path], rate: float, check: FrameCheck, rig: Path | None = None) -> ImageFrames:
-    """The panoramas in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
+    """The pictures in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
 
     With a `rig` they are pictures of its lenses. Raises `ImageError` for anything else.
     """
@@ -210,7 +254,7 @@ def images(places: Sequence[Path], rate: float, check: FrameCheck, rig: Path | N
         if os.path.isdir(place):
             raise ImageError(f"{place} is a folder; give one folder, or only image files")
         if not os.path.exists(place):
-            raise ImageError(f"there is no file {place}; give a folder of panoramas, or image files")
+            raise ImageError(f"there is no file {place}; give a folder of pictures, or image files")
     return ImageFrames(in_order(places), rate, read)
 
 
@@ -233,7 +277,7 @@ class LensPictures:
                 "pictures with all circles in one"
             )
 
-    def read(self, path: Path) -> PanoramaFile:
+    def read(self, path: Path) -> Picture:
         """The panorama of the picture at `path`. Raises `ImageError`."""
         from eagor.media.stitching import Panoramas
 
@@ -243,7 +287,7 @@ class LensPictures:
         sizes = ((picture.shape[1], picture.shape[0]),)
         if self._panoramas is None or sizes != self._sizes:
             self._panoramas, self._sizes = Panoramas(sizes, self.rig, self.rows, str(path)), sizes
-        return PanoramaFile(self._panoramas.make(picture), self._panoramas.unseen)
+        return Picture(self._panoramas.make(picture), self._panoramas.unseen)
 
 
 def open_video(
@@ -255,7 +299,7 @@ def open_video(
     end: float | None = None,
     rows: int | None = None,
 ) -> Video | StitchedVideo:
-    """A video of panoramas; or of the lenses of a `rig`, in one file or in one for each picture of the rig.
+    """A video of panoramas or of an ordinary camera; or of the lenses of a `rig`, in a file, or one for each picture.
 
     Raises `ImageError`, `FormatError`.
     """

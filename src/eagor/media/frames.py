@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
 
 __all__ = ["CameraSource", "Frame", "Pose", "PoseSource", "check_camera"]
 
@@ -22,15 +22,17 @@ PATIENCE = 10.0  # seconds in which a closed camera has to let go of who waits f
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A panorama and when it was taken.
+    """A picture and when it was taken.
 
-    `stamp`: seconds on the clock of its source. `panorama` ``(H, W, 3)`` uint8 RGB, body frame. `name`: for texts and
-    tables, such as "0007.png" or "clip.mp4 at 3.20 s".
+    `stamp`: seconds on the clock of its source. `picture` ``(H, W, 3)`` uint8 RGB: a whole panorama of the body frame,
+    or what an ordinary lens shows, with its pixels as `grid`. `name`: for texts and tables, such as "0007.png" or
+    "clip.mp4 at 3.20 s".
     """
 
     stamp: float
-    panorama: np.ndarray
+    picture: np.ndarray
     name: str
+    grid: PerspectiveGrid | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +49,18 @@ class Pose:
 
 @runtime_checkable
 class CameraSource(Protocol):
-    """A camera, a file or a stream that gives panoramas in order of time.
+    """A camera, a file or a stream that gives pictures in order of time.
 
     Iterating blocks until the next frame, and ends where the source ends (a file) or after `close`. Frames are whole
-    panoramas: a source that sees with lenses stitches them. The stamp is the time of CAPTURE: a live source subtracts
-    its `latency` from the time of arrival. Frames that cannot be used are left out and counted, with a `UserWarning`
-    for the first. Raises `ImageError` or `DeviceError` where nothing more can come.
+    panoramas, or all pictures of one ordinary lens: a source that sees with several lenses stitches them. The stamp is
+    the time of CAPTURE: a live source subtracts its `latency` from the time of arrival. Frames that cannot be used are
+    left out and counted, with a `UserWarning` for the first. Raises `ImageError` or `DeviceError` where nothing more
+    can come.
     """
 
     @property
-    def grid(self) -> ErpGrid:
-        """The pixels of its panoramas."""
+    def grid(self) -> ErpGrid | PerspectiveGrid:
+        """The pixels of its pictures: of a whole panorama, or those of an ordinary lens, as in each `Frame`."""
         ...
 
     @property
@@ -97,7 +100,8 @@ def check_camera(camera: CameraSource, frames: int = 3) -> None:
     It needs so many: give a source that is not at its end. The camera is closed at the end.
     """
     _require(isinstance(camera, CameraSource), "lacks a member of eagor.media.frames.CameraSource")
-    _require(isinstance(camera.grid, ErpGrid), f"grid is {camera.grid!r}; wanted an ErpGrid")
+    ordinary = isinstance(camera.grid, PerspectiveGrid)
+    _require(ordinary or isinstance(camera.grid, ErpGrid), f"grid is {camera.grid!r}; wanted an ErpGrid, or a view's")
     _require(math.isfinite(camera.latency), f"latency is {camera.latency!r}; wanted seconds")
     _require(isinstance(camera.live, bool), f"live is {camera.live!r}; wanted True or False")
     last = -math.inf
@@ -105,7 +109,7 @@ def check_camera(camera: CameraSource, frames: int = 3) -> None:
     for frame in camera:
         came += 1
         _require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.media.frames.Frame")
-        picture = frame.panorama
+        picture = frame.picture
         _require(
             isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and picture.shape == (*camera.grid.shape, 3),
             f"gave a picture of {getattr(picture, 'dtype', type(picture))} {np.shape(picture)}; wanted uint8 "
@@ -114,6 +118,10 @@ def check_camera(camera: CameraSource, frames: int = 3) -> None:
         _require(math.isfinite(frame.stamp), f"gave the stamp {frame.stamp!r}; wanted seconds")
         _require(frame.stamp > last, f"gave the stamp {frame.stamp:.6f} after {last:.6f}; wanted increasing stamps")
         _require(bool(frame.name), "gave a frame without a name")
+        _require(
+            (frame.grid is not None) == ordinary,
+            f"gave a frame with the grid {frame.grid!r}; wanted a view's, as its own is, or None for panoramas",
+        )
         last = frame.stamp
         if came == frames:
             break

@@ -59,7 +59,7 @@ def steps_of(frames: Iterable[Frame], *, level: bool = False) -> Steps:
     odometer, before = VisualOdometer(level=level), None
     rows = []
     for frame in frames:
-        turned = odometer.add(frame.panorama)
+        turned = odometer.add(frame.picture)
         if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:
             turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()
             rows.append((before[0], frame.stamp, float(turn[2])))

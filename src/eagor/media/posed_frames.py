@@ -7,21 +7,29 @@ poses are read in step.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from queue import SimpleQueue
+from threading import Event, Semaphore, Thread
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from eagor.errors import EagorError, PoseError
 from eagor.media.footage import BagFrames, Frames, ImageFrames, Read
 from eagor.media.frames import Pose
-from eagor.media.panorama import PanoramaFile
+from eagor.media.panorama import Picture
 from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
 
-__all__ = ["Odometry", "PosedFrame", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
+if TYPE_CHECKING:
+    from eagor.media.rotation import Turned, VisualOdometer
+
+__all__ = [
+    "Odometry", "PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight",
+    "thinned",
+]  # fmt: skip
 
 HOLE = 0.5  # seconds without a pose that are worth a word
 
@@ -54,7 +62,7 @@ def posed_by_file(source: Frames, poses: Sequence[FramePose], name: Path) -> Ite
 
 
 def _by_image(
-    pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, read: Callable[[Path], PanoramaFile]
+    pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, read: Callable[[Path], Picture]
 ) -> Iterator[PosedFrame]:
     """Each pose of a file, and the image that was taken there."""
     for told, image in pairs:
@@ -66,7 +74,7 @@ def _by_image(
             yield PosedFrame(here, image.name, partial(_placeless, told))
 
 
-def _placeless(pose: FramePose) -> PanoramaFile:
+def _placeless(pose: FramePose) -> Picture:
     assert pose.position is not None
     raise PoseError(f"its pose has the position {pose.position.tolist()}; wanted metres that can be")
 
@@ -109,11 +117,18 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
         except EagorError:  # the caller meets it again, and says so
             yield PosedFrame(FramePose(stamp, turn, None, frame), frame, read)
             continue
-        turned = odometer.add(found.panorama)
+        turned = _turned(odometer, found, stamp)
         turn = upright @ turned.world_R_body
         pose = FramePose(stamp, turn, None, frame)
         yield PosedFrame(pose, frame, lambda found=found: found, lost=turned.lost and met)
         met = True
+
+
+def _turned(odometer: VisualOdometer, found: Picture, stamp: float) -> Turned:
+    """How the camera stands at a picture, a panorama or an ordinary one."""
+    if found.grid is None:
+        return odometer.add(found.picture)
+    return odometer.add(found.picture, stamp, grid=found.grid)
 
 
 class Odometry(Protocol):
@@ -183,3 +198,43 @@ def thinned(frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.
         number = math.floor((each.pose.stamp - begins) * rate + 1e-6)
         yield each if number > tick else PosedFrame(each.pose, each.frame, each.read, looked=False)
         tick = max(tick, number)
+
+
+def ahead(frames: Iterable[PosedFrame], most: int = 2) -> Iterator[PosedFrame]:
+    """The same, made by a thread of their own while the caller works on the ones before: at most so many wait.
+
+    Decoding and finding the camera's rotation let go of Python's lock. What making them raises is raised here, at its
+    place. The thread ends with the iterator.
+    """
+    made: SimpleQueue[PosedFrame | BaseException | None] = SimpleQueue()
+    room, stop = Semaphore(most), Event()
+
+    def make() -> None:
+        source = iter(frames)
+        try:
+            for each in source:
+                while each.read is not None and not room.acquire(timeout=0.1):
+                    if stop.is_set():
+                        return
+                if stop.is_set():
+                    return
+                made.put(each)
+            made.put(None)
+        except BaseException as error:
+            made.put(error)
+        finally:
+            if isinstance(source, Generator):
+                source.close()
+
+    thread = Thread(target=make, name="eagor-frames", daemon=True)
+    thread.start()
+    try:
+        while (each := made.get()) is not None:
+            if isinstance(each, BaseException):
+                raise each
+            if each.read is not None:
+                room.release()
+            yield each
+    finally:
+        stop.set()
+        thread.join()

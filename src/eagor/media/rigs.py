@@ -28,25 +28,23 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor._extras import need
-from eagor._files import read_file, written
+from eagor._files import written
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, GridError, ImageError
 from eagor.lenses import FisheyeLens, Lens, PinholeLens
+from eagor.media.yaml_files import Place, read_yaml
 from eagor.sphere import world_R_body
 
 __all__ = ["Rig", "dual_fisheye", "read_rig", "sizes_of", "write_rig"]
 
 SHAPE = 0.01  # by which the ratio of a picture's sides may differ from the rig's: rounding to even numbers
 
-LARGEST = 1 << 20  # bytes: a rig has a few hundred
 BOTH = ("name", "kind", "picture", "centre", "rotation")
 KEYS = {
     "fisheye": (*BOTH, "focal", "field_deg", "radius", "polynomial"),
@@ -137,91 +135,15 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
 
     Raises `FormatError`, which names the line, what is there and what was wanted.
     """
-    need("reading a rig (YAML)", "photos", "yaml")
-    import yaml
-
     name = os.fspath(path)
+    root = read_yaml(name, "a rig", "pictures and lenses")
     try:
-        if os.path.getsize(name) > LARGEST:
-            raise FormatError(f"{name} is larger than {LARGEST} bytes; wanted the YAML file of a rig")
-        text = read_file(name).decode("utf-8-sig")
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except (OSError, UnicodeDecodeError, RecursionError) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise FormatError(f"{name} cannot be read as a rig ({why}); give a YAML file of lenses") from error
-    except yaml.YAMLError as error:
-        raise FormatError(f"{name} is not YAML ({' '.join(str(error).split())}); wanted pictures and lenses") from error
-    if root is None:
-        raise FormatError(f"{name} is empty; wanted pictures and lenses")
-    try:
-        return _rig(_Place(root, ""))
+        return _rig(root)
     except EagorError as error:
         raise FormatError(f"{name}, {error}") from error
 
 
-class _Place:
-    """A node of the file, of PyYAML: reads it as what is wanted, or raises `FormatError` with its line."""
-
-    def __init__(self, node: Any, path: str) -> None:
-        self.node, self.path = node, path
-
-    def wrong(self, wanted: str) -> FormatError:
-        return FormatError(f"line {self.node.start_mark.line + 1}: {self.path or 'the file'} {wanted}")
-
-    def mapping(self, keys: Sequence[str] | None = None) -> dict[str, _Place]:
-        """The entries; only `keys` are allowed."""
-        if self.node.id != "mapping":
-            raise self.wrong(f"is {self._what()}; wanted names with values" + (f": {', '.join(keys)}" if keys else ""))
-        found: dict[str, _Place] = {}
-        for key, value in self.node.value:
-            name = str(key.value)
-            place = _Place(value, f"{self.path}.{name}" if self.path else name)
-            line = key.start_mark.line + 1
-            if name in found:
-                raise FormatError(f"line {line}: {place.path} is there twice")
-            if keys is not None and name not in keys:
-                near = get_close_matches(name, keys, 1)
-                hint = f"; did you mean {near[0]}?" if near else ""
-                raise FormatError(f"line {line}: {place.path} is no key here{hint} Wanted: {', '.join(keys)}")
-            found[name] = place
-        return found
-
-    def items(self, wanted: str) -> list[_Place]:
-        """The members of a list."""
-        if self.node.id != "sequence":
-            raise self.wrong(f"is {self._what()}; wanted {wanted}")
-        return [_Place(each, f"{self.path}[{index}]") for index, each in enumerate(self.node.value)]
-
-    def number(self, wanted: str = "a number", whole: bool = False) -> float:
-        try:
-            if self.node.id != "scalar" or "_" in self.node.value:
-                raise ValueError
-            value = float(self.node.value)
-        except ValueError:
-            raise self.wrong(f"is {self._what()}; wanted {wanted}") from None
-        if not math.isfinite(value) or (whole and value != int(value)):
-            raise self.wrong(f"is {self._what()}; wanted {wanted}")
-        return value
-
-    def numbers(self, least: int, most: int, wanted: str) -> tuple[float, ...]:
-        found = self.items(wanted)
-        if not least <= len(found) <= most:
-            raise self.wrong(f"has {len(found)} members; wanted {wanted}")
-        return tuple(each.number() for each in found)
-
-    def text(self) -> str:
-        if self.node.id != "scalar":
-            raise self.wrong(f"is {self._what()}; wanted a text")
-        return str(self.node.value)
-
-    def _what(self) -> str:
-        value = self.node.value
-        if isinstance(value, str):
-            return repr(value if len(value) < 60 else value[:57] + "...")
-        return "a list" if self.node.tag.endswith("seq") else "names with values"
-
-
-def _rig(root: _Place) -> Rig:
+def _rig(root: Place) -> Rig:
     entries = root.mapping(("pictures", "lenses"))
     for key in ("pictures", "lenses"):
         if key not in entries:
@@ -250,7 +172,7 @@ def _rig(root: _Place) -> Rig:
     return Rig(tuple(sizes), tuple(lenses))
 
 
-def _lens(place: _Place, sizes: Sequence[tuple[int, int]]) -> Lens:
+def _lens(place: Place, sizes: Sequence[tuple[int, int]]) -> Lens:
     every = dict.fromkeys(key for keys in KEYS.values() for key in keys)
     found = place.mapping(tuple(every))
     kind = found["kind"].text() if "kind" in found else "fisheye"
@@ -288,7 +210,7 @@ def _lens(place: _Place, sizes: Sequence[tuple[int, int]]) -> Lens:
     return FisheyeLens(name, (x, y), found["focal"].number("pixels per radian"), radius, **common)
 
 
-def _pair(place: _Place) -> tuple[float, float]:
+def _pair(place: Place) -> tuple[float, float]:
     """One number for both, or two."""
     if isinstance(place.node.value, str):
         value = place.number("pixels: one number, or x and y")
@@ -297,7 +219,7 @@ def _pair(place: _Place) -> tuple[float, float]:
     return x, y
 
 
-def _rotation(place: _Place) -> np.ndarray:
+def _rotation(place: Place) -> np.ndarray:
     if place.node.tag.endswith("seq"):
         wxyz = np.array(place.numbers(4, 4, "a quaternion w, x, y, z, or yaw_deg, pitch_deg and roll_deg"))
         norm = float(np.linalg.norm(wxyz))

@@ -1,4 +1,4 @@
-"""How a 360-degree camera turns, from its panoramas alone."""
+"""How a camera turns, from its pictures alone: panoramas, or those of an ordinary camera."""
 
 from __future__ import annotations
 
@@ -9,13 +9,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor._lazy import lazy
-from eagor.media.features import SIZE, Features, Views, corners_of, followed, match, steadied
+from eagor.errors import ImageError
+from eagor.grids import PerspectiveGrid
+from eagor.media.features import SIZE, Features, Views, corners_of, followed, match, overlap, steadied, warped
 from eagor.media.two_views import Turn, turn_between
 
 __all__ = ["Turned", "VisualOdometer"]
 
 MOST_KEYS = 48  # key frames in memory, about 1 MB each
+MOST_KEYS_ALONE = 96  # of an ordinary camera, to which each shows a part of the sphere
 THIN = 0.15  # share of a frame's points found again in a key frame; below it the frame becomes a key frame itself
+THIN_ALONE = 0.3  # of an ordinary camera: the views of neighbouring key frames have to overlap
+OVERLAP = 0.2  # share of an ordinary picture that a key frame has to show to be compared with it
+TRIED = 8  # key frames of an ordinary camera that a picture is compared with if none of those expected fits
+WAIT = 2.0  # seconds for which an ordinary picture that fits to none before it is waited out
 FOLLOWED = 0.4  # share of a frame's corners found again by optical flow; with fewer, features are matched anew
 NEAR = math.radians(2)  # of the guess: flow from farther away is repeated, since views change with the turn
 ROUNDS = 3  # of that, at most
@@ -57,13 +64,17 @@ class _Key:
 
 
 class VisualOdometer:
-    """The rotation of a camera, panorama by panorama. `level`: the pictures stay level, and only the heading turns.
+    """The rotation of a camera, picture by picture. `level`: the pictures stay level, and only the heading turns.
 
     Corners are followed by optical flow from one frame, the anchor, to each picture, as long as many are found again.
     Where they are not, the picture's features are matched with key frames: the one that fitted last, the first one, and
     one of the others in turn, so that a camera that comes back loses its drift. The answer with the least uncertainty
     counts, and the picture is the next anchor. A new key frame is made where few points are found again. The state
     grows to at most `MOST_KEYS` key frames. Not for several threads.
+
+    An ordinary camera soon loses sight of the first key frame. So its pictures are compared with the key frames that
+    overlap most with where it should look now. One that fits to none is waited out for `WAIT` seconds, since it may be
+    blurred, covered, or of a side not seen before: the last rotation holds, and the spread grows.
     """
 
     def __init__(self, *, level: bool = False) -> None:
@@ -80,28 +91,32 @@ class VisualOdometer:
         self._squares, self._steps = 0.0, 0  # of the turns from picture to picture (radians), and how many
         self._shares = (1.0, 4.0)  # points found again and points there, in frames found (a guess to begin with)
 
-    def add(self, panorama: np.ndarray, stamp: float | None = None) -> Turned:
-        """The rotation at the next picture ``(H, W, 3)`` uint8; sizes may change from picture to picture.
+    def add(self, picture: np.ndarray, stamp: float | None = None, grid: PerspectiveGrid | None = None) -> Turned:
+        """The rotation of the body at the next picture ``(H, W, 3)`` uint8: a panorama, or an ordinary one with `grid`.
 
-        `stamp`: seconds, rising; it helps where pictures are left out. Without stamps they count as evenly spaced.
-        Raises `ImageError` for another array, and `MissingExtraError` without OpenCV.
+        `stamp`: seconds, rising; it helps where pictures are left out. Without stamps they count as evenly spaced, a
+        second each. Sizes of panoramas may change from picture to picture; of ordinary ones `grid` has to fit each. The
+        camera stays what it is. Raises `ImageError` for another array or size and for another kind of camera, and
+        `MissingExtraError` without OpenCV.
         """
-        stamp = self._stamp + self._lasted if stamp is None else stamp
-        views, flown = self._flown(panorama, stamp)
+        stamp = self._stamp + self._held + 1 if stamp is None else stamp
+        self._check_kind(grid)
+        views, flown = self._flown(picture, stamp, grid)
         if flown is not None:
             return self._now(flown, stamp)
         features = views.features
         if not self._keys:
             blind = self._previous is not None and len(features) < FEWEST
             return self._hold() if blind else self._begin(views, stamp)
-        found = self._found(views)
+        found = self._found(views, stamp)
         if found is None:
             expected = len(features) * self._shares[0] / self._shares[1]
-            return self._hold() if expected < FEWEST else self._begin(views, stamp)
+            waits = grid is not None and stamp - self._stamp <= WAIT
+            return self._hold() if waits or expected < FEWEST else self._begin(views, stamp)
         now, turn, share = found
         again, there = self._shares
         self._shares = again + share, there + 1
-        if share < THIN:
+        if share < (THIN if grid is None else THIN_ALONE):
             self._add_key(now)
         self._anchor = now
         return self._now((now, turn), stamp)
@@ -113,26 +128,41 @@ class VisualOdometer:
         self._previous, self._held = now, 0
         return Turned(now.world_R_body, self._spread(now.covariance), False, int(turn.inliers.sum()))
 
-    def _flown(self, panorama: np.ndarray, stamp: float) -> tuple[Views, tuple[_Key, Turn] | None]:
+    def _check_kind(self, grid: PerspectiveGrid | None) -> None:
+        """Raise `ImageError` for a panorama among ordinary pictures, or the other way round."""
+        if self._previous is not None and (self._previous.views.whole != (grid is None)):
+            came, before = ("a panorama", "ordinary pictures") if grid is None else ("an ordinary picture", "panoramas")
+            raise ImageError(f"{came} (grid = {grid!r}) after {before}; wanted one camera: take another VisualOdometer")
+
+    def _flown(
+        self, picture: np.ndarray, stamp: float, grid: PerspectiveGrid | None
+    ) -> tuple[Views, tuple[_Key, Turn] | None]:
         """A picture's views, and where it points if enough of the anchor's corners are found again."""
+        own = None if grid is None else Views.of_picture(picture, grid)
         anchor, previous = self._anchor, self._previous
         if anchor is None or previous is None:
-            return Views.of(panorama, min(max(np.shape(panorama)[0], SMALLEST), SIZE)), None
-        step = Rotation.from_rotvec(self._step * (stamp - self._stamp) / self._lasted)
-        guess = anchor.world_R_body.T @ previous.world_R_body @ step.as_matrix()
-        guess = Rotation.from_matrix(guess).as_matrix()  # orthogonal: else rounding grows from picture to picture
+            return own or Views.of(picture, min(max(np.shape(picture)[0], SMALLEST), SIZE)), None
+        guess = anchor.world_R_body.T @ self._expected(stamp)
         enough = max(FEWEST, FOLLOWED * sum(map(len, anchor.corners)))
         left = ROUNDS
         while True:
             left -= 1
-            views = steadied(panorama, anchor.views, guess)
-            old, new = followed(anchor.views, anchor.corners, views)
-            turn = turn_between(old, new, level=self.level) if len(old) >= enough else None
+            seen = steadied(picture, anchor.views, guess) if own is None else warped(own, anchor.views, guess)
+            views = own or seen
+            old, new = followed(anchor.views, anchor.corners, seen)
+            turn = turn_between(old, new, level=self.level, area=views.area) if len(old) >= enough else None
             if turn is None or turn.inliers.sum() < enough:
                 return views, None
             if _angle(guess, turn.old_R_new) < NEAR or not left:
                 return views, (_placed(anchor, views, turn), turn)
             guess = turn.old_R_new
+
+    def _expected(self, stamp: float) -> np.ndarray:
+        """Where a camera that has been found before should point now, if it turns on."""
+        assert self._previous is not None
+        step = Rotation.from_rotvec(self._step * (stamp - self._stamp) / self._lasted)
+        pose = self._previous.world_R_body @ step.as_matrix()
+        return Rotation.from_matrix(pose).as_matrix()  # orthogonal: else rounding grows from picture to picture
 
     def _begin(self, views: Views, stamp: float) -> Turned:
         """The world starts with this picture, unless there is nothing in it."""
@@ -155,17 +185,21 @@ class VisualOdometer:
         spread = math.hypot(self._spread(self._previous.covariance), rate * self._held)
         return Turned(self._previous.world_R_body, min(spread, most), False, 0)
 
-    def _found(self, views: Views) -> tuple[_Key, Turn, float] | None:
+    def _found(self, views: Views, stamp: float) -> tuple[_Key, Turn, float] | None:
         """This picture as a key frame, the turn that tells most about it, and the largest share of points found."""
-        self._turn = (self._turn + 1) % len(self._keys)
-        indices = dict.fromkeys((self._reference, 0, self._turn))
+        near = self._overlapping(views, stamp)
+        indices: dict[int, None] = {}
+        if near:
+            self._turn = (self._turn + 1) % len(near)
+            surest = min(near, key=lambda index: np.trace(self._keys[index].covariance))
+            indices = dict.fromkeys((self._reference, near[0], surest, near[self._turn]))
         results = {index: self._compared(self._keys[index], views) for index in indices}
         agreed = {index: result for index, result in results.items() if result is not None}
         best, most = None, 0.0
         if agreed:
-            surest = max(agreed.values(), key=lambda result: result[1].inliers.sum())
-            most = _share(surest[1], views.features)
-            alike = [index for index, result in agreed.items() if _alike(surest[0], result[0])]
+            clearest = max(agreed.values(), key=lambda result: result[1].inliers.sum())
+            most = _share(clearest[1], views.features)
+            alike = [index for index, result in agreed.items() if _alike(clearest[0], result[0])]
             self._reference = min(alike, key=lambda index: np.trace(agreed[index][0].covariance))
             best = agreed[self._reference]
         if best is None and self._previous is not None:
@@ -174,24 +208,43 @@ class VisualOdometer:
                 self._add_key(self._previous)
                 most = _share(best[1], views.features)
         if best is None:
-            for index in range(len(self._keys)):
+            for index in self._others(views, stamp):
                 best = self._compared(self._keys[index], views)
                 if best is not None:
                     self._reference, most = index, _share(best[1], views.features)
                     break
         return None if best is None else (*best, most)
 
+    def _overlapping(self, views: Views, stamp: float) -> list[int]:
+        """The key frames that should show a part of this picture; of an ordinary camera those that show most first."""
+        if views.whole or self._previous is None:
+            return list(range(len(self._keys)))
+        pose = self._expected(stamp)
+        shares = [overlap(views, key.views, key.world_R_body.T @ pose) for key in self._keys]
+        order = sorted(range(len(shares)), key=lambda index: -shares[index])
+        return [index for index in order if shares[index] >= OVERLAP]
+
+    def _others(self, views: Views, stamp: float) -> list[int]:
+        """Key frames to try where none of the likely ones fits: all, or of an ordinary camera a few, in turn."""
+        every = list(range(len(self._keys)))
+        if views.whole:
+            return every
+        pose = self._expected(stamp)
+        every.sort(key=lambda index: _angle(self._keys[index].world_R_body, pose))
+        start = self._held * TRIED % len(every)
+        return (every + every)[start : start + min(TRIED, len(every))]
+
     def _compared(self, key: _Key, views: Views) -> tuple[_Key, Turn] | None:
         """This picture's pose by way of one key frame."""
         here, there = key.views.features, views.features
         old, new = match(here, there)
-        turn = turn_between(here.directions[old], there.directions[new], level=self.level)
+        turn = turn_between(here.directions[old], there.directions[new], level=self.level, area=views.area)
         return None if turn is None else (_placed(key, views, turn), turn)
 
     def _add_key(self, key: _Key) -> None:
         """Keep a key frame; beyond the limit the oldest but one goes."""
         self._keys.append(key)
-        if len(self._keys) > MOST_KEYS:
+        if len(self._keys) > (MOST_KEYS if key.views.whole else MOST_KEYS_ALONE):
             del self._keys[1]
         self._reference = len(self._keys) - 1
 

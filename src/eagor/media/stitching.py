@@ -72,6 +72,8 @@ class Stitcher:
         """Place on the canvas, and depth, ``(n,)`` each, of the panorama's pixels in one lens."""
         lens = self.rig.lenses[index]
         x, y, depth = lens.project(self.grid.directions.reshape(-1, 3))
+        wide, high = self.rig.sizes[lens.picture]
+        depth[(x < 0) | (x > wide) | (y < 0) | (y > high)] = -1  # a fisheye's circle may be larger than its picture
         return x + self._offsets[lens.picture] - 0.5, y - 0.5, depth - RIM / lens.pixels_per_radian
 
     @property

@@ -1,7 +1,7 @@
-"""How the camera turned between two panoramas, from matched directions, and how sure that is.
+"""How the camera turned between two pictures, from matched directions, and how sure that is.
 
 A matched pair (u, v), unit vectors in the old and the new body frame, is right with probability w; then `old_R_new` v
-lies about u. Otherwise it is a mistake, and v can be anywhere (density 1 / 4 pi).
+lies about u. Otherwise it is a mistake, and v can be anywhere in the field (density 1 / area).
 
 - `Standing`: the error is Gaussian with deviation sigma on both axes of the tangent plane.
 - `Moving` along t: things shift away from t by an angle that depends on their distance. The shift is exponential with
@@ -22,11 +22,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import expit, log_expit, log_ndtr
 
-from eagor.media.consensus import Agreement, Parts, agreeing_motion, agreeing_rotation
+from eagor.media.consensus import SPHERE, Agreement, Parts, agreeing_motion, agreeing_rotation
 
 FALSE_ALARM = 1e-5  # expected number of agreements among unrelated pairs; above it an agreement counts as chance
 
-_OUTLIER = -math.log(4 * math.pi)
 _STEP = 1e-5  # of numerical derivatives: radians, or in logarithms
 _ROUNDS = 60
 _ENOUGH = 1e-2  # nats: what a step gains when the rest moves a turn by a small part of its uncertainty
@@ -50,22 +49,24 @@ class Turn:
     noise: float
 
 
-def turn_between(old: np.ndarray, new: np.ndarray, *, level: bool = False, moves: bool = True) -> Turn | None:
+def turn_between(
+    old: np.ndarray, new: np.ndarray, *, level: bool = False, moves: bool = True, area: float = SPHERE
+) -> Turn | None:
     """The turn from matched unit vectors `old` and `new` ``(n, 3)``; None if they agree no better than by chance.
 
     A camera that stood still and one that moved are both fitted; the Bayesian information criterion decides. `level`:
-    turns are about z only. `moves`: False leaves out the second model. The same input gives the same result: the random
-    samples have a fixed seed.
+    turns are about z only. `moves`: False leaves out the second model. `area`: steradians that the camera sees. The
+    same input gives the same result: the random samples have a fixed seed.
     """
     random = np.random.default_rng(0)
-    still = agreeing_rotation(old, new, random, level)
+    still = agreeing_rotation(old, new, random, level, area)
     if still is None:
         return None
-    moved = agreeing_motion(old, new, still.rotation, random) if moves else None
+    moved = agreeing_motion(old, new, still.rotation, random, area) if moves else None
     if min(each.log_chance for each in (still, moved) if each is not None) > math.log(FALSE_ALARM):
         return None
     axes = np.array([[0.0, 0.0, 1.0]]) if level else np.eye(3)
-    parts = Parts(old)
+    parts = Parts(old, area)
     found: list[tuple[float, Model, np.ndarray]] = []
     found.append(_fitted(Standing(old, new, still.rotation, axes, parts), still))
     if moved is not None:
@@ -265,13 +266,15 @@ def covariance(model: Model, parameters: np.ndarray) -> np.ndarray | None:
 def right(model: Model, parameters: np.ndarray) -> np.ndarray:
     """The probability ``(n,)`` that each pair is no mistake."""
     good = model.log_inlier(parameters[None])[0]
-    return expit(good - _OUTLIER + parameters[len(model.axes) + 1])
+    return expit(good + math.log(model.parts.area) + parameters[len(model.axes) + 1])
 
 
 def _log_likelihood(model: Model, parameters: np.ndarray) -> np.ndarray:
     """Log-density ``(p, n + 1)`` of each pair under parameters ``(p, k)``; the priors come last."""
     logit = parameters[:, len(model.axes) + 1, None]
-    pairs = np.logaddexp(model.log_inlier(parameters) + log_expit(logit), _OUTLIER + log_expit(-logit))
+    pairs = np.logaddexp(
+        model.log_inlier(parameters) + log_expit(logit), log_expit(-logit) - math.log(model.parts.area)
+    )
     return np.concatenate([pairs, model.log_prior(parameters)[:, None]], axis=1)
 
 

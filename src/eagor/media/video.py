@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -21,8 +21,9 @@ from eagor._extras import need
 from eagor.errors import ImageError, TimeError
 from eagor.media.defects import fisheye_circles
 from eagor.media.frames import Frame
+from eagor.media.intrinsics import told_by_video
 from eagor.media.metadata import EXPORT, Projection, VideoMetadata, read_metadata
-from eagor.media.panorama import ROUNDING
+from eagor.media.rigs import SHAPE
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -59,7 +60,7 @@ class StreamInfo:
     `shape`: rows and columns in square pixels, upright. `turns`: quarter turns, counterclockwise, that make it upright.
     `mirrored`: whether it is to be shown so. `codec`, `camera`: names. `transfer`: of its colours, by ITU-T H.273.
     `zero`: start of the file on its clock; `clock`: unit of that; `duration`; all in seconds. `rate`: pictures per
-    second. `timed`: whether pictures have times.
+    second. `timed`: whether pictures have times. `tags`: its metadata by name.
     """
 
     shape: tuple[int, int]
@@ -74,6 +75,7 @@ class StreamInfo:
     duration: float | None
     rate: float | None
     timed: bool
+    tags: Mapping[str, str]
 
 
 class Video:
@@ -94,11 +96,12 @@ class Video:
     `count`: about how many pictures will come, or None; `facts`: sentences about what the file says of itself;
     `motion`: None, or the rotations that its motion track tells (`eagor.media.motion.MotionTrack`); `level_R_body`:
     None, or the rotation ``(3, 3)`` that makes its pictures level, as the file says; `unseen`: None, or the mask of
-    `shape` of what no picture shows.
+    `shape` of what no picture shows; `told`: what the file says of an ordinary lens, for pictures of `shape`.
 
-    Raises `ImageError` for a file that cannot be read as a panoramic video, `TimeError` for impossible times,
+    Raises `ImageError` for a file that cannot be read as a video, `TimeError` for impossible times,
     `MissingExtraError`. Iterating raises `ImageError` after the last picture if some could not be decoded, or if the
-    file is cut off: what could be read has been delivered by then.
+    file is cut off, or its pictures change their shape: what could be read has been delivered by then. Pictures of
+    another size, but the same shape, are brought to `shape`.
     """
 
     def __init__(
@@ -138,6 +141,7 @@ class Video:
         self.duration, self.frame_rate = first.duration, first.rate
         self.level_R_body = projection.level_R_body if projection.pitch or projection.roll else None
         self.motion = said.motion
+        self.told = told_by_video(first.tags, self.shape[::-1], first.turns)
         self.facts = tuple(_facts(said, first, lenses))
         self.count = self._count()
 
@@ -179,7 +183,12 @@ class Video:
     def _panorama(self, picture: VideoFrame) -> np.ndarray:
         """The whole panorama ``(*shape, 3)`` of a decoded picture."""
         high, wide = self._layout.size
-        turns = self._first.turns
+        turns, own = self._first.turns, self._first.size
+        if abs(picture.width * own[0] / (picture.height * own[1]) - 1) > SHAPE:
+            raise ImageError(
+                f"{self.path}: its pictures change from {own[1]} x {own[0]} to {picture.width} x {picture.height}, "
+                "another shape, so another part of what the camera sees; cut the video there (--start, --end)"
+            )
         rgb = to_rgb(picture, *((wide, high) if turns % 2 else (high, wide)))
         return self._layout.place(np.rot90(rgb, turns) if turns else rgb)
 
@@ -256,7 +265,6 @@ def _checked_path(path: str) -> str:
 
 
 def _facts(said: VideoMetadata, first: StreamInfo, lenses: bool) -> Iterator[str]:
-    high, wide = first.shape
     yield f"{first.codec}, {first.size[1]} x {first.size[0]} pixels"
     if first.camera:
         yield f"the camera is {first.camera}"
@@ -272,8 +280,6 @@ def _facts(said: VideoMetadata, first: StreamInfo, lenses: bool) -> Iterator[str
         yield "its pictures are those of lenses, and are stitched"
     elif said.projection is not None:
         yield from said.projection.facts()
-    elif abs(wide - 2 * high) > ROUNDING:
-        yield f"it is {wide} x {high}, not 2:1, and says nothing of its projection"
     yield from said.facts
 
 
@@ -357,6 +363,7 @@ def first_picture(container: InputContainer, stream: VideoStream, path: str) -> 
         duration=duration,
         rate=rate or None,
         timed=picture.pts is not None,
+        tags=container.metadata | stream.metadata,
     )
     return first, picture
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eagor._checks import require, whole
+from eagor._checks import require, warn_unless_whole, whole
 from eagor._srgb import to_linear
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Evidence
@@ -123,7 +123,7 @@ class ColourPerception:
         times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # the same factor in both directions
         linear = _reduced(image, max(1, round(grid.height / times)), max(1, round(grid.width / times)))
         response = _likeness(linear, colour, around=False)
-        return self._evidence(response, replace(grid, height=response.shape[0], width=response.shape[1]), grid, stamp)
+        return self._evidence(response, grid.resized(*response.shape), grid, stamp)
 
     def _evidence(
         self, response: np.ndarray, cells: PatchGrid | PerspectiveGrid, seen: Grid, stamp: float | None
@@ -137,8 +137,9 @@ class ColourPerception:
 
     def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
         """The likeness of each cell to the colour of `query`, in [0, 1]; at most ``(rows, 2 * rows)``."""
-        colour = parse_colour(query)
-        return _likeness(_reduced(panorama, self.rows, 2 * self.rows), colour)
+        colour, linear = parse_colour(query), _reduced(panorama, self.rows, 2 * self.rows)
+        warn_unless_whole(np.asarray(panorama))
+        return _likeness(linear, colour)
 
 
 def parse_colour(query: str) -> Colour:

@@ -11,13 +11,14 @@ import numpy as np
 
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import BodyMask, Evidence
+from eagor.grids import PerspectiveGrid
 from eagor.media.defects import NeverSeen
 from eagor.media.footage import ShapeError
-from eagor.media.panorama import PanoramaFile
+from eagor.media.panorama import Picture
 from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame
 from eagor.perception import NoEvidenceError, Perception
-from eagor.perception.replay import look_if_recorded
+from eagor.perception.replay import ReplayPerception, look_if_recorded
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.follower import Follower
 
@@ -39,17 +40,24 @@ class HiddenParts:
         self._given, self._say = mask, say
         self._black, self._said = NeverSeen(), False
 
-    def covered(self, looks: Looks, frame: PanoramaFile) -> Looks:
-        """The looks at `frame`, without what is not seen."""
-        black = self._black.add(frame.panorama)
-        hidden = black if frame.unseen is None else black | frame.unseen
-        masks = [] if self._given is None else [self._given]
-        if hidden.any():
-            masks.append(BodyMask(~hidden))
-            self._tell(masks[-1], black)
-        for mask in masks:
-            looks = tuple(look.covered(mask) for look in looks)
+    def covered(self, looks: Looks, frame: Picture | None) -> Looks:
+        """The looks at `frame`, without what is not seen; of recorded ones (None) the record says what is black."""
+        own = None if frame is None else self.of(frame)
+        for mask in (self._given, own):
+            looks = looks if mask is None else tuple(look.covered(mask) for look in looks)
         return looks
+
+    def of(self, frame: Picture) -> BodyMask | None:
+        """What `frame` shows, beside the mask that is given; None if that is all."""
+        if frame.grid is not None:  # an ordinary picture has no poles
+            return None
+        black = self._black.add(frame.picture)
+        hidden = black if frame.unseen is None else black | frame.unseen
+        if not hidden.any():
+            return None
+        mask = BodyMask(~hidden)
+        self._tell(mask, black)
+        return mask
 
     def _tell(self, mask: BodyMask, black: np.ndarray) -> None:
         share = 1 - float(np.sum(mask.seen * mask.grid.weights)) / (4 * np.pi)
@@ -78,6 +86,7 @@ class Method(Protocol):
 class FollowedFrame:
     """The answer at one frame.
 
+    `picture` ``(H, W, 3)`` uint8, and `grid` its pixels if an ordinary camera took it (None: a whole panorama).
     `problem` says why the frame could not be used, if so; `evidence` has several items for several views; `looked` and
     `lost` as in `PosedFrame`; `position` of the camera, if known; `others` are the other methods' directions ``(3,)``
     by name.
@@ -86,13 +95,14 @@ class FollowedFrame:
     frame: str
     stamp: float
     estimate: Estimate
-    panorama: np.ndarray | None
+    picture: np.ndarray | None
     evidence: Looks
     problem: str | None
     looked: bool = True
     lost: bool = False
     position: np.ndarray | None = None
     others: dict[str, np.ndarray] = field(default_factory=dict)
+    grid: PerspectiveGrid | None = None
 
     @property
     def told(self) -> bool:
@@ -127,7 +137,7 @@ def follow(
                 follower.move(pose.stamp, pose.world_R_body, pose.position)
                 fed = pose.stamp
         upcoming = math.inf if after is None else after[1].pose.stamp
-        panorama, (looks,), problem = _seen(frame, perception, (query,), before, upcoming, hidden)
+        picture, (looks,), problem = _seen(frame, perception, (query,), before, upcoming, hidden)
         now = stamp
         for evidence in map(follower.placed, looks):
             follower.look(evidence)
@@ -140,13 +150,14 @@ def follow(
             frame=frame.frame or "",
             stamp=stamp,
             estimate=follower.estimate(now),
-            panorama=panorama,
+            picture=None if picture is None else picture.picture,
             evidence=looks,
             problem=problem,
             looked=frame.looked,
             lost=frame.lost,
             position=frame.pose.position,
             others={name: method.direction() for name, method in others.items()},
+            grid=None if picture is None else picture.grid,
         )
         before = stamp
 
@@ -165,26 +176,26 @@ def look_at(
 
 def _seen(
     frame: PosedFrame, perception: Perception, queries: Sequence[str], before: float, after: float, hidden: HiddenParts
-) -> tuple[np.ndarray | None, tuple[Looks, ...], str | None]:
-    """The panorama of a frame, the evidence for each query, and what is wrong with it.
+) -> tuple[Picture | None, tuple[Looks, ...], str | None]:
+    """The picture of a frame, the evidence for each query, and what is wrong with it.
 
     `before`, `after`: the stamps of its neighbours; infinite where there is none.
     """
-    panorama, stamp = None, frame.pose.stamp
+    picture, stamp = None, frame.pose.stamp
     looks: tuple[Looks, ...] = ((),) * len(queries)
     try:
         picture = None if frame.read is None else frame.read()
-        panorama = None if picture is None else picture.panorama
-        if frame.looked and picture is not None:
+        if frame.looked and (picture is not None or isinstance(perception, ReplayPerception)):
             turn = frame.pose.world_R_body
-            found = (look_if_recorded(perception, picture.panorama, query, stamp, turn) for query in queries)
+            shown, grid = (None, None) if picture is None else (picture.picture, picture.grid)
+            found = (look_if_recorded(perception, shown, query, stamp, turn, grid) for query in queries)
             looks = tuple(hidden.covered(_own(each, before, stamp, after), picture) for each in found)
     except EagorError as error:
         # Every other frame would fail in the same way, or hardly any other would do better than the first.
         if isinstance(error, QueryError) or (isinstance(error, ShapeError | NoEvidenceError) and before == -math.inf):
             raise
-        return panorama, looks, str(error)
-    return panorama, looks, None
+        return picture, looks, str(error)
+    return picture, looks, None
 
 
 def _own(looks: Sequence[Evidence], before: float, stamp: float, after: float) -> Looks:

@@ -20,11 +20,10 @@ from eagor.errors import ImageError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import canvas_of
-from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
+from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.media.panorama import checked_picture
 from eagor.perception import Perception, look, rows_of
 from eagor.perception.vlm.projection import bilinear
-from eagor.sphere import world_R_body
 
 __all__ = ["Masked", "read_mask"]
 
@@ -45,17 +44,20 @@ class ViewPerception(Protocol):
 
 
 def look_at_view(
-    perception: Perception, image: np.ndarray, pitch: float, hfov: float, query: str, *, stamp: float | None = None
+    perception: Perception, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None
 ) -> Evidence:
-    """Evidence from one perspective picture, in the frame of an upright body that faces where the picture was taken.
+    """Evidence from one ordinary picture ``(h, w, 3)`` uint8 with the pixels of `grid`, in the frame of its body.
 
-    `image` is ``(h, w, 3)`` uint8 with square pixels and the horizontal field of view `hfov` (radians); the camera
-    looks `pitch` radians UP from the horizon. Raises `ImageError` if the image is not a picture or the perception does
-    not answer on a panorama grid; otherwise what the perception raises.
+    What the picture does not show gains and loses nothing. Raises `ImageError` if the image is not such a picture, or
+    the perception does not answer on a panorama grid; otherwise what the perception raises.
     """
     picture = checked_picture(image, "the picture")
-    height, width = picture.shape[:2]
-    grid = PerspectiveGrid(height, width, hfov, world_R_body(0.0, -pitch))
+    if picture.shape[:2] != grid.shape:
+        height, width = picture.shape[:2]
+        raise ImageError(
+            f"the picture is {width} x {height}, its grid is for {grid.width} x {grid.height}; wanted the same: "
+            "grid.resized(height, width)"
+        )
     if isinstance(perception, ViewPerception):
         return perception.view(picture, grid, query, stamp=stamp)
     panorama = pasted(picture, grid, rows_of(perception))
@@ -68,7 +70,7 @@ def look_at_view(
     if found.detections is not None:
         return _in_view(found, grid)
     cells = _kept(found.grid)
-    covered = coverage(*cells.shape, height, width, hfov, pitch)
+    covered = coverage(*cells.shape, grid)
     seen = Evidence.from_response(found.response, cells, found.calibration, stamp, coverage=covered >= BORDER)
     source: dict[str, Any] = {"source": getattr(found, "source", None)}  # metadata of the perception
     return replace(seen, **source) if source["source"] else seen
@@ -107,14 +109,14 @@ def _kept(grid: ErpGrid | PatchGrid) -> ErpGrid | PatchGrid:
     return grid
 
 
-@lru_cache(maxsize=32)
-def coverage(rows: int, columns: int, height: int, width: int, hfov: float, pitch: float) -> np.ndarray:
-    """The fraction of each of `rows` x `columns` cells of a panorama that a view shows (by sample points in each).
+def coverage(rows: int, columns: int, grid: PerspectiveGrid) -> np.ndarray:
+    """The fraction of each of `rows` x `columns` cells of a panorama that a view shows (by sample points in each)."""
+    return _coverage(rows, columns, view_key(grid), grid.body_R_view.tobytes())
 
-    The view has `height` x `width` pixels and the horizontal field of view `hfov`, and looks `pitch` radians up from
-    azimuth 0.
-    """
-    grid = PerspectiveGrid(height, width, hfov, world_R_body(0.0, -pitch))
+
+@lru_cache(maxsize=32)
+def _coverage(rows: int, columns: int, lens: ViewKey, pose: bytes) -> np.ndarray:
+    grid = replace(forward_view(lens), body_R_view=np.frombuffer(pose).reshape(3, 3))
     fine = 5 if rows <= 100 else 3
     offsets = (np.arange(fine) + 0.5) / fine
     x = (np.arange(columns)[:, None] + offsets).reshape(-1)
@@ -146,6 +148,10 @@ class Masked:
     ) -> Evidence:
         """One look, less what the mask hides. Errors as those of the perception."""
         return look(self.perception, panorama, query, stamp=stamp, world_R_body=world_R_body).covered(self.mask)
+
+    def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
+        """One look at an ordinary picture, less what the mask, which is one of the body, hides of it."""
+        return look_at_view(self.perception, image, grid, query, stamp=stamp).covered(self.mask)
 
     def __repr__(self) -> str:
         hidden = 1 - float(np.sum(self.mask.seen * self.mask.grid.weights)) / (4 * np.pi)

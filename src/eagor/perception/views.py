@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eagor._checks import within
+from eagor._checks import warn_unless_whole, within
 from eagor._lazy import lazy
 from eagor.errors import EagorError, GridError, QueryError
 from eagor.evidence import DetectorModel, Evidence, View
@@ -30,10 +30,17 @@ from eagor.perception.colour import colour_in, share_of
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, unit, world_R_body
 
-__all__ = ["Detect", "Views"]
+__all__ = ["Detect", "Seen", "Views"]
 
 
 Detect = Callable[[np.ndarray, str], Any]
+
+
+class Seen(NamedTuple):
+    """What a detector found in one view, before a query chooses: the view, and boxes in its pixels."""
+
+    grid: PerspectiveGrid
+    boxes: Boxes
 
 
 class Views:
@@ -44,7 +51,8 @@ class Views:
 
     - `detect`: ``detect(picture, query) -> boxes, scores[, labels]`` for a picture ``(h, w, 3)`` uint8 RGB: boxes
       ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries return is understood
-      too (`eagor.perception.adapters.boxes_of`). Where there are labels, those that the query means are kept.
+      too (`eagor.perception.adapters.boxes_of`). Where there are labels, those that the query means are kept. One with
+      a method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
     - `hfov`: field of each view, degrees.
     - `count`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
     - `size`: pixels along each side of a view.
@@ -124,15 +132,33 @@ class Views:
         """What the detector sees of each query, before any reading: one `Thing` each, the surest first."""
         wanted = [self._wanted(query) for query in queries]
         panorama = checked_picture(panorama)
+        warn_unless_whole(panorama)
         grids = self.views(world_R_body)
+        pictures, seen = cut(panorama, *grids), None
         found: list[list[ViewBox]] = [[] for _ in queries]
-        for number, (grid, picture) in enumerate(zip(grids, cut(panorama, *grids), strict=True)):
-            seen = None
-            for query, words, pieces in zip(queries, wanted, found, strict=True):
-                if seen is None or self.classes is None:
-                    seen = boxes_of(self.detect(picture, query), self.classes)
-                pieces += self._weighed(_pieces(number, grid, seen, query, words), picture, query)
+        for query, words, pieces in zip(queries, wanted, found, strict=True):
+            if seen is None or self.classes is None:
+                seen = self._detected(pictures, query)
+            for number, (grid, picture, boxes) in enumerate(zip(grids, pictures, seen, strict=True)):
+                pieces += self._weighed(_pieces(number, grid, boxes, query, words), picture, query)
         return [things(pieces) for pieces in found]
+
+    def _detected(self, pictures: Sequence[np.ndarray], query: str) -> list[Boxes]:
+        """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
+        many = getattr(self.detect, "many", None)
+        found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
+        return [boxes_of(each, self.classes) for each in found]
+
+    def seen(self, panorama: np.ndarray, world_R_body: np.ndarray | None = None, query: str = "") -> list[Seen]:
+        """All that the detector finds in each view of a look; one without `classes` is asked for `query`.
+
+        `combined` makes of it what a call makes. Errors as there.
+        """
+        panorama = checked_picture(panorama)
+        warn_unless_whole(panorama)
+        grids = self.views(world_R_body)
+        found = self._detected(cut(panorama, *grids), query)
+        return [Seen(grid, boxes) for grid, boxes in zip(grids, found, strict=True)]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
@@ -142,7 +168,8 @@ class Views:
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
         """The boxes of a picture, with lower scores where they show little of the colour that the query names."""
-        colour = None if self.classes is None else colour_in(query)
+        # An orange is a thing, whatever its colour.
+        colour = None if self.classes is None or query in self.classes else colour_in(query)
         for piece in pieces:
             if colour is None:
                 yield piece
@@ -158,8 +185,24 @@ class Views:
         return None if self.classes is None else meant(query, self.classes, coloured=True)
 
 
+def combined(
+    seen: Sequence[Seen],
+    query: str,
+    wanted: Sequence[str] | None = None,
+    detector: DetectorModel | None = None,
+    stamp: float | None = None,
+) -> Evidence:
+    """The evidence of a look from what was `seen` in its views: one view, or several that cover the whole sphere.
+
+    `wanted`: the classes that `query` means; None: the query itself decides about labels, of an open vocabulary.
+    """
+    pieces = [piece for number, each in enumerate(seen) for piece in _pieces(number, *each, query, wanted)]
+    view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
+    return spread_evidence(things(pieces), detector or DetectorModel(), view, stamp)
+
+
 def _pieces(
-    number: int, grid: PerspectiveGrid, seen: Boxes, query: str, wanted: tuple[str, ...] | None
+    number: int, grid: PerspectiveGrid, seen: Boxes, query: str, wanted: Sequence[str] | None
 ) -> Iterator[ViewBox]:
     """The boxes of view `number` that the query means."""
     boxes, scores, labels = seen
@@ -172,7 +215,7 @@ def _pieces(
             yield ViewBox(number, grid, inside, float(score))
 
 
-def _fits(label: str, query: str, wanted: tuple[str, ...] | None) -> bool:
+def _fits(label: str, query: str, wanted: Sequence[str] | None) -> bool:
     """Whether a label is one of the `wanted` classes; of an open vocabulary, whether the query means it."""
     if wanted is not None:
         return label in wanted
@@ -222,6 +265,22 @@ class ViewBox:
         size = np.array([self.grid.width, self.grid.height])
         near = BORDER * size
         return np.concatenate([self.box[:2] <= near, self.box[2:] >= size - near])
+
+    @lazy
+    def plane(self) -> PerspectiveGrid:
+        """The view without distortion, in whose plane a thing may go on beyond the border; as it is if it has none."""
+        lens = self.grid.lens
+        return PerspectiveGrid.of_lens(replace(lens, distortion=())) if any(lens.distortion) else self.grid
+
+    def in_plane(self, box: np.ndarray) -> np.ndarray:
+        """A box ``(4,)`` of the view as one of `plane`: as far as the middles of its sides."""
+        if self.plane is self.grid:
+            return np.asarray(box, dtype=np.float64)
+        lens, (x0, y0, x1, y1) = self.grid.lens, box
+        middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
+        right, down = lens.plane(np.array([x0, middle_x, x1, middle_x]), np.array([middle_y, y0, middle_y, y1]))
+        x, y = lens.centre[0] + lens.focal[0] * right, lens.centre[1] + lens.focal[1] * down
+        return np.array([x[0], y[1], x[2], y[3]])
 
     @lazy
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
@@ -279,7 +338,7 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
         return Thing(*moments_of(*whole.samples), score)
     directions, weights = [], []
     for number, piece in enumerate(group):
-        found, areas = box_samples(_opened(piece, group), piece.grid)
+        found, areas = box_samples(_opened(piece, group), piece.plane)
         new = np.ones(len(found), dtype=bool)
         for place, other in enumerate(group):
             held, seen = other.holds(found)
@@ -295,11 +354,13 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
 
 
 def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
-    """The box ``(4,)`` of a piece, longer at each cut side beyond which no other piece of the group goes on."""
+    """The box ``(4,)`` of a piece in its plane, longer at each cut side beyond which no other goes on."""
     x0, y0, x1, y1 = piece.box
-    wide, high = x1 - x0, y1 - y0
     middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
-    found = piece.box.astype(np.float64).copy()
+    found = piece.in_plane(piece.box).copy()
+    wide, high = found[2:] - found[:2]
+    grid, lens = piece.grid, piece.plane.lens
+    border = np.abs(piece.in_plane(np.array([0, 0, grid.width, grid.height])) - np.tile(lens.centre, 2))
     beyond = np.array([[x0 - 1, middle_y], [middle_x, y0 - 1], [x1 + 1, middle_y], [middle_x, y1 + 1]])
     for side in np.flatnonzero(piece.cut):
         there = piece.grid.unproject(*beyond[side])[None]
@@ -307,8 +368,10 @@ def _opened(piece: ViewBox, group: Sequence[ViewBox]) -> np.ndarray:
             continue
         length = HIDDEN * (wide, high)[side % 2]
         # A plane stretches without bound towards its horizon: go on by the angle, not by pixels.
-        half = (piece.grid.width, piece.grid.height)[side % 2] / 2
-        angle = math.atan(half / piece.grid.focal) + min(length / piece.grid.focal, math.radians(60))
-        edge = half + piece.grid.focal * math.tan(min(angle, math.radians(80)))
-        found[side] = min(found[side] + length, edge) if side >= 2 else max(found[side] - length, 2 * half - edge)
+        centre, focal = lens.centre[side % 2], lens.focal[side % 2]
+        angle = math.atan(border[side] / focal) + min(length / focal, math.radians(60))
+        reach = focal * math.tan(min(angle, math.radians(80)))
+        found[side] = (
+            min(found[side] + length, centre + reach) if side >= 2 else max(found[side] - length, centre - reach)
+        )
     return found

@@ -73,7 +73,7 @@ class Reel:
                 return frame, motion.world_R_body(frame.stamp), False
             except EagorError:  # the track is shorter than the video
                 pass
-        turned = self._odometer.add(frame.panorama)
+        turned = self._odometer.add(frame.picture)
         return frame, np.asarray(turned.world_R_body), turned.lost
 
 
@@ -143,7 +143,7 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
         elif what == "picture":
             session, path, perception = rest
             found = _photograph(path)
-            sent = small_jpeg(found.panorama, PHOTO_ROWS)
+            sent = small_jpeg(found.picture, PHOTO_ROWS)
             say(Opened(session, sent, found.facts, calibration_of(_loaded(perception), TrackerConfig())))
     except Exception as error:
         if what == "warm":
@@ -202,10 +202,10 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
         looks: tuple[Evidence, ...] = ()
         if job.query is not None:
             try:
-                looks = look_if_recorded(_loaded(job.perception), frame.panorama, job.query, frame.stamp, pose)
+                looks = look_if_recorded(_loaded(job.perception), frame.picture, job.query, frame.stamp, pose)
             except EagorError as error:
                 say(_refusal(job, error))
-        small = small_jpeg(frame.panorama, FIRST_ROWS)
+        small = small_jpeg(frame.picture, FIRST_ROWS)
         say(Turned(job.session, frame.stamp, pose, small, job.query, looks, lost))
     except Exception as error:
         say(Refused(job.session, "picture", _said(error)))
@@ -254,7 +254,7 @@ def _looked(job: See) -> tuple[Evidence, ...]:
         return (_informed(job.perception, job.seed)(ids, job.query, stamp=job.stamp),)
     rows = rows_of(perception)
     if job.picture is not None:
-        rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).panorama.shape[0]))
+        rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).picture.shape[0]))
     return look_if_recorded(perception, _rendered(job, rows), job.query, job.stamp, job.world_R_body)
 
 
@@ -272,7 +272,7 @@ def _informed(perception: str, seed: int) -> Any:
 @lru_cache(maxsize=16)
 def _small(path: Path, rows: int) -> Photograph:
     """The photograph, shrunk once to the rows that are looked at."""
-    found = Photograph(_photograph(path).panorama).panorama(STILL, np.eye(3), rows).rgb
+    found = Photograph(_photograph(path).picture).panorama(STILL, np.eye(3), rows).rgb
     assert found is not None
     return Photograph(found)
 

@@ -161,7 +161,7 @@ def _photo(path: Path, name: str) -> Upload:
                     f"{name} has {width} x {height} pixels, more than {PIXELS // 10**6} million.",
                     "Make it smaller: 8192 x 4096 are plenty.", 413,
                 )  # fmt: skip
-            found = read_photograph(path).panorama
+            found = read_photograph(path).picture
     except PageError:
         raise
     except EagorError as error:

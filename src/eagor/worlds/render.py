@@ -15,14 +15,201 @@ from pathlib import Path
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor._srgb import to_coded, to_linear
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.sphere import check_rotation
-from eagor.worlds.lattice import Lattice
-from eagor.worlds.light import light_of
-from eagor.worlds.raycast import Raycaster, make_raycaster
-from eagor.worlds.scene import Scene
-from eagor.worlds.shading import Shader
+from eagor.worlds.lattice import Lattice, unseen
+from eagor.worlds.light import light_of, look_up, painted_sky
+from eagor.worlds.raycast import Hits, Raycaster, make_raycaster
+from eagor.worlds.scene import Material, Scene
+
+BRIGHTEST = 5.0  # light is clipped to this; 1 shows a white surface at the edge of the shoulder's range
+_KNEE = 0.4  # display values up to here are linear
+_CONTRAST = 1.08
+_MEDIAN = 0.48  # display value, before the shoulder, of a white surface in the scene's median light
+_OUTDOORS = 1.6  # exposure of the view out of the windows
+_LANE = 21
+_BLOCK = 1 << 14  # pixels at a time, so that their data fits in the cache
+_LEVELS = 12  # of textures: sides up to 2048 texels, halved down to 1
+
+
+def exposure(scene: Scene, lattice: Lattice, light: np.ndarray) -> float:
+    """The factor from `light` ``(S, 3)`` to display values, from the median light in the rooms."""
+    brightness = light.mean(axis=1)
+    weight = np.where(unseen(scene)[lattice.slots[0]], 0.0, lattice.areas)
+    order = np.argsort(brightness)
+    total = np.cumsum(weight[order])
+    median = brightness[order[min(np.searchsorted(total, total[-1] / 2), len(order) - 1)]]
+    return _MEDIAN / max(float(median), 1e-6)
+
+
+def tone(linear: np.ndarray) -> np.ndarray:
+    """Linear display values in [0, 1] of scene values: straight up to the knee, then a shoulder that never clips."""
+    room = 1 - _KNEE
+    excess = (np.maximum(linear, _KNEE) - _KNEE) / room
+    return np.where(linear <= _KNEE, linear, _KNEE + room * excess / (1 + excess)) ** _CONTRAST
+
+
+class Shader:
+    """The appearance of a scene, in tables."""
+
+    def __init__(self, scene: Scene, lattice: Lattice, light: np.ndarray) -> None:
+        self._texels = Texels.of(scene.materials)
+        emission = np.array([m.emission for m in scene.materials])[scene.material][lattice.slots[0]]
+        self._slots = _packed(light * exposure(scene, lattice, light) + emission[:, None], int(lattice.cells.max()) + 3)
+        self._tone = _tone_table()
+        view = tone(_OUTDOORS * painted_sky(int(scene.hash[:8], 16)))
+        self._outdoors = np.rint(255 * to_coded(view)).astype(np.uint8)
+        self._prepare(scene, lattice)
+
+    def _prepare(self, scene: Scene, lattice: Lattice) -> None:
+        """The tables of the triangles; an additional last row serves rays without a hit."""
+        _, e1, e2, _ = lattice.frame
+        side = (1 << self._texels.log_side[scene.material * _LEVELS].astype(np.int64))[:, None].astype(np.float64)
+        uv = np.take_along_axis(scene.uv, ((lattice.turned[:, None] + np.arange(3)) % 3)[..., None], axis=1)
+        uv = uv.astype(np.float64)
+        uv -= np.floor(uv.min(axis=1, keepdims=True))  # whole repeats do not matter; this makes all values positive
+        a, b = (uv[:, 1] - uv[:, 0]) * side, (uv[:, 2] - uv[:, 0]) * side
+        # Texels per metre: from the areas of the triangle on the texture and in the world.
+        texture_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        density = np.sqrt(texture_area / np.maximum(np.linalg.norm(np.cross(e1, e2), axis=1), 1e-12))
+        columns = (*(uv[:, 0] * side).T, *a.T, *b.T, *lattice.cells.T.astype(np.float64), density)
+        self._rows = [np.append(column, 1.0).astype(np.float32) for column in columns]
+        self._light_base = np.append(lattice.base, 0).astype(np.int32)
+        self._pyramid = np.append(scene.material * _LEVELS, 0).astype(np.int32)
+
+    def shade(self, hits: Hits, directions: np.ndarray, pixel: float) -> np.ndarray:
+        """Colours ``(n, 3)`` uint8 sRGB of the hits of rays with `directions` ``(n, 3)``; `pixel`: angle, radians."""
+        count = len(directions)
+        colours = np.empty((count, 3), dtype=np.uint8)
+        for first in range(0, count, _BLOCK):
+            part = slice(first, min(first + _BLOCK, count))
+            self._block(hits.triangle[part], hits.distance[part], hits.u[part], hits.v[part], pixel, colours[part])
+        missed = np.flatnonzero(hits.triangle < 0)
+        if len(missed):
+            colours[missed] = np.rint(look_up(self._outdoors, directions[missed]))
+        return colours
+
+    def _block(
+        self, triangle: np.ndarray, distance: np.ndarray, u: np.ndarray, v: np.ndarray, pixel: float, out: np.ndarray
+    ) -> None:
+        row = triangle.astype(np.intp)
+        x0, y0, ax, ay, bx, by, nu, nv, density = (column[row] for column in self._rows)
+        texel = self._texel(row, u, v, x0, y0, ax, ay, bx, by, distance * density * np.float32(pixel))
+        light = self._light(row, u, v, nu, nv)
+        for k in range(3):
+            level = (light >> (_LANE * k + 12)).astype(np.int32) & 511
+            level <<= 8
+            level |= (texel >> (8 * k)) & 255
+            out[:, k] = self._tone[level]
+
+    def _texel(self, row, u, v, x0, y0, ax, ay, bx, by, footprint) -> np.ndarray:
+        """The texel at each pixel, from the level whose texels are about as large as the pixel."""
+        # The exponent of a float is the whole part of its logarithm; times sqrt(2), to round instead of truncating.
+        level = (footprint * np.float32(1.4142135)).view(np.int32) >> 23
+        level -= 127
+        np.clip(level, 0, _LEVELS - 1, out=level)
+        place = self._pyramid[row]
+        place += level
+        log_side = self._texels.log_side[place]
+        mask = (np.int32(1) << log_side) - np.int32(1)
+        x = (x0 + u * ax + v * bx).astype(np.int32) >> level
+        y = (y0 + u * ay + v * by).astype(np.int32) >> level
+        return self._texels.texels[self._texels.base[place] + ((y & mask) << log_side) + (x & mask)]
+
+    def _light(self, row, u, v, nu, nv) -> np.ndarray:
+        """The light at each pixel, three lanes in one number: linear on each half of a lattice cell."""
+        x, y = u * nu, v * nv
+        i, j = x.astype(np.int32), y.astype(np.int32)
+        along, across = ((x - i) * 1024).astype(np.int32), ((y - j) * 1024).astype(np.int32)
+        stride = nu.astype(np.int32) + 1
+        start = self._light_base[row] + i + j * stride
+        rest = 1024 - along - across  # negative in the upper half, beyond the diagonal of the cell
+        excess = np.minimum(rest, 0)
+        slots = self._slots
+        total = slots[start - (rest >> 31) * (stride + 1)] * np.abs(rest)
+        total += slots[start + 1] * (along + excess)
+        total += slots[start + stride] * (across + excess)
+        return total
+
+
+def _packed(light: np.ndarray, spare: int) -> np.ndarray:
+    """Display light ``(S, 3)`` as one number per slot, followed by `spare` zeros (a weight of 0 may point there)."""
+    levels = np.rint(2047 * np.sqrt(np.clip(light / BRIGHTEST, 0, 1))).astype(np.int64)
+    packed = levels[:, 0] | levels[:, 1] << _LANE | levels[:, 2] << 2 * _LANE
+    return np.append(packed, np.zeros(spare, dtype=np.int64))
+
+
+def _tone_table() -> np.ndarray:
+    """sRGB of light level and coded reflectance, ``(512 * 256,)`` uint8, reflectance running fastest."""
+    light = BRIGHTEST * ((np.arange(512) + 0.5) / 512) ** 2
+    reflectance = to_linear(np.arange(256) / 255)
+    return np.rint(255 * to_coded(tone(light[:, None] * reflectance))).astype(np.uint8).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Texels:
+    """All textures in one flat array, each in a pyramid of halved sizes, tinted beforehand.
+
+    A texel is one number: red + green 2^8 + blue 2^16, sRGB-coded reflectance. Pyramids are square with sides that are
+    powers of two, so that a place in them is found by shifts and masks alone. `texels` ``(n,)`` int32; for material m
+    at level l (0: full size), at place m * _LEVELS + l, `base` ``(M * _LEVELS,)`` int32 is where its rows begin, and
+    `log_side` the logarithm of its side to base 2; levels beyond the last repeat it.
+    """
+
+    texels: np.ndarray
+    base: np.ndarray
+    log_side: np.ndarray
+
+    @classmethod
+    def of(cls, materials: tuple[Material, ...]) -> Texels:
+        """The pyramids of `materials`."""
+        pyramids: dict[int, list[np.ndarray]] = {}
+        texels, base, log_side, start = [], [], [], 0
+        for material in materials:
+            key = 0 if material.texture is None else id(material.texture)
+            if key not in pyramids:
+                pyramids[key] = _pyramid(material.texture)
+            tint = to_linear(np.clip(np.asarray(material.colour, dtype=np.float64), 0, 1))
+            levels = [_tinted(level, tint) for level in pyramids[key]]
+            for k in range(_LEVELS):
+                level = levels[min(k, len(levels) - 1)]
+                base.append(start + sum(len(other) for other in levels[: min(k, len(levels) - 1)]))
+                log_side.append(len(level).bit_length() // 2)
+            texels.extend(levels)
+            start += sum(len(level) for level in levels)
+        return cls(np.concatenate(texels), np.array(base, dtype=np.int32), np.array(log_side, dtype=np.int32))
+
+
+def _pyramid(texture: np.ndarray | None) -> list[np.ndarray]:
+    """The levels of a texture, ``(side^2, 3)`` uint8 each, row 0 at the bottom (v points up)."""
+    if texture is None:
+        return [np.full((1, 3), 255, dtype=np.uint8)]
+    texture = texture[::-1, :, :3]
+    side = 1 << min(int(np.ceil(np.log2(max(texture.shape[:2])))), _LEVELS - 1)
+    if texture.shape[:2] != (side, side):
+        from PIL import Image
+
+        texture = np.asarray(Image.fromarray(np.ascontiguousarray(texture)).resize((side, side)))
+    levels = [texture.reshape(-1, 3)]
+    decode = to_linear(np.arange(256) / 255).astype(np.float32)
+    encode = np.rint(255 * to_coded(np.arange(4096) / 4095)).astype(np.uint8)
+    level = decode[texture]
+    while len(level) > 1:
+        level = (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2]) / 4
+        levels.append(encode[np.rint(level * 4095).astype(np.int32)].reshape(-1, 3))
+    return levels
+
+
+def _tinted(level: np.ndarray, tint: np.ndarray) -> np.ndarray:
+    """Packed texels of a level, times a linear colour."""
+    table = np.rint(255 * to_coded(to_linear(np.arange(256) / 255)[:, None] * tint)).astype(np.int32)
+    r, g, b = (table[level[:, k], k] for k in range(3))
+    return r | g << 8 | b << 16
+
+
+# --- colour, range and instance ids of a scene, from any pose and for any grid ----------------------------------------
 
 Position = np.ndarray | tuple[float, float, float]
 _QUANTA = 1 << 20  # steps of yaw per column: 1e-8 rad in a panorama of 512 columns, below the resolution of float32

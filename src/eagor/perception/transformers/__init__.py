@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -140,7 +140,7 @@ class TransformersPerception:
         if size[0] * shape[1] != size[1] * shape[0]:  # the model sees only squares: its cells are square in a square
             size, shape = self.loaded.size(1.0), self.loaded.cells(1.0, self._each)
         picture, posed, inner = framed(image, grid, size)
-        cells = replace(posed, height=shape[0], width=shape[1])
+        cells = posed.resized(*shape)
         coverage = None if inner == size else filled(shape, size, inner)
         told: dict[str, object] = {"extractor": self._each, "pixels": list(size)}
         shots = _Shots([picture], [(posed, 0.0)], [cells], lambda found: (found[0], coverage), told)
@@ -232,7 +232,7 @@ class TransformersPerception:
 
         views = self._cut()
         rows, cols = self.loaded.cells(1.0, self.per_view)
-        grids = [replace(view, height=rows, width=cols) for view in views]
+        grids = [view.resized(rows, cols) for view in views]
         # Cells as fine as in the middle of a view.
         lines = max(12, min(90, round(math.pi * grids[0].focal)))
         told: dict[str, object] = {

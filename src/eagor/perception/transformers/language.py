@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from threading import RLock
 from typing import Any
 
@@ -165,7 +165,7 @@ class LanguageModel:
         planned = self.plan(1.0 if view is not None else panorama.shape[1] / panorama.shape[0])
         picture = panorama if view is None else cut(panorama, view)[0]
         rows, cols = planned.shape
-        grid = PatchGrid(rows, cols) if view is None else replace(view, height=rows, width=cols)
+        grid = PatchGrid(rows, cols) if view is None else view.resized(rows, cols)
         with self.lock:
             look = _Batch(self, [resized(picture, planned.size, wrap=view is None)], Account())
             _, _, captured = look.ask(ask_presence(example.query), full_layers(self.model))

@@ -166,8 +166,12 @@ def framed(
     picture[:] = np.rint(image.reshape(-1, 3).mean(axis=0)).astype(np.uint8)
     top, left = (height - rows) // 2, (width - cols) // 2
     picture[top : top + rows, left : left + cols] = resized(image, (rows, cols))
-    hfov = 2 * math.atan(width / (2 * scale * grid.focal))
-    return picture, PerspectiveGrid(height, width, hfov, grid.body_R_view), (rows, cols)
+    if grid.optics is None:
+        hfov = 2 * math.atan(width / (2 * scale * grid.focal))
+        return picture, PerspectiveGrid(height, width, hfov, grid.body_R_view), (rows, cols)
+    inner = grid.resized(rows, cols).lens
+    centre = inner.centre[0] + left, inner.centre[1] + top
+    return picture, PerspectiveGrid.of_lens(replace(inner, size=(width, height), centre=centre)), (rows, cols)
 
 
 def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]) -> np.ndarray:

@@ -158,10 +158,11 @@ class PixelEye:
     def __call__(self, view: View) -> ViewEvidence:
         drawn = render_view(open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution)
         image = without_cross(drawn)
-        pitch, hfov = math.radians(view.pitch), math.radians(HFOV_DEG)
+        upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
+        grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
         while True:
             try:
-                evidence = look_at_view(self._perception, image, pitch, hfov, self._queries[0])
+                evidence = look_at_view(self._perception, image, grid, self._queries[0])
                 return ViewEvidence(evidence, world_R_body(-math.radians(view.yaw)))
             except QueryError:
                 if len(self._queries) == 1:

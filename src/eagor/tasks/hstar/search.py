@@ -19,9 +19,10 @@ from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
 from eagor.belief import Belief
 from eagor.evidence import Evidence
-from eagor.grids import PatchGrid
+from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
+from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import HFOV_DEG, View, headings_of, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
 from eagor.tasks.search_space import information
@@ -51,7 +52,7 @@ class SearchRules:
 
     The defaults were tuned on development apartments (random trials, as in ``benchmarks/search.py --fit``), `shift`
     and `slope` by the log score of the probability stated at each of ten turns; the prior on development scenes with
-    things at all heights (``benchmarks/search_heights.py``).
+    things at all heights.
 
     Raises `EagorError` for numbers out of range.
     """
@@ -202,7 +203,8 @@ def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray, hit: float, 
 
 def _shares(pitch: int) -> np.ndarray:
     """The fraction of each cell ``(H, W)`` that a view at yaw 0 and this pitch shows."""
-    return coverage(*CELLS.shape, *size_of(), math.radians(HFOV_DEG), math.radians(pitch))
+    (height, width), pose = size_of(), world_R_body(0.0, -math.radians(pitch))
+    return coverage(*CELLS.shape, PerspectiveGrid(height, width, math.radians(HFOV_DEG), pose))
 
 
 @lru_cache(maxsize=256)

@@ -16,7 +16,6 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.worlds.apartment.cells import NICHE, SOLID, Cells, rectangles_of, wall_faces
-from eagor.worlds.apartment.curved import tube
 from eagor.worlds.apartment.furnisher import Piece
 from eagor.worlds.apartment.mesh import (
     Mesh,
@@ -30,6 +29,7 @@ from eagor.worlds.apartment.mesh import (
     placed,
     projected,
     quad_triangles,
+    tube,
 )
 from eagor.worlds.apartment.placement import GAP, from_rectangle, overlaps
 from eagor.worlds.apartment.plans import HALF_WALL, LINING, OUTSIDE, Boundary, Doorway, Opening, Plan

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.navmesh import NavMesh
 from eagor.worlds.habitat.options import Options, existing, is_bare
-from eagor.worlds.habitat.probe import import_habitat
-from eagor.worlds.habitat.storeys import Storey
-from eagor.worlds.habitat.view import HabitatView
+from eagor.worlds.habitat.simulator import import_habitat
+from eagor.worlds.habitat.surface import Storey
+from eagor.worlds.habitat.view import Frames, HabitatView
 from eagor.worlds.habitat_mesh import LAB_SLOPE, voxel_for
 
 __all__ = ["EYE", "ROWS", "mesh_for", "roofed", "settings_for", "true_floor"]

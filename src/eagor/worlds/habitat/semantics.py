@@ -26,15 +26,113 @@ import numpy as np
 
 from eagor._json import number, parsed, shown
 from eagor.errors import WorldError
+from eagor.grids import ErpGrid
 from eagor.queries import COLOURS, SYNONYMS
 from eagor.worlds.glb import FORMAT
-from eagor.worlds.habitat.extents import Box, from_the_origin, repaired
-from eagor.worlds.habitat.frames import Frames
-from eagor.worlds.habitat.labels import BoxLabels, IdLabels
+from eagor.worlds.habitat.simulator import Session
+from eagor.worlds.habitat.view import Frames, euclidean
 from eagor.worlds.scene import Instance, Room
 from eagor.worlds.semantic_glb import FIRST_ID
 
-__all__ = ["BOXES", "Things", "beside", "things_of"]
+__all__ = [
+    "BOXES",
+    "BoxLabels",
+    "IdLabels",
+    "Things",
+    "beside",
+    "from_the_origin",
+    "repaired",
+    "seen_boxes",
+    "things_of",
+]
+
+LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
+_CHUNK = 1 << 22  # comparisons of a point with a box at a time
+
+
+class IdLabels:
+    """Labels by Habitat's semantic ids: `place` ``(n,)``, our index (or -1) of each id."""
+
+    raw = True
+
+    def __init__(self, place: np.ndarray) -> None:
+        self._place = np.append(place, -1).astype(np.int32)  # the last for ids beyond the table
+
+    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
+        """The ids ``(H, W)`` int32 of Habitat's `semantic` ``(H, W)``."""
+        assert semantic is not None
+        return self._place[np.minimum(semantic, len(self._place) - 1).astype(np.intp)]
+
+
+class BoxLabels:
+    """Labels by points: the smallest box that contains a point, -1 if none does."""
+
+    raw = False
+
+    def __init__(self, instances: Sequence[Instance]) -> None:
+        size = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
+        self._order = np.argsort(size, kind="stable")
+        self._low = np.array([instances[k].low for k in self._order]).reshape(-1, 3) - LOOSE
+        self._high = np.array([instances[k].high for k in self._order]).reshape(-1, 3) + LOOSE
+
+    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
+        """The ids ``(H, W)`` int32 at `points` ``(H, W, 3)``, our world, NaN for no hit."""
+        assert points is not None
+        flat = points.reshape(-1, 3)
+        found = np.full(len(flat), -1, dtype=np.int32)
+        if len(self._order) == 0:
+            return found.reshape(points.shape[:-1])
+        for start in range(0, len(flat), step := max(1, _CHUNK // len(self._order))):
+            part = flat[start : start + step, None]
+            inside = np.all((part >= self._low) & (part <= self._high), axis=-1)
+            first = inside.argmax(axis=1)
+            hit = inside[np.arange(len(first)), first]
+            found[start : start + step] = np.where(hit, self._order[first], -1)
+        return found.reshape(points.shape[:-1])
+
+
+# --- the boxes of things in Habitat's semantic scenes, repaired from what is seen -------------------------------------
+
+Box = tuple[np.ndarray, np.ndarray]
+ROWS = 128  # of the panoramas
+FEWEST = 12  # pixels that a thing has to show
+TRIM = 0.5  # per cent of the points at each end: edges of things mix near and far
+
+
+def from_the_origin(boxes: Sequence[Box]) -> bool:
+    """Whether all of several boxes, Habitat's world, contain the origin."""
+    return len(boxes) > 2 and all((low <= 0).all() and (high >= 0).all() for low, high in boxes)
+
+
+def repaired(box: Box, seen: Box) -> Box:
+    """A box, Habitat's world, with its sides at 0 replaced by those of what was seen."""
+    (low, high), (first, last) = box, seen
+    return np.where(low == 0, np.clip(first, low, high), low), np.where(high == 0, np.clip(last, low, high), high)
+
+
+def seen_boxes(session: Session, eyes: np.ndarray) -> Mapping[int, Box]:
+    """The extent of what is seen of each semantic id from points ``(n, 3)``, all in Habitat's world."""
+    still = Frames()
+    directions = ErpGrid(ROWS, 2 * ROWS).directions
+    ids, points = [], []
+    for eye in eyes:
+        looks = session.look(("depth", "semantic"), ROWS, eye, still.quaternion(np.eye(3)))
+        metres = euclidean(looks["depth"])
+        hit = np.isfinite(metres)
+        ids.append(looks["semantic"][hit])
+        points.append(eye + still.to_habitat(metres[hit][:, None] * directions[hit]))
+    every, where = np.concatenate(ids), np.concatenate(points)
+    order = np.argsort(every, kind="stable")
+    names, starts = np.unique(every[order], return_index=True)
+    parts = zip(names.tolist(), np.split(where[order], starts[1:]), strict=True)
+    return {
+        name: (np.percentile(part, TRIM, axis=0), np.percentile(part, 100 - TRIM, axis=0))
+        for name, part in parts
+        if len(part) >= FEWEST
+    }
+
+
+# --- the named things of a scene in Habitat, and how to tell which one a pixel shows ----------------------------------
 
 BOXES = "eagor boxes 1"
 UNNAMED = {"", "unknown", "unlabeled", "unlabelled", "void", "misc", "undefined", "object", "objects", "other"}

@@ -1,20 +1,57 @@
-"""Panoramas from Habitat-Sim: colour, Euclidean range, and the ids of our instances."""
+"""What a camera sees in Habitat-Sim, in our coordinates: colour, Euclidean range, and the ids of our instances.
+
+Habitat's world has Y up; its x is ours, its Z is our -y (`eagor.conventions.to_gltf`), as in exported GLB files and
+ObjectNav episodes. Heights differ by the floor of the chosen storey: our z = 0 is Habitat's y = `Frames.floor`. A
+camera's own axes are x right, y up, z backward.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
+from eagor.conventions import from_gltf, pose_to_habitat, to_gltf, wxyz_from_rotation
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid
 from eagor.sphere import check_rotation
-from eagor.worlds.habitat.frames import Frames
-from eagor.worlds.habitat.sessions import Session
+from eagor.worlds.habitat.simulator import Session
 from eagor.worlds.render import Frame
 
-__all__ = ["HabitatView", "Labels", "euclidean"]
+__all__ = ["Frames", "HabitatView", "Labels", "euclidean"]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The change of coordinates for a scene whose floor is at the height `floor`, metres, in Habitat's world."""
+
+    floor: float = 0.0
+
+    def to_habitat(self, points: np.ndarray) -> np.ndarray:
+        """Points ``(..., 3)`` of our world in Habitat's."""
+        found = to_gltf(np.asarray(points, dtype=np.float64))
+        found[..., 1] += self.floor
+        return found
+
+    def from_habitat(self, points: np.ndarray) -> np.ndarray:
+        """Points ``(..., 3)`` of Habitat's world in ours."""
+        found = from_gltf(np.asarray(points, dtype=np.float64))
+        found[..., 2] -= self.floor
+        return found
+
+    def box_from_habitat(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner ``(3,)`` of an axis-aligned box, in our world."""
+        corners = self.from_habitat(np.stack([low, high]))
+        return corners.min(axis=0), corners.max(axis=0)
+
+    def quaternion(self, world_R_body: np.ndarray) -> np.ndarray:
+        """Habitat's rotation ``(4,)``, w first, of a camera with our pose `world_R_body`. Raises `RotationError`."""
+        return wxyz_from_rotation(pose_to_habitat(world_R_body))
+
+
+# --- panoramas from Habitat-Sim ---------------------------------------------------------------------------------------
 
 FAR = 999.0  # metres: the far plane is at 1000
 

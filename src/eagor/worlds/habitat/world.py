@@ -29,17 +29,13 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.worlds import World, WorldOf
-from eagor.worlds.habitat.configuring import Source
-from eagor.worlds.habitat.extents import Box, seen_boxes
 from eagor.worlds.habitat.floors import EYE, ROWS, mesh_for, roofed, true_floor
-from eagor.worlds.habitat.frames import Frames
 from eagor.worlds.habitat.navmesh import LEVEL, NavMesh
 from eagor.worlds.habitat.options import Options, existing, file_of, parse, scene_id_of
-from eagor.worlds.habitat.probe import import_habitat
-from eagor.worlds.habitat.semantics import Things, beside, things_of
-from eagor.worlds.habitat.sessions import Session
-from eagor.worlds.habitat.storeys import Storey, main_storey
-from eagor.worlds.habitat.view import HabitatView
+from eagor.worlds.habitat.semantics import Box, Things, beside, seen_boxes, things_of
+from eagor.worlds.habitat.simulator import Session, Source, import_habitat
+from eagor.worlds.habitat.surface import Storey, main_storey
+from eagor.worlds.habitat.view import Frames, HabitatView
 from eagor.worlds.scene import Instance, Room
 
 __all__ = ["WORLD", "HabitatScene", "open_scene"]

@@ -11,9 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from eagor.worlds.apartment.curved import cylinder, lathe, quad, tube
 from eagor.worlds.apartment.furniture.model import finish, fittings, polar
-from eagor.worlds.apartment.mesh import Mesh, Part, box, merged, moved, part, reshaped
+from eagor.worlds.apartment.mesh import Mesh, Part, box, cylinder, lathe, merged, moved, part, quad, reshaped, tube
 from eagor.worlds.apartment.textures import material
 from eagor.worlds.scene import Lamp
 

@@ -11,10 +11,23 @@ import math
 import numpy as np
 
 from eagor.sphere import rotation
-from eagor.worlds.apartment.curved import cylinder, lathe, sheet, tube
 from eagor.worlds.apartment.furniture.model import facing, finish, fittings, pull
 from eagor.worlds.apartment.furniture.storage import base_units, front
-from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, box, merged, moved, prism, rounded_rectangle, turned
+from eagor.worlds.apartment.mesh import (
+    Mesh,
+    Part,
+    bevelled,
+    box,
+    cylinder,
+    lathe,
+    merged,
+    moved,
+    prism,
+    rounded_rectangle,
+    sheet,
+    tube,
+    turned,
+)
 
 
 def ellipse(x: float, y: float, sides: int = 20, front: float = 0.0) -> np.ndarray:

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.worlds.apartment.curved import lathe, tube
-from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, box, merged, moved, part, post
+from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, box, lathe, merged, moved, part, post, tube
 from eagor.worlds.apartment.textures import REPEAT, material
 from eagor.worlds.scene import Lamp
 

@@ -13,9 +13,23 @@ from itertools import pairwise
 import numpy as np
 
 from eagor.sphere import rotation
-from eagor.worlds.apartment.curved import cushion, pillow, slab, tube
 from eagor.worlds.apartment.furniture.model import WOODS, Rectangle, finish, fittings, legs, timber
-from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, box, loft, mirrored, moved, post, reshaped, turned
+from eagor.worlds.apartment.mesh import (
+    Mesh,
+    Part,
+    bevelled,
+    box,
+    cushion,
+    loft,
+    mirrored,
+    moved,
+    pillow,
+    post,
+    reshaped,
+    slab,
+    tube,
+    turned,
+)
 
 CLOTHS = ("grey", "beige", "blue", "green", "red", "brown", "black", "white", "orange", "yellow", "purple", "pink")
 COLOURS = ("white", "grey", "blue", "green", "beige", "red", "purple", "pink", "yellow", "orange", "brown", "black")

@@ -6,9 +6,19 @@ from itertools import pairwise
 
 import numpy as np
 
-from eagor.worlds.apartment.curved import cylinder, lathe
 from eagor.worlds.apartment.furniture.model import finish, fittings, knob, legs, panel, pull, timber
-from eagor.worlds.apartment.mesh import CORNERS, Mesh, Part, bevelled, box, merged, moved, quad_triangles
+from eagor.worlds.apartment.mesh import (
+    CORNERS,
+    Mesh,
+    Part,
+    bevelled,
+    box,
+    cylinder,
+    lathe,
+    merged,
+    moved,
+    quad_triangles,
+)
 from eagor.worlds.apartment.pictures import SPINES
 from eagor.worlds.apartment.textures import material
 

@@ -7,9 +7,23 @@ from itertools import pairwise
 
 import numpy as np
 
-from eagor.worlds.apartment.curved import cylinder, lathe, quad, tube
 from eagor.worlds.apartment.furniture.model import apron, finish, fittings, knob, legs, panel, polar, pull, timber
-from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, board, box, merged, moved, part, post, prism
+from eagor.worlds.apartment.mesh import (
+    Mesh,
+    Part,
+    bevelled,
+    board,
+    box,
+    cylinder,
+    lathe,
+    merged,
+    moved,
+    part,
+    post,
+    prism,
+    quad,
+    tube,
+)
 from eagor.worlds.apartment.mesh import rounded_rectangle as rounded
 from eagor.worlds.apartment.textures import material
 
