@@ -102,7 +102,7 @@ class Detections:
     def widened(self, spread: float) -> Detections:
         """The same where the pose of the camera is only known to a deviation of `spread` (radians per axis)."""
         deviations = 1 / np.linalg.norm(self.axes, axis=-1, keepdims=True)
-        return replace(self, axes=self.axes * deviations / np.hypot(deviations, spread))
+        return altered(self, axes=self.axes * deviations / np.hypot(deviations, spread))
 
     def share(self, directions: np.ndarray) -> np.ndarray | float:
         """v ``(...)``: how far any of the views covered each direction ``(..., 3)`` of the body frame."""
