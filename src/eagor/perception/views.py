@@ -130,16 +130,21 @@ class Views:
         self, panorama: np.ndarray, queries: Sequence[str], world_R_body: np.ndarray | None = None
     ) -> list[list[Thing]]:
         """What the detector sees of each query, before any reading: one `Thing` each, the surest first."""
-        wanted = [self._wanted(query) for query in queries]
-        panorama = checked_picture(panorama)
+        panorama, grids = checked_picture(panorama), self.views(world_R_body)
         warn_unless_whole(panorama)
-        grids = self.views(world_R_body)
-        pictures, seen = cut(panorama, *grids), None
+        return self.things_in(tuple(zip(grids, cut(panorama, *grids), strict=True)), queries)
+
+    def things_in(
+        self, pictures: Sequence[tuple[PerspectiveGrid, np.ndarray]], queries: Sequence[str]
+    ) -> list[list[Thing]]:
+        """As `things`, in ordinary pictures ``(h, w, 3)`` uint8 of one moment, each with its grid."""
+        wanted = [self._wanted(query) for query in queries]
         found: list[list[ViewBox]] = [[] for _ in queries]
+        seen = None
         for query, words, pieces in zip(queries, wanted, found, strict=True):
             if seen is None or self.classes is None:
-                seen = self._detected(pictures, query)
-            for number, (grid, picture, boxes) in enumerate(zip(grids, pictures, seen, strict=True)):
+                seen = self._detected([picture for _, picture in pictures], query)
+            for number, ((grid, picture), boxes) in enumerate(zip(pictures, seen, strict=True)):
                 pieces += self._weighed(_pieces(number, grid, boxes, query, words), picture, query)
         return [things(pieces) for pieces in found]
 
@@ -170,9 +175,8 @@ class Views:
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
-        wanted, image = self._wanted(query), checked_picture(image, "the picture")
-        pieces = _pieces(0, grid, boxes_of(self.detect(image, query), self.classes), query, wanted)
-        return spread_evidence(things([*self._weighed(pieces, image, query)]), self.detector, View(grid), stamp)
+        (found,) = self.things_in([(grid, checked_picture(image, "the picture"))], (query,))
+        return spread_evidence(found, self.detector, View(grid), stamp)
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
         """The boxes of a picture, with lower scores where they show little of the colour that the query names."""
