@@ -113,7 +113,7 @@ class Reading:
         return self.log_total - float(self.mass @ self.parts[0])
 
     @lazy
-    def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Masses ``(n,)`` and directions ``(n, 3)`` of cells and nodes: fewer than the `parts`."""
         values, layout = self.field.logs, self.field.layout
         mass = np.exp(values - values.max()) * layout.weights
@@ -126,7 +126,7 @@ class Reading:
 
     def around(self, direction: np.ndarray, angle: float) -> float:
         """Approximate probability of the cone of half-angle `angle` about a direction: `within`, from fewer cells."""
-        mass, directions = self._nodes
+        mass, directions = self.nodes
         return float(mass[directions @ direction > math.cos(angle)].sum())
 
     def _refined(self, direction: np.ndarray) -> np.ndarray:

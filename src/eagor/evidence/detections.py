@@ -29,8 +29,10 @@ class View:
     @property
     def is_whole(self) -> bool:
         """Whether it covers the whole sphere."""
-        partial = isinstance(self.grid, PerspectiveGrid | FisheyeGrid) and self.grid.depth_inside() is not None
-        return not partial and self.coverage is None
+        around = not isinstance(self.grid, PerspectiveGrid | FisheyeGrid)
+        if isinstance(self.grid, FisheyeGrid):
+            around = self.grid.depth_inside() is None
+        return around and self.coverage is None
 
     def share(self, directions: np.ndarray) -> np.ndarray:
         """v ``(...)`` in [0, 1] at directions ``(..., 3)`` of the body frame."""
@@ -96,6 +98,11 @@ class Detections:
     def turned(self, new_R_old: np.ndarray) -> Detections:
         """The detections in other axes; `share` still takes directions of the body."""
         return altered(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
+
+    def widened(self, spread: float) -> Detections:
+        """The same where the pose of the camera is only known to a deviation of `spread` (radians per axis)."""
+        deviations = 1 / np.linalg.norm(self.axes, axis=-1, keepdims=True)
+        return altered(self, axes=self.axes * deviations / np.hypot(deviations, spread))
 
     def share(self, directions: np.ndarray) -> np.ndarray | float:
         """v ``(...)``: how far any of the views covered each direction ``(..., 3)`` of the body frame."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor._lazy import altered, lazy
-from eagor.belief.bank import Bank, log_detected
+from eagor.belief.bank import Bank, linear, log_detected
 from eagor.belief.field import LARGEST, Patch, SphereField, bent, blurred
 from eagor.belief.ranged import RangedBelief
 from eagor.belief.reading import Reading
@@ -139,6 +139,25 @@ class TargetHypotheses:
                 least = float(ranked[middle - 1] + ranked[middle]) / 2 + _RISE
             self._readings[spread] = Reading(field, least)
         return self._readings[spread]
+
+    def recall(self, directions: np.ndarray) -> np.ndarray:
+        """The probability ``(...)`` that a look detects the target, if it is at directions ``(..., 3)``; world axes.
+
+        As earlier looks have taught it; of detections only.
+        """
+        bank, moving = self.standing.bank, self.moving
+        assert bank is not None
+        found = linear(self.grid, bank.recall[None], directions)[0]
+        return found if self.moves is None else (1 - moving) * found + moving * float(self.moves.recall)
+
+    def alike_reports(self) -> np.ndarray:
+        """The number of standing look-alikes in each cell of `grid` ``(H, W)`` that a look is expected to report."""
+        bank, explained = self.standing.bank, self.standing.explained
+        if bank is None or explained is None:
+            return np.zeros(self.grid.shape)
+        there = self.standing.support.values + bank.lead - explained[self.standing.places.cells]
+        number = bank.habits.look_alikes * np.exp(np.minimum(there, LARGEST)) * bank.alike_recall
+        return number * self.grid.weights / (4 * math.pi)
 
     def after(
         self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
