@@ -357,7 +357,7 @@ def test_a_picture_that_is_not_two_to_one_is_refused_unless_forced(tmp_path):
     path = tmp_path / "tall.png"
     Image.fromarray(painted_room(96, 192)).resize((192, 144)).save(path)
     line = refused("locate", path, "red", "--json")
-    for text in ("tall.png is 192 x 144, not 2:1", "288 x 144", "--force"):
+    for text in ("tall.png is 192 x 144, not 2:1", "--hfov DEGREES", "--camera FILE", "--force"):
         assert text in line
     done = eagor("locate", path, "red", "--json", "--force")
     assert done.returncode == 0

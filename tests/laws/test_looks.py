@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor import Calibration, DetectorModel, Evidence
+from eagor.belief.information import information
 from eagor.grids import ErpGrid
 from eagor.sphere import direction
-from eagor.tasks.search_space import LEAST, Chance, information
+from eagor.tasks.search_space import LEAST, Chance
 
 GRID = ErpGrid(16, 32)
 
@@ -86,3 +87,15 @@ def test_a_response_whose_silence_says_nothing_still_finds_things(level):
     read = Calibration(floor=0.5, neutral=0.0)
     chance = Chance.of(Evidence.from_response(np.full(GRID.shape, level), GRID, read, stamp=0.0), 0.5)
     assert chance.recall == LEAST
+
+
+def test_each_look_may_have_its_own_false_reports():
+    rng = np.random.default_rng(3)
+    here, share = rng.dirichlet(np.ones(6), size=4)[:, :5], rng.uniform(size=(4, 5))
+    alarm, falls = rng.uniform(size=4), rng.dirichlet(np.ones(5), size=4)
+    falls[1, 2], share[1, 2] = 0.0, 0.0  # a cell that this look does not show
+    falls[1] /= falls[1].sum()
+    each = [information(here[[i]], share[[i]], float(alarm[i]), falls[i])[0] for i in range(4)]
+    np.testing.assert_allclose(information(here, share, alarm, falls), each, atol=1e-12)
+    wanted = [by_definition(*four) for four in zip(here, share, alarm, falls, strict=True)]
+    np.testing.assert_allclose(each, wanted, atol=1e-9)

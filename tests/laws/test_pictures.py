@@ -13,7 +13,7 @@ from PIL import Image
 
 import eagor
 from eagor import baselines
-from eagor.drawing import draw_belief, draw_strip, panorama
+from eagor.drawing import draw_belief, draw_strip, panorama, still
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, world_R_body
@@ -38,7 +38,7 @@ def followed(*looks, model=None, pose=None):
 def painted(belief, **how):
     """The axes on which a belief is painted."""
     axes = Figure(figsize=(12, 6)).add_axes((0, 0, 1, 1))
-    panorama.paint_belief(axes, PANORAMA, belief, **how)
+    still.paint_belief(axes, PANORAMA, belief, **how)
     return axes
 
 
@@ -107,7 +107,7 @@ def test_a_border_that_only_ripples_decide_is_not_drawn():
 def test_the_legend_of_several_panels_contradicts_none_of_them(monkeypatch):
     """Only what is drawn somewhere is in it; what is missing stands in its own panel."""
     sheets = []
-    monkeypatch.setattr(panorama, "image", lambda sheet: sheets.append(sheet) or sheet)
+    monkeypatch.setattr(still, "image", lambda sheet: sheets.append(sheet) or sheet)
     sharp, wide = followed(*[AHEAD] * 4), followed(AHEAD, model=eagor.DetectorModel(0.3, 5.0))
     draw_strip([{"panorama": PANORAMA, "belief": one} for one in (sharp, wide, followed())])
     (sheet,) = sheets

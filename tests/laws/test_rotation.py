@@ -1,6 +1,7 @@
 """How a camera turned, from matched directions and from panoramas alone."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,15 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from eagor.media.features import Views, corners_of, features_of, followed, match, steadied
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.lenses import PinholeLens
+from eagor.media.features import Views, corners_of, features_of, followed, match, steadied, warped
 from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
 from eagor.media.two_views import turn_between
 from eagor.sphere import angular_distance, world_R_body
 
-pytest.importorskip("cv2")
+cv2 = pytest.importorskip("cv2")
 PHOTOGRAPHS = sorted((Path(__file__).parents[2] / ".." / "shared" / "panoramas").glob("*.png"))
 NOISE = math.radians(0.2)
 SEEDS = st.integers(0, 1999)
@@ -301,3 +304,87 @@ def test_photographs_turned_by_known_rotations():
         turned = odometer.add(turn(picture, pose.T))
         assert not turned.lost
         assert gap(turned.world_R_body, pose) < 0.1
+
+
+# --- ordinary cameras ---
+
+LENS = PinholeLens("phone", (256, 192), (200.0, 202.0), (130.0, 94.0), (-0.25, 0.08, 0.001, -0.002, 0.0))
+
+
+class Ordinary:
+    """What an ordinary lens shows of a room."""
+
+    def __init__(self, seed, lens=LENS, body_R_lens=None):
+        self.room = PatternRoom(seed).panorama(np.eye(3), rows=384)
+        self.grid = PerspectiveGrid.of_lens(lens)
+        if body_R_lens is not None:
+            self.grid = replace(self.grid, body_R_view=body_R_lens)
+
+    def picture(self, pose):
+        x, y, _ = ErpGrid(*self.room.shape[:2]).project(self.grid.directions @ pose.T)
+        return cv2.remap(self.room, (x - 0.5).astype(np.float32), (y - 0.5).astype(np.float32), cv2.INTER_LINEAR,
+                         borderMode=cv2.BORDER_WRAP)  # fmt: skip
+
+
+def test_a_warped_picture_shows_what_the_camera_saw_before():
+    camera, pose = Ordinary(1), world_R_body(0.15, -0.1, 0.1)
+    old, new = (Views.of_picture(camera.picture(each), camera.grid) for each in (np.eye(3), pose))
+    steady = warped(new, old, pose)
+    shown = new.grids[0].project(steady.grids[0].directions)[2]
+    gap_ = np.abs(steady.pictures[0].astype(float) - old.pictures[0])[shown]
+    assert shown.mean() > 0.5
+    assert np.quantile(gap_, 0.95) < 8
+
+
+def test_an_ordinary_camera_with_distortion_turns_all_around_and_closes_the_circle():
+    camera, odometer = Ordinary(2), VisualOdometer()
+    poses = [world_R_body(2 * math.pi * k / 24, 0.2 * math.sin(k), 0.1 * math.cos(k) - 0.1) for k in range(25)]
+    errors, spreads = [], []
+    for k, pose in enumerate(poses):
+        turned = odometer.add(camera.picture(pose), k / 4, camera.grid)
+        assert not turned.lost
+        assert turned.matches > 0 or k == 0
+        errors.append(gap(turned.world_R_body, pose))
+        spreads.append(turned.spread)
+    assert max(errors) < 1
+    assert errors[-1] < 0.1, "the first picture is recognised"
+    assert spreads[-1] < max(spreads) / 2
+
+
+def test_an_ordinary_camera_waits_where_a_picture_fits_to_none_and_knows_the_place_again():
+    camera, odometer = Ordinary(3), VisualOdometer()
+    for k in range(3):
+        odometer.add(camera.picture(world_R_body(0.1 * k)), k / 10, camera.grid)
+    away = [odometer.add(camera.picture(world_R_body(2.5 + 0.1 * k)), 0.3 + k / 10, camera.grid) for k in range(3)]
+    assert not any(each.lost or each.matches for each in away)
+    assert np.all(np.diff([each.spread for each in away]) > 0)
+    back = odometer.add(camera.picture(world_R_body(0.3, 0.05)), 0.7, camera.grid)
+    assert not back.lost
+    assert gap(back.world_R_body, world_R_body(0.3, 0.05)) < 0.2
+    other = Ordinary(4)
+    turned = [odometer.add(other.picture(np.eye(3)), 0.8 + k, other.grid) for k in range(4)]
+    assert [each.lost for each in turned].count(True) == 1, "a new world, after a while"
+
+
+def test_lenses_of_a_rig_share_their_key_frames():
+    cameras, odometer = [Ordinary(5, body_R_lens=world_R_body(yaw)) for yaw in (0.0, math.pi)], VisualOdometer()
+    found = []
+    for k in range(13):
+        pose = world_R_body(0.3 * k, 0.05 * math.sin(k))
+        for camera in cameras:
+            turned = odometer.add(camera.picture(pose), k / 5, camera.grid)
+            assert not turned.lost
+            assert math.radians(gap(turned.world_R_body, pose)) < 0.02 + 4 * turned.spread
+            found.append(turned.matches > 0)
+    assert np.mean(found[2:]) > 0.8
+    assert gap(turned.world_R_body, pose) < 0.5, "after half a turn one lens sees what the other saw first"
+
+
+def test_a_narrow_field_asks_for_more_than_being_near():
+    """In a field of 40 degrees everything is near: unrelated pairs do not agree there either."""
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        grid = PerspectiveGrid(30, 40, math.radians(40))
+        area = float(grid.weights.sum())
+        old, new = (grid.unproject(*random.uniform(0, (40, 30), (60, 2)).T) for _ in range(2))
+        assert turn_between(old, new, area=area) is None

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from tracks_drawn import PANORAMA, turning
 
 import eagor
-from eagor.drawing import panorama, step, timeline
+from eagor.drawing import panorama, step, still, timeline
 from eagor.drawing.panorama import OURS
 from eagor.drawing.step import ScenePainter, StepPainter, draw_step
 from eagor.errors import EagorError, TimeError
@@ -66,11 +66,11 @@ def test_the_border_is_that_of_the_still_picture():
     estimate = turning(3)[-1]
     painter = StepPainter(640)
     painter.paint(PANORAMA, estimate)
-    still = Figure(figsize=(12, 6)).add_axes((0, 0, 1, 1))
-    panorama.paint_belief(still, PANORAMA, estimate)
+    drawn = Figure(figsize=(12, 6)).add_axes((0, 0, 1, 1))
+    still.paint_belief(drawn, PANORAMA, estimate)
     lines = [
         [line for found in axes.collections if isinstance(found, LineCollection) for line in found.get_segments()]
-        for axes in (still, painter._scene)
+        for axes in (drawn, painter._scene.axes)
     ]
     assert len(lines[0]) == 2
     assert all(np.array_equal(a, b) for a, b in zip(*lines, strict=True))
@@ -117,7 +117,7 @@ def test_a_frame_that_cannot_be_read_shows_the_belief_and_the_reason():
     painter = StepPainter(640)
     painter.paint(PANORAMA, first)
     picture = painter.paint(None, second, problem="0001.png is not a picture")
-    assert "left out: 0001.png is not a picture" in [text.get_text() for text in painter._scene.texts]
+    assert "left out: 0001.png is not a picture" in [text.get_text() for text in painter._scene.axes.texts]
     assert len(cyan(picture)) > 20
     assert painter.line.last.problem == "0001.png is not a picture"
 

@@ -7,6 +7,7 @@ import pytest
 from moving_rooms import PatternRoom
 
 from eagor.errors import ImageError, MissingExtraError
+from eagor.grids import PerspectiveGrid
 from eagor.media.rotation import VisualOdometer
 from eagor.sphere import world_R_body
 
@@ -70,3 +71,25 @@ def test_without_opencv_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("eagor._extras.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="photos"):
         VisualOdometer().add(np.zeros((64, 128, 3), np.uint8))
+
+
+def test_a_grid_that_does_not_fit_and_another_kind_of_camera_are_refused():
+    grid, odometer = PerspectiveGrid(90, 120, 1.0), VisualOdometer()
+    picture = PatternRoom(1).panorama(np.eye(3))
+    odometer.add(np.ascontiguousarray(picture[:90, :120]), 0.0, grid)
+    with pytest.raises(ImageError, match=r"120 x 80, its grid 120 x 90; wanted the same size"):
+        odometer.add(np.ascontiguousarray(picture[:80, :120]), 0.1, grid)
+    with pytest.raises(ImageError, match=r"a panorama .* after ordinary pictures"):
+        odometer.add(picture, 0.2)
+    assert not odometer.add(np.ascontiguousarray(picture[:90, :120]), 0.3, grid).lost
+    small = grid.resized(45, 60)
+    assert odometer.add(np.ascontiguousarray(picture[:90:2, :120:2]), 0.4, small).matches > 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 16), (400, 3)])
+def test_tiny_and_blank_ordinary_pictures_hold_the_rotation(shape):
+    odometer, grid = VisualOdometer(), PerspectiveGrid(*shape, 1.0)
+    for number in range(3):
+        turned = odometer.add(np.zeros((*shape, 3), np.uint8), number / 10, grid)
+        assert turned.matches == 0
+        assert math.isfinite(turned.spread)

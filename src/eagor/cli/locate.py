@@ -73,7 +73,6 @@ class Locate(Common):
     force: Force = False
 
 
-PASTED = 512  # rows of the panorama on which an ordinary picture is drawn
 NEAR = 15  # degrees: the error that still leads a person to the object
 
 
@@ -190,10 +189,9 @@ def _print_modes(estimate: Estimate, count: int) -> None:
 def _draw(options: Locate, frame: Picture, estimate: Estimate) -> None:
     from eagor.drawing import draw_belief
     from eagor.drawing.words import answer_in_words
-    from eagor.perception.partial import pasted
 
     assert options.picture is not None
     title = f"“{options.query}”: {answer_in_words(estimate)} ({estimate.status})"
     modes = [mode.direction for mode in estimate.modes[: options.modes]]
-    panorama = frame.picture if frame.grid is None else pasted(frame.picture, frame.grid, PASTED)
-    keep_picture(draw_belief(panorama, estimate, modes=modes, title=title), options.picture)
+    drawn = draw_belief(frame.picture, estimate, modes=modes, title=title, grid=frame.grid)
+    keep_picture(drawn, options.picture)

@@ -8,6 +8,7 @@ after every line.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -58,8 +59,6 @@ from eagor.cli.recorded import list_seen, recorded
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from eagor.media.footage import FrameCheck, Frames
     from eagor.media.pose_files import FramePose
     from eagor.media.posed_frames import PosedFrame
@@ -134,7 +133,7 @@ SEEN = {
     "level": "headings from the pictures themselves, which are taken as level",
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
-PASTED = 512  # rows of the panoramas on which ordinary pictures are drawn
+BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is found: neighbours have to overlap
 
 
 def track(options: Track) -> int:
@@ -149,7 +148,7 @@ def track(options: Track) -> int:
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
     query = checked_query(options.words[-1])
-    places = [Path(word) for word in options.words[:-1]]
+    places = _places(options)
     replay = recorded(options, places)
     spec = perception_for(query, options.perception) if replay is None else _seen_by(replay)
     check_not_read(options.out, "--out", [*places, Path(options.poses)])
@@ -176,6 +175,14 @@ def track(options: Track) -> int:
                 each(result)
             advance()
     return run.close(journey)
+
+
+def _places(options: Track) -> list[Path]:
+    """What to look at; for a rig, files may stand with commas between."""
+    words = options.words[:-1]
+    if options.rig is not None:
+        words = tuple(part for word in words for part in ([word] if os.path.exists(word) else word.split(",")))
+    return [Path(word) for word in words]
 
 
 def _rival_names() -> tuple[str, ...]:
@@ -240,7 +247,8 @@ def _of_looks(replay: ReplayPerception) -> Journey:
     looks = [each for each in frames if each.frame is not None]
     span = frames[-1].pose.stamp - frames[0].pose.stamp
     poses = [each.pose for each in frames]
-    terminal.log(f"{len(looks)} looks of {footage.perception} at {footage.of}, {footage.poses}")
+    many = "1 look" if len(looks) == 1 else f"{len(looks)} looks"
+    terminal.log(f"{many} of {footage.perception} at {footage.of}, {footage.poses}")
     return Journey(iter(frames), len(looks), footage.poses, poses, None, span, footage.begins)
 
 
@@ -263,17 +271,40 @@ def _list_seen(options: Track, replay: ReplayPerception) -> int:
 
 def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.footage import VideoFrames, open_video
+    from eagor.media.lens_views import LensVideos, are_ordinary
     from eagor.media.posed_frames import thinned
+    from eagor.media.rigs import read_rig
 
     looks, shown = _rates(options)
-    video = open_video(places, options.rig, rate=shown, start=options.start, end=options.end, rows=rows)
+    rig = None if options.rig is None else read_rig(options.rig)
+    views = rig if rig is not None and are_ordinary(rig) else None
+
+    def opened(rate: float) -> Any:
+        cut: dict[str, Any] = {"rate": rate, "start": options.start, "end": options.end, "rows": rows}
+        return open_video(places, options.rig, **cut) if views is None else LensVideos(places, views, **cut)
+
+    video = opened(shown)
+    sighted = not poses and (options.poses == "level" or video.motion is None)
+    if sighted and shown < BY_SIGHT and (views is not None or _is_ordinary(options, video.shape)):
+        shown = BY_SIGHT
+        video = opened(shown)
     say_of_video(places[0].name, video.facts, video.duration)
-    source = VideoFrames(video, _check(options))
+    source = VideoFrames(video, _check(options)) if views is None else video
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
-    return Journey(thinned(frames, looks), source.count, told, poses, shown, span)
+    lenses = 1 if views is None else len(views.sizes)
+    return Journey(thinned(frames, looks, lenses=lenses), source.count, told, poses, shown, span)
+
+
+def _is_ordinary(options: Track, shape: tuple[int, int]) -> bool:
+    """Whether a video of this shape (rows, columns) is an ordinary camera's."""
+    from eagor.media.panorama import ROUNDING
+
+    height, width = shape
+    told = options.hfov is not None or options.camera is not None
+    return options.rig is None and (told or not (options.force or abs(width - 2 * height) <= ROUNDING))
 
 
 def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:
@@ -296,17 +327,21 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
-    from eagor.media.footage import BagFrames
+    from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
+    if wrong := given(options, ("hfov", "camera")):
+        raise terminal.UsageError(
+            f"--{wrong[0]} is for videos and pictures, and {place} is a bag: give its lens as a rig (--rig)"
+        )
     bag, (looks, shown), rig = Bag(place), _rates(options), None
     if options.rig is not None:
         from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
-    source = BagFrames(camera, shown, options.start, options.end, _check(options))
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)
@@ -448,15 +483,6 @@ class _Run:
 Sink = Callable[["FollowedFrame"], None]
 
 
-def _panorama(result: FollowedFrame) -> np.ndarray | None:
-    """The frame as a panorama; an ordinary picture is put where it looked."""
-    from eagor.perception.partial import pasted
-
-    if result.picture is None or result.grid is None:
-        return result.picture
-    return pasted(result.picture, result.grid, PASTED)
-
-
 def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
     """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
     if options.out:
@@ -488,12 +514,9 @@ def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
         def add(result: FollowedFrame) -> None:
             if result.picture is not None:
                 video.add(
-                    _panorama(result),
-                    result.estimate,
-                    stamp=result.stamp - journey.begins,
-                    query=query,
-                    problem=result.problem,
-                )
+                    result.picture, result.estimate, stamp=result.stamp - journey.begins, query=query,
+                    problem=result.problem, grid=result.grid,
+                )  # fmt: skip
 
         yield add
 
@@ -507,8 +530,8 @@ def _logged(path: Path, query: str) -> Iterator[Sink]:
         def add(result: FollowedFrame) -> None:
             if result.picture is not None or result.told:
                 log.add(
-                    _panorama(result), result.estimate, stamp=result.stamp, query=query, position=result.position,
-                    others=result.others, problem=result.problem,
+                    result.picture, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                    others=result.others, problem=result.problem, grid=result.grid,
                 )  # fmt: skip
 
         yield add
@@ -525,8 +548,10 @@ def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> It
                 return
             if result.lost:
                 page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
-            at, problem = result.stamp - journey.begins, result.problem
-            page.add(_panorama(result), result.estimate, stamp=at, name=result.frame, problem=problem)
+            page.add(
+                result.picture, result.estimate, stamp=result.stamp - journey.begins, name=result.frame,
+                problem=result.problem, grid=result.grid,
+            )  # fmt: skip
 
         yield add
 
@@ -536,11 +561,11 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
 
     Pictures are numbered as the lines of the table, and show at most `most` candidates.
     """
-    from eagor.drawing import draw_belief
+    from eagor.drawing import Mosaic, draw_belief
     from eagor.drawing.words import answer_in_words
 
     checked_folder(folder, "--pictures")
-    numbers = count()
+    numbers, mosaic = count(), Mosaic()
 
     def draw(result: FollowedFrame) -> None:
         if not result.told:
@@ -552,7 +577,9 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
         title = f"“{query}” at {result.stamp:.2f} s: {answer_in_words(estimate)} ({estimate.status})"
         shown = {name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others}
         modes = [mode.direction for mode in estimate.modes[:most]]
-        picture = draw_belief(_panorama(result), estimate, modes=modes, others=shown, title=title)
-        keep_picture(picture, folder / f"{number:04d}.png")
+        drawn = draw_belief(
+            result.picture, estimate, modes=modes, others=shown, title=title, grid=result.grid, mosaic=mosaic
+        )
+        keep_picture(drawn, folder / f"{number:04d}.png")
 
     return draw

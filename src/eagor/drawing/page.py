@@ -25,6 +25,7 @@ from eagor.drawing.step import ScenePainter
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, Thinned, TimeLine, ticks
 from eagor.drawing.words import STATUS, answer_in_words, far_in_words, in_words, signed
 from eagor.errors import EagorError, StorageError
+from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
 __all__ = ["BeliefPage", "Step", "as_address", "write_page"]
@@ -43,13 +44,17 @@ QUALITIES = (82, 74, 66, 58, 48, 36)  # of JPEG, best first
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One frame: its panorama ``(H, W, 3)``, or None if it cannot be read; the answer; when; its name; a problem."""
+    """One frame: its picture ``(H, W, 3)``, or None if it cannot be read; the answer; when; its name; a problem.
 
-    panorama: np.ndarray | None
+    The picture is a panorama, or what an ordinary camera with this `grid` saw.
+    """
+
+    picture: np.ndarray | None
     estimate: Estimate
     stamp: float | None = None
     name: str = ""
     problem: str | None = None
+    grid: PerspectiveGrid | None = None
 
 
 class BeliefPage:
@@ -83,18 +88,19 @@ class BeliefPage:
         self._pictures, self._rows = Thinned(PICTURES), Thinned(ROWS)
         self._problems: list[tuple[str, str]] = []
         self._last: Estimate | None = None
-        self._newest: tuple[np.ndarray | None, str | None] = None, None
+        self._newest: tuple[np.ndarray | None, str | None, PerspectiveGrid | None] = None, None, None
         self._end: tuple[int, str, Moment]
         self._closed = False
 
     def add(
         self,
-        panorama: np.ndarray | None,
+        picture: np.ndarray | None,
         estimate: Estimate,
         *,
         stamp: float | None = None,
         name: str = "",
         problem: str | None = None,
+        grid: PerspectiveGrid | None = None,
     ) -> None:
         """Append one step, as in `Step`. Raises `TimeError` unless the stamps grow."""
         moment = Moment.of(estimate, stamp, problem)
@@ -103,17 +109,19 @@ class BeliefPage:
         name = name or f"frame {self._rows.count}"
         if problem:
             self._problems.append((name, problem))
-        self._newest = panorama, problem
+        self._newest = picture, problem, grid
         step = (self._rows.count, name, moment)
+        if not self._pictures.wants:
+            self._painter.look(picture, estimate, grid)
         self._pictures.add((self._painted() if self._pictures.wants else None, *step))
         self._rows.add(step)
         self._end = step
 
     def _painted(self) -> str:
         """The picture of the frame that was added last."""
-        panorama, problem = self._newest
+        picture, problem, grid = self._newest
         assert self._last is not None
-        return as_address(self._painter.paint(panorama, self._last, problem))
+        return as_address(self._painter.paint(picture, self._last, problem, grid))
 
     def note(self, text: str) -> None:
         """A sentence under "What was left out"."""
@@ -235,7 +243,9 @@ def write_page(
     """
     with BeliefPage(path, query=query, used=used, span=span) as page:
         for step in steps:
-            page.add(step.panorama, step.estimate, stamp=step.stamp, name=step.name, problem=step.problem)
+            page.add(
+                step.picture, step.estimate, stamp=step.stamp, name=step.name, problem=step.problem, grid=step.grid
+            )
     if page.line.last is None:
         raise EagorError(f"{path}: there are no steps; wanted at least one frame")
     return page.path

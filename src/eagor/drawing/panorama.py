@@ -1,7 +1,8 @@
 """A belief over a panorama: its density as heat, the border of its 90 % region, and the directions of all methods.
 
 An `Estimate` is drawn as it is: its density, region, answer and candidates. What is drawn over a panorama and where
-(heat, border, arrow, markers at the seam) is here once, for still pictures, videos and logs. Places are degrees
+(heat, border, arrow, markers at the seam) is here once, for still pictures, videos and logs; `eagor.drawing.view` draws
+the same over the picture of an ordinary camera. Places are degrees
 ``(n, 2)``: azimuth, positive to the left, and elevation. Rasters are in the layout of `eagor.sphere`: azimuth +180 at
 the left edge, elevation +90 at the top.
 """
@@ -9,7 +10,7 @@ the left edge, elevation +90 at the top.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.posterior import Readable
-from eagor.drawing.sheet import INK, figure, image, plain
 from eagor.errors import EagorError
 from eagor.grids import PatchGrid
 from eagor.sphere import azimuth_elevation, unit
@@ -26,10 +26,8 @@ from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from PIL.Image import Image
 
-__all__ = ["Heat", "arrow", "backdrop", "heat_of", "places", "worth_an_arrow"]
+__all__ = ["Heat", "arrow", "backdrop", "heat_of", "paint_marks", "places", "worth_an_arrow"]
 
 ROWS = (360, 540)  # of the heat map: more for a small region
 CELLS = 40  # least number of cells in a region, so that its border is not just a few straight lines
@@ -205,90 +203,11 @@ def _contour(log_density: np.ndarray, grid: PatchGrid, level: float) -> tuple[np
     return tuple(map(np.asarray, contour_generator(azimuth, np.degrees(grid.latitudes[rows]), padded).lines(level)))
 
 
-# --- pictures ---------------------------------------------------------------------------------------------------------
+# --- marks ------------------------------------------------------------------------------------------------------------
 
 OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
-WHOLE = (180, -180, -90, 90)  # degrees: left, right, bottom, top
-
-
-def draw_belief(
-    panorama: np.ndarray,
-    belief: Estimate | Readable,
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
-    title: str = "",
-    width: int = 1200,
-) -> Image:
-    """`belief` as heat over `panorama` ``(H, W, 3)``, with the border of its 90 % region.
-
-    The region is not drawn, and a note says so, if it is larger than half of the sphere or if its border depends on
-    ripples alone. Nothing is drawn for a uniform belief.
-
-    Args:
-        panorama: the image, uint8, in the body frame of the belief.
-        belief: an `Estimate`, drawn with its answer, an arrow from forward to it (unless 90 % of the belief need a cone
-            of more than 90 degrees about it), and its candidates; or a single belief, which has no answer.
-        truth: the true direction ``(3,)``, if known.
-        others: other methods' directions by name; None for a method without one.
-        modes: directions of candidates; default: those of the estimate.
-        title: a line above the picture.
-        width: of the picture in pixels.
-    """
-    sheet = figure(width, round(width * 0.595))
-    axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
-    paint_belief(axes, panorama, belief, truth, others, modes)
-    axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
-    axes.set_ylabel("elevation", color=INK)
-    sheet.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
-    _legend(sheet, [axes])
-    return image(sheet)
-
-
-def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int = 1400) -> Image:
-    """Several beliefs in one picture: each panel has the arguments of `draw_belief` (without `width`), row by row."""
-    rows = math.ceil(len(panels) / columns)
-    left, gap, head, foot, legend = 48, 52, 30, 30, 44  # pixels around the panels
-    wide = (width - left - gap * (columns - 1) - 28) / columns
-    high = wide / 2
-    total = rows * (head + high + foot) + legend
-    sheet = figure(width, round(total))
-    drawn = []
-    for index, panel in enumerate(panels):
-        row, column = divmod(index, columns)
-        x, y = left + column * (wide + gap), total - (row + 1) * (head + high) - row * foot
-        axes = sheet.add_axes((x / width, y / total, wide / width, high / total))
-        paint_belief(axes, **{name: value for name, value in panel.items() if name != "title"})
-        axes.set_title(panel.get("title", ""), loc="left", fontsize=11, color=INK, weight="bold", pad=6)
-        axes.set_xticks(range(180, -181, -90), _degrees(range(180, -181, -90)))
-        if column:
-            axes.set_yticklabels([])
-        drawn.append(axes)
-    _legend(sheet, drawn)
-    return image(sheet)
-
-
-def paint_belief(
-    axes: Axes,
-    panorama: np.ndarray,
-    belief: Estimate | Readable,
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
-) -> None:
-    """The contents of `draw_belief`, drawn into `axes`, which have their size already."""
-    axes.set_xlim(180, -180)
-    axes.set_ylim(-90, 90)
-    axes.set_xticks(range(180, -181, -45), _degrees(range(180, -181, -45)))
-    axes.set_yticks(range(-90, 91, 30), _degrees(range(-90, 91, 30)))
-    plain(axes)
-    heat = heat_of(belief)
-    box = axes.get_window_extent()
-    ground = backdrop(panorama, heat, max(1, round(box.width)), max(1, round(box.height)))
-    axes.imshow(ground, extent=WHOLE, aspect="auto", interpolation="antialiased", zorder=0)
-    paint_marks(axes, belief, heat, truth, others, modes)
 
 
 def paint_marks(
@@ -298,70 +217,89 @@ def paint_marks(
     truth: np.ndarray | None = None,
     others: Mapping[str, np.ndarray | None] | None = None,
     modes: Sequence[np.ndarray] | None = None,
+    scale: float = 1.0,
 ) -> None:
-    """All that is drawn over the heat: the border, the arrow, markers, and a note on what is missing."""
+    """All that is drawn over the heat: the border, the arrow, markers, and a note on what is missing.
+
+    `scale`: of markers and lines, for a small panorama.
+    """
     for at in (-90, 0, 90):
         axes.axvline(at, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     axes.axhline(0, color="white", alpha=0.22, linewidth=0.8, zorder=1)
     answer = belief.direction if isinstance(belief, Estimate) else None
     if isinstance(belief, Estimate) and answer is None:
-        _note(axes, "direction not known")
-    if heat is not None:
-        _border(axes, heat)
+        note(axes, "direction not known", scale)
+    if heat is not None and heat.missing:
+        note(axes, heat.missing, scale)
+    elif heat is not None:
+        border(axes, heat.border, scale)
     if answer is not None and isinstance(belief, Estimate) and worth_an_arrow(belief):
-        _arrow(axes, answer)
+        _arrow(axes, answer, scale)
+    marks(axes, belief, places, truth, others, modes, scale)
+
+
+def marks(
+    axes: Axes,
+    belief: Estimate | Readable,
+    at: Callable[[np.ndarray], np.ndarray],
+    truth: np.ndarray | None = None,
+    others: Mapping[str, np.ndarray | None] | None = None,
+    modes: Sequence[np.ndarray] | None = None,
+    scale: float = 1.0,
+) -> None:
+    """A marker for each direction; `at` says where in the axes ``(k, 2)`` one of them ``(3,)`` is drawn."""
+    answer = belief.direction if isinstance(belief, Estimate) else None
     if modes is None:
         modes = [mode.direction for mode in belief.modes] if isinstance(belief, Estimate) else []
     for index, mode in enumerate(modes):
-        _mark(axes, mode, "o", "white", 15, "candidate directions" if index == 0 else None, hollow=True, width=1.8)
+        label = "candidate directions" if index == 0 else None
+        _mark(axes, at(mode), "o", "white", 15 * scale, label, hollow=True, width=1.8 * scale)
     for index, (name, where) in enumerate((others or {}).items()):
         marker, colour = OTHERS[index % len(OTHERS)]
         if where is not None:
-            _mark(axes, where, marker, colour, 8.5, name)
+            _mark(axes, at(where), marker, colour, 8.5 * scale, name)
     if truth is not None:
-        _mark(axes, truth, "o", TRUTH, 21, "truth", hollow=True, width=2.6)
+        _mark(axes, at(truth), "o", TRUTH, 21 * scale, "truth", hollow=True, width=2.6 * scale)
     if answer is not None:
-        _mark(axes, answer, "o", OURS, 8.5, "estimate")
+        _mark(axes, at(answer), "o", OURS, 8.5 * scale, "estimate")
 
 
-def _border(axes: Axes, heat: Heat) -> None:
-    """The border of the 90 % region, or a note why there is none."""
+def border(axes: Axes, lines: Sequence[np.ndarray], scale: float = 1.0) -> None:
+    """The border of the 90 % region: polylines ``(n, 2)``."""
     from matplotlib.collections import LineCollection
 
-    if heat.missing:
-        _note(axes, heat.missing)
-        return
     for colour, width in (("black", 3.4), ("white", 1.6)):
-        lines = LineCollection(list(heat.border), colors=colour, linewidths=width, zorder=3, capstyle="round")
-        axes.add_collection(lines, autolim=False)
+        drawn = LineCollection(list(lines), colors=colour, linewidths=scale * width, zorder=3, capstyle="round")
+        axes.add_collection(drawn, autolim=False)
     axes.plot([], [], color="white", linewidth=1.6, label=f"{100 * MASS:.0f} % region")
 
 
-def _note(axes: Axes, text: str) -> None:
+def note(axes: Axes, text: str, scale: float = 1.0) -> None:
     """Words in the corner of this panel: what a legend says holds for all panels."""
     axes.text(
-        0.008, 0.02, text, transform=axes.transAxes, fontsize=9, color="white", ha="left", va="bottom", zorder=8,
-        bbox={"facecolor": "black", "alpha": 0.55, "edgecolor": "none", "pad": 2.5},
+        0.008, 0.02, text, transform=axes.transAxes, fontsize=9 * scale**0.5, color="white", ha="left", va="bottom",
+        zorder=8, bbox={"facecolor": "black", "alpha": 0.55, "edgecolor": "none", "pad": 2.5},
     )  # fmt: skip
 
 
-def _arrow(axes: Axes, where: np.ndarray) -> None:
+def _arrow(axes: Axes, where: np.ndarray, scale: float) -> None:
     """An arrow along the great circle from forward to `where`."""
     x, y = arrow(where).T
     if not len(x):
         return
     sheet = axes.get_figure(root=True)
-    near = 0.18 * (100.0 if sheet is None else sheet.dpi)  # the head ends before the rings around the estimate
+    near = 0.18 * scale * (100.0 if sheet is None else sheet.dpi)  # the head ends before the rings around the estimate
     clear = axes.get_window_extent().width / 360 * np.hypot(x - x[-1], y - y[-1]) > near
     x, y = x[clear], y[clear]
     if len(x) < 8:
         return
-    axes.plot(x, y, color=OURS, linewidth=1.8, zorder=6, path_effects=_outline(3.6), solid_capstyle="round")
-    axes.plot(0, 0, "o", color=OURS, markersize=4.5, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
+    wide = 1.8 * scale
+    axes.plot(x, y, color=OURS, linewidth=wide, zorder=6, path_effects=outline(2 * wide), solid_capstyle="round")
+    axes.plot(0, 0, "o", color=OURS, markersize=4.5 * scale, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
     head = {
-        "arrowstyle": "-|>,head_width=0.32,head_length=0.55",
+        "arrowstyle": f"-|>,head_width={0.32 * scale},head_length={0.55 * scale}",
         "color": OURS,
-        "linewidth": 1.8,
+        "linewidth": wide,
         "shrinkA": 0,
         "shrinkB": 0,
     }
@@ -370,7 +308,7 @@ def _arrow(axes: Axes, where: np.ndarray) -> None:
 
 def _mark(
     axes: Axes,
-    where: np.ndarray,
+    at: np.ndarray,
     marker: str,
     colour: str,
     size: float,
@@ -378,8 +316,8 @@ def _mark(
     hollow: bool = False,
     width: float = 1.0,
 ) -> None:
-    """A marker at a direction, twice where it lies on the seam."""
-    for place in places(where):
+    """A marker at each of the places ``(k, 2)``: two for a direction on the seam, none for one that is not shown."""
+    for place in at:
         style = {"markersize": size, "linestyle": "none", "zorder": 7}
         if hollow:  # a dark ring below the bright one
             axes.plot(*place, marker, mfc="none", mec="black", mew=width + 1.8, alpha=0.7, **style)
@@ -389,39 +327,8 @@ def _mark(
         label = None
 
 
-def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
-    """One legend for everything drawn in these axes."""
-    found: dict[str, Any] = {}
-    for axes in drawn:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    if not found:
-        return
-    labels = sorted(found, key=lambda label: (not label.startswith("estimate"), label != "truth"))
-    legend = sheet.legend(
-        [found[label] for label in labels],
-        labels,
-        loc="lower center",
-        ncols=len(labels),
-        fontsize=10,
-        facecolor="#3a4152",
-        edgecolor="none",
-        labelcolor="white",
-        handletextpad=0.5,
-        columnspacing=1.6,
-        borderpad=0.45,
-        bbox_to_anchor=(0.5, 0.004),
-    )
-    for handle in legend.legend_handles:
-        if handle is not None and hasattr(handle, "set_markersize"):
-            handle.set_markersize(9)  # type: ignore[attr-defined]
-
-
-def _degrees(angles: Sequence[int]) -> list[str]:
-    return [f"{a:+d}°" if a else "0°" for a in angles]
-
-
-def _outline(width: float) -> list[Any]:
+def outline(width: float) -> list[Any]:
+    """Effects for bright lines of matplotlib: a dark one of this width below."""
     from matplotlib import patheffects
 
     return [patheffects.Stroke(linewidth=width, foreground="black", alpha=0.75), patheffects.Normal()]

@@ -1,7 +1,9 @@
 """Logs for the Rerun viewer: panorama, belief, directions, pose and status over time, in one .rrd file.
 
 Entities: ``world/path`` and ``world/body`` in 3-D, where a ball around the camera shows the panorama with the belief,
-and arrows point to the answers; ``panorama`` with its marks in 2-D; ``plots/...``; ``status``.
+and arrows point to the answers; ``panorama`` with its marks in 2-D; ``plots/...``; ``status``. Of an ordinary camera
+also ``picture`` with its marks in 2-D, and ``world/body/camera``, its frustum; ``panorama`` then shows what was looked
+at so far.
 """
 
 from __future__ import annotations
@@ -15,10 +17,12 @@ from typing import Any, Self
 import numpy as np
 
 from eagor._extras import need
-from eagor.drawing.panorama import Heat, arrow, backdrop, heat_of, places, worth_an_arrow
-from eagor.drawing.words import answer_in_words
+from eagor.drawing.mosaic import Mosaic
+from eagor.drawing.panorama import BEHIND, Heat, arrow, backdrop, heat_of, places, worth_an_arrow
+from eagor.drawing.view import edge, heat_in_view, lines_in_view, outline_of, place_in_view
+from eagor.drawing.words import answer_in_words, sureness
 from eagor.errors import EagorError, StorageError
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import azimuth_elevation, direction
 from eagor.tracking.estimate import Estimate
 
@@ -31,6 +35,7 @@ RADIUS = 0.25  # metres: of the ball
 SHORTEST, LONGEST, ANYWHERE = 0.6, 20.0, 2.0  # metres: of arrows; the last to a thing at an unknown distance
 CALENDAR = 1e8  # seconds: stamps beyond count from 1970, and are shown as dates
 OURS, MODE, TRUTH, OTHER = (255, 176, 0), (255, 120, 60), (60, 220, 120), (150, 160, 180)
+WHITE = (255, 255, 255)
 DOTTED = ("azimuth", "truth")  # angles that jump where they cross the back: drawn as dots, without lines over the plot
 BLANK = (60, 64, 72)
 LEVELS = {"stale": "WARN"}
@@ -67,6 +72,7 @@ class RerunLog:
         self._log.log("world/body/ball", _ball(), static=True)
         self._walked: list[np.ndarray] = []
         self._said: dict[str, str] = {}
+        self._mosaic: Mosaic | None = None  # once there was a picture of an ordinary camera
 
     def __enter__(self) -> Self:
         return self
@@ -83,7 +89,7 @@ class RerunLog:
 
     def add(
         self,
-        panorama: np.ndarray | None,
+        picture: np.ndarray | None,
         estimate: Estimate,
         *,
         stamp: float,
@@ -92,11 +98,13 @@ class RerunLog:
         truth: np.ndarray | None = None,
         others: Mapping[str, np.ndarray | None] | None = None,
         problem: str | None = None,
+        grid: PerspectiveGrid | None = None,
     ) -> None:
         """Log one answer.
 
         Args:
-            panorama: ``(H, W, 3)`` uint8, body frame; None between frames: the one before stays.
+            picture: ``(H, W, 3)`` uint8: a panorama in the body frame, or with `grid` what an ordinary camera saw; None
+                between frames: the one before stays.
             estimate: the answer; its `world_R_body` is the orientation.
             stamp: seconds; beyond 1e8 they count from 1970.
             query: what is asked for. Several queries may be logged at one stamp; the first one of a stamp with a
@@ -105,20 +113,23 @@ class RerunLog:
             truth: true direction ``(3,)``, body frame, where it is known.
             others: directions ``(3,)`` of other methods by name.
             problem: what went wrong, in words.
+            grid: which directions of the body the pixels of an ordinary camera show.
         """
         import rerun
 
         self._at(stamp)
         heat = heat_of(estimate)
         self._pose(estimate.world_R_body, position)
-        if panorama is not None:
-            self._picture(panorama, heat)
+        if picture is not None:
+            self._picture(picture if grid is None else self._looked(picture, grid, estimate, heat), heat)
         elif not self._said:  # the ball has to have some colour before the first picture
             self._log.log("world/body/ball", rerun.Mesh3D.from_fields(vertex_colors=[BLANK] * len(_vertices())))
         name = re.sub(r"[^\w\-]+", "_", query).strip("_") or "target"
         self._marks(name, estimate, heat, truth, others or {})
         self._arrows(name, estimate, truth, others or {})
         self._plots(name, estimate, truth)
+        if grid is not None:
+            self._marks_in_view(name, estimate, heat, grid, truth)
         self._status(name, query, estimate, problem)
 
     def say(self, stamp: float, what: str, level: str = "WARN") -> None:
@@ -151,6 +162,56 @@ class RerunLog:
         x, y, _ = ErpGrid(*pixels.shape[:2]).project(_vertices())
         column, row = x.astype(int) % pixels.shape[1], np.clip(y.astype(int), 0, pixels.shape[0] - 1)
         self._log.log("world/body/ball", rerun.Mesh3D.from_fields(vertex_colors=pixels[row, column]))
+
+    def _looked(self, picture: np.ndarray, grid: PerspectiveGrid, estimate: Estimate, heat: Heat | None) -> np.ndarray:
+        """Log the picture of an ordinary camera; returns what it has shown so far, a panorama in the body frame."""
+        import rerun
+
+        if self._mosaic is None:
+            self._mosaic = Mosaic()
+            self._log.send_blueprint(_layout(picture=True))
+        self._mosaic.add(picture, grid, estimate.world_R_body)
+        height, width = _shape_in_view(grid)
+        there = None if heat is None else Heat(heat_in_view(heat, grid, height // 2, width // 2))
+        pixels = backdrop(picture, there, width, height)
+        self._log.log("picture", rerun.Image(pixels).compress(jpeg_quality=QUALITY))
+        lens = rerun.Pinhole(
+            focal_length=grid.focal, width=grid.width, height=grid.height, camera_xyz=rerun.ViewCoordinates.FLU,
+            image_plane_distance=2 * RADIUS,
+        )  # fmt: skip
+        self._log.log("world/body/camera", rerun.Transform3D(mat3x3=grid.body_R_view), lens)
+        outline = [_pixels(line) for line in outline_of(grid)]
+        self._log.log("panorama/view", rerun.LineStrips2D(outline, colors=WHITE, draw_order=10))
+        return self._mosaic.seen_from(estimate.world_R_body, BEHIND)
+
+    def _marks_in_view(
+        self, name: str, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, truth: np.ndarray | None
+    ) -> None:
+        """Over the picture of an ordinary camera: the border, the answer, or an arrow at the edge; the truth."""
+        import rerun
+
+        height, width = _shape_in_view(grid)
+        size, answer = np.array([width, height]), estimate.direction
+        lines = [] if heat is None else [size * line for line in lines_in_view(heat.border, grid)]
+        pointed = [(where, colour, label) for where, colour, label in ((answer, OURS, name), (truth, TRUTH, "truth"))
+                   if where is not None]  # fmt: skip
+        marks = [(size * at, colour, label) for where, colour, label in pointed for at in place_in_view(where, grid)]
+        points, colours, labels = zip(*marks, strict=True) if marks else ((), (), ())
+        self._log.log(f"picture/{name}/lines", rerun.LineStrips2D(lines, colors=OURS, draw_order=20))
+        self._log.log(
+            f"picture/{name}/points", rerun.Points2D(points, colors=colours, labels=labels, radii=5, draw_order=30)
+        )
+        arrows, said = [], []
+        if answer is not None and not len(place_in_view(answer, grid)):
+            out = edge(answer, grid, width, height)
+            arrows, said = [(out.tip, 0.16 * min(height, width) * out.way)], [f"{out.angle:.0f}°, {sureness(estimate)}"]
+        self._log.log(
+            f"picture/{name}/edge",
+            rerun.Arrows2D(
+                vectors=[way for _, way in arrows], origins=[tip - way for tip, way in arrows], colors=OURS, radii=4,
+                labels=said, draw_order=40,
+            ),
+        )  # fmt: skip
 
     def _marks(
         self, name: str, estimate: Estimate, heat: Heat | None, truth: np.ndarray | None, others: Mapping[str, Any]
@@ -229,6 +290,11 @@ class RerunLog:
         self._log.log("status", rerun.TextLog(what, level=level))
 
 
+def _shape_in_view(grid: PerspectiveGrid) -> tuple[int, int]:
+    """Rows and columns of the logged picture of an ordinary camera."""
+    return max(2, round(WIDTH * grid.height / grid.width)), WIDTH
+
+
 def _pixels(where: np.ndarray) -> np.ndarray:
     """Places in degrees ``(n, 2)`` as pixels of the logged panorama."""
     where = np.asarray(where, dtype=float)
@@ -257,13 +323,15 @@ def _ball() -> Any:
     return rerun.Mesh3D(vertex_positions=RADIUS * _vertices(), triangle_indices=triangles)
 
 
-def _layout() -> Any:
-    """What the viewer shows at first."""
+def _layout(picture: bool = False) -> Any:
+    """What the viewer shows at first; `picture`: of an ordinary camera, too."""
     import rerun.blueprint as view
 
+    seen = [view.Spatial2DView(origin="picture", name="Picture")] if picture else []
     return view.Blueprint(
         view.Horizontal(
             view.Vertical(
+                *seen,
                 view.Spatial2DView(origin="panorama", name="Panorama"),
                 view.TimeSeriesView(
                     origin="plots/angles",
@@ -271,7 +339,7 @@ def _layout() -> Any:
                     axis_y=view.ScalarAxis(range=(-180, 180)),
                 ),
                 view.TimeSeriesView(origin="plots/presence", name="Presence", axis_y=view.ScalarAxis(range=(0, 1))),
-                row_shares=[3, 2, 1],
+                row_shares=[3] * len(seen) + [3, 2, 1],
             ),
             view.Vertical(
                 view.Spatial3DView(origin="world", name="World"),

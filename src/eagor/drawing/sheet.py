@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 INK, PAPER, GRID_LINE, QUIET = "#1f2430", "#ffffff", "#d8dbe2", "#5b6472"
+DESIGN = 1280  # columns that the sizes of dark pictures are for; one of another width is scaled
+DARK, WORDS, FAINT = "#12151b", "#eef1f6", "#a5aebb"  # of dark pictures: ground, words, quiet words
 # Beside matplotlib's own font, for queries in scripts that it lacks; those that are installed are used.
 FONTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen Hei", "Noto Sans Arabic", "Noto Sans Devanagari",
@@ -59,6 +61,13 @@ def blank(width: int, height: int, dpi: float = 100) -> Sheet:
     made = Figure(figsize=((width + 0.01) / dpi, (height + 0.01) / dpi), dpi=dpi)
     made.patch.set_visible(False)
     return Sheet(made, FigureCanvasAgg(made).get_renderer())
+
+
+def ground(width: int, height: int) -> np.ndarray:
+    """The ground ``(height, width, 3)`` uint8 of a dark picture."""
+    pixels = np.empty((height, width, 3), dtype=np.uint8)
+    pixels[:] = [int(DARK[at : at + 2], 16) for at in (1, 3, 5)]
+    return pixels
 
 
 def over(sheet: Sheet, pixels: np.ndarray) -> np.ndarray:

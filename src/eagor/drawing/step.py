@@ -1,4 +1,7 @@
-"""One step of a track as a picture: the panorama with the belief, the answer in words, and the time line so far.
+"""One step of a track as a picture: what the camera saw with the belief, the answer in words, and the time line so far.
+
+The camera sees all around, and its panorama is drawn; or only a part, and its picture is drawn with a small panorama of
+what was looked at so far beside it (`eagor.drawing.view`).
 
 A painter keeps its matplotlib figure and paints only lines and words with it, over pixels that NumPy and Pillow made:
 that is several times faster than a new figure with images for each frame. What is drawn over the panorama is drawn by
@@ -13,31 +16,79 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.drawing.panorama import MASS, backdrop, heat_of, paint_marks
-from eagor.drawing.sheet import blank, family, over
+from eagor.drawing.sheet import DESIGN, FAINT, WORDS, blank, family, ground, over
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, TimeLine, ticks
+from eagor.drawing.view import ViewScene, wipe
 from eagor.drawing.words import answer_in_words, far_in_words
 from eagor.errors import EagorError
+from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from PIL.Image import Image
 
 __all__ = ["NARROWEST", "WIDEST", "ScenePainter", "StepPainter", "draw_step"]
 
-DESIGN = 1280  # columns that all sizes below are for; a picture of another width is scaled
 HEAD, FOOT = 64, 152  # rows above and below the panorama
 LEFT, RIGHT, TOP, BOTTOM = 78, 142, 12, 26  # pixels around the axes of the time line
 PRESENCE, STATUS, GAP = 22, 9, 7  # rows of the lower strips, and between them
 NARROWEST, WIDEST = 320, 3840
-GROUND, PANEL, RULE, WORDS, FAINT, ALARM = "#12151b", "#1a1e26", "#39404c", "#eef1f6", "#a5aebb", "#ffb000"
+PANEL, RULE, ALARM = "#1a1e26", "#39404c", "#ffb000"
 BAND, NOW = "#2b6f7d", "#ffffff"
 LONGEST_QUERY, LONGEST_PROBLEM = 38, 150  # characters
 MOST_CLOCK = 1e5  # seconds: stamps beyond are of a calendar, and the time line counts from the first one
 
 
+class Scene:
+    """The part of a figure in which a step is shown. `place`: left, top, width and height in pixels, `size`: all."""
+
+    def __init__(self, figure: Figure, size: tuple[int, int], place: tuple[int, int, int, int]) -> None:
+        left, top, wide, high = self.place = place
+        self.axes = figure.add_axes((left / size[0], 1 - (top + high) / size[1], wide / size[0], high / size[1]))
+        self.axes.set_axis_off()
+        self.axes.set_autoscale_on(False)
+        self.axes.set_xlim(180, -180)
+        self.axes.set_ylim(-90, 90)
+        self._figure, self._size = figure, size
+        self.view: ViewScene | None = None  # once there was a picture of an ordinary camera
+
+    def paint(
+        self,
+        pixels: np.ndarray,
+        picture: np.ndarray | None,
+        estimate: Estimate,
+        problem: str | None,
+        grid: PerspectiveGrid | None,
+    ) -> None:
+        """Paint a step, its pictures into `pixels` ``(H, W, 3)`` of the figure, the rest as artists."""
+        wipe(self.axes)
+        if grid is not None or (picture is None and self.view is not None):
+            shown = self.viewed().paint(pixels, picture, grid, estimate)
+        else:
+            if self.view is not None:
+                self.view.clear()
+            left, top, wide, high = self.place
+            heat, shown = heat_of(estimate), self.axes
+            pixels[top : top + high, left : left + wide] = backdrop(picture, heat, wide, high)
+            _mark(shown, estimate, heat)
+        if problem:
+            shown.text(
+                0.5, 0.9, f"left out: {_short(problem, LONGEST_PROBLEM)}", transform=shown.transAxes, fontsize=10,
+                color=ALARM, ha="center", va="top", zorder=9, family=family(),
+                bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
+            )  # fmt: skip
+
+    def viewed(self) -> ViewScene:
+        """The scene of an ordinary camera, which remembers what it was shown."""
+        if self.view is None:
+            self.view = ViewScene(self._figure, self._size, self.place)
+        return self.view
+
+
 class ScenePainter:
-    """Paints panoramas with beliefs, `width` pixels wide and half as high, without words around them.
+    """Paints pictures with beliefs, `width` pixels wide and half as high, without words around them.
 
     Raises `EagorError` for an impossible width.
     """
@@ -46,14 +97,25 @@ class ScenePainter:
         self.width = _checked(width)
         self.height = self.width // 4 * 2
         self._sheet = blank(self.width, self.height, 100 * self.width / DESIGN)
-        self._axes = _scene(self._sheet.figure, (0, 0, 1, 1))
+        size = (self.width, self.height)
+        self._scene = Scene(self._sheet.figure, size, (0, 0, *size))
 
-    def paint(self, panorama: np.ndarray | None, estimate: Estimate, problem: str | None = None) -> np.ndarray:
+    def paint(
+        self,
+        picture: np.ndarray | None,
+        estimate: Estimate,
+        problem: str | None = None,
+        grid: PerspectiveGrid | None = None,
+    ) -> np.ndarray:
         """One picture ``(height, width, 3)`` uint8; arguments as for `StepPainter.paint`."""
-        heat = heat_of(estimate)
-        ground = backdrop(panorama, heat, self.width, self.height)
-        _repaint(self._axes, estimate, heat, problem)
-        return over(self._sheet, ground)
+        pixels = ground(self.width, self.height)
+        self._scene.paint(pixels, picture, estimate, problem, grid)
+        return over(self._sheet, pixels)
+
+    def look(self, picture: np.ndarray | None, estimate: Estimate, grid: PerspectiveGrid | None) -> None:
+        """Keep what an ordinary camera shows, for later pictures, without painting this step."""
+        if grid is not None:
+            self._scene.viewed().look(picture, grid, estimate.world_R_body)
 
 
 class StepPainter:
@@ -71,7 +133,7 @@ class StepPainter:
         self.height = (self.head + self.rows + round(FOOT * scale)) // 2 * 2
         self._sheet = blank(self.width, self.height, 100 * scale)
         w, h = self.width, self.height
-        self._scene = _scene(self._sheet.figure, (0, (h - self.head - self.rows) / h, 1, self.rows / h))
+        self._scene = Scene(self._sheet.figure, (w, h), (0, self.head, w, self.rows))
         left, wide = LEFT * scale / w, 1 - (LEFT + RIGHT) * scale / w
         low, places = BOTTOM * scale, []
         for high in (STATUS * scale, PRESENCE * scale, 0.0):
@@ -83,37 +145,39 @@ class StepPainter:
         for strip, low, high in ((self._status, 0, 1), (self._presence, 0, 1), (self._azimuth, -180, 180)):
             strip.set_ylim(low, high)
         self._words = self._places_of_words()
-        self._ground, self._span = np.zeros(0), math.nan
+        self._rest, self._span = np.zeros(0), math.nan
 
     def paint(
         self,
-        panorama: np.ndarray | None,
+        picture: np.ndarray | None,
         estimate: Estimate,
         *,
         stamp: float | None = None,
         query: str = "",
         problem: str | None = None,
+        grid: PerspectiveGrid | None = None,
     ) -> np.ndarray:
         """One step ``(height, width, 3)`` uint8.
 
         Args:
-            panorama: ``(H, W, 3)``, uint8 or 0 to 1, in the body frame of the estimate; None for a frame that cannot
-                be read.
+            picture: ``(H, W, 3)``, uint8 or 0 to 1: a panorama in the body frame of the estimate, or with `grid` what
+                an ordinary camera saw; None for a frame that cannot be read.
             estimate: the answer.
             stamp: time of the frame in seconds; None: of the estimate.
             query: what is looked for.
             problem: why the frame could not be used, if so; it is written into the picture.
+            grid: which directions of the body the pixels of an ordinary camera show.
 
-        Raises `TimeError` unless the stamps grow, `EagorError` for a panorama of another shape.
+        Raises `TimeError` unless the stamps grow, `EagorError` for a picture of another shape.
         """
-        heat = heat_of(estimate)
-        seen = backdrop(panorama, heat, self.width, self.rows)
+        pixels = ground(self.width, self.height)
+        self._scene.paint(pixels, picture, estimate, problem, grid)
         self.line.add(Moment.of(estimate, stamp, problem))
         if self.line.span != self._span:
             self._stretch()
-        pixels = self._ground.copy()
-        pixels[self.head : self.head + self.rows] = seen
-        _repaint(self._scene, estimate, heat, problem)
+        rows = slice(self.head, self.head + self.rows)
+        scene, pixels = pixels[rows], self._rest.copy()
+        pixels[rows] = scene
         self._say(estimate, query)
         self._draw_line()
         return over(self._sheet, pixels)
@@ -158,9 +222,7 @@ class StepPainter:
             figure.text(x + 15 / DESIGN, y, name, **small)
         for strip in (self._status, self._presence, self._azimuth):
             strip.set_xlim(0, span)
-        ground = np.empty((h, w, 3), dtype=np.uint8)
-        ground[:] = [int(GROUND[at : at + 2], 16) for at in (1, 3, 5)]
-        self._ground, self._span = over(sheet, ground), span
+        self._rest, self._span = over(sheet, ground(w, h)), span
 
     def _say(self, estimate: Estimate, query: str) -> None:
         moment = self.line.last
@@ -182,7 +244,7 @@ class StepPainter:
 
         line, strips = self.line, (self._azimuth, self._presence, self._status)
         for strip in strips:
-            _clear(strip)
+            wipe(strip)
         _boxes(self._azimuth, line.bands(), BAND, 0.75)
         lines = list(line.answers()[:, [[0, 2], [1, 2]]])
         for colour, width in (("black", 3.2), (COLOURS["tracking"], 2.0)):
@@ -198,12 +260,13 @@ class StepPainter:
 
 
 def draw_step(
-    panorama: np.ndarray | None,
+    picture: np.ndarray | None,
     estimate: Estimate,
     *,
     stamp: float | None = None,
     query: str = "",
     problem: str | None = None,
+    grid: PerspectiveGrid | None = None,
     before: tuple[Moment, ...] | list[Moment] = (),
     span: float | None = None,
     width: int = DESIGN,
@@ -217,23 +280,13 @@ def draw_step(
     painter = StepPainter(width, span)
     for moment in before:
         painter.line.add(moment)
-    return Image.fromarray(painter.paint(panorama, estimate, stamp=stamp, query=query, problem=problem))
+    return Image.fromarray(painter.paint(picture, estimate, stamp=stamp, query=query, problem=problem, grid=grid))
 
 
-def _scene(figure: Any, place: tuple[float, float, float, float]) -> Axes:
-    axes = figure.add_axes(place)
-    axes.set_axis_off()
-    axes.set_autoscale_on(False)
-    axes.set_xlim(180, -180)
-    axes.set_ylim(-90, 90)
-    return axes
-
-
-def _repaint(axes: Axes, estimate: Estimate, heat: Any, problem: str | None) -> None:
-    """The marks of this step instead of the last one's."""
+def _mark(axes: Axes, estimate: Estimate, heat: Any) -> None:
+    """The marks of this step on its panorama."""
     from matplotlib import patheffects
 
-    _clear(axes)
     paint_marks(axes, estimate, heat)
     outline = [patheffects.withStroke(linewidth=2.2, foreground="black", alpha=0.6)]
     for index, (at, name) in enumerate(SIDES):
@@ -241,12 +294,6 @@ def _repaint(axes: Axes, estimate: Estimate, heat: Any, problem: str | None) -> 
         axes.annotate(
             name, (at, 90), xytext=({"left": 5, "right": -5}.get(side, 0), -4), textcoords="offset points",
             fontsize=9, color="white", ha=side, va="top", path_effects=outline, zorder=8,
-        )  # fmt: skip
-    if problem:
-        axes.text(
-            0.5, 0.9, f"left out: {_short(problem, LONGEST_PROBLEM)}", transform=axes.transAxes, fontsize=10,
-            color=ALARM, ha="center", va="top", zorder=9, family=family(),
-            bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
         )  # fmt: skip
 
 
@@ -270,11 +317,6 @@ def _boxes(axes: Axes, boxes: np.ndarray, colour: str, alpha: float) -> None:
     corners = np.stack([begin, low, begin, high, end, high, end, low, begin, low], axis=1).reshape(-1, 2)
     codes = np.tile(np.array([Path.MOVETO, *[Path.LINETO] * 3, Path.CLOSEPOLY], dtype=np.uint8), len(boxes))
     axes.add_artist(PathPatch(Path(corners, codes), facecolor=colour, alpha=alpha, linewidth=0, zorder=2))
-
-
-def _clear(axes: Axes) -> None:
-    for artist in (*axes.lines, *axes.collections, *axes.patches, *axes.texts):
-        artist.remove()
 
 
 def _short(text: str, most: int) -> str:

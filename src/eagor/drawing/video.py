@@ -21,9 +21,11 @@ import numpy as np
 
 from eagor._extras import need
 from eagor._files import written
-from eagor.drawing.step import DESIGN, StepPainter
+from eagor.drawing.sheet import DESIGN
+from eagor.drawing.step import StepPainter
 from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, StorageError, TimeError
+from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
 __all__ = ["ANIMATIONS", "VIDEOS", "Animation", "BeliefVideo", "Movie"]
@@ -62,7 +64,7 @@ class BeliefVideo:
         path: the file; its suffix chooses the format.
         rate: pictures per second that will come, if known; the last picture is shown for so long if it is alone.
         size: width in pixels, 320 to 3840, made even; default 1280, or 760 for webp and gif. The height is two thirds
-            of it: the panorama, the answer above it and the time line below.
+            of it: what was seen, the answer above it and the time line below.
         span: length of the clip in seconds, for the time line; None: the time line grows.
 
     Raises `EagorError` for an unknown suffix, an impossible rate or size, a folder that does not exist; `StorageError`
@@ -98,20 +100,21 @@ class BeliefVideo:
 
     def add(
         self,
-        panorama: np.ndarray | None,
+        picture: np.ndarray | None,
         estimate: Estimate,
         *,
         stamp: float | None = None,
         query: str = "",
         problem: str | None = None,
+        grid: PerspectiveGrid | None = None,
     ) -> None:
         """Append one step; arguments as for `StepPainter.paint`. Stamps grow.
 
         Raises `TimeError` for a stamp that is not later than the last one, `StorageError` when there is no more room:
         the file then holds the pictures before.
         """
-        picture = self.painter.paint(panorama, estimate, stamp=stamp, query=query, problem=problem)
-        self._movie.add(picture, self.painter.line.now)
+        drawn = self.painter.paint(picture, estimate, stamp=stamp, query=query, problem=problem, grid=grid)
+        self._movie.add(drawn, self.painter.line.now)
 
     def close(self) -> None:
         """Finish the file. Raises `StorageError`."""

@@ -49,6 +49,14 @@ def answer_in_words(estimate: Estimate) -> str:
     return in_words(estimate.azimuth, estimate.elevation)
 
 
+def sureness(estimate: Estimate) -> str:
+    """How likely it is that the thing is here, and where the answer says, such as "80 %"; the status follows from it.
+
+    That is within 15 degrees of the answer, or half its own size, where that is more. Never 0 % or 100 %.
+    """
+    return f"{min(max(round(100 * estimate.sureness), 1), 99)} %"
+
+
 def distance_in_words(distance: float | None, spread: float | None) -> str:
     """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "-" if not even its order of magnitude is known.
 

@@ -339,6 +339,15 @@ class Evidence:
         kept = None if (coverage == 1).all() else frozen(coverage)
         return replace(self, drawn=ratio, coverage=kept, seen=region(self.grid, coverage > 0))
 
+    def widened(self, spread: float) -> Evidence:
+        """The same from a camera whose pose is only known to a deviation of `spread` (radians per axis).
+
+        Detections become wider. A response map stays as it is.
+        """
+        if self.detections is None or spread <= 0:
+            return self
+        return replace(self, detections=self.detections.widened(spread))
+
     @property
     def read_with(self) -> Calibration | DetectorModel:
         """What turns it into likelihood ratios."""

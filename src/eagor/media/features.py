@@ -32,11 +32,13 @@ SIZE = 320  # pixels of a view
 CONTRAST = 0.02  # half of SIFT's usual threshold: dim rooms have few strong points
 MOST = 400  # points of a view, strongest first
 WIDE = 640  # pixels along the longer side of an ordinary picture; larger ones are shrunk
-MOST_ALONE = 1000  # points of an ordinary picture
+TILES = (3, 4)  # rows and columns of an ordinary picture that share its points and corners evenly
+MOST_TILE = 80  # points of such a tile
 RATIO = 0.8  # of the distances to the best and the second best descriptor (Lowe 2004, section 7.1)
 
 CORNERS = 56  # of a view, strongest first; six views give as many pairs as a turn needs
-CORNERS_ALONE = 240  # of an ordinary picture
+CORNERS_TILE = 20  # of a tile
+FAINT = 0.001  # of the strongest corner of an ordinary picture: a thing in front of a plain room may be strong
 PROBES = 9  # points along each side of a picture at which its overlap with another is found
 COARSE = 8  # pixels from node to node of a table of where to read; between them it is straight to a fiftieth of a pixel
 WINDOW = (15, 15)  # pixels about a corner that are compared
@@ -77,6 +79,11 @@ class Views:
     def whole(self) -> bool:
         """Whether they cover the sphere."""
         return len(self.grids) > 1
+
+    @property
+    def lens(self) -> bytes:
+        """Which lens of a camera they are from."""
+        return lens_of(None if self.whole else self.grids[0])
 
     @classmethod
     def of_picture(cls, picture: np.ndarray, grid: PerspectiveGrid) -> Views:
@@ -131,7 +138,11 @@ class Views:
             rays, own = self.seen(index, np.array([point.pt for point in points]))
             strength = np.array([point.response for point in points])
             own = np.flatnonzero(own)
-            own = own[np.argsort(-strength[own], kind="stable")][: MOST if self.whole else MOST_ALONE]
+            own = own[np.argsort(-strength[own], kind="stable")]
+            if self.whole:
+                own = own[:MOST]
+            else:
+                own = own[_in_tiles(np.array([points[each].pt for each in own]), picture.shape, MOST_TILE)]
             directions.append(rays[own])
             descriptors.append(found[own])
         return Features(np.concatenate(directions), _rooted(np.concatenate(descriptors)))
@@ -155,6 +166,23 @@ class Views:
             return SPHERE
         (grid,) = self.grids
         return float(grid.resized(max(1, grid.height // COARSE), max(1, grid.width // COARSE)).weights.sum())
+
+
+def _in_tiles(points: np.ndarray, shape: tuple[int, ...], most: int) -> np.ndarray:
+    """Indices of the first so many of `points` ``(n, 2)`` (x, y) in each tile of a picture of this shape, in order."""
+    if len(points) == 0:
+        return np.empty(0, dtype=np.intp)
+    rows, columns = (np.minimum(points[:, 1 - k] * TILES[k] // shape[k], TILES[k] - 1) for k in (0, 1))
+    tile = (rows * TILES[1] + columns).astype(np.intp)
+    order = np.argsort(tile, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(tile[order]) > 0])
+    rank = np.arange(len(points)) - np.repeat(starts, np.diff(np.r_[starts, len(points)]))
+    return np.sort(order[rank < most])
+
+
+def lens_of(grid: PerspectiveGrid | None) -> bytes:
+    """A name for the lens of an ordinary camera with this grid, by where it looks; for panoramas (None) it is empty."""
+    return b"" if grid is None else grid.body_R_view.tobytes()
 
 
 def features_of(panorama: np.ndarray, size: int = SIZE) -> Features:
@@ -206,9 +234,12 @@ def corners_of(views: Views) -> tuple[np.ndarray, ...]:
 
     found = []
     for index, picture in enumerate(views.pictures):
-        points = cv2.goodFeaturesToTrack(picture, CORNERS if views.whole else CORNERS_ALONE, QUALITY, APART)
+        most, least = (CORNERS, QUALITY) if views.whole else (0, FAINT)
+        points = cv2.goodFeaturesToTrack(picture, most, least, APART)
         if points is None:
             points = np.empty((0, 1, 2), np.float32)
+        if not views.whole:
+            points = points[_in_tiles(points[:, 0], picture.shape, CORNERS_TILE)]
         found.append(points[views.seen(index, points[:, 0])[1]])
     return tuple(found)
 
@@ -237,7 +268,7 @@ def warped(new: Views, old: Views, old_R_new: np.ndarray) -> Views:
 
 @lru_cache(maxsize=8)
 def _nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates ``(n,)`` every `COARSE` pixels, and what interpolates from them ``(count, n)``."""
+    """Coordinates ``(n,)`` about every `COARSE` pixels, and weights ``(count, n)`` of them at all pixels."""
     centres = np.arange(count) + 0.5
     nodes = np.linspace(0.5, count - 0.5, max(2, -(-count // COARSE) + 1))
     columns = [np.interp(centres, nodes, row) for row in np.eye(len(nodes))]

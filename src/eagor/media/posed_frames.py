@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -40,7 +40,8 @@ class PosedFrame:
 
     `frame`: its name; None for odometry between the frames. `read`: gives its panorama, or raises `EagorError`.
     `looked`: whether the perception looks at it; otherwise it is only drawn. `lost`: whether nothing tells how the
-    camera turned since the frame before, so that the belief has to start anew.
+    camera turned since the frame before, so that the belief has to start anew. `spread`: deviation of the pose's error,
+    radians per axis, where it is known.
     """
 
     pose: FramePose
@@ -48,6 +49,7 @@ class PosedFrame:
     read: Read | None = None
     looked: bool = True
     lost: bool = False
+    spread: float = 0.0
 
 
 def posed_by_file(source: Frames, poses: Sequence[FramePose], name: Path) -> Iterator[PosedFrame]:
@@ -120,7 +122,8 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
         turned = _turned(odometer, found, stamp)
         turn = upright @ turned.world_R_body
         pose = FramePose(stamp, turn, None, frame)
-        yield PosedFrame(pose, frame, lambda found=found: found, lost=turned.lost and met)
+        lost = turned.lost and met
+        yield PosedFrame(pose, frame, lambda found=found: found, lost=lost, spread=turned.spread)
         met = True
 
 
@@ -188,16 +191,19 @@ def posed_by_odometry(
             say(f"{count} pictures {side} pose of {poses.topic} are left out")
 
 
-def thinned(frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0) -> Iterator[PosedFrame]:
-    """The same, with `rate` frames per second from `begins` on looked at (None: all)."""
-    tick = -math.inf
+def thinned(
+    frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0, lenses: int = 1
+) -> Iterator[PosedFrame]:
+    """The same, with `rate` frames per second from `begins` on looked at (None: all); of each of so many `lenses`."""
+    tick, left = -math.inf, 0
     for each in frames:
         if rate is None or each.frame is None or each.lost:
             yield each
             continue
         number = math.floor((each.pose.stamp - begins) * rate + 1e-6)
-        yield each if number > tick else PosedFrame(each.pose, each.frame, each.read, looked=False)
-        tick = max(tick, number)
+        left = lenses if number > tick else left
+        yield each if left > 0 else replace(each, looked=False)
+        tick, left = max(tick, number), left - 1
 
 
 def ahead(frames: Iterable[PosedFrame], most: int = 2) -> Iterator[PosedFrame]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from eagor._lazy import lazy
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
-from eagor.media.features import SIZE, Features, Views, corners_of, followed, match, overlap, steadied, warped
+from eagor.media.consensus import Inertia
+from eagor.media.features import SIZE, Features, Views, corners_of, followed, lens_of, match, overlap, steadied, warped
 from eagor.media.two_views import Turn, turn_between
 
 __all__ = ["Turned", "VisualOdometer"]
@@ -22,6 +24,10 @@ THIN = 0.15  # share of a frame's points found again in a key frame; below it th
 THIN_ALONE = 0.3  # of an ordinary camera: the views of neighbouring key frames have to overlap
 OVERLAP = 0.2  # share of an ordinary picture that a key frame has to show to be compared with it
 TRIED = 8  # key frames of an ordinary camera that a picture is compared with if none of those expected fits
+BESIDE = 0.25  # seconds within which another lens of the rig tells how this one has turned
+SLACK = 0.3  # of a turn that is taken from another lens' pictures: the camera may not have turned on steadily
+PUSHED = 10.0  # radians per second squared: few cameras change their rate of turning faster
+STEADY = math.radians(2)  # of a turn that is expected, whatever the time
 WAIT = 2.0  # seconds for which an ordinary picture that fits to none before it is waited out
 FOLLOWED = 0.4  # share of a frame's corners found again by optical flow; with fewer, features are matched anew
 NEAR = math.radians(2)  # of the guess: flow from farther away is repeated, since views change with the turn
@@ -75,6 +81,9 @@ class VisualOdometer:
     An ordinary camera soon loses sight of the first key frame. So its pictures are compared with the key frames that
     overlap most with where it should look now. One that fits to none is waited out for `WAIT` seconds, since it may be
     blurred, covered, or of a side not seen before: the last rotation holds, and the spread grows.
+
+    Several ordinary cameras that are fixed to each other may give their pictures in turn, each with the grid of its
+    lens: what one does not recognise, the others tell, and each sees key frames of all.
     """
 
     def __init__(self, *, level: bool = False) -> None:
@@ -82,10 +91,12 @@ class VisualOdometer:
         self._keys: list[_Key] = []
         self._reference = 0  # the key frame that fitted last
         self._turn = 0  # the key frame whose turn it is
-        self._anchor: _Key | None = None  # the frame from which corners are followed
+        self._anchors: dict[bytes, _Key] = {}  # the frame of each lens from which corners are followed
+        self._latest: dict[bytes, tuple[np.ndarray, float]] = {}  # where each lens was found last: pose and stamp
         self._previous: _Key | None = None  # the last picture that was found
         self._step = np.zeros(3)  # the turn (rotation vector) from the picture before that one to it, and the seconds
         self._lasted = 1.0
+        self._moving = False  # whether that is known
         self._stamp = 0.0  # of that one
         self._held = 0  # pictures without information since then
         self._squares, self._steps = 0.0, 0  # of the turns from picture to picture (radians), and how many
@@ -101,14 +112,21 @@ class VisualOdometer:
         """
         stamp = self._stamp + self._held + 1 if stamp is None else stamp
         self._check_kind(grid)
-        views, flown = self._flown(picture, stamp, grid)
+        anchor = self._anchors.get(lens_of(grid))
+        if grid is None:
+            views, flown = self._steadied(anchor, picture, stamp)
+        else:
+            views = Views.of_picture(picture, grid)
+            flown = self._flown(anchor, views, stamp)
         if flown is not None:
-            return self._now(flown, stamp)
+            return self._now(*flown, stamp)
         features = views.features
         if not self._keys:
             blind = self._previous is not None and len(features) < FEWEST
             return self._hold() if blind else self._begin(views, stamp)
         found = self._found(views, stamp)
+        if found is None and self._beside(views.lens, stamp):
+            return self._carried(views, stamp)
         if found is None:
             expected = len(features) * self._shares[0] / self._shares[1]
             waits = grid is not None and stamp - self._stamp <= WAIT
@@ -118,12 +136,11 @@ class VisualOdometer:
         self._shares = again + share, there + 1
         if share < (THIN if grid is None else THIN_ALONE):
             self._add_key(now)
-        self._anchor = now
-        return self._now((now, turn), stamp)
+        self._anchors[views.lens] = now
+        return self._now(now, turn, stamp)
 
-    def _now(self, found: tuple[_Key, Turn], stamp: float) -> Turned:
+    def _now(self, now: _Key, turn: Turn, stamp: float) -> Turned:
         """What is said of a picture that was found."""
-        now, turn = found
         self._learn(now, stamp)
         self._previous, self._held = now, 0
         return Turned(now.world_R_body, self._spread(now.covariance), False, int(turn.inliers.sum()))
@@ -134,23 +151,36 @@ class VisualOdometer:
             came, before = ("a panorama", "ordinary pictures") if grid is None else ("an ordinary picture", "panoramas")
             raise ImageError(f"{came} (grid = {grid!r}) after {before}; wanted one camera: take another VisualOdometer")
 
-    def _flown(
-        self, picture: np.ndarray, stamp: float, grid: PerspectiveGrid | None
+    def _steadied(
+        self, anchor: _Key | None, panorama: np.ndarray, stamp: float
     ) -> tuple[Views, tuple[_Key, Turn] | None]:
-        """A picture's views, and where it points if enough of the anchor's corners are found again."""
-        own = None if grid is None else Views.of_picture(picture, grid)
-        anchor, previous = self._anchor, self._previous
-        if anchor is None or previous is None:
-            return own or Views.of(picture, min(max(np.shape(picture)[0], SMALLEST), SIZE)), None
+        """A panorama's views, and where it points if enough of the anchor's corners are found again."""
+        if anchor is None:
+            return Views.of(panorama, min(max(np.shape(panorama)[0], SMALLEST), SIZE)), None
+        return self._followed(anchor, lambda guess: steadied(panorama, anchor.views, guess), stamp)
+
+    def _flown(self, anchor: _Key | None, views: Views, stamp: float) -> tuple[_Key, Turn] | None:
+        """Where an ordinary picture points, if enough of the anchor's corners are found again."""
+        if anchor is None or anchor.views.lens != views.lens:
+            return None
+        _, found = self._followed(anchor, lambda guess: warped(views, anchor.views, guess), stamp)
+        return None if found is None else (replace(found[0], views=views), found[1])
+
+    def _followed(
+        self, anchor: _Key, seen: Callable[[np.ndarray], Views], stamp: float
+    ) -> tuple[Views, tuple[_Key, Turn] | None]:
+        """The same, and the views in which corners were looked for: `seen` makes them from a guess of the turn."""
         guess = anchor.world_R_body.T @ self._expected(stamp)
+        inertia = self._inertia(anchor, stamp)
         enough = max(FEWEST, FOLLOWED * sum(map(len, anchor.corners)))
         left = ROUNDS
         while True:
             left -= 1
-            seen = steadied(picture, anchor.views, guess) if own is None else warped(own, anchor.views, guess)
-            views = own or seen
-            old, new = followed(anchor.views, anchor.corners, seen)
-            turn = turn_between(old, new, level=self.level, area=views.area) if len(old) >= enough else None
+            views = seen(guess)
+            old, new = followed(anchor.views, anchor.corners, views)
+            if len(old) < enough:
+                return views, None
+            turn = turn_between(old, new, level=self.level, area=anchor.views.area, inertia=inertia)
             if turn is None or turn.inliers.sum() < enough:
                 return views, None
             if _angle(guess, turn.old_R_new) < NEAR or not left:
@@ -171,9 +201,26 @@ class VisualOdometer:
         self._previous, self._held = start, 0
         self._step, self._stamp = np.zeros(3), stamp
         self._keys = [start] if len(views.features) >= FEWEST else []
-        self._anchor = start if self._keys else None
+        self._anchors = {views.lens: start} if self._keys else {}
+        self._latest = {views.lens: (start.world_R_body, stamp)}
         self._reference = self._turn = 0
+        self._moving = False
         return Turned(start.world_R_body, 0.0, anew, 0)
+
+    def _beside(self, lens: bytes, stamp: float) -> bool:
+        """Whether another lens of the rig has been found just now."""
+        return any(other != lens and stamp - at <= BESIDE for other, (_, at) in self._latest.items())
+
+    def _carried(self, views: Views, stamp: float) -> Turned:
+        """Where a picture points by what the other lenses saw; of a side not seen before it becomes a key frame."""
+        assert self._previous is not None
+        pose = self._expected(stamp)
+        slack = SLACK * _angle(self._previous.world_R_body, pose)
+        now = _Key(views, pose, self._previous.covariance + slack**2 * np.eye(3))
+        if len(views.features) >= FEWEST and not self._overlapping(views, stamp):
+            self._add_key(now)
+            self._anchors[views.lens] = now
+        return Turned(pose, self._spread(now.covariance), False, 0)
 
     def _hold(self) -> Turned:
         """The last known rotation; the camera may go on turning as fast as it did."""
@@ -193,7 +240,7 @@ class VisualOdometer:
             self._turn = (self._turn + 1) % len(near)
             surest = min(near, key=lambda index: np.trace(self._keys[index].covariance))
             indices = dict.fromkeys((self._reference, near[0], surest, near[self._turn]))
-        results = {index: self._compared(self._keys[index], views) for index in indices}
+        results = {index: self._compared(self._keys[index], views, stamp) for index in indices}
         agreed = {index: result for index, result in results.items() if result is not None}
         best, most = None, 0.0
         if agreed:
@@ -203,23 +250,29 @@ class VisualOdometer:
             self._reference = min(alike, key=lambda index: np.trace(agreed[index][0].covariance))
             best = agreed[self._reference]
         if best is None and self._previous is not None:
-            best = self._compared(self._previous, views)
+            best = self._compared(self._previous, views, stamp)
             if best is not None:  # no key frame shows enough; the previous picture does
                 self._add_key(self._previous)
                 most = _share(best[1], views.features)
+        if best is None and not views.whole:  # both may be blurred, along the same way
+            best = self._flown(self._previous, views, stamp)
+            most = 1.0 if best is not None and self._overlapping(views, stamp, best[0].world_R_body) else 0.0
         if best is None:
             for index in self._others(views, stamp):
-                best = self._compared(self._keys[index], views)
+                best = self._compared(self._keys[index], views, stamp)
                 if best is not None:
                     self._reference, most = index, _share(best[1], views.features)
                     break
         return None if best is None else (*best, most)
 
-    def _overlapping(self, views: Views, stamp: float) -> list[int]:
-        """The key frames that should show a part of this picture; of an ordinary camera those that show most first."""
+    def _overlapping(self, views: Views, stamp: float, pose: np.ndarray | None = None) -> list[int]:
+        """The key frames that should show a part of this picture; of an ordinary camera those that show most first.
+
+        `pose`: where it points, if known.
+        """
         if views.whole or self._previous is None:
             return list(range(len(self._keys)))
-        pose = self._expected(stamp)
+        pose = self._expected(stamp) if pose is None else pose
         shares = [overlap(views, key.views, key.world_R_body.T @ pose) for key in self._keys]
         order = sorted(range(len(shares)), key=lambda index: -shares[index])
         return [index for index in order if shares[index] >= OVERLAP]
@@ -229,16 +282,25 @@ class VisualOdometer:
         every = list(range(len(self._keys)))
         if views.whole:
             return every
-        pose = self._expected(stamp)
-        every.sort(key=lambda index: _angle(self._keys[index].world_R_body, pose))
+        axis = self._expected(stamp) @ views.grids[0].body_R_view[:, 0]
+        axes = [key.world_R_body @ key.views.grids[0].body_R_view[:, 0] for key in self._keys]
+        every.sort(key=lambda index: -float(axes[index] @ axis))
         start = self._held * TRIED % len(every)
         return (every + every)[start : start + min(TRIED, len(every))]
 
-    def _compared(self, key: _Key, views: Views) -> tuple[_Key, Turn] | None:
+    def _inertia(self, key: _Key, stamp: float) -> Inertia | None:
+        """What an ordinary camera's turn from a key frame can be, once its rate is known."""
+        if key.views.whole or not self._moving:
+            return None
+        most = STEADY + PUSHED * (stamp - self._stamp) ** 2 / 2
+        return Inertia(key.world_R_body.T @ self._expected(stamp), most)
+
+    def _compared(self, key: _Key, views: Views, stamp: float) -> tuple[_Key, Turn] | None:
         """This picture's pose by way of one key frame."""
         here, there = key.views.features, views.features
         old, new = match(here, there)
-        turn = turn_between(here.directions[old], there.directions[new], level=self.level, area=views.area)
+        old, new, inertia = here.directions[old], there.directions[new], self._inertia(key, stamp)
+        turn = turn_between(old, new, level=self.level, area=views.area, inertia=inertia)
         return None if turn is None else (_placed(key, views, turn), turn)
 
     def _add_key(self, key: _Key) -> None:
@@ -250,9 +312,12 @@ class VisualOdometer:
 
     def _learn(self, now: _Key, stamp: float) -> None:
         """How fast the camera turns."""
-        assert self._previous is not None
-        self._step = Rotation.from_matrix(self._previous.world_R_body.T @ now.world_R_body).as_rotvec()
-        self._lasted, self._stamp = max(stamp - self._stamp, 1e-6), stamp
+        before, at = self._latest.get(now.views.lens, (None, stamp))
+        self._latest[now.views.lens], self._stamp = (now.world_R_body, stamp), stamp
+        if before is None:
+            return
+        self._step = Rotation.from_matrix(before.T @ now.world_R_body).as_rotvec()
+        self._lasted, self._moving = max(stamp - at, 1e-6), True
         if not self._held:
             self._squares += float(self._step @ self._step)
             self._steps += 1

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import expit, log_expit, log_ndtr
 
-from eagor.media.consensus import SPHERE, Agreement, Parts, agreeing_motion, agreeing_rotation
+from eagor.media.consensus import SPHERE, Agreement, Inertia, Parts, agreeing_motion, agreeing_rotation
 
 FALSE_ALARM = 1e-5  # expected number of agreements among unrelated pairs; above it an agreement counts as chance
 
@@ -50,16 +50,25 @@ class Turn:
 
 
 def turn_between(
-    old: np.ndarray, new: np.ndarray, *, level: bool = False, moves: bool = True, area: float = SPHERE
+    old: np.ndarray,
+    new: np.ndarray,
+    *,
+    level: bool = False,
+    moves: bool = True,
+    area: float = SPHERE,
+    inertia: Inertia | None = None,
 ) -> Turn | None:
     """The turn from matched unit vectors `old` and `new` ``(n, 3)``; None if they agree no better than by chance.
 
     A camera that stood still and one that moved are both fitted; the Bayesian information criterion decides. `level`:
     turns are about z only. `moves`: False leaves out the second model. `area`: steradians that the camera sees. The
     same input gives the same result: the random samples have a fixed seed.
+
+    In a narrow field a turn looks much like a step to the side, all the more if something moves on its own. So with
+    `inertia` only turns that it allows count.
     """
     random = np.random.default_rng(0)
-    still = agreeing_rotation(old, new, random, level, area)
+    still = agreeing_rotation(old, new, random, level, area, inertia)
     if still is None:
         return None
     moved = agreeing_motion(old, new, still.rotation, random, area) if moves else None
@@ -73,6 +82,9 @@ def turn_between(
         assert moved.direction is not None
         guess = _yaw_of(moved.rotation) if level else moved.rotation
         found.append(_fitted(Moving(old, new, guess, axes, parts, moved.direction), moved))
+    found = [each for each in found if inertia is None or inertia.allows(each[1].rotation)]
+    if not found:
+        return None
     _, model, parameters = max(found, key=lambda each: each[0])
     d = len(axes)
     spread = covariance(model, parameters)
@@ -272,9 +284,8 @@ def right(model: Model, parameters: np.ndarray) -> np.ndarray:
 def _log_likelihood(model: Model, parameters: np.ndarray) -> np.ndarray:
     """Log-density ``(p, n + 1)`` of each pair under parameters ``(p, k)``; the priors come last."""
     logit = parameters[:, len(model.axes) + 1, None]
-    pairs = np.logaddexp(
-        model.log_inlier(parameters) + log_expit(logit), log_expit(-logit) - math.log(model.parts.area)
-    )
+    wrong = log_expit(-logit) - math.log(model.parts.area)
+    pairs = np.logaddexp(model.log_inlier(parameters) + log_expit(logit), wrong)
     return np.concatenate([pairs, model.log_prior(parameters)[:, None]], axis=1)
 
 

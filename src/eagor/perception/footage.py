@@ -25,6 +25,7 @@ from eagor.tracking.follower import Follower
 __all__ = ["FollowedFrame", "HiddenParts", "Method", "follow", "look_at"]
 
 T = TypeVar("T")
+UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
 WORTH_SAYING = 0.002  # share of the sphere from which on a black region is worth a sentence
 Looks = tuple[Evidence, ...]
 
@@ -138,6 +139,7 @@ def follow(
                 fed = pose.stamp
         upcoming = math.inf if after is None else after[1].pose.stamp
         picture, (looks,), problem = _seen(frame, perception, (query,), before, upcoming, hidden)
+        looks = tuple(look.widened(frame.spread) for look in looks) if frame.spread < UNSURE else ()
         now = stamp
         for evidence in map(follower.placed, looks):
             follower.look(evidence)

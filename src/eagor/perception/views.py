@@ -130,16 +130,21 @@ class Views:
         self, panorama: np.ndarray, queries: Sequence[str], world_R_body: np.ndarray | None = None
     ) -> list[list[Thing]]:
         """What the detector sees of each query, before any reading: one `Thing` each, the surest first."""
-        wanted = [self._wanted(query) for query in queries]
-        panorama = checked_picture(panorama)
+        panorama, grids = checked_picture(panorama), self.views(world_R_body)
         warn_unless_whole(panorama)
-        grids = self.views(world_R_body)
-        pictures, seen = cut(panorama, *grids), None
+        return self.things_in(tuple(zip(grids, cut(panorama, *grids), strict=True)), queries)
+
+    def things_in(
+        self, pictures: Sequence[tuple[PerspectiveGrid, np.ndarray]], queries: Sequence[str]
+    ) -> list[list[Thing]]:
+        """As `things`, in ordinary pictures ``(h, w, 3)`` uint8 of one moment, each with its grid."""
+        wanted = [self._wanted(query) for query in queries]
         found: list[list[ViewBox]] = [[] for _ in queries]
+        seen = None
         for query, words, pieces in zip(queries, wanted, found, strict=True):
             if seen is None or self.classes is None:
-                seen = self._detected(pictures, query)
-            for number, (grid, picture, boxes) in enumerate(zip(grids, pictures, seen, strict=True)):
+                seen = self._detected([picture for _, picture in pictures], query)
+            for number, ((grid, picture), boxes) in enumerate(zip(pictures, seen, strict=True)):
                 pieces += self._weighed(_pieces(number, grid, boxes, query, words), picture, query)
         return [things(pieces) for pieces in found]
 
@@ -149,22 +154,29 @@ class Views:
         found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
         return [boxes_of(each, self.classes) for each in found]
 
-    def seen(self, panorama: np.ndarray, world_R_body: np.ndarray | None = None, query: str = "") -> list[Seen]:
+    def seen(
+        self,
+        picture: np.ndarray,
+        world_R_body: np.ndarray | None = None,
+        query: str = "",
+        grid: PerspectiveGrid | None = None,
+    ) -> list[Seen]:
         """All that the detector finds in each view of a look; one without `classes` is asked for `query`.
 
-        `combined` makes of it what a call makes. Errors as there.
+        `picture` is a panorama, or an ordinary one with the pixels of `grid`: then that is the only view. `combined`
+        makes of it what a call, or `view`, makes. Errors as there.
         """
-        panorama = checked_picture(panorama)
-        warn_unless_whole(panorama)
-        grids = self.views(world_R_body)
-        found = self._detected(cut(panorama, *grids), query)
-        return [Seen(grid, boxes) for grid, boxes in zip(grids, found, strict=True)]
+        picture = checked_picture(picture, "the panorama" if grid is None else "the picture")
+        grids = self.views(world_R_body) if grid is None else (grid,)
+        if grid is None:
+            warn_unless_whole(picture)
+        found = self._detected(cut(picture, *grids) if grid is None else [picture], query)
+        return [Seen(view, boxes) for view, boxes in zip(grids, found, strict=True)]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
-        wanted, image = self._wanted(query), checked_picture(image, "the picture")
-        pieces = _pieces(0, grid, boxes_of(self.detect(image, query), self.classes), query, wanted)
-        return spread_evidence(things([*self._weighed(pieces, image, query)]), self.detector, View(grid), stamp)
+        (found,) = self.things_in([(grid, checked_picture(image, "the picture"))], (query,))
+        return spread_evidence(found, self.detector, View(grid), stamp)
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
         """The boxes of a picture, with lower scores where they show little of the colour that the query names."""

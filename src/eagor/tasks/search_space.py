@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from eagor._lazy import lazy
+from eagor.belief.information import information
 from eagor.conventions import rotation_from_wxyz
 from eagor.evidence import Evidence
 from eagor.evidence.detector import Habits
@@ -91,40 +92,6 @@ def apart(angles: np.ndarray) -> np.ndarray:
 def turned(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
     """How far it is from `facing` ``(2,)`` to headings ``(..., 2)``, radians: in azimuth, and then in elevation."""
     return apart(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
-
-
-def information(here: np.ndarray, share: np.ndarray, alarm: float = 0.0, falls: np.ndarray | None = None) -> np.ndarray:
-    """Mutual information ``(n,)``, nats, of the outcome of each of n looks and the thing's cell.
-
-    `here` ``(n, k)``: probability that the thing is in each of the k cells that a look shows; the rest is elsewhere.
-    `share` ``(n, k)``: probability that the look reports it, if it is there. `alarm`: probability of a false report
-    where there is no true one, which falls on the cells with the probabilities `falls` ``(k,)``, all above 0.
-
-    The outcome is a report in one of the cells, or none: I = H(outcome) - sum_i p_i H(outcome | thing in cell i).
-    """
-    there = here * share
-    reported = there.sum(axis=1, keepdims=True)
-    silent = (1 - reported[:, 0]) * (1 - alarm)
-    if not alarm or falls is None:
-        given = -_xlog(1 - share) - _xlog(share)
-        return -_xlog(there).sum(axis=1) - _xlog(silent) - (here * given).sum(axis=1)
-    even = np.log(falls)
-    there = there + (1 - reported) * alarm * falls
-    outcome = -_xlog(there).sum(axis=1) - _xlog(silent)
-    spread = -float((falls * even).sum())  # entropy of a false report's place
-
-    def without(left: np.ndarray) -> np.ndarray:
-        """Entropy of the outcome without a true report, which has the probability `left`: no report, or a false one."""
-        return -_xlog(left * (1 - alarm)) - _xlog(left * alarm) + left * alarm * spread
-
-    false = (1 - share) * alarm * falls[None]  # in the cell of the true report
-    given = without(1 - share) + (-_xlog(share + false) + _xlog(false))
-    out = 1.0 - here.sum(axis=1)
-    return outcome - (here * given).sum(axis=1) - out * float(without(np.ones(1))[0])
-
-
-def _xlog(x: np.ndarray) -> np.ndarray:
-    return x * np.log(np.maximum(x, 1e-300))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,14 @@ One look of one target takes this way:
    predicts the look, and is weighed by how well it did.
 4. `tracks`: `State` is what is believed after the look; it carries itself to another time and place.
 5. `estimate`: the answer in the body frame of now, with its candidates, cone, presence and status.
+6. `looking`: where a camera that sees only a part of the sphere should look next.
 
 `config` has the settings, among them the rates at which targets begin and cease to move.
 """
 
 from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import Estimate, Mode, Status
+from eagor.tracking.looking import Heights, NextLook, TurningCamera
 from eagor.tracking.poses import PoseHistory
 from eagor.tracking.tracker import DirectionTracker
 
@@ -22,9 +24,12 @@ __all__ = [
     "AnswerSettings",
     "DirectionTracker",
     "Estimate",
+    "Heights",
     "Mode",
     "MotionModel",
+    "NextLook",
     "PoseHistory",
     "Status",
     "TrackerConfig",
+    "TurningCamera",
 ]

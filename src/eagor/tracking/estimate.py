@@ -16,9 +16,10 @@ from eagor.belief.reading import NEAR, Reading
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
-from eagor.sphere import azimuth_elevation, check_directions
+from eagor.sphere import angular_distance, azimuth_elevation, check_directions, check_rotation
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.hypotheses import TargetHypotheses
+from eagor.tracking.looking import Heights, Known, NextLook, TurningCamera, best_look
 
 __all__ = ["Estimate", "Mode", "Status"]
 
@@ -150,6 +151,14 @@ class Estimate:
         return 0.0 if self._answer is None else 2 * self.hypotheses.standing.size(self._answer)
 
     @property
+    def sureness(self) -> float:
+        """Probability that the target is present and where the answer says.
+
+        That is within 15 degrees of the answer, or half its angular size, where that is more.
+        """
+        return self.within(max(SURE, 0.5 * self.size))
+
+    @property
     def progress(self) -> float:
         """Metres by which the target, if it is present and far, comes nearer per metre walked to the answer.
 
@@ -250,10 +259,44 @@ class Estimate:
         rivals = sum(mode.weight >= RIVAL for mode in self.modes)
         if rivals > 1:
             return "ambiguous"
-        if self.within(max(SURE, 0.5 * self.size)) >= 0.5:
+        if self.sureness >= 0.5:
             return "tracking"
         told = sum(mode.weight for mode in self.modes)
         return "ambiguous" if len(self.modes) > 1 and told >= 0.5 else "searching"
+
+    def next_look(
+        self, camera: TurningCamera | float, usual: Heights | None = None, body_R_view: np.ndarray | None = None
+    ) -> NextLook:
+        """Where a camera that sees only a part of the sphere should look next: where that is expected to tell most.
+
+        What counts is whether the thing is present, and where (`eagor.tracking.looking`). The world's z axis is up.
+
+        Args:
+            camera: what it sees and how it turns, or its horizontal field of view in radians.
+            usual: at which heights things usually are, if that is known.
+            body_R_view: where the camera looks now ``(3, 3)``; default: straight ahead.
+
+        Raises `GridError` for numbers out of range.
+
+            >>> tracker = eagor.DirectionTracker()
+            >>> tracker.observe(eagor.Evidence.from_points([[0, 1, 0]], stamp=0.0))
+            >>> look = tracker.estimate(0.0).next_look(math.radians(70))
+            >>> look.direction[1] > math.cos(math.radians(35))  # the thing to the left will be in view
+            True
+        """
+        camera = camera if isinstance(camera, TurningCamera) else TurningCamera(camera)
+        view = np.eye(3) if body_R_view is None else np.asarray(check_rotation(body_R_view, "body_R_view"))
+        axis = self.world_R_body @ view[:, 0]
+        to, tells = best_look(self._known, camera, usual, axis)
+        toward = to @ self.world_R_body
+        azimuth, elevation = azimuth_elevation(toward)
+        return NextLook(toward, float(azimuth), float(elevation), tells, float(angular_distance(to, axis)))
+
+    @lazy
+    def _known(self) -> Known:
+        """What is believed, for a choice of the next look."""
+        modes = np.zeros((0, 3)) if self._answer is None else self._places[0]
+        return Known(self.hypotheses, *self.posterior.nodes, modes, self.alarms)
 
     def turned(self, stamp: float, world_R_body: np.ndarray, spread: float = 0.0) -> Estimate:
         """This belief at a later time, from another orientation ``(3, 3)``; quick, since all is shared with this one.

@@ -21,6 +21,7 @@ from eagor.evidence.evidence import Evidence
 from eagor.tracking import checkpoint
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.estimate import Estimate
+from eagor.tracking.looking import Heights, NextLook, TurningCamera
 from eagor.tracking.poses import HELD, PoseHistory
 from eagor.tracking.tracks import PENDING, Moment, State, Track
 
@@ -179,6 +180,15 @@ class DirectionTracker:
             assert state is not None
             state = state.at(now, position, self.config)
             return Estimate(now, now - state.stamp, state.hypotheses, pose, self.config, state.alarms)
+
+    def next_look(
+        self, camera: TurningCamera | float, now: float, target: str = "target", usual: Heights | None = None
+    ) -> NextLook:
+        """Where a camera that sees only a part of the sphere, and looks ahead now, should look next.
+
+        As `Estimate.next_look` of the `estimate` at time `now`; errors of both.
+        """
+        return self.estimate(now, target).next_look(camera, usual)
 
     def save(self, path: str | Path) -> Path:
         """Write the whole state to a file, atomically, and return its path; `load` continues from it.

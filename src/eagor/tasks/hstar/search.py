@@ -18,6 +18,7 @@ import numpy as np
 from eagor._checks import above, require, whole, within
 from eagor._lazy import lazy
 from eagor.belief import Belief
+from eagor.belief.information import even_and_usual, information
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.harmonics.peaks import decoding_grid
@@ -25,7 +26,6 @@ from eagor.perception.partial import coverage
 from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import HFOV_DEG, View, headings_of, size_of
 from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
-from eagor.tasks.search_space import information
 
 STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)
@@ -239,11 +239,8 @@ def _prior(rules: SearchRules, kind: str) -> np.ndarray:
     """Prior probability of each cell, up to a factor."""
     if rules.tilt <= 0 or kind == "hps":
         return CELLS.weights
-    squared = (np.degrees(CELLS.latitudes) - rules.height) ** 2
-    beyond = squared - squared.min()  # so that the nearest row keeps its weight, however narrow the density is
-    usual = np.exp(-0.5 * beyond / max(rules.tilt, 1e-3) ** 2)[:, None] * CELLS.weights
-    even = CELLS.weights / CELLS.weights.sum()
-    return (1 - rules.elsewhere) * usual / usual.sum() + rules.elsewhere * even
+    elevations = np.degrees(CELLS.latitudes)[:, None]
+    return even_and_usual(elevations, CELLS.weights, rules.height, rules.tilt, rules.elsewhere)
 
 
 def _reach(kind: str) -> tuple[int, int]:

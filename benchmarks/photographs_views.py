@@ -1,0 +1,215 @@
+"""Ordinary cameras in real photographs, with a real detector. The first argument is the photographs' folder.
+
+python benchmarks/photographs_views.py PANORAMAS [--looks views.jsonl] [--json figures.json]
+
+Views of 70, 90 and 110 degrees (4:3) are cut from the four photographs of `photographs`, by a camera that stays level
+and turns by 9 degrees a second: once around and half a turn more, one look a second. `coco` looks at each view, and at
+the panorama of the same frame. The tracker reads both with its default model of the detector. Poses are the true ones,
+for views of 70 degrees also those that the views alone tell (`eagor.media.rotation`). The rivals are told the looks at
+views. What was seen is kept in the file of --looks, so that a second run only plays it.
+
+- In view: the error while the nearest instance is in the view, and how much larger it is than from panoramas.
+- Out of view: how much larger the error is, and presence, after 20 s without any instance in the view, than at the last
+  look that showed one. The poses' own error is taken off.
+
+A unit of every interval is a thing on a photograph; intervals are 95 % bootstrap intervals of the mean, from a fixed
+seed. The last line is the CPU time of a look without the detector, as a ratio to a panorama's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from photographs import ANNOTATIONS, as_json, as_thing, entries, places
+from scipy.spatial.transform import Rotation
+
+from eagor.evidence import DetectorModel
+from eagor.evidence.detections import View
+from eagor.evidence.shapes import WHOLE_SPHERE
+from eagor.grids import PerspectiveGrid
+from eagor.media.cutting import cut
+from eagor.media.panorama import read_panorama, turn
+from eagor.media.rotation import VisualOdometer
+from eagor.perception.blobs import spread_evidence
+from eagor.perception.coco import CLASSES, coco_detector
+from eagor.perception.views import Thing, Views
+from eagor.sphere import angular_distance, world_R_body
+from eagor.statistics import bootstrap_interval
+from eagor.tasks.methods import TrackerMethod, make_method
+
+FIELDS = (70, 90, 110)
+STEP, TURN, FRAMES, AWAY = math.radians(9), 40, 60, 20  # looks in a whole turn, in all, and out of view
+POSES = [world_R_body(STEP * k) for k in range(FRAMES)]
+ROWS, COLUMNS = 480, 640
+WHOLE = 0  # the field of a panorama
+SIGHTED = min(FIELDS)  # the camera whose poses are also told by its own pictures
+# Poses and method.
+METHODS = (("true", "eagor"), ("sight", "eagor"), ("true", "best_detection"), ("true", "last_detection"))
+
+
+def grid_of(field: int) -> PerspectiveGrid:
+    """The view of a camera with this field, degrees."""
+    return PerspectiveGrid(ROWS, COLUMNS, math.radians(field))
+
+
+def shown(photograph: np.ndarray, field: int, frame: int) -> np.ndarray:
+    """What the camera shows in one frame."""
+    seen = grid_of(field)
+    return cut(photograph, PerspectiveGrid(ROWS, COLUMNS, seen.hfov, POSES[frame]))[0]
+
+
+def look(folder: Path, file: Path, photographs: Sequence[str]) -> dict[tuple[str, int], list[dict[str, list[Thing]]]]:
+    """What the detector sees of each class in each frame, by photograph and field; kept in `file`."""
+    known = {(each["photograph"], each["field"], each["frame"]): each["seen"] for each in entries([file])}
+    views, found = Views(coco_detector()), {}
+    with file.open("a") as out:
+        for name in photographs:
+            photograph = read_panorama(folder / name)
+            for field in (WHOLE, *FIELDS):
+                for frame in range(TURN):  # a whole turn; the rest is the same again
+                    if (name, field, frame) in known:
+                        continue
+                    if field == WHOLE:
+                        things = views.things(turn(photograph, POSES[frame].T), CLASSES, POSES[frame])
+                    else:
+                        things = views.things_in([(grid_of(field), shown(photograph, field, frame))], CLASSES)
+                    seen = {
+                        query: list(map(as_json, each)) for query, each in zip(CLASSES, things, strict=True) if each
+                    }
+                    known[name, field, frame] = seen
+                    out.write(json.dumps({"photograph": name, "field": field, "frame": frame, "seen": seen}) + "\n")
+                looks = (known[name, field, frame % TURN] for frame in range(FRAMES))
+                found[name, field] = [{q: [as_thing(*t) for t in ts] for q, ts in seen.items()} for seen in looks]
+    return found
+
+
+def by_sight(photograph: np.ndarray) -> list[np.ndarray]:
+    """What the narrowest views alone say of the turning camera."""
+    odometer = VisualOdometer()
+    pictures = (shown(photograph, SIGHTED, frame) for frame in range(FRAMES))
+    return [odometer.add(each, float(k), grid_of(SIGHTED)).world_R_body for k, each in enumerate(pictures)]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A method on a thing: degrees to the nearest instance, and presence, in each frame."""
+
+    errors: np.ndarray
+    presence: np.ndarray
+
+
+def play(
+    seen: Sequence[dict[str, list[Thing]]], query: str, targets: np.ndarray, field: int, told: Sequence[np.ndarray],
+    name: str,
+) -> Run:  # fmt: skip
+    """One method, told these poses, on the looks of one camera."""
+    method = make_method(name, np.random.default_rng(0), "coco", detector=DetectorModel())
+    view, errors, presence = View(WHOLE_SPHERE if field == WHOLE else grid_of(field)), [], []
+    for frame, (things, pose) in enumerate(zip(seen, told, strict=True)):
+        method.move(float(frame), pose, None)
+        method.see(spread_evidence(things.get(query, []), DetectorModel(), view, float(frame)))
+        errors.append(np.degrees(angular_distance(targets @ POSES[frame], method.direction())).min())
+        presence.append(float(method.estimate.presence) if isinstance(method, TrackerMethod) else math.nan)
+    return Run(np.array(errors), np.array(presence))
+
+
+def rows(seen: dict[tuple[str, int], list[dict[str, list[Thing]]]], folder: Path) -> list[dict[str, Any]]:
+    """The figures of each thing: camera, poses and method."""
+    found = []
+    for name in dict.fromkeys(name for name, _ in seen):
+        marked, sight = json.loads(ANNOTATIONS.read_text())[name]["things"], by_sight(read_panorama(folder / name))
+        off = np.degrees([Rotation.from_matrix(a.T @ b).magnitude() for a, b in zip(sight, POSES, strict=True)])
+        for query in sorted({each for thing in marked for each in thing["names"]}):
+            targets, _ = places([thing for thing in marked if query in thing["names"]])
+            whole = play(seen[name, WHOLE], query, targets, WHOLE, POSES, "eagor")
+            for field in FIELDS:
+                visible = np.array([grid_of(field).project(targets @ pose)[2].any() for pose in POSES])
+                if not visible.any():  # it stands below the camera's view
+                    continue
+                for poses, method in METHODS:
+                    if poses == "sight" and field != SIGHTED:
+                        continue
+                    told, slack = (sight, off) if poses == "sight" else (POSES, 0 * off)
+                    run = play(seen[name, field], query, targets, field, told, method)
+                    row: dict[str, Any] = {"photograph": name, "query": query, "field": field, "poses": poses}
+                    row |= {"method": method, "error": run.errors[visible].mean()}
+                    row["more"] = (run.errors - whole.errors)[visible].mean()
+                    if (last := last_seen(visible)) is not None:
+                        row["away"] = run.errors[last + AWAY] - run.errors[last] - slack[last + AWAY]
+                        row["presence"] = run.presence[last + AWAY] - run.presence[last]
+                    found.append(row)
+    return found
+
+
+def last_seen(visible: np.ndarray) -> int | None:
+    """The last look before the first `AWAY` seconds in which nothing was in view."""
+    for frame in np.flatnonzero(visible):
+        if frame + AWAY < FRAMES and not visible[frame + 1 : frame + AWAY + 1].any():
+            return int(frame)
+    return None
+
+
+def mean(values: Sequence[float]) -> str:
+    """A mean with its interval."""
+    if not values or math.isnan(values[0]):
+        return "-"
+    span = bootstrap_interval(values, np.random.default_rng(0))
+    return f"{np.mean(values):.2f} [{span.low:.2f}, {span.high:.2f}]"
+
+
+def overhead(folder: Path) -> float:
+    """CPU time of a look at a view, the detector's left out, as a ratio to that at a panorama."""
+    photograph = read_panorama(folder / next(iter(json.loads(ANNOTATIONS.read_text()))))
+    picture, grid = shown(photograph, 90, 0), grid_of(90)
+    boxes = np.array([[200.0, 200.0, 300.0, 300.0]]), np.array([0.6]), ["chair"]
+    views = Views(lambda picture, query: boxes, classes=CLASSES)
+
+    def least(call: Any) -> float:
+        spent = []
+        for _ in range(20):
+            began = time.process_time()
+            call()
+            spent.append(time.process_time() - began)
+        return min(spent)
+
+    return least(lambda: views.view(picture, grid, "chair")) / least(lambda: views(photograph, "chair"))
+
+
+def main() -> None:
+    """Look, play, print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("panoramas", type=Path, help="the folder of the photographs")
+    parser.add_argument("--looks", type=Path, default=Path("photographs-views.jsonl"), help="what was seen")
+    parser.add_argument("--photographs", help="names of photographs, with commas (default: all four)")
+    parser.add_argument("--json", type=Path, help="a file for all figures")
+    options = parser.parse_args()
+    photographs = options.photographs.split(",") if options.photographs else [*json.loads(ANNOTATIONS.read_text())]
+    found = rows(look(options.panoramas, options.looks, photographs), options.panoramas)
+    names = "error in view, deg", "more than panoramas'", "more when away, deg", "presence when away"
+    print("field  poses  method          things   " + "  ".join(f"{name:21}" for name in names).rstrip())
+    for field in FIELDS:
+        for poses, method in METHODS:
+            own = [r for r in found if (r["field"], r["poses"], r["method"]) == (field, poses, method)]
+            if not own:
+                continue
+            away = [each for each in own if "away" in each]
+            cells = mean([r["error"] for r in own]), mean([r["more"] for r in own])
+            cells = *cells, mean([r["away"] for r in away]), mean([r["presence"] for r in away])
+            print(
+                f"{field:5}  {poses:5}  {method:14}  {len(own):2} ({len(away):2})" + "".join(f"  {c:21}" for c in cells)
+            )
+    print(f"CPU time of a look at a view, without the detector: {overhead(options.panoramas):.2f} of a panorama's")
+    if options.json:
+        options.json.write_text(json.dumps(found, default=float) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,229 @@
+"""Where to look next: what one more look of a camera that sees only a part of the sphere is expected to tell.
+
+The measure is that of all searches (`eagor.belief.information`): the mutual information of the outcome of the look, and
+of whether the thing is present and where. A place counts by its probability and by how likely a look detects a thing
+there, which earlier looks have taught (`eagor.belief.bank`): where looks were silent, a further one is likely silent
+too. Known look-alikes are likely reported again, and that tells less.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from eagor._arrays import frozen
+from eagor._checks import above, require, within
+from eagor._reprs import where
+from eagor.belief.information import even_and_usual, information
+from eagor.errors import GridError
+from eagor.evidence.detector import Alarms
+from eagor.grids import ErpGrid, PerspectiveGrid, ViewKey, forward_view, view_key
+from eagor.sphere import azimuth_elevation, direction, world_R_body
+from eagor.tracking.hypotheses import TargetHypotheses
+
+__all__ = ["Heights", "NextLook", "TurningCamera", "best_look"]
+
+CELLS = 2000  # of equal area: a square of 4.5 degrees each
+PLACES, SAME = 200, math.radians(15)  # 14 degrees each; of a mode: within this angle a report is of the same place
+STEP = math.radians(15)  # between the azimuths, and about so between the elevations, that are weighed
+MARGIN = math.radians(12)  # inside the border of a view: what is nearer to it is cut off, and tells less
+ALIKE = 0.97  # looks that tell this share of the most are alike: the nearest of them is taken
+FIELDS = (math.radians(20) - 1e-9, math.radians(170))  # of a view: a narrower one falls between those that are weighed
+RECALL, ALARM = 0.7, 0.2  # of a perception whose habits are not known: found where it is; a false report
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Where things usually are: elevations about `height` (standard deviation `tilt`, radians), seen from a camera.
+
+    A share `elsewhere` of the probability is even over the sphere. The defaults are those of furnished rooms, as in
+    `eagor.tasks.hstar.search.SearchRules`.
+    """
+
+    height: float = math.radians(-15)
+    tilt: float = math.radians(20)
+    elsewhere: float = 0.5
+
+    def __post_init__(self) -> None:
+        wanted = {
+            "height": (within(self.height, -math.pi / 2, math.pi / 2), "radians from -pi/2 to pi/2"),
+            "tilt": (above(self.tilt, 0), "radians above 0"),
+            "elsewhere": (above(self.elsewhere, 0, 1), "a share above 0 (nowhere is a thing impossible), at most 1"),
+        }
+        require(self, wanted, GridError)
+
+
+@dataclass(frozen=True)
+class TurningCamera:
+    """A camera that turns, and stands level: its fields across and down (radians), and what it can do.
+
+    `reach`: the largest elevation, up or down, to which its axis can be tilted. `turn_rate`: radians per second; None:
+    turning costs nothing, and the nearest of looks that tell as much is taken. `look_time`: seconds for a look.
+
+    Raises `GridError` for numbers out of range.
+    """
+
+    hfov: float
+    vfov: float | None = None
+    reach: float = math.radians(60)
+    turn_rate: float | None = None
+    look_time: float = 1.0
+
+    def __post_init__(self) -> None:
+        field = "radians, from 20 to 170 degrees (given in degrees? use math.radians)"
+        wanted = {
+            "hfov": (within(self.hfov, *FIELDS), field),
+            "vfov": (self.vfov is None or within(self.vfov, *FIELDS), field),
+            "reach": (within(self.reach, 0, math.pi / 2), "radians from 0 to pi/2"),
+            "turn_rate": (self.turn_rate is None or above(self.turn_rate, 0), "radians per second above 0, or None"),
+            "look_time": (above(self.look_time, 0), "seconds above 0"),
+        }
+        require(self, wanted, GridError)
+
+    @property
+    def grid(self) -> PerspectiveGrid:
+        """A view of it that looks forward; without `vfov`, its picture is 4:3."""
+        across = math.tan(self.hfov / 2)
+        down = across * 3 / 4 if self.vfov is None else math.tan(self.vfov / 2)
+        return PerspectiveGrid(max(1, round(1000 * down / across)), 1000, self.hfov)
+
+
+@dataclass(frozen=True, eq=False)
+class NextLook:
+    """Where to look: `direction` ``(3,)`` of the camera's axis, body frame; azimuth and elevation in radians.
+
+    `tells`: what the look is expected to tell about presence and direction, nats. `turn`: radians from where the camera
+    looks now.
+    """
+
+    direction: np.ndarray
+    azimuth: float
+    elevation: float
+    tells: float
+    turn: float
+
+    def __repr__(self) -> str:
+        turn = f"{math.degrees(self.turn):.0f}° from here"
+        return f"NextLook({where(self.azimuth, self.elevation)}, {turn}, tells {self.tells:.3f} nats)"
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is believed before a look; directions in world axes, z up.
+
+    `mass` ``(n,)``, which sums to 1, at `directions` ``(n, 3)``: where the thing is, if it is present. `modes`
+    ``(m, 3)``: the candidates.
+    """
+
+    hypotheses: TargetHypotheses
+    mass: np.ndarray
+    directions: np.ndarray
+    modes: np.ndarray
+    alarms: Alarms | None
+
+
+def best_look(known: Known, camera: TurningCamera, usual: Heights | None, axis: np.ndarray) -> tuple[np.ndarray, float]:
+    """The axis ``(3,)`` of the look that tells most for its time, world axes, and what it tells, nats.
+
+    `axis` ``(3,)``: that of the camera now.
+    """
+    axes, told = looks(known, camera, usual)
+    turns = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
+    worth = told if camera.turn_rate is None else told / (camera.look_time + turns / camera.turn_rate)
+    good = np.flatnonzero(worth >= ALIKE * worth.max())
+    best = int(good[np.argmin(turns[good])])
+    return axes[best], float(told[best])
+
+
+def looks(known: Known, camera: TurningCamera, usual: Heights | None) -> tuple[np.ndarray, np.ndarray]:
+    """The axes ``(n, 3)`` of the views that are weighed, and what a look at each is expected to tell ``(n,)``, nats."""
+    axes, seen, shown = _views(view_key(camera.grid), round(camera.reach, 6))
+    cells, hypotheses = _cells(CELLS), known.hypotheses
+    mass = np.bincount(_nearest(known.directions), known.mass, minlength=CELLS)
+    if usual is not None:
+        height, tilt = math.degrees(usual.height), math.degrees(usual.tilt)
+        elevations = np.degrees(azimuth_elevation(cells)[1])
+        mass *= even_and_usual(elevations, np.ones(CELLS), height, tilt, usual.elsewhere)
+        mass /= mass.sum()
+    if hypotheses.standing.bank is None:
+        recall, alike, number = np.full(CELLS, RECALL), np.zeros(CELLS), ALARM
+    else:
+        recall, reports = hypotheses.recall(cells), hypotheses.alike_reports()
+        alike = np.bincount(_cells_of(hypotheses.grid), reports.reshape(-1), minlength=CELLS)
+        number = 0.0 if known.alarms is None else float(known.alarms.weights @ known.alarms.numbers)
+    here = hypotheses.presence * mass[seen] * (shown > 0)
+    false = number * shown / shown.sum(axis=1, keepdims=True) + alike[seen] * shown
+    at = _places(known.modes)[seen]
+    here, there, false = (_summed(values, at) for values in (here, here * shown * recall[seen], false))
+    expected = false.sum(axis=1, keepdims=True)
+    share = np.minimum(there / np.maximum(here, 1e-300), 1.0)
+    alarm = -np.expm1(-expected[:, 0])
+    return axes, information(here, share, alarm, false / np.maximum(expected, 1e-300))
+
+
+def _places(modes: np.ndarray) -> np.ndarray:
+    """The place ``(CELLS,)`` of each cell: the nearest of the `modes` ``(m, 3)`` about it, or one of `PLACES` others.
+
+    A report tells in which place the thing is. Finer ones would promise more: a detection of the same thing, off by as
+    much as the one before, would count as news each time.
+    """
+    found = _nearest(_cells(CELLS), PLACES)
+    if len(modes):
+        cosines = _cells(CELLS) @ modes.T
+        near = cosines.max(axis=1) > math.cos(SAME)
+        found = np.where(near, PLACES + cosines.argmax(axis=1), found)
+    return found
+
+
+def _summed(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The sums of `values` ``(n, k)`` over the cells of each place ``(n, p)``."""
+    count = int(places.max()) + 1
+    flat = (np.arange(len(values))[:, None] * count + places).reshape(-1)
+    return np.bincount(flat, values.reshape(-1), minlength=len(values) * count).reshape(len(values), count)
+
+
+@lru_cache(maxsize=8)
+def _views(lens: ViewKey, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The axes ``(n, 3)`` of level views with this lens, the cells in each ``(n, k)``, and how well it shows them.
+
+    Shares ``(n, k)`` from 0 to 1 rise from the border of the view as sin^2; 0 where it has fewer cells than others.
+    """
+    grid = forward_view(lens)
+    azimuths = np.arange(round(2 * math.pi / STEP)) * STEP
+    elevations = np.linspace(-reach, reach, 2 * math.ceil(reach / (2 * STEP)) + 1)  # the horizon is among them
+    poses = [(float(yaw), float(pitch)) for pitch in elevations for yaw in azimuths]
+    margin = min(MARGIN, float(grid.lens.project(np.array([1.0, 0.0, 0.0]))[2]) / 2)
+    shown = np.empty((len(poses), CELLS))
+    for row, (yaw, pitch) in enumerate(poses):
+        depth = grid.lens.project(_cells(CELLS) @ world_R_body(yaw, -pitch))[2]
+        shown[row] = np.sin(np.clip(depth / margin, 0, 1) * (math.pi / 2)) ** 2
+    most = int(np.count_nonzero(shown, axis=1).max())
+    seen = np.argsort(shown == 0, axis=1, kind="stable")[:, :most]
+    return frozen(direction(*np.array(poses).T)), frozen(seen), frozen(np.take_along_axis(shown, seen, axis=1))
+
+
+@lru_cache(maxsize=2)
+def _cells(count: int) -> np.ndarray:
+    """The middles ``(count, 3)`` of cells of equal area: a Fibonacci lattice (Gonzalez, Math. Geosci. 42, 2010)."""
+    at = np.arange(count) + 0.5
+    return frozen(direction(at * (math.pi * (3 - math.sqrt(5))), np.arcsin(1 - 2 * at / count)))
+
+
+@lru_cache(maxsize=2)
+def _tree(count: int) -> KDTree:
+    return KDTree(_cells(count))
+
+
+def _nearest(directions: np.ndarray, count: int = CELLS) -> np.ndarray:
+    """Which of so many cells each of the directions ``(n, 3)`` is in ``(n,)``."""
+    return _tree(count).query(directions)[1]
+
+
+@lru_cache(maxsize=4)
+def _cells_of(grid: ErpGrid) -> np.ndarray:
+    """The cell ``(H * W,)`` of each cell of a grid of the whole sphere."""
+    return frozen(_nearest(grid.directions.reshape(-1, 3)))

@@ -1,0 +1,117 @@
+"""Where to look next: where a look is expected to tell most about presence and direction."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import eagor
+from eagor import Evidence
+from eagor.errors import GridError
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.tracking import Heights, TurningCamera
+from eagor.tracking.looking import looks
+
+GRID = PerspectiveGrid(48, 64, math.radians(90))
+CAMERA = TurningCamera(math.radians(90))
+CELLS = ErpGrid(64, 128)
+NOTHING = np.zeros((0, 3))
+
+
+def looked(*poses, found=NOTHING):
+    """The estimate after looks with these poses; the last one reports `found` ``(n, 3)``, body frame."""
+    tracker = eagor.DirectionTracker()
+    for index, pose in enumerate(poses):
+        tracker.add_pose(float(index), pose)
+        last = index == len(poses) - 1
+        tracker.observe(Evidence.from_points(found if last else NOTHING, grid=GRID, stamp=float(index)))
+    return tracker.estimate(max(len(poses) - 1.0, 0.0))
+
+
+def shows(estimate, toward, where):
+    """Whether a level view with its axis `toward` shows directions ``(..., 3)``, all in the body frame."""
+    axis = estimate.world_R_body @ toward
+    pose = world_R_body(math.atan2(axis[1], axis[0]), -math.asin(axis[2]))
+    return GRID.project(where @ estimate.world_R_body.T @ pose)[2]
+
+
+def test_before_any_look_all_directions_are_alike_and_the_nearest_is_taken():
+    estimate = eagor.DirectionTracker().estimate(0.0)
+    _, told = looks(estimate._known, CAMERA, None)
+    assert told.min() > 0.95 * told.max()
+    assert estimate.next_look(CAMERA).turn < 1e-6
+    assert estimate.next_look(CAMERA, body_R_view=world_R_body(math.pi / 2)).direction[1] == pytest.approx(1.0)
+
+
+@given(st.lists(st.tuples(st.integers(-180, 180), st.integers(-40, 40)), min_size=1, max_size=4))
+@settings(max_examples=8)
+def test_what_was_looked_at_in_vain_is_not_looked_at_again(turns):
+    """The next look tells as much as any, and more than the same look again; it shows mostly what none has shown."""
+    estimate = looked(*(world_R_body(*np.radians(turn)) for turn in turns))
+    next_look = estimate.next_look(CAMERA)
+    axes, told = looks(estimate._known, CAMERA, None)
+    again = told[np.argmax(axes @ estimate.world_R_body[:, 0])]
+    assert 0.97 * told.max() <= next_look.tells <= told.max()
+    assert next_look.tells > again
+    new = np.ones(CELLS.shape, dtype=bool)
+    for turn in turns:
+        new &= ~GRID.project(CELLS.directions @ world_R_body(*np.radians(turn)))[2]
+    seen = shows(estimate, next_look.direction, CELLS.directions @ estimate.world_R_body)
+    assert np.sum((seen & new) * CELLS.weights) > 0.6 * np.sum(seen * CELLS.weights)
+
+
+@given(st.integers(-180, 180), st.integers(-50, 50), st.integers(60, 300))
+@settings(max_examples=8)
+def test_a_likely_place_out_of_view_is_looked_at(azimuth, elevation, turn):
+    """It was seen once, then the camera turned away: whether it is there is what a look tells most about."""
+    pose = world_R_body(math.radians(azimuth), -math.radians(elevation))
+    tracker = eagor.DirectionTracker()
+    tracker.add_pose(0.0, pose)
+    tracker.observe(Evidence.from_points([[1.0, 0.05, 0.0]], grid=GRID, stamp=0.0))
+    tracker.add_pose(0.5, world_R_body(math.radians(azimuth + turn)))
+    estimate = tracker.estimate(0.5)
+    assert shows(estimate, tracker.next_look(math.radians(90), 0.5).direction, estimate.direction)
+
+
+def test_time_counts_where_turning_takes_time():
+    away = np.array([-1.0, 0.2, 0.0])
+    tracker = eagor.DirectionTracker()
+    tracker.observe(Evidence.from_points([away], stamp=0.0))
+    estimate = tracker.estimate(0.0)
+    free, slow = (TurningCamera(math.radians(60), turn_rate=rate) for rate in (None, math.radians(0.5)))
+    assert angular_distance(estimate.next_look(free).direction, away) < math.radians(30)
+    assert estimate.next_look(slow).turn < 0.5 * estimate.next_look(free).turn
+    level = TurningCamera(math.radians(60), reach=0.0)
+    assert estimate.next_look(level).elevation == pytest.approx(0.0, abs=1e-9)
+
+
+def test_things_are_looked_for_where_they_usually_are():
+    estimate = looked(np.eye(3))
+    heights = Heights(height=math.radians(50), tilt=math.radians(10), elsewhere=0.05)
+    assert estimate.next_look(CAMERA, heights).elevation > math.radians(20)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda: TurningCamera(90), "hfov = 90; wanted radians, from 20 to 170 degrees"),
+        (lambda: TurningCamera(1.5, reach=-1), "reach"),
+        (lambda: TurningCamera(1.5, turn_rate=0), "turn_rate"),
+        (lambda: Heights(elsewhere=0), "elsewhere"),
+        (lambda: looked(np.eye(3)).next_look(0.1), "hfov"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(wrong, says):
+    with pytest.raises(GridError, match=says):
+        wrong()
+
+
+def test_directions_are_in_the_body_frame():
+    for yaw in (0.0, 75.0):
+        pose = world_R_body(math.radians(yaw))
+        found = looked(pose, found=np.array([[1.0, 0.1, 0.0]])).next_look(CAMERA)
+        np.testing.assert_allclose(direction(np.array(found.azimuth), np.array(found.elevation)), found.direction)
+        assert found.turn == pytest.approx(float(angular_distance(found.direction, np.array([1.0, 0, 0]))), abs=1e-6)
