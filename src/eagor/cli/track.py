@@ -247,7 +247,8 @@ def _of_looks(replay: ReplayPerception) -> Journey:
     looks = [each for each in frames if each.frame is not None]
     span = frames[-1].pose.stamp - frames[0].pose.stamp
     poses = [each.pose for each in frames]
-    terminal.log(f"{len(looks)} looks of {footage.perception} at {footage.of}, {footage.poses}")
+    many = "1 look" if len(looks) == 1 else f"{len(looks)} looks"
+    terminal.log(f"{many} of {footage.perception} at {footage.of}, {footage.poses}")
     return Journey(iter(frames), len(looks), footage.poses, poses, None, span, footage.begins)
 
 
