@@ -13,6 +13,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TORCH := torch==2.13.0
+# For recipes; make -n would run those that name MAKE itself.
+AGAIN := $(MAKE) --no-print-directory
 # Workers of the test run, and the interpreter to build .venv with (found by itself where empty).
 WORKERS ?= 2
 PYTHON ?=
@@ -25,10 +27,10 @@ export MPLBACKEND := Agg
 # pyright is pinned, and comes with its own node: it need not ask the network about a newer one.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # The parent's environment must not leak into the one we make.
-unexport PYTHONPATH PYTHONHOME
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
 help:
-	@echo "make demo    search a furnished apartment with every method, leave a report with pictures"
+	@echo "make demo    search a furnished apartment, leave a report with pictures"
 	echo "make test    every check: ruff, pyright, import-linter, the docs, pytest"
 	echo "make test-slow  what is slow and goes beyond one test per promise; before a release"
 	echo "make lint    the checks without the tests"
@@ -145,9 +147,16 @@ page-check: $(VENV)/.eagor-test-installed
 	diff -r "$$before" $(PAGE) || { echo "error: the page in the repository was not built from these sources: commit what make page builds" >&2; exit 1; }
 	rm -r "$$before"
 
-# First all that the tests need: the checkers then see all of it.
-test: $(VENV)/.eagor-test-installed lint docs models page-check
-	@echo "==> pytest"
+# First all that the tests need: the checkers then see all of it. They take a minute and a half on one core, so the docs
+# and the page are looked at meanwhile.
+test: $(VENV)/.eagor-test-installed
+	@echo "==> the checkers, beside the docs and the page"
+	$(AGAIN) lint > $(VENV)/lint.log 2>&1 &
+	linting=$$!
+	$(AGAIN) docs models page-check || { kill $$linting; exit 1; }
+	wait $$linting || { cat $(VENV)/lint.log; exit 1; }
+	cat $(VENV)/lint.log
+	echo "==> pytest"
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 # All cases of hypothesis, too: 100 of each law, not 25.
@@ -168,7 +177,7 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/studio.py
 
 figures: $(VENV)/.eagor-installed
-	@for figure in architecture mean degree parallax belief moving demo results; do
+	@for figure in architecture mean degree parallax belief presence moving demo results; do
 	    echo "==> docs/figures/$$figure.py"
 	    $(BIN)/python docs/figures/$$figure.py
 	done

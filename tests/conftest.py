@@ -26,6 +26,33 @@ if threading.current_thread() is threading.main_thread() and signal.getsignal(si
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# The long files first, so that no worker is left alone with one at the end; laws are short and many.
+ORDER = ("end_to_end", "robustness", "contracts", "golden", "oracles", "laws")
+
+
+def pytest_collection_modifyitems(items):
+    """Tests in real time first, which are one group and wait a lot; then folder by folder."""
+    place = {name: number for number, name in enumerate(ORDER)}
+    items.sort(
+        key=lambda item: (item.get_closest_marker("xdist_group") is None, place.get(item.path.parent.name, len(ORDER)))
+    )
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Tests of a file run in one process, as a group does: what they share is made once."""
+    if config.getvalue("dist") != "loadgroup":
+        return None
+    from xdist.scheduler import LoadGroupScheduling
+
+    class ByFile(LoadGroupScheduling):
+        def _split_scope(self, nodeid):
+            scope = super()._split_scope(nodeid)
+            return nodeid.partition("::")[0] if scope == nodeid else scope
+
+    return ByFile(config, log)
+
+
 @pytest.fixture(scope="module")
 def one_thread():
     """PyTorch on one thread: small models are slower on several, and tests run side by side."""

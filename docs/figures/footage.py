@@ -27,14 +27,18 @@ BEGIN, SWEEP = math.radians(-105), math.radians(30)  # heading of the first fram
 TUMBLE = math.radians(14)  # of pitch and roll
 
 
+def pose_at(stamp: float) -> np.ndarray:
+    """The camera's ``world_R_body`` ``(3, 3)`` at a time: it turns to the left and tumbles; at first it is level."""
+    pitch, roll = TUMBLE * math.sin(0.9 * stamp), TUMBLE * math.sin(1.3 * stamp)
+    return world_R_body(BEGIN + SWEEP * stamp, pitch, roll)
+
+
 def clip(photograph: np.ndarray, path: Path) -> None:
     """Write what a camera sees that turns to the left and tumbles; the first frame is level."""
     rows, columns = photograph.shape[:2]
     film = Movie(path, (columns, rows), FRAMES)
     for stamp in np.arange(0, SECONDS, 1 / FRAMES):
-        pitch, roll = TUMBLE * math.sin(0.9 * stamp), TUMBLE * math.sin(1.3 * stamp)
-        pose = world_R_body(BEGIN + SWEEP * stamp, pitch, roll)
-        film.add(turn(photograph, pose.T), float(stamp))
+        film.add(turn(photograph, pose_at(float(stamp)).T), float(stamp))
     film.close()
 
 

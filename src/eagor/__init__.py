@@ -99,7 +99,20 @@ def __getattr__(name: str) -> Any:
             value = getattr(import_module(f"eagor.{module}"), name)
             globals()[name] = value
             return value
-    raise AttributeError(f"module 'eagor' has no attribute {name!r}")
+    raise AttributeError(f"module 'eagor' has no attribute {name!r}{_near(name)}")
+
+
+def _near(name: str) -> str:
+    """The names that `name` may have meant, as the end of a sentence."""
+    if name.startswith("_"):
+        return ""
+    from difflib import get_close_matches
+
+    known = {each.lower(): each for each in __dir__()}
+    low = name.lower()
+    found = [known[each] for each in known if len(low) > 3 and low in each]
+    found += [known[each] for each in get_close_matches(low, known, 1, 0.7) if known[each] not in found]
+    return f"; did you mean {' or '.join(found[:3])}?" if found else ""
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""Checks of the fields of settings classes, with one error text, and of time stamps.
+"""Checks of the fields of settings classes, with one error text, of time stamps, and of the shape of panoramas.
 
 The predicates return False for values that are no numbers: settings also come from JSON and the command line.
 """
@@ -6,12 +6,14 @@ The predicates return False for values that are no numbers: settings also come f
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from numbers import Integral, Real
 from typing import Any
 
 from eagor.errors import EagorError, TimeError
 
+ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 LATEST = 1e12  # seconds: a larger stamp counts milliseconds or less
 
 
@@ -51,10 +53,26 @@ def stretch(value: Any, lowest: float, highest: float = math.inf) -> bool:
 
 def checked_stamp(stamp: float) -> float:
     """`stamp` as a float, seconds. Raises `TimeError` unless it is finite, and within `LATEST`."""
-    stamp = float(stamp)
+    try:
+        stamp = float(stamp)
+    except (TypeError, ValueError) as error:
+        raise TimeError(f"stamp = {stamp!r}; wanted the time in seconds, a number such as time.monotonic()") from error
     if not abs(stamp) <= LATEST:
         raise TimeError(
             f"stamp = {stamp!r}; wanted the time (of evidence: of its capture) in seconds, not milliseconds or less: a "
             f"finite number of at most {LATEST:g}"
         )
     return stamp
+
+
+def warn_unless_whole(picture: Any) -> None:
+    """A `UserWarning` if a picture ``(H, W, ...)`` that came for a panorama is not 2:1."""
+    height, width = picture.shape[:2]
+    if abs(width - 2 * height) > ROUNDING:
+        warnings.warn(
+            f"a picture of {width} x {height} came for a panorama, which is 2:1: all columns are taken for 360 "
+            "degrees, all rows for 180. For an ordinary picture, give its lens: perception.view(picture, "
+            "eagor.PerspectiveGrid(height, width, hfov), query)",
+            UserWarning,
+            stacklevel=4,
+        )

@@ -26,6 +26,17 @@ THREADS = (
 )
 
 
+def usable_cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def cores_to_take() -> int:
+    """The cores that long work should take: all that are usable, or as many as OMP_NUM_THREADS says."""
+    asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    return min(int(asked), 1024) if asked.isdecimal() and int(asked) else usable_cores()
+
+
 class WorkerEnded(Exception):
     """Nothing can be said to a worker, or heard from it, any more: it has ended, or its line was closed here."""
 

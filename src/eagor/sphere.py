@@ -14,6 +14,7 @@ Converters to the conventions of other software are in `eagor.conventions`.
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 
@@ -26,6 +27,7 @@ __all__ = [
 ]  # fmt: skip
 
 FORWARD = (1.0, 0.0, 0.0)
+_TURN = math.tau + 1e-6
 ORTHOGONAL = 1e-5  # tolerance for the rows of a rotation: products of float32 are off by 1e-6
 UNIT = 0.01  # tolerance for the length of a direction: people type two or three decimals
 
@@ -145,7 +147,21 @@ def rotation(axis: Array, angle: float) -> np.ndarray:
 
 
 def world_R_body(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """The pose ``(3, 3)`` of a body turned by `yaw` (left), then `pitch` (nose DOWN), then `roll`, radians."""
+    """The pose ``(3, 3)`` of a body turned by `yaw` (left), then `pitch` (nose DOWN), then `roll`, radians.
+
+    A yaw may go on for many turns. Raises `RotationError` for a pitch or a roll of more than one, and warns of a yaw
+    that is beyond one turn and looks like degrees: a whole multiple of 15, such as 90.
+    """
+    for name, angle in (("pitch", pitch), ("roll", roll)):
+        if abs(angle) > _TURN:
+            raise RotationError(f"{name} = {float(angle):g}; wanted radians: math.radians({float(angle):g}) of degrees")
+    if abs(yaw) > _TURN and yaw % 15 == 0:
+        warnings.warn(
+            f"yaw = {float(yaw):g} radians is {abs(float(yaw)) / math.tau:.1f} turns; of degrees pass "
+            f"math.radians({float(yaw):g})",
+            UserWarning,
+            stacklevel=2,
+        )
     return rotation((0, 0, 1), yaw) @ rotation((0, 1, 0), pitch) @ rotation((1, 0, 0), roll)
 
 
@@ -187,6 +203,11 @@ def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = OR
 def _what_is_wrong(matrix: np.ndarray, name: str) -> str:
     """Why `matrix` is not a rotation, and what to change."""
     wanted = f"{name} must be a rotation matrix (..., 3, 3) with {name} @ direction_old = direction_new"
+    if matrix.shape[-2:] in ((4, 4), (3, 4)):
+        return (
+            f"{wanted}; got shape {matrix.shape}, a pose with its position in the last column. Of a matrix M give the "
+            "rotation M[:3, :3], and the position M[:3, 3] by itself"
+        )
     if matrix.shape[-2:] != (3, 3):
         return f"{wanted}; got shape {matrix.shape}. Quaternions: see eagor.conventions.rotation_from_wxyz"
     if not np.isfinite(matrix).all():

@@ -44,7 +44,7 @@ def installed(monkeypatch):
 # --- what is ours passes ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [3, 600])
+@pytest.mark.parametrize("seed", [pytest.param(3, marks=pytest.mark.slow), 600])
 def test_apartments_keep_the_contract_of_worlds(seed):
     check_world(worlds.load("apartment"), seed)
 
@@ -66,7 +66,7 @@ def test_so_does_the_examples_world(seed):
 @pytest.mark.parametrize(
     ("name", "settings"), [("waypoint", {"leg_steps": 5}), ("navigation", {}), ("tracking", {"steps": 16})]
 )
-@pytest.mark.parametrize("index", [0, 1, 2])
+@pytest.mark.parametrize("index", [0, *(pytest.param(index, marks=pytest.mark.slow) for index in (1, 2))])
 def test_our_tasks_keep_the_contract_of_tasks(name, settings, index):
     found = check_task(load(name), seed=3, index=index, settings=settings)
     assert found["success" if name == "navigation" else load(name).headline] == (1.0 if name == "navigation" else 0.0)

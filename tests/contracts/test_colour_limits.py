@@ -44,7 +44,9 @@ def grey(panorama, quality=None):
 
 
 @pytest.mark.parametrize("quality", [None, 50])
-@pytest.mark.parametrize("name", ["painted", "lythwood_room", "anniversary_lounge"])
+@pytest.mark.parametrize(
+    "name", ["painted", "lythwood_room", pytest.param("anniversary_lounge", marks=pytest.mark.slow)]
+)
 def test_a_greyscale_picture_has_no_red_chair(name, quality):
     """No colour is there, so nothing is found, and no direction is claimed."""
     panorama = grey(painted_room(128, 256) if name == "painted" else photograph(name), quality)

@@ -30,7 +30,7 @@ from eagor.robots.go2.state import BodyState, Go2State
 from eagor.sphere import world_R_body
 from eagor.worlds.render import Ball
 
-pytestmark = pytest.mark.xdist_group("real time")
+live = pytest.mark.xdist_group("real time")
 
 SMALL = CameraSettings(rows=32, rate=5.0, latency=0.15)
 
@@ -140,12 +140,13 @@ def test_cameras_that_cannot_be_are_refused(wrong):
         CameraSettings(**wrong)
 
 
+@live
 def test_live_it_walks_sends_pictures_and_tells_the_truth_beside():
     domain, frames, truths, things = free_domain(), [], [], []
     robot = SimulatedGo2(SimSettings(target="red ball", speed=0.3, camera=SMALL))
     with LiveGo2(robot, domain, "lo") as live, Link(domain, "lo") as link:
         live.wait_for_camera()
-        state, client = Go2State(link), SportClient(link)
+        state, client = Go2State(link), SportClient(link, timeout=20.0)
         kind = "sensor_msgs/msg/CompressedImage"
         link.subscribe(CAMERA_TOPIC, kind, lambda message, when: frames.append((message, when)))
         link.subscribe(TRUTH, "nav_msgs/msg/Odometry", lambda message, when: truths.append(message))
@@ -173,6 +174,7 @@ def test_live_it_walks_sends_pictures_and_tells_the_truth_beside():
     assert live.pictures is None  # its process has ended
 
 
+@live
 def test_nothing_stays_behind_whatever_ends_it(tmp_path):
     code = f"""
 import sys, time

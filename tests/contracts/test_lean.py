@@ -75,9 +75,58 @@ def lean(tmp_path_factory):
     return os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{SOURCE}", "NO_COLOR": "1"}
 
 
+BASE = {
+    "doctor": "doctor --json",
+    "locate": "locate room.png red --picture found.png --json",
+    "track": "track frames red --poses poses.csv --compare",
+    "help": "--help",
+    "list": "bench list",
+}
+OTHERS = [
+    ("sim", "demo --out demo"),
+    ("sim", "locate room.png chair --perception scout"),
+    ("sim", "track frames chair --poses poses.csv --perception scout"),
+    ("sim", "bench run navigation --perception truth --episodes 1 --out run"),
+    ("sim", "bench run waypoint --world scene.glb --episodes 1 --out run"),
+    ("sim", "bench report run"),
+    ("sim", "calibrate --episodes 20 --out calibration.json"),
+    ("vlm", "locate room.png chair --perception some/model"),
+    ("vlm", "calibrate heads --perception some/model --out heads.json"),
+    ("endpoint", "locate room.png chair --perception endpoint:qwen"),
+    ("photos", "locate room.png chair --perception onnx:d.onnx"),
+    ("parquet", "locate room.png red --out found.parquet"),
+]
+CALLS = [
+    "import eagor.tasks; eagor.tasks.register()",
+    "import eagor.tasks.place_env",
+    "from eagor.tasks.navigation import NAVIGATION",
+    "from eagor.tasks import task; task.load('waypoint')",
+    "from eagor.perception.scout import ScoutPerception; ScoutPerception()",
+    "from eagor import worlds; worlds.load('scene.glb')(0)",
+]
+# One after the other in one process, as each costs a second to start: what they said, and how they ended.
+ALL = """
+import contextlib, io, json, shlex, sys
+from eagor.cli import main
+
+def said(do):
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        try:
+            code = do()
+        except Exception as error:
+            code = f"{type(error).__module__}.{type(error).__qualname__}: {error}"
+    return code, out.getvalue(), err.getvalue()
+
+commands, calls = json.load(sys.stdin)
+found = {text: said(lambda: main(shlex.split(text))) for text in commands}
+found |= {text: said(lambda: exec(text, {})) for text in calls}
+json.dump(found, sys.stdout)
+"""
+
+
 @pytest.fixture(scope="module")
-def run(lean, tmp_path_factory):
-    """Run Python with these arguments; there is room.png, and frames with poses.csv. (exit code, stdout, stderr)."""
+def place(tmp_path_factory):
+    """A folder with room.png, and frames with poses.csv."""
     place = tmp_path_factory.mktemp("place")
     room = painted_room(64, 128)
     place.joinpath("frames").mkdir()
@@ -86,14 +135,29 @@ def run(lean, tmp_path_factory):
     Image.fromarray(room).save(place / "room.png")
     place.joinpath("poses.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n1,22.5,0,0\n")
     place.joinpath("scene.glb").write_bytes(b"glTF" + bytes(40))
+    return place
 
-    def run(*arguments):
+
+@pytest.fixture(scope="module")
+def run(lean, place):
+    """Run Python with these arguments; (exit code, stdout, stderr)."""
+
+    def run(*arguments, **more):
         done = subprocess.run(
-            [sys.executable, *arguments], cwd=place, env=lean, capture_output=True, text=True, timeout=300
+            [sys.executable, *arguments], cwd=place, env=lean, capture_output=True, text=True, timeout=300, **more
         )
         return done.returncode, done.stdout, done.stderr
 
     return run
+
+
+@pytest.fixture(scope="module")
+def answers(run):
+    """What each of the commands and calls came to: exit code or error, stdout, stderr."""
+    asked = [*BASE.values(), *(command for _, command in OTHERS)], CALLS
+    code, out, err = run("-c", ALL, input=json.dumps(asked))
+    assert code == 0, err
+    return json.loads(out)
 
 
 def test_the_base_is_what_was_promised():
@@ -109,66 +173,31 @@ def test_the_extras_are_those_of_the_project(extra):
     assert least == EXTRAS[extra]
 
 
-def test_base_commands_work(run):
-    code, out, err = run("-m", "eagor", "doctor", "--json")
-    assert code == 0, err
-    found = json.loads(out)
+def test_base_commands_work(answers):
+    for command in BASE.values():
+        assert answers[command][0] == 0, answers[command]
+    found = json.loads(answers[BASE["doctor"]][1])
     assert found["healthy"]
     assert set(found["optional"].values()) == {None}
     assert [each for each in found["install"] if how_to_install("sim") in each]
     assert found["perceptions"]["scout"] == "wants gymnasium, trimesh, onnxruntime, jinja2 (the extra 'sim')"
     assert found["tasks"]["navigation"] == f"a simulated task needs gymnasium: {how_to_install('sim')}"
-    code, out, err = run("-m", "eagor", "locate", "room.png", "the red ball", "--picture", "found.png", "--json")
-    assert code == 0, err
-    assert abs(json.loads(out)["azimuth_deg"] + 23.4) < 3
-    code, out, err = run("-m", "eagor", "track", "frames", "the red ball", "--poses", "poses.csv", "--compare")
-    assert code == 0, err
-    assert len(out.splitlines()) >= 2
-    for arguments in (["--help"], ["bench", "list"]):
-        code, _, err = run("-m", "eagor", *arguments)
-        assert code == 0, err
+    assert abs(json.loads(answers[BASE["locate"]][1])["azimuth_deg"] + 23.4) < 3
+    assert len(answers[BASE["track"]][1].splitlines()) >= 2
 
 
-@pytest.mark.parametrize(
-    ("extra", "command"),
-    [
-        ("sim", "demo --out demo"),
-        ("sim", "locate room.png chair --perception scout"),
-        ("sim", "track frames chair --poses poses.csv --perception scout"),
-        ("sim", "bench run navigation --perception truth --episodes 1 --out run"),
-        ("sim", "bench run waypoint --world scene.glb --episodes 1 --out run"),
-        ("sim", "bench report run"),
-        ("sim", "calibrate --episodes 20 --out calibration.json"),
-        ("vlm", "locate room.png chair --perception some/model"),
-        ("vlm", "calibrate heads --perception some/model --out heads.json"),
-        ("endpoint", "locate room.png chair --perception endpoint:qwen"),
-        ("photos", "locate room.png chair --perception onnx:d.onnx"),
-        ("parquet", "locate room.png red --out found.parquet"),
-    ],
-)
-def test_other_commands_name_their_extra(run, extra, command):
-    code, out, err = run("-m", "eagor", *command.split())
+@pytest.mark.parametrize(("extra", "command"), OTHERS)
+def test_other_commands_name_their_extra(answers, extra, command):
+    code, out, err = answers[command]
     assert (code, out) == (2, "")
     assert how_to_install(extra) in err
     assert len(err.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        "import eagor.tasks; eagor.tasks.register()",
-        "import eagor.tasks.place_env",
-        "from eagor.tasks.navigation import NAVIGATION",
-        "from eagor.tasks import task; task.load('waypoint')",
-        "from eagor.perception.scout import ScoutPerception; ScoutPerception()",
-        "from eagor import worlds; worlds.load('scene.glb')(0)",
-    ],
-)
-def test_calls_name_their_extra(run, call):
-    code, _, err = run("-c", call)
-    assert code == 1
+@pytest.mark.parametrize("call", CALLS)
+def test_calls_name_their_extra(answers, call):
     said = f"eagor.errors.MissingExtraError: .* needs .*: {re.escape(how_to_install('sim'))}"
-    assert re.fullmatch(said, err.splitlines()[-1])
+    assert re.fullmatch(said, answers[call][0])
 
 
 def test_modules_are_there_after_importing_the_package(run):

@@ -179,10 +179,11 @@ def test_a_robot_that_is_gone_does_not_fill_the_log():
             "odom",
             "the pictures name no frame (frame_id is empty): the camera's axes are taken for those of base_link",
         ),
-        (
+        pytest.param(
             "",
             "still",
             "the pictures name no frame (frame_id is empty): the camera's axes are taken for those of base_link",
+            marks=pytest.mark.slow,
         ),
         ("x3", "odom", "/tf_static and /tf do not tell where x3 is in base_link: its axes are taken for the same"),
         ("x3", "still", "without odometry no transforms are read: the axes of x3 are taken for those of base_link"),

@@ -63,8 +63,18 @@ def make_elsewhere():
     return ForTraining(make("TargetTracking", panorama=16))
 
 
-@pytest.mark.parametrize(("name", "settings"), MODES, ids=IDS)
-@pytest.mark.parametrize("wrapped", [False, True], ids=["plain", "wrapped"])
+# Each mode once, some plain and some wrapped.
+LEARNT = [(*mode, wrapped) for wrapped in (False, True) for mode in MODES]
+PLAIN = ("MapFreeNavigation-continuous", "WaypointFollowing-discrete", "TargetTracking")
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "wrapped"),
+    [
+        pytest.param(*each, marks=() if each[2] != (name in PLAIN) else pytest.mark.slow, id=f"{name}-{each[2]}")
+        for each, name in zip(LEARNT, 2 * IDS, strict=True)
+    ],
+)
 def test_ppo_learns_in_every_environment_and_mode(name, settings, wrapped):
     if wrapped:
         env = ForTraining(WithEstimate(make(name, panorama=None, **settings), "truth", "centroid"))

@@ -47,6 +47,11 @@ BOXES = ("qwen2_5_vl", "qwen3_vl", "internvl")
 PIXELS = vlm_models.PIXELS
 RADIUS = 0.3
 languages = pytest.mark.parametrize("family", LANGUAGE)
+# Where families differ in nothing but their sizes, three are enough: of two makers, and one with views in tiles.
+SOME = ("qwen2_5_vl", "gemma3", "internvl")
+some = pytest.mark.parametrize(
+    "family", [one if one in SOME else pytest.param(one, marks=pytest.mark.slow) for one in LANGUAGE]
+)
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -168,7 +173,7 @@ def test_the_shared_prefix_answers_like_a_full_pass(random_models, family):
                 torch.testing.assert_close(rows.rows[layer], capture.rows[layer], atol=1e-6, rtol=1e-5)
 
 
-@languages
+@some
 def test_it_works_inside_generate_and_decodes_like_it(random_models, family):
     language = random_models(family)
     feed, columns, planned = whole_feed(language, [noise()], "Where is the red chair?")
@@ -203,7 +208,7 @@ class Largest(TorchDispatchMode):
         return out
 
 
-@languages
+@some
 def test_no_attention_matrix_is_ever_made(random_models, family):
     language = random_models(family)
     feed, columns, _ = whole_feed(language, [noise()], "Is there a red chair?")
@@ -378,7 +383,7 @@ def test_plans_fit_their_models(random_models, family, aspect):
     assert planned.layout.cells(np.ones(planned.layout.count)).min() > 0
 
 
-@languages
+@some
 def test_a_change_in_a_cell_changes_its_token_most(random_models, family):
     language = random_models(family)
     planned = language.plan(2.0)
@@ -436,7 +441,7 @@ def test_planted_cells_come_back_at_their_directions(random_models, monkeypatch,
         assert float(angular_distance(looks, direction(azimuth, elevation))) < 0.01 * math.pi / rows
 
 
-@languages
+@some
 def test_relative_attention_leaves_out_what_is_looked_at_anyway(random_models, monkeypatch, family):
     """A cell that soaks up attention whatever is asked, and one that the question alone draws attention to."""
     language = random_models(family)
@@ -481,7 +486,7 @@ def test_planted_weights_point_at_red_things(planted_models, family):
         assert np.median(response) < 0.25 * response.max()
 
 
-@languages
+@some
 def test_the_seam_costs_nothing(planted_models, family):
     language = planted_models(family)
     _, cols = language.plan(2.0).shape
@@ -495,7 +500,7 @@ def test_the_seam_costs_nothing(planted_models, family):
     assert peak_error(back, math.pi / cols + math.pi, 0.1) < 1.05
 
 
-@languages
+@some
 def test_both_looks_at_the_seam_in_one_batch_are_two_looks(random_models, family):
     language = random_models(family)
     planned = language.plan(2.0)
@@ -518,7 +523,7 @@ def test_views_point_at_red_things_too(planted_models, family):
         assert evidence.source["images"] == 6
 
 
-@languages
+@some
 def test_several_queries_answer_like_one_at_a_time(random_models, family):
     perception = perception_of(random_models(family), seam=False)
     queries = ["red chair", "the blue ball", "fridge"]
@@ -687,7 +692,7 @@ def test_the_scale_is_fixed_and_the_blur_goes_around():
 # --- localisation heads ----------------------------------------------------------------------------------------------
 
 
-@languages
+@some
 def test_localisation_heads_are_found_where_they_were_planted(planted_models, tmp_path, family):
     language = planted_models(family)
     places = [(0.5, 0.2), (-1.2, -0.3), (2.5, 0.1), (-2.8, 0.4)]

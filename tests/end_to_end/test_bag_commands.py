@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,8 +15,6 @@ from eagor.media.bags.reader import BagWriter
 from eagor.media.frames import Pose
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
-
-pytestmark = pytest.mark.xdist_group("real time")
 
 START = 1_700_000_000.125
 ROOM = Room()
@@ -33,6 +32,13 @@ def camera_at(t):
     return turn @ MOUNT[0], place + turn @ MOUNT[1]
 
 
+@cache
+def panorama_at(t):
+    """What the camera sees; painted once for all bags."""
+    turn, place = camera_at(t)
+    return paint(ROOM, tuple(place), turn, 64, 128)
+
+
 def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False, frame="x3", lost=()):
     """Pictures at 4 Hz and odometry at 20 Hz for three seconds; the pictures are recorded 0.2 s after their capture.
 
@@ -41,8 +47,7 @@ def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_ze
     messages = []
     for k in range(COUNT):
         t = 0.25 * k
-        turn, place = camera_at(t)
-        panorama = paint(ROOM, tuple(place), turn, 64, 128)
+        panorama = panorama_at(t)
         if compressed:
             messages.append(
                 (t + 0.2, "/x3/image/compressed", m.COMPRESSED, m.compressed_message(panorama, START + t, "x3"))
@@ -88,7 +93,7 @@ def check_directions(frames, degrees=2.5):
 @pytest.mark.parametrize("kind", [m.ODOMETRY, m.TRANSFORMS, m.IMU])
 def test_directions_from_a_bag_are_right(tmp_path, capsys, kind):
     bag = recorded(tmp_path / "bag", odometry=kind)
-    code, found, said = track(capsys, bag, "red ball", "--rate", "4")
+    code, found, said = track(capsys, bag, "red", "--rate", "4")
     assert code == 0
     topic = {m.ODOMETRY: "/odom", m.TRANSFORMS: "/tf", m.IMU: "/imu"}[kind]
     assert found["poses"] == f"poses from {topic}"
@@ -103,7 +108,7 @@ def test_directions_from_a_bag_are_right(tmp_path, capsys, kind):
 def test_a_single_file_named_topics_and_a_cut(tmp_path, capsys):
     bag = recorded(tmp_path / "bag", compressed=True) / "bag.mcap"
     code, found, _ = track(
-        capsys, bag, "red ball", "--image-topic", "x3/image/compressed", "--odom-topic", "/odom", "--rate", "2",
+        capsys, bag, "red", "--image-topic", "x3/image/compressed", "--odom-topic", "/odom", "--rate", "2",
         "--start", "0.5", "--end", "2.6",
     )  # fmt: skip
     assert code == 0
@@ -115,7 +120,7 @@ def test_a_recording_that_was_killed(tmp_path, capsys):
     file = recorded(tmp_path / "bag") / "bag.mcap"
     file.write_bytes(file.read_bytes()[: 3 * file.stat().st_size // 4])
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    code, found, said = track(capsys, tmp_path / "bag", "red ball", "--rate", "4")
+    code, found, said = track(capsys, tmp_path / "bag", "red", "--rate", "4")
     assert code == 0
     assert "bag.mcap was cut off (it ends in the middle of a record); its first" in said
     check_directions(found["frames"])
@@ -123,9 +128,7 @@ def test_a_recording_that_was_killed(tmp_path, capsys):
 
 def test_pages_and_tables_are_written(tmp_path, capsys):
     bag = recorded(tmp_path / "bag")
-    assert (
-        main(["track", str(bag), "red ball", "--out", str(tmp_path / "o.csv"), "--page", str(tmp_path / "p.html")]) == 0
-    )
+    assert main(["track", str(bag), "red", "--out", str(tmp_path / "o.csv"), "--page", str(tmp_path / "p.html")]) == 0
     out, err = capsys.readouterr()
     lines = out.splitlines()
     assert lines[1].split()[0] == "0.000"  # seconds from the first picture
@@ -139,13 +142,13 @@ def test_pages_and_tables_are_written(tmp_path, capsys):
 
 def test_a_bag_without_odometry_turns_by_its_pictures(tmp_path, capsys):
     bag = recorded(tmp_path / "bag", odometry=None)
-    code, found, _ = track(capsys, bag, "red ball", "--rate", "4")
+    code, found, _ = track(capsys, bag, "red", "--rate", "4")
     assert code == 0
     assert found["poses"] == "orientations from the pictures themselves"
 
 
 def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
-    code, found, err = track(capsys, recorded(tmp_path / "bag", lost=(13, 20)), "red ball", "--rate", "4")
+    code, found, err = track(capsys, recorded(tmp_path / "bag", lost=(13, 20)), "red", "--rate", "4")
     assert code == 0
     assert len(found["frames"]) == COUNT
     check_directions(found["frames"])
@@ -153,7 +156,7 @@ def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
 
 
 def test_pictures_that_name_no_frame_are_said(tmp_path, capsys):
-    code, found, err = track(capsys, recorded(tmp_path / "bag", frame=""), "red ball")
+    code, found, err = track(capsys, recorded(tmp_path / "bag", frame=""), "red")
     assert code == 0
     assert len(found["frames"]) > 0
     said = "the pictures name no frame (frame_id is empty): the camera's axes are taken for those of base_link"
@@ -162,7 +165,7 @@ def test_pictures_that_name_no_frame_are_said(tmp_path, capsys):
 
 def test_pictures_without_times_take_those_of_the_recording(tmp_path, capsys):
     bag = recorded(tmp_path / "bag", at_zero=True)
-    code, found, said = track(capsys, bag, "red ball", "--rate", "4")
+    code, found, said = track(capsys, bag, "red", "--rate", "4")
     assert code == 0
     assert "/x3/image tells no times" in said
     check_directions(found["frames"])
@@ -179,18 +182,18 @@ def test_pictures_without_times_take_those_of_the_recording(tmp_path, capsys):
     ],
 )
 def test_topics_that_are_not_there(tmp_path, capsys, words, said):
-    code, _, err = track(capsys, recorded(tmp_path / "bag"), "red ball", *words)
+    code, _, err = track(capsys, recorded(tmp_path / "bag"), "red", *words)
     assert code == (1 if "--start" in words else 2)
     assert said in err
 
 
 def test_what_is_no_bag(tmp_path, capsys):
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
-    code, _, err = track(capsys, tmp_path / "old.bag", "red ball")
+    code, _, err = track(capsys, tmp_path / "old.bag", "red")
     assert code == 2
     assert "is a bag of ROS 1; convert it: rosbags-convert" in err
     (tmp_path / "a.png").write_bytes(b"")
-    code, _, err = track(capsys, tmp_path / "a.png", "red ball", "--odom-topic", "/odom")
+    code, _, err = track(capsys, tmp_path / "a.png", "red", "--odom-topic", "/odom")
     assert code == 2
     assert "--image-topic and --odom-topic are for a ROS 2 bag" in err
 
@@ -202,7 +205,7 @@ def test_clocks_that_have_nothing_in_common(tmp_path, capsys):
             panorama = paint(ROOM, tuple(place), turn, 32, 64)
             bag.write("/image", m.IMAGE, m.image_message(panorama, 50.0 + k, "x3"), START + k)
             bag.write("/odom", m.ODOMETRY, m.odometry_message(Pose(START + k, turn, place)), START + k)
-    code, _, err = track(capsys, tmp_path / "bag", "red ball")
+    code, _, err = track(capsys, tmp_path / "bag", "red")
     assert code == 2
     assert "no picture of /image has a pose of /odom, which tells those from 1700000000.125 to" in err
     assert "the pictures begin at 50.000 s. Are both stamped by one clock?" in err
@@ -211,7 +214,7 @@ def test_clocks_that_have_nothing_in_common(tmp_path, capsys):
 @pytest.mark.parametrize(("topic", "poses"), [("", []), ("?topic=/x3/image", ["--poses", "ros:/odom"])])
 def test_a_bag_is_played_as_a_live_camera(tmp_path, capsys, topic, poses):
     bag = recorded(tmp_path / "bag")
-    assert main(["live", f"{bag}{topic}", "red ball", "--fast", "--json", *poses]) == 0
+    assert main(["live", f"{bag}{topic}", "red", "--fast", "--json", *poses]) == 0
     out, err = capsys.readouterr()
     answers = [json.loads(line) for line in out.splitlines()]
     assert len(answers) > 20
@@ -224,7 +227,7 @@ def test_a_bag_is_played_as_a_live_camera(tmp_path, capsys, topic, poses):
 def test_lenses_of_a_bag_are_refused_without_their_rig(tmp_path, capsys):
     with BagWriter(tmp_path / "bag") as bag:
         bag.write("/fisheye", m.IMAGE, m.image_message(np.zeros((60, 80, 3), np.uint8), START, "x3"), START)
-    code, _, err = track(capsys, tmp_path / "bag", "red ball")
+    code, _, err = track(capsys, tmp_path / "bag", "red")
     assert code == 2
     assert "gives pictures of 80 x 60, not 2:1" in err
     assert "--rig FILE.yaml" in err

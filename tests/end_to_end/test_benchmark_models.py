@@ -77,6 +77,7 @@ def test_a_local_model_plays(eagor, data, model, tmp_path, monkeypatch, task):
         assert all(step["tokens"][0] > 100 for record in found for step in record["steps"])
 
 
+@pytest.mark.slow
 def test_a_local_model_plays_on_two_processes(eagor, data, model, tmp_path):
     code, out, err = eagor(*words("osr", data, tmp_path / "run", "--agent", "vlm", "--model", model, "--workers", 2))
     assert code == 0, err

@@ -12,15 +12,13 @@ import re
 import signal
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
-from unittest.mock import patch
 
+import commands
 import numpy as np
 import pytest
+from commands import ENVIRONMENT
 from PIL import Image
 
 from eagor._extras import how_to_install
@@ -42,23 +40,10 @@ LYTHWOOD = SHARED / "panoramas" / "lythwood_room_1k.png"
 ANNOTATION = SHARED / "bench_samples" / "hstar_mini" / "hos_bench" / "lythwood_room" / "annotation.json"
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]
 FRAMES = 12
-# Several tests run side by side: threads inside the matrix library would only stand in each other's way.
-ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
-    "OPENBLAS_NUM_THREADS": "1"
-}
 
 
 def command(*words):
     return [sys.executable, "-m", "eagor", *map(str, words)]
-
-
-@dataclass(frozen=True)
-class Done:
-    """What a command has said."""
-
-    returncode: int
-    stdout: str
-    stderr: str
 
 
 def process(*words, env=None):
@@ -68,13 +53,7 @@ def process(*words, env=None):
 
 def eagor(*words, env=None):
     """Run the command to its end; here, unless it is to have an environment of its own."""
-    if env is not None:
-        return process(*words, env=env)
-    said = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)]
-    with redirect_stdout(said[0]), redirect_stderr(said[1]), patch.dict(os.environ, ENVIRONMENT):
-        os.environ.pop("EAGOR_DEBUG", None)
-        code = main([*map(str, words)])
-    return Done(code, *(each.buffer.getvalue().decode() for each in said))
+    return process(*words, env=env) if env is not None else commands.eagor(*words)
 
 
 def refused(*words, code=2):
@@ -253,7 +232,7 @@ def test_the_doctor_says_what_an_extra_lacks(monkeypatch, capsys, package, who):
 
 
 def test_locate_as_json(room):
-    found = answer("locate", room, "the red ball")
+    found = answer("locate", room, "red")
     assert set(found) == {
         "query", "perception", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "within_15_deg",
         "status", "modes", "frame", "stamp", "distance_m", "distance_spread",
@@ -287,13 +266,13 @@ def test_the_answer_is_the_first_of_its_candidates_and_their_weights_are_probabi
 def test_what_is_not_known_is_null_in_json_and_said_in_words(tmp_path):
     path, picture = tmp_path / "grey.png", tmp_path / "where.png"
     Image.fromarray(np.full((96, 192, 3), 128, dtype=np.uint8)).save(path)
-    found = answer("locate", path, "the red ball")
+    found = answer("locate", path, "red")
     for key in ("azimuth_deg", "elevation_deg", "credible_angle_deg", "within_15_deg"):
         assert found[key] is None
     assert found["modes"] == []
     assert 0 < found["presence"] < 0.5
     assert found["status"] == "searching"
-    words = eagor("locate", path, "the red ball", "--picture", picture).stdout
+    words = eagor("locate", path, "red", "--picture", picture).stdout
     assert "direction       not known" in words
     assert "candidates" not in words
     assert picture_width(picture) == 1200
@@ -362,7 +341,7 @@ def test_views_of_one_moment_are_one_look_whatever_their_order(room, tmp_path):
 
 def test_locate_in_words_and_with_a_picture(room, tmp_path):
     picture = tmp_path / "where.png"
-    done = eagor("locate", room, "red ball", "--picture", picture)
+    done = eagor("locate", room, "red", "--picture", picture)
     assert done.returncode == 0
     assert "to the right" in done.stdout
     assert "down" in done.stdout
@@ -472,11 +451,22 @@ def test_packages_that_are_missing_come_first(monkeypatch):
     assert f"For any words: {how_to_install('vlm')}; then --perception google/owlv2" in how_to_find("door")
 
 
+def test_without_the_detector_a_colour_is_looked_for_alone_and_that_is_said(room, no_model):
+    done = eagor("locate", room, "red chair", "--json")
+    assert json.loads(done.stdout)["perception"] == "colour"
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("eagor: 'red chair' is looked for by its colour alone (perception colour); ")
+    assert line.endswith("eagor models get coco (fetches 145 MB once)")
+    assert eagor("locate", room, "the red thing").stderr == "", "nothing but a colour was asked for"
+
+
 @pytest.mark.registry
-def test_with_the_detector_a_query_without_a_colour_is_answered_by_it(room, coco_model):
-    found = answer("locate", room, "chair")
-    assert found["perception"] == "coco"
-    assert answer("locate", room, "red chair")["perception"] == "colour"
+def test_with_the_detector_a_colour_only_weighs_what_it_knows(room, coco_model):
+    assert {answer("locate", room, query)["perception"] for query in ("chair", "red chair")} == {"coco"}
+    done = eagor("locate", room, "red door", "--json")
+    assert json.loads(done.stdout)["perception"] == "colour"
+    assert "'red door' is looked for by its colour alone" in done.stderr
+    assert "the detector coco knows no such thing" in done.stderr
     assert "names none of this detector's" in refused("locate", room, "door")
 
 
@@ -500,7 +490,7 @@ def test_usage_errors_exit_with_two(words):
 
 
 def test_the_names_of_the_rivals_stand_apart_above_their_columns(series):
-    done = eagor("track", series / "frames", "red ball", "--poses", series / "poses.csv", "--compare")
+    done = eagor("track", series / "frames", "red", "--poses", series / "poses.csv", "--compare")
     header, *lines = done.stdout.splitlines()
     names = header.partition("status")[2].partition("   (")[0].split()
     assert names == [SHORT.get(name, name) for name in NAMES if name != "eagor"]
@@ -510,7 +500,7 @@ def test_the_names_of_the_rivals_stand_apart_above_their_columns(series):
 
 def test_track_follows_across_the_seam(series, tmp_path):
     out = tmp_path / "estimates.csv"
-    found = answer("track", series / "frames", "red ball", "--poses", series / "poses.csv", "--compare", "--out", out)
+    found = answer("track", series / "frames", "red", "--poses", series / "poses.csv", "--compare", "--out", out)
     entries = found["frames"]
     assert [entry["frame"] for entry in entries] == [f"view{i}.png" for i in range(FRAMES)]  # 2 comes before 10
     truth = [pose.T @ RED_BALL for pose in poses_across_the_seam()]
@@ -533,7 +523,7 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     poses = tmp_path / "poses.csv"
     names += ["0,0,0,0,0,0,1,view0.png", "0.5,5,0,0,0.1,0,1,", "1,10,0,0,0.2,0,1,view1.png"]
     poses.write_text("\n".join(names))
-    words = ["track", *frames[:2], "red ball", "--poses", poses, "--out", out, "--pictures", pictures]
+    words = ["track", *frames[:2], "red", "--poses", poses, "--out", out, "--pictures", pictures]
     done = eagor(*words)
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) == 3
@@ -679,7 +669,7 @@ def test_poses_that_cannot_be_take_their_frames_with_them(three):
     """A lost estimate of the robot's place, such as 1e30 m, is one frame less, not the end."""
     images, write = three
     lines = ["stamp,yaw_deg,pitch_deg,roll_deg,x,y,z", "0,0,0,0,0,0,0", "1,10,0,0,1e30,0,0", "2,20,0,0,0.1,0,0"]
-    done = eagor("track", images, "red ball", "--poses", write("\n".join(lines)), "--json")
+    done = eagor("track", images, "red", "--poses", write("\n".join(lines)), "--json")
     assert done.returncode == 3, done.stderr
     assert "the position at 1 s is [1e+30, 0.0, 0.0]; wanted metres, each within 1e+09" in done.stderr
     assert "Left out: 1 of 3 poses" in done.stderr
@@ -737,43 +727,36 @@ def test_control_c(tmp_path):
 
 def test_the_demo_leaves_a_report(tmp_path):
     found = answer("demo", "--seed", "3", "--episode", "1", "--out", tmp_path)
-    assert set(found["methods"]) >= {"centroid", "eagor_paper", "eagor"}
-    for metrics in found["methods"].values():
-        assert 1 <= metrics["steps"] <= 500
-        assert metrics["success"] in (0, 1)
+    assert set(found["errors_deg"]) == {"plain", *NAMES}
+    assert {len(errors) for errors in found["errors_deg"].values()} == {len(found["visible"])}
+    assert found["walk"]["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 3
+    assert page.index("data:image/png") < page.index("<table>") < page.index("<details>"), "first a picture"
     assert "http" not in re.sub(r"base64,[^\"]+", "", page)  # nothing is fetched
     for name in ("beliefs.png", "errors.png", "map.png"):
         assert picture_width(tmp_path / name) >= 1200
-    assert "A collision is a step that" in page
-    assert "What it gets wrong depends on the picture" in page  # the scout is a network
-    assert page.count("scrolls sideways") == 4
+    assert page.count("scrolls sideways") == 5
     assert "0 to 9999" in refused("demo", "--seed", "10000", "--out", tmp_path)
     assert "0 to 4" in refused("demo", "--episode", "5", "--out", tmp_path)
 
 
-def test_a_method_has_one_colour_in_both_pictures_of_the_demo(monkeypatch):
+def test_the_demo_tells_of_in_sight_and_hidden_what_is_so():
     from eagor.cli import demo_apartment
 
-    trace = {"error_deg": [3.0, 2.0], "pose": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]}
-    search = SimpleNamespace(methods={name: {"trace": trace} for name in NAMES}, episode={"targets": (0,)})
-    ground = SimpleNamespace(free=np.ones((2, 2)), structure=np.zeros((2, 2)), origin=(0, 0), cell=1.0)
-    place = SimpleNamespace(ground=ground, scene=SimpleNamespace(instances=[SimpleNamespace(centre=np.zeros(3))]))
-    monkeypatch.setattr(demo_apartment, "draw_errors", lambda stamps, errors: list(errors))
-    monkeypatch.setattr(demo_apartment, "draw_map", lambda walls, free, extent, paths, target: list(paths))
-    assert demo_apartment._errors(search) == demo_apartment._map(search, place)  # colours are given in this order
-
-
-@pytest.mark.parametrize(("drawn", "said"), [(True, "drawn from one seed"), (False, "depends on the picture")])
-def test_the_demo_says_of_mistakes_and_collisions_what_is_so(drawn, said):
-    from eagor.cli import demo_apartment
-
-    methods = {name: {"metrics": {"collisions": 3 + k, "steps": 32}} for k, name in enumerate(("eagor", "centroid"))}
-    search = SimpleNamespace(methods=methods, perception="mine", drawn=drawn)
-    assert said in demo_apartment.mistakes(search)
-    assert "through the same perception, mine." in demo_apartment.mistakes(search)
-    assert "3 in the 32 steps of our tracker, 3 to 4 over all methods" in demo_apartment.collisions(search)
+    trace = {"visible": [False, True, False, False, True]}
+    walk = {"trace": trace, "metrics": {"success": 1, "steps": 5}}
+    record = {"episode": {"query": "bed"}, "methods": {"eagor": walk}}
+    errors = {"eagor": np.array([90.0, 4.0, 6.0, 8.0, 2.0]), "plain": np.array([70.0, 5.0, 50.0, 70.0, 3.0])}
+    search = demo_apartment.Search(None, None, record, [], {}, errors, "scout")
+    assert search.hidden == [(0, 0), (2, 3)]
+    assert [*search.means["eagor"].values()] == [5.0, 3.0, 7.0]
+    told = " ".join(demo_apartment.summary(search))
+    assert "found the bed in 5 steps" in told
+    assert "out of sight in 3 of 5 looks" in told
+    assert "our tracker was off by 7.0°, the newest look alone by 60.0°. In sight: 3.0° and 4.0°." in told
+    walk["trace"] = {"visible": [False] * 5}
+    assert "hidden again" not in " ".join(demo_apartment.summary(search))
 
 
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
@@ -818,10 +801,10 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     run = ("bench", "run", "tracking", "--perception", "truth", "--episodes", "1", "--seed", "1", "--methods", "eagor")
     assert answer(*run, "--calibration", out, "--out", tmp_path / "run")["episodes"] == 1
     assert json.loads((tmp_path / "run" / "run.json").read_text())["calibrated"]["forgetting"] == found["forgetting"]
-    line = refused("locate", room, "red ball", "--calibration", out)
+    line = refused("locate", room, "red", "--calibration", out)
     for text in (f"--calibration {out}", "'truth'", "'colour'", "--force"):
         assert text in line
-    forced = eagor("locate", room, "red ball", "--calibration", out, "--force", "--json")
+    forced = eagor("locate", room, "red", "--calibration", out, "--force", "--json")
     assert json.loads(forced.stdout)["modes"]
     assert "was fitted for 'truth'" in forced.stderr
     assert "--force" in refused("bench", "run", "tracking", "--perception", "scout", "--calibration", out)
@@ -831,7 +814,7 @@ def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     assert "rendered" in refused("demo", "--perception", "replay:detections.jsonl")
     assert "all in one apartment" in refused("calibrate", "--perception", "truth", "--episodes", "4")
     assert "--trials 0" in refused("calibrate", "--perception", "truth", "--trials", "0")
-    assert "eagor calibrate" in refused("locate", room, "red ball", "--calibration", tmp_path / "none.json")
+    assert "eagor calibrate" in refused("locate", room, "red", "--calibration", tmp_path / "none.json")
 
 
 # --- words -----------------------------------------------------------------------------------------------------------

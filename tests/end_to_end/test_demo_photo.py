@@ -66,7 +66,7 @@ def test_every_method_is_followed_in_the_frame_of_the_photograph(played):
 
 
 def test_the_command_leaves_a_report(photo, tmp_path, capsys):
-    words = ["demo", "--photo", str(photo), "--query", "red ball", "--out", str(tmp_path)]
+    words = ["demo", "--photo", str(photo), "--query", "red ball", "--out", str(tmp_path), "--perception", "colour"]
     assert main([*words, "--json"]) == 0
     out, err = capsys.readouterr()
     assert err == ""

@@ -115,7 +115,7 @@ def error_deg(entry, truth):
 
 
 def test_without_poses_the_pictures_tell_how_the_camera_turned(tilting, answers):
-    found = answers("track", tilting, "the red ball", "--rate", RATE)
+    found = answers("track", tilting, "red", "--rate", RATE)
     assert found["poses"] == "orientations from the pictures themselves"
     entries = found["frames"]
     assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(COUNT)]
@@ -128,7 +128,7 @@ def test_without_poses_the_pictures_tell_how_the_camera_turned(tilting, answers)
 
 def test_a_level_camera_only_turns_its_heading(tmp_path, answers):
     path = filmed(tmp_path / "level.mp4", turned(HEADING))
-    found = answers("track", path, "the red ball", "--rate", RATE, "--poses", "level")
+    found = answers("track", path, "red", "--rate", RATE, "--poses", "level")
     for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
         assert error_deg(entry, pose.T @ RED) < 4
     assert "level" in found["poses"]
@@ -143,7 +143,7 @@ def test_poses_of_a_file_are_interpolated_at_the_times_of_the_frames(tmp_path, a
         (tmp_path / "poses.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *dict.fromkeys(lines)]))
         return tmp_path / "poses.csv"
 
-    words = ("track", path, "the red ball", "--rate", RATE, "--poses", tmp_path / "poses.csv")
+    words = ("track", path, "red", "--rate", RATE, "--poses", tmp_path / "poses.csv")
     poses(-0.1, 3.03)
     entries = answers(*words)["frames"]
     assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(COUNT)]
@@ -163,7 +163,7 @@ def test_the_imu_of_a_video_is_preferred(tmp_path, answers):
     # Type 0: the rotation of the camera as an axis times an angle, in axes x right, y down, z forward.
     packets = [(0.05 * k, 0, (0.0, -math.radians(9 * RATE) * 0.05 * k, 0.0)) for k in range(62)]
     with_camm(path, packets)
-    found = answers("track", path, "the red ball", "--rate", RATE)
+    found = answers("track", path, "red", "--rate", RATE)
     assert found["poses"] == "orientations from the video's IMU"
     for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
         assert error_deg(entry, pose.T @ RED) < 4
@@ -173,7 +173,7 @@ def test_poses_that_end_early_lose_nothing_that_was_computed(tmp_path, eagor):
     path = filmed(tmp_path / "clip.mp4", turned(HEADING))
     lines = [f"{t:.4f},{9 * RATE * t:.5f},0,0" for t in np.arange(0, 1.3, 0.1)]
     (tmp_path / "poses.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
-    words = ("track", path, "the red ball", "--rate", RATE, "--poses", tmp_path / "poses.csv")
+    words = ("track", path, "red", "--rate", RATE, "--poses", tmp_path / "poses.csv")
     code, out, err = eagor(*words, "--json")
     assert code == 3
     assert "has no pose" in err
@@ -184,7 +184,7 @@ def test_a_cut_begins_the_belief_anew_and_is_said(tmp_path, answers, eagor):
     """Another room, and a red ball in another direction: what was believed says nothing about it."""
     there = direction(math.radians(130), math.radians(-25))
     path = filmed(tmp_path / "cut.mp4", turned(HEADING[:6]) + turned(HEADING[6:], elsewhere(there)))
-    found = answers("track", path, "the red ball", "--rate", RATE)
+    found = answers("track", path, "red", "--rate", RATE)
     lost = [entry.get("lost", False) for entry in found["frames"]]
     assert lost == [k == 6 for k in range(COUNT)]
     warnings = [line for line in found["stderr"].splitlines() if "warning" in line]
@@ -194,7 +194,7 @@ def test_a_cut_begins_the_belief_anew_and_is_said(tmp_path, answers, eagor):
     for entry, pose in list(zip(found["frames"], HEADING, strict=True))[8:]:
         assert error_deg(entry, pose.T @ there) < 4
     page = tmp_path / "page.html"
-    assert eagor("track", path, "the red ball", "--rate", RATE, "--start", 1, "--end", 2, "--page", page)[0] == 0
+    assert eagor("track", path, "red", "--rate", RATE, "--start", 1, "--end", 2, "--page", page)[0] == 0
     assert "the belief starts anew there" in page.read_text(encoding="utf-8")
 
 
@@ -202,18 +202,18 @@ def test_a_folder_without_poses(tmp_path, answers, refused):
     (tmp_path / "frames").mkdir()
     for number, picture in enumerate(turned(POSES[:6])):
         Image.fromarray(picture).save(tmp_path / "frames" / f"{number}.png")
-    found = answers("track", tmp_path / "frames", "the red ball", "--rate", 2)
+    found = answers("track", tmp_path / "frames", "red", "--rate", 2)
     assert "6 images, taken at 2 per second (--rate), orientations from the pictures themselves" in found["stderr"]
     assert [entry["stamp"] for entry in found["frames"]] == [k / 2 for k in range(6)]
     assert error_deg(found["frames"][-1], POSES[5].T @ RED) < 4
-    assert "is for a video" in refused("track", tmp_path / "frames", "the red ball", "--start", 1)
+    assert "is for a video" in refused("track", tmp_path / "frames", "red", "--start", 1)
 
 
 # --- which frames -----------------------------------------------------------------------------------------------------
 
 
 def test_rate_start_and_end(tilting, answers):
-    words = ("track", tilting, "the red ball")
+    words = ("track", tilting, "red")
     stamps = [entry["stamp"] for entry in answers(*words, "--start", 0.5, "--end", 2.5)["frames"]]
     assert stamps == [0.5, 1.0, 1.5, 2.0]  # 2 a second
     assert [entry["stamp"] for entry in answers(*words, "--rate", 1)["frames"]] == [0, 1, 2]
@@ -237,7 +237,7 @@ def test_rate_start_and_end(tilting, answers):
 )
 def test_impossible_options_are_refused_at_once(tilting, refused, words, says, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    assert says in refused("track", tilting, "the red ball", *words)
+    assert says in refused("track", tilting, "red", *words)
     assert not list(tmp_path.iterdir())
 
 
@@ -248,7 +248,7 @@ def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
     """Frames between the looks are only in the video: there the belief moves with the camera."""
     path, pictures, page = tmp_path / "answer.mp4", tmp_path / "pictures", tmp_path / "page.html"
     outputs = ("--video", path, "--fps", RATE, "--pictures", pictures, "--page", page)
-    code, out, err = eagor("track", tilting, "the red ball", "--rate", 2, *outputs)
+    code, out, err = eagor("track", tilting, "red", "--rate", 2, *outputs)
     assert code == 0, err
     lines = out.splitlines()
     assert [float(line.split()[0]) for line in lines[1:]] == [0, 0.5, 1, 1.5, 2, 2.5]
@@ -272,7 +272,7 @@ def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
     pty = pytest.importorskip("pty")
     watched, terminal = pty.openpty()
     out = tmp_path / "out.txt"
-    words = [sys.executable, "-m", "eagor", "track", tilting, "the red ball", "--end", "1"]
+    words = [sys.executable, "-m", "eagor", "track", tilting, "red", "--end", "1"]
     with out.open("w") as file, subprocess.Popen(words, stdout=file, stderr=terminal) as process:
         os.close(terminal)
         shown = b""
@@ -291,7 +291,7 @@ def test_tables(tilting, tmp_path, answers, suffix):
     if suffix == "parquet":
         parquet = pytest.importorskip("pyarrow.parquet", exc_type=ImportError)
     path = tmp_path / f"answers.{suffix}"
-    found = answers("track", tilting, "the red ball", "--out", path, "--modes", 1, "--end", 1.5)["frames"]
+    found = answers("track", tilting, "red", "--out", path, "--modes", 1, "--end", 1.5)["frames"]
     assert all(len(entry["modes"]) <= 1 for entry in found)
     if suffix == "csv":
         with path.open(newline="", encoding="utf-8") as file:
@@ -305,7 +305,7 @@ def test_tables(tilting, tmp_path, answers, suffix):
 
 
 def test_locate_takes_a_frame_of_a_video(tilting, answers):
-    found = answers("locate", tilting, "the red ball", "--stamp", 1.5)
+    found = answers("locate", tilting, "red", "--stamp", 1.5)
     assert error_deg(found, POSES[6].T @ RED) < 4
 
 
@@ -317,7 +317,7 @@ def test_of_a_truncated_clip_comes_what_is_there(tmp_path, eagor):
     path, table, video = tmp_path / "cut.mkv", tmp_path / "out.csv", tmp_path / "out.mp4"
     data = whole.read_bytes()
     path.write_bytes(data[: len(data) * 3 // 5])
-    code, out, err = eagor("track", path, "the red ball", "--rate", 2, "--fps", 2, "--out", table, "--video", video)
+    code, out, err = eagor("track", path, "red", "--rate", 2, "--fps", 2, "--out", table, "--video", video)
     assert code == 3, err
     assert "the frames end early" in err
     assert 2 < len(out.splitlines()) < 1 + COUNT // 2
@@ -330,9 +330,9 @@ def test_clips_that_cannot_be_read(tmp_path, refused):
     path = tmp_path / "clip.mp4"
     for content in (b"", b"no video at all" * 99):
         path.write_bytes(content)
-        assert "clip.mp4" in refused("track", path, "the red ball")
-        assert "clip.mp4" in refused("locate", path, "the red ball")
-    assert "nothing.mp4" in refused("track", tmp_path / "nothing.mp4", "the red ball")
+        assert "clip.mp4" in refused("track", path, "red")
+        assert "clip.mp4" in refused("locate", path, "red")
+    assert "nothing.mp4" in refused("track", tmp_path / "nothing.mp4", "red")
 
 
 def test_a_clip_without_pictures(tmp_path, refused):
@@ -343,7 +343,7 @@ def test_a_clip_without_pictures(tmp_path, refused):
         frame.rate = 8000
         container.mux(stream.encode(frame))
         container.mux(stream.encode())
-    assert "sound.mp4" in refused("track", path, "the red ball")
+    assert "sound.mp4" in refused("track", path, "red")
 
 
 # --- pictures that are no good panoramas ------------------------------------------------------------------------------
@@ -360,10 +360,10 @@ def test_a_dual_fisheye_is_refused_unless_forced(tmp_path, refused, eagor):
     Image.fromarray(circles()).save(tmp_path / "fisheye.png")
     path = filmed(tmp_path / "fisheye.mp4", [circles()] * 4)
     for words in (("locate", tmp_path / "fisheye.png"), ("track", path)):
-        said = refused(*words, "the red ball")
+        said = refused(*words, "red")
         assert "two circles" in said
         assert "--force" in said
-        code, _, err = eagor(*words, "the red ball", "--force")
+        code, _, err = eagor(*words, "red", "--force")
         assert code == 0
         assert err.count("two circles") == 1
 
@@ -374,7 +374,7 @@ def test_a_seam_that_does_not_fit_is_measured_and_said(tmp_path, eagor):
     Image.fromarray(cut).save(tmp_path / "seam.png")
     path = filmed(tmp_path / "seam.mp4", [cut] * 4)
     for words in (("locate", tmp_path / "seam.png"), ("track", path)):
-        code, _, err = eagor(*words, "the red ball")
+        code, _, err = eagor(*words, "red")
         assert code == 0
         (line,) = [line for line in err.splitlines() if "border" in line]
         assert "warning" in line
@@ -392,7 +392,7 @@ def test_a_black_nadir_is_not_the_black_thing(tmp_path, answers):
     for found, last in ((one, one), (many, many["frames"][-1])):
         assert last["presence"] < 0.5
         assert found["stderr"].count("taken as not seen") == 1
-    assert answers("locate", tmp_path / "nadir.png", "the red ball")["status"] == "tracking"
+    assert answers("locate", tmp_path / "nadir.png", "red")["status"] == "tracking"
 
 
 def test_what_a_mask_hides_says_nothing(tmp_path, answers):
@@ -403,9 +403,9 @@ def test_what_a_mask_hides_says_nothing(tmp_path, answers):
     Image.fromarray(mask).save(tmp_path / "mask.png")
     Image.fromarray(ROOM).save(tmp_path / "room.png")
     path = filmed(tmp_path / "still.mp4", [ROOM] * 3)
-    words = ("the red ball", "--mask", tmp_path / "mask.png")
+    words = ("red", "--mask", tmp_path / "mask.png")
     found = answers("locate", tmp_path / "room.png", *words)
-    seen = answers("locate", tmp_path / "room.png", "the red ball")
+    seen = answers("locate", tmp_path / "room.png", "red")
     assert found["presence"] < seen["presence"]
     assert found["status"] == "searching"
     last = answers("track", path, *words)["frames"][-1]
@@ -422,7 +422,7 @@ def test_a_photograph_that_says_how_the_camera_was_held(tmp_path, answers):
         '"equirectangular" GPano:PosePitchDegrees="20" GPano:PoseRollDegrees="0"/></rdf:RDF></x:xmpmeta>'
     )
     Image.fromarray(turn(ROOM, held.T)).save(tmp_path / "held.jpg", quality=95, xmp=xmp.encode())
-    found = answers("locate", tmp_path / "held.jpg", "the red ball")
+    found = answers("locate", tmp_path / "held.jpg", "red")
     assert error_deg(found, held.T @ RED) < 4
     assert "20" in found["stderr"]
 
@@ -439,7 +439,7 @@ def test_a_detector_that_returns_nonsense_is_one_line(tilting, tmp_path, monkeyp
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[eagor.perceptions]\n{name} = {name}:make\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    code, out, err = eagor("track", tilting, "the red ball", "--perception", name)
+    code, out, err = eagor("track", tilting, "red", "--perception", name)
     assert (code, out) == (2, "")
     assert len(err.splitlines()) == 3  # what the clip is, how it is looked at, and the error
     assert err.splitlines()[-1].startswith("eagor: error: the perception returned ")
@@ -449,7 +449,7 @@ def test_a_detector_that_returns_nonsense_is_one_line(tilting, tmp_path, monkeyp
 @pytest.mark.parametrize("package", ["av", "cv2"])
 def test_without_the_extra_it_is_named(tilting, monkeypatch, eagor, package):
     monkeypatch.setitem(__import__("sys").modules, package, None)
-    code, out, err = eagor("track", tilting, "the red ball")
+    code, out, err = eagor("track", tilting, "red")
     assert code == 2
     assert out == ""
     assert "[photos]" in err.splitlines()[-1]
@@ -457,7 +457,7 @@ def test_without_the_extra_it_is_named(tilting, monkeypatch, eagor, package):
 
 def test_a_path_need_not_be_ascii(tmp_path, answers):
     path = filmed(Path(tmp_path / "küche 1.mp4"), turned(HEADING[:4]))
-    assert answers("track", path, "the red ball")["frames"][0]["frame"] == "küche 1.mp4 at 0.00 s"
+    assert answers("track", path, "red")["frames"][0]["frame"] == "küche 1.mp4 at 0.00 s"
 
 
 def test_a_log_of_many_poses_is_known_from_its_beginning():

@@ -295,7 +295,7 @@ def kept(folder):
     return sum(path.read_bytes().count(b"\n") for path in files(folder)) if folder.exists() else 0
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_run_killed_in_the_middle_goes_on_to_what_it_would_have_been(tmp_path, config, workers):
     run = launch(tmp_path, config, workers, sleep=0.1)
     wait_for(lambda: kept(tmp_path / "run") >= 3)

@@ -15,8 +15,11 @@ from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
+from eagor.grids import PerspectiveGrid
 from eagor.live.recording import Replay
-from eagor.worlds.painted import painted_room
+from eagor.media.panorama import view
+from eagor.sphere import world_R_body
+from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -58,10 +61,10 @@ def begun(*words):
 
 
 def test_a_folder_is_followed_fast_with_several_queries(film, capsys):
-    assert main(["live", str(film), "red chair", "blue ball", "--fast", "--json", "--poses", "level"]) == 0
+    assert main(["live", str(film), "red", "blue", "--fast", "--json", "--poses", "level"]) == 0
     found = lines(capsys)
-    assert {line["query"] for line in found} == {"red chair", "blue ball"}
-    chair = [line for line in found if line["query"] == "red chair"]
+    assert {line["query"] for line in found} == {"red", "blue"}
+    chair = [line for line in found if line["query"] == "red"]
     assert [round(line["stamp"], 2) for line in chair[:3]] == [0.0, 0.05, 0.1]
     last = chair[-1]
     assert last["status"] == "tracking"
@@ -77,7 +80,7 @@ def test_poses_of_a_file_are_those_of_its_clock(film, tmp_path, capsys):
     poses = tmp_path / "poses.csv"
     rows = [f"{k / 20},{k / 2 * STEP * 360 / WIDTH},0,0" for k in range(24)]
     poses.write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *rows]))
-    assert main(["live", str(film), "red chair", "--fast", "--json", "--poses", str(poses)]) == 0
+    assert main(["live", str(film), "red", "--fast", "--json", "--poses", str(poses)]) == 0
     last = lines(capsys)[-1]
     assert last["status"] == "tracking"
     assert last["credible_angle_deg"] < 5
@@ -86,7 +89,7 @@ def test_poses_of_a_file_are_those_of_its_clock(film, tmp_path, capsys):
 def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
     pytest.importorskip("rosbags")
     words = ["--record", str(tmp_path / "run"), "--json", "--poses", "still"]
-    assert main(["live", str(film), "red chair", *words]) == 0
+    assert main(["live", str(film), "red", *words]) == 0
     first = lines(capsys)
     assert first[-1]["azimuth_deg"] is not None  # how sure it is depends on how many pictures were looked at in time
     assert main(["live", "replay", str(tmp_path / "run"), "--json"]) == 0
@@ -100,7 +103,7 @@ def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
 def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path, capsys):
     """What is not recorded any more is not compared: it differs from nothing."""
     pytest.importorskip("rosbags")
-    assert main(["live", str(film), "red chair", "blue ball", "--record", str(tmp_path / "run"), "--json"]) == 0
+    assert main(["live", str(film), "red", "blue", "--record", str(tmp_path / "run"), "--json"]) == 0
     capsys.readouterr()
     (whole,) = (tmp_path / "run").glob("*.mcap")
     content, lost = whole.read_bytes(), set()
@@ -128,17 +131,17 @@ def test_a_recording_is_a_run_of_the_studio(film, tmp_path, capsys):
     from eagor.errors import FormatError
 
     folder = tmp_path / "runs" / "film"
-    words = ["red chair", "blue ball", "--record", str(folder), "--json", "--poses", "level"]
+    words = ["red", "blue", "--record", str(folder), "--json", "--poses", "level"]
     assert main(["live", str(film), *words]) == 0
     told = lines(capsys)
     (line,) = runs.listed(tmp_path / "runs")
     assert (line["name"], line["kind"], line["problem"]) == ("film", "live", "")
     found = runs.opened(folder)
-    assert [one["query"] for one in found["episodes"]] == ["red chair", "blue ball"]
+    assert [one["query"] for one in found["episodes"]] == ["red", "blue"]
     for episode in found["episodes"]:
         drawn = runs.again(folder, episode["key"])
         assert drawn.scene["query"] == episode["query"]
-        assert drawn.scene["targets"] == ["red chair", "blue ball"]
+        assert drawn.scene["targets"] == ["red", "blue"]
         assert len(drawn.steps) >= 3
         assert drawn.pictures
         answers = {round(one["stamp"], 3): one for one in told if one["query"] == episode["query"]}
@@ -148,7 +151,7 @@ def test_a_recording_is_a_run_of_the_studio(film, tmp_path, capsys):
         assert math.degrees(last["estimate"]["azimuth"]) == pytest.approx(answer["azimuth_deg"], abs=0.1)
         assert last["estimate"]["status"] == answer["status"]
         assert last["belief"]["coefficients"]
-    assert runs.again(folder, None).scene["query"] == "red chair"
+    assert runs.again(folder, None).scene["query"] == "red"
     with pytest.raises(FormatError, match="has no query 'green cup'"):
         runs.again(folder, "green cup")
 
@@ -157,13 +160,13 @@ def test_a_run_is_logged_for_the_rerun_viewer(film, tmp_path):
     pytest.importorskip("rerun")
     file = tmp_path / "run.rrd"
     words = ["--fast", "--poses", "still", "--rerun", str(file)]
-    assert main(["live", str(film), "red chair", *words]) == 0
+    assert main(["live", str(film), "red", *words]) == 0
     assert file.read_bytes()[:4] == b"RRF2"
     assert file.stat().st_size > 20_000  # pictures are in it
 
 
 def test_without_a_terminal_only_json_is_printed(film, capsys):
-    assert main(["live", str(film), "red chair", "--fast", "--poses", "still"]) == 0
+    assert main(["live", str(film), "red", "--fast", "--poses", "still"]) == 0
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "12 pictures, 12 looks, 0 poses" in captured.err
@@ -180,7 +183,7 @@ def test_without_a_terminal_only_json_is_printed(film, capsys):
 def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
     """Also in the middle of a recording, which is whole then; nobody is left behind."""
     pytest.importorskip("rosbags")
-    words = ["pipe:rgb24:64x32", "red chair", "--json", "--record", tmp_path / "run", "--poses", "still"]
+    words = ["pipe:rgb24:64x32", "red", "--json", "--record", tmp_path / "run", "--poses", "still"]
     run = begun(*words)
     picture = bytes(64 * 32 * 3)
     heard = []
@@ -191,7 +194,7 @@ def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
         return run.poll() is not None or len(heard) > 0 or (heard.append(run.stdout.readline()) or False)
 
     wait_for(speaks)
-    assert json.loads(heard[0])["query"] == "red chair"
+    assert json.loads(heard[0])["query"] == "red"
     sessions = sessions_of(run.pid)
     os.killpg(run.pid, number)  # as a terminal does
     _, err = run.communicate(timeout=60)
@@ -206,17 +209,17 @@ def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
     ("words", "says"),
     [
         (["{film}"], "wanted SOURCE, then one or more QUERY"),
-        (["/nowhere", "red chair"], "there is no file or folder '/nowhere'"),
-        (["/dev/video77", "red chair"], "/dev/video77"),
-        (["{film}", "red chair", "--rate", "0"], "--rate 0"),
-        (["{film}", "red chair", "--patience", "-1"], "--patience -1"),
-        (["{film}", "red chair", "red chair"], "a query comes twice"),
-        (["{film}", "red chair", "--poses", "go2"], "wanted a CSV file"),
-        (["{film}", "red chair", "--poses", "nowhere.csv"], "nowhere.csv"),
-        (["{film}", "red chair", "--record", "{film}"], "name a new folder"),
-        (["{film}", "red chair", "--perception", "nonesuch"], "there is no perception 'nonesuch'"),
+        (["/nowhere", "red"], "there is no file or folder '/nowhere'"),
+        (["/dev/video77", "red"], "/dev/video77"),
+        (["{film}", "red", "--rate", "0"], "--rate 0"),
+        (["{film}", "red", "--patience", "-1"], "--patience -1"),
+        (["{film}", "red", "red"], "a query comes twice"),
+        (["{film}", "red", "--poses", "go2"], "wanted a CSV file"),
+        (["{film}", "red", "--poses", "nowhere.csv"], "nowhere.csv"),
+        (["{film}", "red", "--record", "{film}"], "name a new folder"),
+        (["{film}", "red", "--perception", "nonesuch"], "there is no perception 'nonesuch'"),
         (["{film}", "pet snail", "--perception", "colour"], "pet snail"),
-        (["{film}", "red chair", "--mask", "nowhere.png"], "nowhere.png"),
+        (["{film}", "red", "--mask", "nowhere.png"], "nowhere.png"),
         (["replay"], "the folder of one recording"),
         (["replay", "/nowhere"], "/nowhere"),
         (["replay", "{film}"], "holds no bag"),
@@ -230,3 +233,24 @@ def test_what_cannot_be_done_is_said_in_a_sentence_with_exit_code_2(words, says,
     errors = [line for line in captured.err.splitlines() if line.startswith("eagor: error: ")]
     assert len(errors) == 1
     assert says in errors[0]
+
+
+def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
+    (tmp_path / "film").mkdir()
+    room, hfov = painted_room(256, 512), math.radians(80)
+    for number in range(8):
+        seen = view(room, PerspectiveGrid(180, 240, hfov, world_R_body(0.09 * number)))
+        Image.fromarray(seen).save(tmp_path / "film" / f"{number / 10:.2f}.png")
+    words = ["--hfov", "80", "--fast", "--json", "--record", str(tmp_path / "run"), "--pictures", "png"]
+    assert main(["live", str(tmp_path / "film"), "the red ball", *words]) == 0
+    last = lines(capsys)[-1]
+    truth = bearing(Room().balls[0], EYE, world_R_body(0.63))[0]
+    azimuth = math.degrees(math.atan2(truth[1], truth[0]))
+    assert abs(last["azimuth_deg"] - azimuth) < 3, "it has left the picture"
+    again = ["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]
+    assert main(again) == 2
+    assert "--hfov DEGREES" in capsys.readouterr().err
+    assert main([*again, "--hfov", "80"]) == 0
+    assert abs(lines(capsys)[-1]["azimuth_deg"] - azimuth) < 3
+    assert main(["live", str(tmp_path / "film"), "the red ball", "--fast"]) == 2
+    assert "--hfov DEGREES" in capsys.readouterr().err

@@ -1,6 +1,9 @@
 """``eagor live`` on the topics of a ROS 2 system, and of a Go2, over real DDS."""
 
 import json
+import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -50,23 +53,28 @@ def robot():
             thread.join()
 
 
-def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot, capsys):
-    words = ["ros:/image", "red chair", "--poses", "ros:/odom", "--domain", str(robot), "--interface", "lo"]
-    assert main(["live", *words, "--json", "--seconds", "8"]) == 0
-    captured = capsys.readouterr()
-    answers = [json.loads(line) for line in captured.out.splitlines()]
-    known = [answer for answer in answers if answer["status"] == "tracking"]
-    # On a busy machine the robot falls silent at times.
-    known = [answer for answer in known if answer["pose_age"] is not None and answer["pose_age"] < 0.1]
-    assert len(known) > 10
+def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot):
+    words = ["ros:/image", "red", "--poses", "ros:/odom", "--domain", str(robot), "--interface", "lo", "--json"]
+    command, known = [sys.executable, "-m", "eagor", "live", *words, "--seconds", "120"], []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            answer = json.loads(line)
+            # On a busy machine the robot falls silent at times.
+            if answer["status"] == "tracking" and answer["pose_age"] is not None and answer["pose_age"] < 0.1:
+                known.append(answer)
+            if len(known) > 15 and np.ptp([answer["stamp"] for answer in known[5:]]) > 1:
+                break
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert len(known) > 15, said
     # In the world the chair stands still, while it turns with half a radian per second in the robot's frame.
     world = np.degrees(np.unwrap(np.radians([a["azimuth_deg"] + np.degrees(TURN * a["stamp"]) for a in known[5:]])))
     assert np.ptp(world) < 12
-    assert np.ptp([answer["stamp"] for answer in known[5:]]) > 1
-    assert "s behind this machine's; its stamps are shifted" in captured.err
+    assert "s behind this machine's; its stamps are shifted" in said
 
 
 def test_a_topic_that_is_not_there_is_an_error_that_names_those_there_are(robot, capsys):
-    words = ["ros:/nowhere", "red chair", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
+    words = ["ros:/nowhere", "red", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
     assert main(["live", *words]) == 2
     assert "/image" in capsys.readouterr().err

@@ -40,6 +40,14 @@ RUNS = {"waypoint": "leg_steps=4", "navigation": "max_steps=3", "tracking": "ste
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
+# Of each family by itself: tests/contracts/test_transformers.py.
+families = pytest.mark.parametrize(
+    "family",
+    [
+        one if one in ("qwen2_5_vl", "gemma3") else pytest.param(one, marks=pytest.mark.slow)
+        for one in vlm_models.LANGUAGE
+    ],
+)
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +117,7 @@ def nobody():
 # --- locate ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+@families
 def test_locate_points_at_what_the_planted_head_looks_at(eagor, planted, panorama, family):
     folder = planted(family)
     spec = f"{folder}?extractor=attention&presence=false&heads={folder / 'heads.json'}"
@@ -146,7 +154,7 @@ def seen_in_a_view(perception, place):
     return evidence, Belief.uniform(15).update(evidence).mode()
 
 
-@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+@families
 def test_a_model_looks_at_an_ordinary_picture(planted, family):
     folder = planted(family)
     pixels = {"pixels": vlm_models.PIXELS[family]} if family in vlm_models.PIXELS else {}
@@ -185,7 +193,9 @@ def records(folder):
     return [json.loads(line) for file in files for line in file.read_text().splitlines() if line]
 
 
-@pytest.mark.parametrize("task", RUNS)
+@pytest.mark.parametrize(
+    "task", ["navigation", *(pytest.param(task, marks=pytest.mark.slow) for task in ("waypoint", "tracking"))]
+)
 def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
     loads, really = [], loading.load_model
     monkeypatch.setattr(loading, "load_model", lambda name, **rest: loads.append(name) or really(name, **rest))
@@ -213,6 +223,7 @@ def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
     assert "ms each on average" in page
 
 
+@pytest.mark.slow
 def test_a_run_on_two_processes(eagor, planted, tmp_path):
     spec = f"{planted(QWEN)}?{SMALL}&extractor=attention"
     words = ("bench", "run", "navigation", "--perception", spec, "--seed", "3", "--set", "max_steps=2")
@@ -269,7 +280,7 @@ def test_a_perception_is_made_once_per_process():
     shared.cache_clear()
 
 
-@pytest.mark.parametrize("family", vlm_models.LANGUAGE)
+@families
 def test_panoramas_are_rendered_as_fine_as_the_model_sees(planted, family):
     perception = load(str(planted(family)))
     rows = rows_of(perception)

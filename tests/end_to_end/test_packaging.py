@@ -18,7 +18,10 @@ import yaml
 from PIL import Image
 
 from eagor import __version__, perception, worlds
+from eagor.drawing.video import Movie
 from eagor.media import camera_sources as cameras
+from eagor.media.panorama import turn
+from eagor.sphere import world_R_body
 from eagor.tasks import benchmark, task
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
@@ -153,7 +156,7 @@ def test_the_package_runs_without_the_repository(eagor, installed, tmp_path):
                  env=os.environ | {"PYTHONPATH": str(installed)})  # fmt: skip
     assert where.strip() == str(installed / "eagor" / "__init__.py")
     Image.fromarray(painted_room(64, 128)).save(tmp_path / "room.png")
-    found = json.loads(eagor("locate", "room.png", "the red ball", "--json"))
+    found = json.loads(eagor("locate", "room.png", "red", "--json"))
     azimuth, elevation = (np.degrees(a) for a in _angles(bearing(Room().balls[0], EYE, np.eye(3))[0]))
     assert abs(found["azimuth_deg"] - azimuth) < 3
     assert abs(found["elevation_deg"] - elevation) < 3
@@ -180,6 +183,7 @@ def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
     assert "worlds (--world): apartment, habitat, hall, or a GLB file" in text
 
 
+@pytest.mark.slow
 def test_a_plugins_task_in_a_plugins_world_is_run_and_reported(eagor, tmp_path):
     run = ("bench", "run", "turntable", "--world", "hall", "--perception", "truth:ideal", "--episodes", "2", "--seed",
            "3", "--methods", "centroid", "eagor", "--set", "steps=8", "--out", "run")  # fmt: skip
@@ -195,6 +199,29 @@ def test_a_plugins_task_in_a_plugins_world_is_run_and_reported(eagor, tmp_path):
     for part in ("Turntable: 2 episodes", "Colour of the target", "Error by step", "Three episodes to look at"):
         assert part in page
     assert "No pictures" not in page
+
+
+@pytest.mark.slow
+@pytest.mark.registry
+def test_the_first_commands_of_the_readme_end_with_an_answer(dist, tmp_path):
+    """As printed and in order, in an empty environment: what pip and npm fetch comes from their registries."""
+    with tarfile.open(dist[0]) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (clone,) = tmp_path.iterdir()
+    film = Movie(clone / "clip.mp4", (512, 256), rate=4)
+    for stamp in np.arange(0, 2, 0.25):
+        film.add(turn(painted_room(256, 512), world_R_body(0.4 * stamp).T), stamp)
+    film.close()
+    text = (ROOT / "README.md").read_text(encoding="utf-8").partition("```sh\n")[2].partition("```")[0]
+    assert text.splitlines()[-1].startswith("eagor track clip.mp4")
+    clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    clean |= {"EAGOR_CACHE": str(tmp_path / "cache")}
+    ran = subprocess.run(["bash", "-euc", text], cwd=clone, env=clean, capture_output=True, text=True, timeout=3600)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "coco is installed" in ran.stdout
+    assert "cone 90%" in ran.stdout
+    assert (clone / "out.mp4").stat().st_size > 0
+    assert (clone / "out.html").stat().st_size > 0
 
 
 def _angles(direction):

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import eagor
 from processes import alive, sessions_of, wait_for
 
-from eagor.cli import main
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.plant import Plant, PlantSettings
 from eagor.robots.go2.sim import WireSettings
@@ -30,12 +30,6 @@ from eagor.robots.go2.sport import SportClient
 pytestmark = pytest.mark.xdist_group("real time")
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "go2.md"
-
-
-def eagor(*words, **how):
-    return subprocess.run(
-        [sys.executable, "-m", "eagor", *map(str, words)], capture_output=True, text=True, timeout=300, **how
-    )
 
 
 def check(domain, *words):
@@ -71,7 +65,8 @@ def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, c
         report = json.loads(done.stdout)
         assert set(said["topics"]) - {"rt/api/sport/request", "rt/api/obstacles_avoid/request"} <= {*report["topics"]}
         assert (report["firmware"], report["mode"]) == ("states of 516 bytes, with a planned path", "standing")
-        assert (report["battery"], report["sport_version"], report["error_code"]) == (87, "1.0.0.1", 0)
+        assert (report["sport_version"], report["error_code"]) == ("1.0.0.1", 0)
+        assert 50 < report["battery"] <= 87  # it empties while a busy machine takes its time
         assert report["cameras"] == ["rt/x3/image/compressed"]
         assert report["rates"]["rt/sportmodestate"] > 0
         slow = [problem for problem in report["problems"] if "processor" not in problem]  # this machine may be busy
@@ -106,8 +101,9 @@ def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
             done = check(domain, "--seconds", 1.5)
             assert done.returncode == 1, done.stderr
             assert "states of 236 bytes, without a planned path" in done.stdout
-            assert "777." in done.stdout
-            assert "behind this machine's" in done.stdout
+            behind = re.search(r"([\d.]+) s behind this machine's", done.stdout)
+            assert behind is not None, done.stdout
+            assert 770 < float(behind[1]) < 800  # less the time that messages take
             assert "problem: the robot reports error 1001" in done.stdout
             assert "problem: the battery is at 9 %: charge it" in done.stdout
             assert "2 publish rt/sportmodestate" in done.stdout
@@ -166,24 +162,32 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
         (("walk",), "unknown command 'walk'; wanted"),
     ],
 )
-def test_wrong_usage_is_one_line(words, said, capsys):
-    assert main(["robot", *words]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    errors = [line for line in printed.err.splitlines() if line.startswith("eagor: error:")]
+def test_wrong_usage_is_one_line(words, said):
+    done = eagor("robot", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    errors = [line for line in done.stderr.splitlines() if line.startswith("eagor: error:")]
     assert len(errors) == 1
     assert said in errors[0]
 
 
-def test_the_page_about_the_go2_runs_as_written_and_begins_with_safety():
+def commands_of_the_page():
+    """The first command of the page, which starts a robot, and the others, which need nothing else."""
+    parts = PAGE.read_text(encoding="utf-8").split("```sh\n")
+    lines = [part.split("```")[0].strip() for before, part in pairwise(parts) if "*Needs" not in before[-40:]]
+    return [shlex.split(line) for line in lines]
+
+
+def test_the_page_about_the_go2_begins_with_safety():
     text = PAGE.read_text(encoding="utf-8")
     assert 0 < text.index("(robot-safety.md)") < text.index("```sh")
-    parts = text.split("```sh\n")
-    lines = [part.split("```")[0].strip() for before, part in pairwise(parts) if "*Needs" not in before[-40:]]
-    first, *others = [shlex.split(line) for line in lines]
-    assert [words[:3] for words in (first, *others)] == [
+    assert [words[:3] for words in commands_of_the_page()] == [
         ["eagor", "robot", "sim"], ["eagor", "robot", "check"], ["eagor", "live", "ros:/x3/image/compressed"],
     ]  # fmt: skip
+
+
+@pytest.mark.slow  # its three commands are tried by themselves, too
+def test_the_page_about_the_go2_runs_as_written():
+    first, *others = commands_of_the_page()
     alone = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
     command = [sys.executable, "-m", *first]
     with subprocess.Popen(
@@ -194,7 +198,12 @@ def test_the_page_about_the_go2_runs_as_written_and_begins_with_safety():
             said = list(takewhile(lambda line: line != "end it with Ctrl-C\n", robot.stdout))
             assert any("green sofa" in line for line in said)
             for words in others:
-                done = eagor(*words[1:], env=alone)
+                for _ in range(4):  # on a busy machine nothing is looked at within so few seconds
+                    done = subprocess.run(
+                        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=300, env=alone
+                    )
+                    if "nothing was looked at" not in done.stderr:
+                        break
                 busy = words[2] == "check" and "processor" in done.stdout  # this machine, not the robot
                 assert done.returncode == (1 if busy else 0), (words, done.stdout, done.stderr)
                 if words[1] == "live":

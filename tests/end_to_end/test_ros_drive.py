@@ -91,7 +91,7 @@ def test_a_base_is_driven_to_a_ball_and_stands_when_the_node_is_killed(base):
     domain, until = base
     where = ["--domain", str(domain), "--interface", "lo", "--rate", "10"]
     node = subprocess.Popen(
-        [sys.executable, "-m", "eagor", "ros", "red ball", *where, "--cmd-vel", "/cmd_vel", "--distance", "1.2"],
+        [sys.executable, "-m", "eagor", "ros", "red", *where, "--cmd-vel", "/cmd_vel", "--distance", "1.2"],
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -110,5 +110,5 @@ def test_a_base_is_driven_to_a_ball_and_stands_when_the_node_is_killed(base):
 
 
 def test_driving_without_odometry_is_refused(capsys):
-    assert main(["ros", "red ball", "--cmd-vel", "/cmd_vel", "--poses", "auto"]) == 2
+    assert main(["ros", "red", "--cmd-vel", "/cmd_vel", "--poses", "auto"]) == 2
     assert "a base is driven only by odometry" in capsys.readouterr().err

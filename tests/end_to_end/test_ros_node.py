@@ -112,7 +112,7 @@ TOPICS = {
     "/eagor/markers": made.MARKERS,
     "/eagor/belief_image": m.IMAGE,
     "/eagor/belief": made.NUMBERS,
-    "/eagor/yellow_ball/direction": m.VECTOR,
+    "/eagor/yellow/direction": m.VECTOR,
     "/diagnostics": made.DIAGNOSTICS,
 }
 
@@ -156,7 +156,7 @@ def worst(got, topic, ball, count=20):
 def test_directions_of_a_turning_robot(robot):
     domain = robot(10.0)
     heard = Heard(domain)
-    process = node(domain, "red ball")
+    process = node(domain, "red")
     try:
         heard.until(lambda got: len(got["/eagor/direction"]) >= 30, "directions come")
         heard.until(lambda got: len(got["/eagor/belief_image"]) >= 2 and got["/eagor/belief"], "beliefs come")
@@ -166,7 +166,7 @@ def test_directions_of_a_turning_robot(robot):
         direction, pose, markers = (got[f"/eagor/{name}"][-1] for name in ("direction", "direction_pose", "markers"))
         assert direction.header.frame_id == pose.header.frame_id == "base_link"
         assert abs(m.stamp_of(direction) - time.time()) < LONG
-        assert [(each.ns, each.id, each.action) for each in markers.markers] == [("red ball", k, 0) for k in range(3)]
+        assert [(each.ns, each.id, each.action) for each in markers.markers] == [("red", k, 0) for k in range(3)]
         picture = got["/eagor/belief_image"][-1]
         assert (picture.encoding, picture.height, picture.width) == ("mono8", 64, 128)
         assert picture.header.frame_id == "x3_link"
@@ -188,22 +188,22 @@ def test_queries_come_on_a_topic_and_faults_are_told(robot):
             "the node says that it waits",
         )
         query = heard.link.publish("/eagor/query", m.TEXT, transient=True)
-        query.write(m.text_message("red ball"))
+        query.write(m.text_message("red"))
         heard.until(lambda got: worst(got, "/eagor/direction", 0) < 5, "the red ball is found")
-        query.write(m.text_message("+yellow ball"))
-        heard.until(lambda got: worst(got, "/eagor/yellow_ball/direction", 2) < 5, "the yellow ball is found, too")
+        query.write(m.text_message("+yellow"))
+        heard.until(lambda got: worst(got, "/eagor/yellow/direction", 2) < 5, "the yellow ball is found, too")
         query.write(m.text_message("zzz"))  # no perception of ours knows that word
         heard.until(
             lambda got: any("zzz" in s.message for d in got["/diagnostics"] for s in d.status), "a bad query is told"
         )
-        query.write(m.text_message("blue ball"))
+        query.write(m.text_message("blue"))
         with heard.news:
             heard.got["/eagor/direction"].clear()
         heard.until(lambda got: worst(got, "/eagor/direction", 1) < 5, "the node goes on with the blue ball")
         heard.until(
             lambda got: {
                 (k.ns, k.action) for each in got["/eagor/markers"] for k in each.markers
-            } >= {("red ball", 2), ("yellow ball", 2), ("blue ball", 0)},
+            } >= {("red", 2), ("yellow", 2), ("blue", 0)},
             "markers of old queries are taken away",
         )  # fmt: skip
     finally:
@@ -216,33 +216,35 @@ def test_queries_come_on_a_topic_and_faults_are_told(robot):
 def test_a_node_without_a_camera_or_with_a_wrong_topic(robot, capsys):
     domain = robot(0.0)
     where = ["--domain", str(domain), "--interface", "lo"]
-    assert main(["ros", "red ball", "--image-topic", "/odom", *where]) == 2
+    assert main(["ros", "red", "--image-topic", "/odom", *where]) == 2
     assert "/odom is of type nav_msgs/msg/Odometry; wanted sensor_msgs/msg/Image or" in capsys.readouterr().err
-    assert main(["ros", "red ball", "--odom-topic", "/odometry", *where]) == 2
+    assert main(["ros", "red", "--odom-topic", "/odometry", *where]) == 2
     assert "has no topic /odometry; it has /image/compressed" in capsys.readouterr().err
-    assert main(["ros", "red ball", "--domain", str(domain), "--interface", "wlan77"]) == 2
+    assert main(["ros", "red", "--domain", str(domain), "--interface", "wlan77"]) == 2
     assert "there is no network interface 'wlan77'" in capsys.readouterr().err
-    assert main(["ros", "red ball", "--domain", "300"]) == 2
+    assert main(["ros", "red", "--domain", "300"]) == 2
     assert "DDS domain 300; wanted a whole number from 0 to 232" in capsys.readouterr().err
-    assert main(["ros", "red ball", "--name", "a b", *where]) == 2
+    assert main(["ros", "red", "--name", "a b", *where]) == 2
     assert "--name a b; wanted letters" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_run_of_some_seconds_is_recorded(robot, tmp_path):
     from eagor.media.bags.reader import Bag
 
     domain = robot(0.0)
-    process = node(domain, "red ball", "--seconds", "8", "--json", "--record", str(tmp_path / "run"))
+    process = node(domain, "red", "--seconds", "8", "--json", "--record", str(tmp_path / "run"))
     out, err = process.communicate(timeout=LONG)
     assert process.returncode == 0, err
     assert json.loads(out)["answers"] > 10
     assert Bag(tmp_path / "run").counts["/eagor/events"] > 10
 
 
+@pytest.mark.slow
 def test_a_killed_node_leaves_nothing_behind(robot):
     domain = robot(0.0)
     heard = Heard(domain)
-    process = node(domain, "red ball")
+    process = node(domain, "red")
     try:
         heard.until(lambda got: got["/eagor/direction"], "directions come")
         sessions = sessions_of(process.pid)

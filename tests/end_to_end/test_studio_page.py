@@ -173,6 +173,7 @@ def test_plots_are_told_in_words(page: Watched) -> None:
     assert "You look" in page.locator("#stage-looking").text_content()
 
 
+@pytest.mark.slow
 def test_other_methods_are_drawn_by_choice(page: Watched) -> None:
     page.locator(".rivals summary").click()
     before = pixels(page, ".flat-frame")
@@ -203,6 +204,7 @@ def test_axe_finds_nothing_serious_in_both_schemes(page: Watched) -> None:
     page.emulate_media(color_scheme="dark")
 
 
+@pytest.mark.slow
 def test_a_phone_has_it_all_below_each_other(open_page: Callable[..., Watched], page: Watched) -> None:
     phone = open_page(390, 844, color_scheme="dark", device_scale_factor=2, has_touch=True, is_mobile=True)
     phone.goto(page.url)
@@ -228,6 +230,7 @@ def test_a_phone_has_it_all_below_each_other(open_page: Callable[..., Watched], 
     phone.context.close()
 
 
+@pytest.mark.slow
 def test_a_large_screen_is_used(open_page: Callable[..., Watched], page: Watched) -> None:
     large = open_page(3840, 2160, color_scheme="dark")
     large.goto(page.url)

@@ -55,7 +55,7 @@ def refused(capsys):
         ("locate a b --stamp now", "--stamp now: wanted a number"),
         ("bench run waypoint --engine foo", "--engine foo: wanted processes, threads or ray"),
         ("calibrate all", "WHAT 'all': wanted responses or heads"),
-        ("locate", "eagor locate needs PANO QUERY, and lacks PANO and QUERY; eagor locate --help"),
+        ("locate", "eagor locate needs PICTURE QUERY, and lacks PICTURE and QUERY; eagor locate --help"),
         ("locate a.png", "eagor locate needs PANO QUERY, and lacks QUERY"),
         ("locate a.png red chair", "got 'chair' too. Write a query of several words in quotes: \"red chair\""),
         ("doctor please", "eagor doctor takes no 'please', only options"),

@@ -21,6 +21,7 @@ from eagor.worlds.render import Renderer
 
 PHOTOGRAPHS = sorted(Path(__file__).parents[2].joinpath("../shared/panoramas").glob("*.png"))
 NAMES = ["painted", *(path.stem for path in PHOTOGRAPHS)]
+FEW = [*NAMES[:2], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[2:])]
 
 
 @lru_cache(maxsize=8)
@@ -75,7 +76,7 @@ def test_no_alarm_wherever_the_seam_is(name):
     assert not any(alarms)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_no_alarm_in_apartments(seed):
     scene = generate(seed)
     renderer, ground, rng = Renderer(scene), Ground.from_scene(scene), np.random.default_rng(seed)
@@ -97,7 +98,7 @@ def test_no_alarm_in_the_dark():
 # --- fisheye ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FEW)
 @pytest.mark.parametrize("scale", [0.85, 0.95, 1.0, 1.1])
 def test_fisheye_circles_are_found(name, scale):
     front, back = lenses(room(name), scale)
@@ -156,7 +157,7 @@ def holes(shape):
     return [elevation < -75, np.abs(elevation) > 60, np.abs(azimuth) > 90, elevation > 84]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FEW)
 @pytest.mark.parametrize("which", range(4))
 def test_black_holes_are_found(name, which):
     image = room(name).copy()

@@ -55,7 +55,7 @@ def share(model):
         {},
         pytest.param({"habit": (9.0, 1.0), "alarms": 3.0, "spread": 0.03}, marks=pytest.mark.slow),
         pytest.param({"habit": (2.0, 4.0), "alarms": 0.1, "spread": 0.2}, marks=pytest.mark.slow),
-        {"targets": (3, 2), "groups": 10, "each": 12},
+        pytest.param({"targets": (3, 2), "groups": 10, "each": 12}, marks=pytest.mark.slow),
         {"posed": False},
     ],
     ids=["usual", "sharp among many false alarms", "blunt", "three at once", "without poses"],
@@ -115,7 +115,9 @@ def test_look_alikes_are_told_from_false_alarms_that_pass(alikes, alike):
     assert unknown.false_alarms_per_look == pytest.approx(0.2 + lasting, abs=0.06), "all that is false is counted"
 
 
-@pytest.mark.parametrize(("spread", "offset"), [(0.03, 0.06), (0.06, 0.03), (0.05, 0.0)])
+@pytest.mark.parametrize(
+    ("spread", "offset"), [(0.03, 0.06), pytest.param(0.06, 0.03, marks=pytest.mark.slow), (0.05, 0.0)]
+)
 def test_what_a_place_keeps_is_told_from_what_each_look_errs(spread, offset):
     looks = looks_of(np.random.default_rng(3), groups=40, spread=spread, offset=offset, targets=(1, 2))
     model = fit_detector(looks, resamples=0).model
@@ -272,7 +274,7 @@ def test_several_targets_are_assigned_as_an_enumeration_says():
     [
         ({"alikes": 0.7, "alarms": 0.2, "spread": 0.03}, 0.15, 0.35),
         ({"alikes": 0.0, "alarms": 0.5}, 0.12, 0.2),
-        ({"alikes": 0.7, "alarms": 0.1, "habit": (4.0, 2.0)}, 0.15, 0.35),
+        pytest.param({"alikes": 0.7, "alarms": 0.1, "habit": (4.0, 2.0)}, 0.15, 0.35, marks=pytest.mark.slow),
     ],
     ids=["sharp", "no look-alikes", "often found"],
 )

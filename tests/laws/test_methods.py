@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
-from eagor.cli.demo_apartment import SPOKEN
 from eagor.drawing.charts import CURVES
 from eagor.errors import EagorError, TimeError
 from eagor.evaluation.charts import STYLES
@@ -201,9 +200,8 @@ def test_a_variant_varies_the_calibration_of_the_perception():
     assert make_method("eagor", np.random.default_rng(0), "truth", ours).config.calibration is None
 
 
-def test_every_method_has_settings_words_and_looks_of_its_own():
+def test_every_method_has_settings_and_looks_of_its_own():
     assert set(SETTINGS) == set(EVERY)
-    assert set(SPOKEN) == set(NAMES)
     assert set(EVERY) <= set(STYLES)
     assert set(LIGHT) == set(DARK) == set(STYLES)
     assert len({str(STYLES[name]) for name in EVERY}) == len(EVERY)

@@ -100,11 +100,10 @@ def wall_of(look):
 @pytest.mark.parametrize("kind", COLOURED)
 @pytest.mark.parametrize("colour", COLOURS)
 def test_materials_are_seen_as_their_colour(kind, colour):
-    for seed in range(2):
-        image = wall_of(material(kind, colour, np.random.default_rng(seed)))
-        seen = {name: float(perceive.respond(image, name).mean()) for name in COLOURS}
-        assert max(seen, key=lambda name: seen[name]) == colour
-        assert seen[colour] > 0.5
+    image = wall_of(material(kind, colour, np.random.default_rng(0)))
+    seen = {name: float(perceive.respond(image, name).mean()) for name in COLOURS}
+    assert max(seen, key=lambda name: seen[name]) == colour
+    assert seen[colour] > 0.5
 
 
 @pytest.mark.parametrize("colour", PICTURES["rug"].colours)

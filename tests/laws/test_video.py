@@ -76,11 +76,18 @@ def test_variable_rates_keep_their_times(tmp_path):
         assert taken == pytest.approx([0.0, 1.0, 1.5, 3.0])  # 0.5 is seen at 1.0, which is that tick's as well
 
 
+@pytest.fixture(scope="module")
+def sixty(tmp_path_factory):
+    """Clips of two seconds, by the ending of their names."""
+    folder = tmp_path_factory.mktemp("sixty")
+    return {name: clips.clip(folder / name, clips.rolled(60)) for name in ("a.mp4", "a.mkv")}
+
+
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
 @pytest.mark.parametrize("rate", [0.7, 4.0, 7.0, 30.0, 1000.0])
 @pytest.mark.parametrize(("start", "end"), [(0.0, None), (0.4, 1.3), (1.01, None)])
-def test_the_first_picture_at_or_after_each_tick(tmp_path, name, rate, start, end):
-    path = clips.clip(tmp_path / name, clips.rolled(60))
+def test_the_first_picture_at_or_after_each_tick(sixty, name, rate, start, end):
+    path = sixty[name]
     stamps, rounding = ([round(k / 30, 3) for k in range(60)], 5e-4) if name == "a.mkv" else (
         [k / 30 for k in range(60)], 1e-9
     )  # fmt: skip

@@ -22,6 +22,7 @@ def kills(*words):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_killed_run_of_a_simulated_task_comes_to_the_same():
     said = kills("--kills", 1, "--episodes", 4, "--task", "waypoint")
     assert "1 kills" in said

@@ -136,6 +136,7 @@ def test_a_camera_that_is_unplugged_comes_back():
     assert len(opened) == 3
 
 
+@pytest.mark.slow
 def test_a_source_object_that_ends_is_read_again():
     class Passing(Unplugged):
         def __iter__(self):

@@ -80,7 +80,8 @@ def test_a_run_on_ray_leaves_none_of_its_servers(tmp_path):
     check_end(tmp_path / "run", signal.SIGTERM, True, 2, "--engine", "ray")
 
 
-@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.slow
 def test_a_run_that_is_ended_while_ray_begins_leaves_nobody_either(tmp_path, number):
     """Ray takes SIGTERM for itself then, and some of its servers wait a minute for one that has gone."""
     words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
@@ -89,6 +90,7 @@ def test_a_run_that_is_ended_while_ray_begins_leaves_nobody_either(tmp_path, num
     assert ended(run, number) == TOLD[number]
 
 
+@pytest.mark.slow
 def test_a_run_on_ray_that_is_killed_leaves_nobody(tmp_path):
     words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
     run = begun(*words, "--engine", "ray", "--out", tmp_path / "run", "--json")

@@ -349,6 +349,7 @@ with av.open(sys.argv[1], "w") as container:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is of Linux")
+@pytest.mark.slow
 def test_8k_stays_below_one_and_a_half_gigabytes(tmp_path):
     path = str(tmp_path / "8k.mp4")
     subprocess.run([sys.executable, "-c", WRITE, path], check=True, timeout=300)

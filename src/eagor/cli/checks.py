@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 MAX_DEGREE = 63
 LEAST_ROWS = 8
 MOST_DRIFT = 90  # degrees
+NO_THING = ("a", "the", "something", "thing", "one")  # a query of these and a colour names nothing else
+SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
 
 
 # --- numbers and words ---------------------------------------------------------------------------------------------
@@ -157,22 +160,36 @@ def keep_picture(picture: Image.Image, path: Path) -> None:
 def perception_for(query: str, spec: str | None) -> str:
     """The perception to use: ``--perception``, or the one that suits the query.
 
-    By default a query that names a colour is answered by ``colour``, any other by the detector ``coco``. Raises
-    `QueryError` if that is not installed.
+    By default that is the detector ``coco``. A colour before the noun weighs its boxes. Where it is not installed, or
+    does not know the noun, a query that names a colour is answered by ``colour``, and a line on stderr says so. Raises
+    `QueryError` for a query without a colour if the detector is not installed.
     """
-    from eagor.perception.colour import colour_in
+    from eagor.perception.coco import CLASSES, COCO
+    from eagor.perception.colour import colour_in, is_colour
 
     if spec is not None:
         return spec
-    if colour_in(query) is not None:
-        return "colour"
-    from eagor.perception.coco import COCO
+    if colour_in(query) is None:
+        if COCO.path.is_file():
+            return "coco"
+        from eagor.cli.models import how_to_find
 
-    if COCO.path.is_file():
-        return "coco"
-    from eagor.cli.models import how_to_find
+        raise QueryError(how_to_find(query))
+    from eagor.perception.words import meant, plain
 
-    raise QueryError(how_to_find(query))
+    try:
+        meant(query, CLASSES, coloured=True)
+    except QueryError:
+        why = "the detector coco knows no such thing, and docs/models.md says which models know any words"
+    else:
+        if COCO.path.is_file() and find_spec("onnxruntime") is not None:
+            return "coco"
+        from eagor.cli.models import how_to_get_coco
+
+        why = f"to get a detector that knows the thing, too: {how_to_get_coco()}"
+    if not is_colour(" ".join(word for word in plain(query).split() if word not in NO_THING)):
+        log(f"{query!r} is looked for by its colour alone (perception colour); {why}")
+    return "colour"
 
 
 def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
@@ -185,12 +202,16 @@ def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
     return found.pop()
 
 
-def make_perception(spec: str) -> Perception:
-    """The perception that ``--perception`` names."""
+def make_perception(spec: str, busy: bool = False) -> Perception:
+    """The perception that ``--perception`` names. `busy`: nothing else runs meanwhile, so it may take all cores."""
+    from eagor._processes import cores_to_take
     from eagor.perception import load
 
-    if spec.partition(":")[0] == "replay" and not spec.partition(":")[2]:
+    name, _, text = spec.partition(":")
+    if name == "replay" and not text:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
+    if busy and name in SHARED and not re.search(r"\b(together|threads)=", text):
+        return load(spec, together=cores_to_take())
     return load(spec)
 
 

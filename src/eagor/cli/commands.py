@@ -12,6 +12,7 @@ from eagor.cli.doctor import Doctor
 from eagor.cli.export import Export
 from eagor.cli.live import Live
 from eagor.cli.locate import Locate
+from eagor.cli.look import Look
 from eagor.cli.models import Models
 from eagor.cli.robot import Robot
 from eagor.cli.ros import Ros
@@ -20,6 +21,7 @@ from eagor.cli.track import Track
 
 Command = (
     Annotated[Locate, subcommand("locate")]
+    | Annotated[Look, subcommand("look")]
     | Annotated[Track, subcommand("track")]
     | Annotated[Live, subcommand("live")]
     | Annotated[Ros, subcommand("ros")]

@@ -1,4 +1,4 @@
-"""``eagor demo``: every method searches in an apartment, or with ``--photo`` in a photograph of yours."""
+"""``eagor demo``: a search in an apartment, or with ``--photo`` a camera that turns in a photograph of yours."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AUTO = "auto"  # the default of --perception
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common):
-    """Search with every method, in a furnished apartment or in a photograph, and write a report with pictures."""
+    """Search in a furnished apartment, or in a photograph of yours, and write a report with pictures."""
 
     runs: ClassVar[str] = "demo"
 
@@ -37,9 +37,10 @@ class Demo(Common):
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""
-    seed: Whole = 602
-    """Seed of the apartment, 0 to 9999. The default search was chosen because it is instructive."""
-    episode: Whole = 2
+    seed: Whole = 2
+    """Seed of the apartment, 0 to 9999. The default search was chosen by a rule: the first, from apartment 0 on, in
+    which the thing gets hidden again for 5 seconds."""
+    episode: Whole = 1
     """Search in this apartment, 0 to 4."""
     perception: Name = "auto"
     (
@@ -76,7 +77,9 @@ def _apartment(options: Demo) -> int:
     if options.json:
         terminal.emit(demo_apartment.as_json(search) | {"report": str(report)})
     else:
-        _print(demo_apartment.as_text(search), demo_apartment.summary(search), report)
+        _print(
+            demo_apartment.summary(search), [*demo_apartment.as_text(search), "", demo_apartment.STUDY_IN_WORDS], report
+        )
     return terminal.OK
 
 
@@ -146,6 +149,6 @@ def _read(path: Path) -> np.ndarray:
         raise ShapeError(f"{str(error).partition(';')[0]}; wanted a whole panorama: pad it to 2:1 first") from None
 
 
-def _print(table: list[str], summary: list[str], report: Path) -> None:
-    print("\n" + "\n".join(table) + "\n\n" + "\n".join(summary))
+def _print(above: list[str], below: list[str], report: Path) -> None:
+    print("\n" + "\n".join(above) + "\n\n" + "\n".join(below))
     print(f"\nThe report with pictures: {report}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
@@ -10,6 +9,7 @@ from importlib.util import find_spec
 from typing import Any, ClassVar
 
 from eagor._extras import EXTRAS
+from eagor._processes import usable_cores
 from eagor._version import __version__
 from eagor.cli import models, terminal
 from eagor.cli.options import Common
@@ -67,7 +67,7 @@ def doctor(options: Doctor) -> int:
         text for kind, each in points.items() for at in each.values() for text in plugins.left_out(at, kind[:-1])
     ] + plugins.unreadable()
     detectors = {model.name: models.in_words(model) for model in MODELS.values()}
-    cpu = {"name": _processor(), "cores": _cores()}
+    cpu = {"name": _processor(), "cores": usable_cores()}
     healthy = all(found.values())
     if options.json:
         result: dict[str, Any] = {"eagor": __version__, "python": platform.python_version()}
@@ -106,10 +106,6 @@ def _state(point: EntryPoint, faults: dict[EntryPoint, str], theirs: bool) -> st
         except Exception as error:  # a broken installation may raise anything
             why = f"{type(error).__name__}: {error}"
     return f"cannot be imported ({why})" if why else READY
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:

@@ -47,7 +47,7 @@ class Locate(Common):
     """What to look for, in words."""
     perception: Annotated[str | None, bare("NAME")] = None
     (
-        "The detector (default: colour if the query names one, otherwise coco): colour (the colour that the query "
+        "The detector (default: coco, or colour where only the colour is known): colour (the colour that the query "
         "names; colour:rows=512 for things of 1 degree), "
         "coco (a small network for everyday things, `eagor models get coco`), "
         "replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), a model "
@@ -94,7 +94,7 @@ def locate(options: Locate) -> int:
     if options.picture is not None:
         checked_picture(options.picture)
     with table(options.out) if options.out is not None else nullcontext() as write:
-        perception, stamp = make_perception(spec), options.stamp
+        perception, stamp = make_perception(spec, busy=True), options.stamp
         if stamp is None:  # a replay answers at its own times
             records = perception.records if isinstance(perception, ReplayPerception) else ()
             stamp = next((record.stamp for record in records if record.answers(query)), 0.0)

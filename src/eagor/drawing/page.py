@@ -61,8 +61,9 @@ class BeliefPage:
     """Takes the steps of a track one by one and writes the page to `path` when it is closed.
 
     Use it as a context manager: the page is written after Ctrl-C or an error too, and says that the run did not end.
-    Of more than 60 frames every second picture is dropped (again and again), and of more than 1500 every second row of
-    the table; the page says so. It has at most about 8 MB.
+    Of more than 60 frames every second picture is dropped (again and again, but never that of the last frame, which is
+    shown first, as the answer above it is that of the last), and of more than 1500 every second row of the table; the
+    page says so. It has at most about 8 MB.
 
     Args:
         path: the file, .html.
@@ -87,6 +88,8 @@ class BeliefPage:
         self._pictures, self._rows = Thinned(PICTURES), Thinned(ROWS)
         self._problems: list[tuple[str, str]] = []
         self._last: Estimate | None = None
+        self._newest: tuple[np.ndarray | None, str | None, PerspectiveGrid | None] = None, None, None
+        self._end: tuple[int, str, Moment]
         self._closed = False
 
     def add(
@@ -106,13 +109,19 @@ class BeliefPage:
         name = name or f"frame {self._rows.count}"
         if problem:
             self._problems.append((name, problem))
-        address = None
-        if self._pictures.wants:
-            address = as_address(self._painter.paint(picture, estimate, problem, grid))
-        else:
+        self._newest = picture, problem, grid
+        step = (self._rows.count, name, moment)
+        if not self._pictures.wants:
             self._painter.look(picture, estimate, grid)
-        self._pictures.add((address, self._rows.count, name, moment))
-        self._rows.add((self._rows.count, name, moment))
+        self._pictures.add((self._painted() if self._pictures.wants else None, *step))
+        self._rows.add(step)
+        self._end = step
+
+    def _painted(self) -> str:
+        """The picture of the frame that was added last."""
+        picture, problem, grid = self._newest
+        assert self._last is not None
+        return as_address(self._painter.paint(picture, self._last, problem, grid))
 
     def note(self, text: str) -> None:
         """A sentence under "What was left out"."""
@@ -143,6 +152,8 @@ class BeliefPage:
     def _page(self) -> str:
         templates, query = files("eagor.drawing") / "templates", " ".join(self.query.split())
         pictures = self._pictures.items
+        if pictures[-1][1] != self._end[0]:  # the answer above is that of the last frame: it is shown first
+            pictures = [*pictures, (self._painted(), *self._end)]
         steps = [
             {
                 "picture": picture,
@@ -164,8 +175,8 @@ class BeliefPage:
             data=json.dumps(data, ensure_ascii=False).replace("<", "\\u003c").replace("&", "\\u0026"),
             answer=escape(self._answer()),
             status=escape(self._status()),
-            first=pictures[0][0],
-            said=escape(steps[0]["said"]),
+            shown=pictures[-1][0],
+            said=escape(steps[-1]["said"]),
             most=len(pictures) - 1,
             count=len(pictures),
             pictures=escape(self._thinned()),

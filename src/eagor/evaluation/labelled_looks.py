@@ -79,7 +79,7 @@ class LabelledLook:
         if self.evidence.detections is None:
             raise ResponseError(
                 "a response map has no detections to count; wanted boxes, points or masks. Response maps are read by a "
-                "Calibration (docs/how-to/detector.md)"
+                "Calibration (docs/how-to/detector-errors.md)"
             )
         targets = np.asarray(self.targets, dtype=np.float64)
         targets = np.zeros((0, 3)) if targets.size == 0 else targets

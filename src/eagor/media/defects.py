@@ -158,6 +158,8 @@ class NeverSeen:
 
     def add(self, panorama: np.ndarray) -> np.ndarray:
         """The mask ``(H, W)`` of what was in `never_seen` of all panoramas so far; all have to have the same shape."""
+        if self.mask is not None and self.mask.shape == panorama.shape[:2] and not self.mask.any():
+            return self.mask  # and it stays so
         found = never_seen(panorama)
         self.mask = found if self.mask is None or self.mask.shape != found.shape else self.mask & found
         return self.mask

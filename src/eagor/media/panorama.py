@@ -19,7 +19,10 @@ from typing import IO
 import numpy as np
 from PIL import Image, ImageOps
 
-from eagor.errors import ImageError
+from eagor._checks import ROUNDING
+from eagor._extras import need
+from eagor._srgb import to_coded
+from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid
 from eagor.media.metadata import GPANO, Projection, of_photograph, properties
 from eagor.sphere import check_rotation
@@ -31,9 +34,10 @@ _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to
 
 _PAD = 8  # columns copied from the other side of the seam before a panorama is resized
 
-IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".hdr")
+TONE_MAPPED = "holds radiance (HDR); tone-mapped to 8 bits"
+MIDDLE = 0.18  # what the mean radiance becomes: grey
 
-ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
 
 
@@ -42,8 +46,8 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
 
     Grey, palette and transparent images become RGB (transparency is dropped). It is turned or mirrored as the
     orientation tag of the file (Exif) says, unless that would stand a 2:1 panorama on its side. An image that is not
-    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Raises `ImageError` if there is
-    no readable image.
+    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Radiance (.hdr) is tone-mapped,
+    with a warning; that needs OpenCV. Raises `ImageError` if there is no readable image.
     """
     name = os.fspath(path)
     if not os.path.exists(name):
@@ -53,7 +57,9 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     if os.path.getsize(name) == 0:
         raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
     try:
-        image = read_image(name, os.path.getsize(name), _lying)
+        image = tone_mapped(_radiance(name)) if _is_hdr(name) else read_image(name, os.path.getsize(name), _lying)
+    except MissingExtraError:
+        raise
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
@@ -61,6 +67,8 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
             f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, truncated or of "
             "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
         ) from error
+    if _is_hdr(name):
+        warnings.warn(f"{name!r} {TONE_MAPPED}", UserWarning, stacklevel=2)
     height, width = image.shape[:2]
     if width != 2 * height:
         warnings.warn(
@@ -70,6 +78,52 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
             stacklevel=2,
         )
     return image
+
+
+def _is_hdr(name: str) -> bool:
+    return name.lower().endswith(".hdr")
+
+
+def _radiance(name: str) -> np.ndarray:
+    """Linear red, green, blue ``(H, W, 3)`` float32 of a Radiance picture (RGBE, Ward 1991)."""
+    need("a picture with radiance (.hdr)", "photos", "cv2")
+    import cv2
+
+    with open(name, "rb") as file:
+        head = file.read(1 << 16)
+    size = re.search(rb"\n[-+]Y (\d{1,6}) [-+]X (\d{1,6})\n", head)
+    if not head.startswith(b"#?") or size is None:
+        raise ImageError("is no Radiance picture (it has no header of one); export it again, or as PNG or JPEG")
+    height, width = int(size[1]), int(size[2])
+    if 12 * height * width > max(_SMALL, _DENSEST * os.path.getsize(name)):
+        raise ImageError(f"claims {width} x {height} pixels in {os.path.getsize(name)} bytes; it is corrupt, or blank")
+    told = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
+    try:
+        found = cv2.imread(name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    finally:
+        cv2.utils.logging.setLogLevel(told)
+    if found is None or found.dtype != np.float32:
+        raise ImageError("cannot be decoded; it is corrupt or truncated: fetch or export it again")
+    return np.nan_to_num(found[..., ::-1], nan=0.0, posinf=float(np.finfo(np.float32).max), neginf=0.0)
+
+
+def tone_mapped(radiance: np.ndarray) -> np.ndarray:
+    """Linear radiance ``(H, W, 3)``, of any unit, as sRGB uint8.
+
+    Reinhard, Stark, Shirley and Ferwerda, "Photographic tone reproduction for digital images" (2002), equation 4: the
+    logarithmic mean becomes middle grey, the brightest half per cent white.
+    """
+    found = np.maximum(np.asarray(radiance, dtype=np.float64), 0.0)
+    light = found @ np.array([0.2126, 0.7152, 0.0722])
+    bright = light[light > 0]
+    if not bright.size:
+        return np.zeros(found.shape, dtype=np.uint8)
+    scaled = light * (MIDDLE / np.exp(np.log(bright).mean()))
+    white = max(float(np.quantile(scaled, 0.995)), MIDDLE)
+    shown = scaled * (1 + scaled / white**2) / (1 + scaled)
+    share = np.divide(shown, light, out=np.zeros_like(light), where=light > 0)
+    return np.rint(255 * to_coded(found * share[..., None])).astype(np.uint8)
 
 
 def read_image(
@@ -272,11 +326,11 @@ def read_photograph(path: str | os.PathLike[str]) -> Picture:
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         image = read_panorama(name)
-    found = of_photograph(properties(_xmp(name), GPANO))
+    found = None if _is_hdr(name) else of_photograph(properties(_xmp(name), GPANO))
     if found is None:
         for warning in warned:
             warnings.warn(str(warning.message), UserWarning, stacklevel=2)
-        return Picture(image)
+        return Picture(image, facts=(TONE_MAPPED,) if _is_hdr(name) else ())
     found.check(name)
     return _placed(image, found)
 

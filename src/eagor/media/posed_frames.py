@@ -7,10 +7,12 @@ poses are read in step.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Event, Semaphore, Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -24,7 +26,10 @@ from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pai
 if TYPE_CHECKING:
     from eagor.media.rotation import Turned, VisualOdometer
 
-__all__ = ["Odometry", "PosedFrame", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
+__all__ = [
+    "Odometry", "PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight",
+    "thinned",
+]  # fmt: skip
 
 HOLE = 0.5  # seconds without a pose that are worth a word
 
@@ -186,13 +191,56 @@ def posed_by_odometry(
             say(f"{count} pictures {side} pose of {poses.topic} are left out")
 
 
-def thinned(frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0) -> Iterator[PosedFrame]:
-    """The same, with `rate` frames per second from `begins` on looked at (None: all)."""
-    tick = -math.inf
+def thinned(
+    frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0, lenses: int = 1
+) -> Iterator[PosedFrame]:
+    """The same, with `rate` frames per second from `begins` on looked at (None: all); of each of so many `lenses`."""
+    tick, left = -math.inf, 0
     for each in frames:
         if rate is None or each.frame is None or each.lost:
             yield each
             continue
         number = math.floor((each.pose.stamp - begins) * rate + 1e-6)
-        yield each if number > tick else replace(each, looked=False)
-        tick = max(tick, number)
+        left = lenses if number > tick else left
+        yield each if left > 0 else replace(each, looked=False)
+        tick, left = max(tick, number), left - 1
+
+
+def ahead(frames: Iterable[PosedFrame], most: int = 2) -> Iterator[PosedFrame]:
+    """The same, made by a thread of their own while the caller works on the ones before: at most so many wait.
+
+    Decoding and finding the camera's rotation let go of Python's lock. What making them raises is raised here, at its
+    place. The thread ends with the iterator.
+    """
+    made: SimpleQueue[PosedFrame | BaseException | None] = SimpleQueue()
+    room, stop = Semaphore(most), Event()
+
+    def make() -> None:
+        source = iter(frames)
+        try:
+            for each in source:
+                while each.read is not None and not room.acquire(timeout=0.1):
+                    if stop.is_set():
+                        return
+                if stop.is_set():
+                    return
+                made.put(each)
+            made.put(None)
+        except BaseException as error:
+            made.put(error)
+        finally:
+            if isinstance(source, Generator):
+                source.close()
+
+    thread = Thread(target=make, name="eagor-frames", daemon=True)
+    thread.start()
+    try:
+        while (each := made.get()) is not None:
+            if isinstance(each, BaseException):
+                raise each
+            if each.read is not None:
+                room.release()
+            yield each
+    finally:
+        stop.set()
+        thread.join()

@@ -71,7 +71,9 @@ class Perception(Protocol):
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for where in `panorama` the thing is that `query` names, in the body frame of the panorama.
 
-        `panorama`: equirectangular image ``(H, W, 3)``, uint8 sRGB, in the layout of `eagor.sphere`; it is not changed.
+        `panorama`: equirectangular image ``(H, W, 3)``, 2:1, uint8 sRGB, in the layout of `eagor.sphere`; it is not
+        changed. The colours are red, green, blue, and no array can tell that they are not: of what OpenCV has read
+        (blue, green, red) pass ``picture[..., ::-1]``.
         `stamp`: time of capture in seconds; the evidence carries it. Raises `QueryError` if this perception does not
         understand the query, `ImageError` if the image is unusable. Not finding the thing is no error: the evidence
         then says that it was not seen.

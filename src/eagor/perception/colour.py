@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eagor._checks import require, whole
+from eagor._checks import require, warn_unless_whole, whole
 from eagor._srgb import to_linear
 from eagor.errors import ImageError, QueryError
 from eagor.evidence import Evidence
@@ -137,8 +137,9 @@ class ColourPerception:
 
     def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
         """The likeness of each cell to the colour of `query`, in [0, 1]; at most ``(rows, 2 * rows)``."""
-        colour = parse_colour(query)
-        return _likeness(_reduced(panorama, self.rows, 2 * self.rows), colour)
+        colour, linear = parse_colour(query), _reduced(panorama, self.rows, 2 * self.rows)
+        warn_unless_whole(np.asarray(panorama))
+        return _likeness(linear, colour)
 
 
 def parse_colour(query: str) -> Colour:

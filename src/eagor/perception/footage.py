@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -19,7 +18,7 @@ from eagor.media.panorama import Picture
 from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame
 from eagor.perception import NoEvidenceError, Perception
-from eagor.perception.replay import look_if_recorded
+from eagor.perception.replay import ReplayPerception, look_if_recorded
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.follower import Follower
 
@@ -42,19 +41,24 @@ class HiddenParts:
         self._given, self._say = mask, say
         self._black, self._said = NeverSeen(), False
 
-    def covered(self, looks: Looks, frame: Picture) -> Looks:
-        """The looks at `frame`, without what is not seen."""
+    def covered(self, looks: Looks, frame: Picture | None) -> Looks:
+        """The looks at `frame`, without what is not seen; of recorded ones (None) the record says what is black."""
+        own = None if frame is None else self.of(frame)
+        for mask in (self._given, own):
+            looks = looks if mask is None else tuple(look.covered(mask) for look in looks)
+        return looks
+
+    def of(self, frame: Picture) -> BodyMask | None:
+        """What `frame` shows, beside the mask that is given; None if that is all."""
         if frame.grid is not None:  # an ordinary picture has no poles
-            return looks if self._given is None else tuple(look.covered(self._given) for look in looks)
+            return None
         black = self._black.add(frame.picture)
         hidden = black if frame.unseen is None else black | frame.unseen
-        masks = [] if self._given is None else [self._given]
-        if hidden.any():
-            masks.append(BodyMask(~hidden))
-            self._tell(masks[-1], black)
-        for mask in masks:
-            looks = tuple(look.covered(mask) for look in looks)
-        return looks
+        if not hidden.any():
+            return None
+        mask = BodyMask(~hidden)
+        self._tell(mask, black)
+        return mask
 
     def _tell(self, mask: BodyMask, black: np.ndarray) -> None:
         share = 1 - float(np.sum(mask.seen * mask.grid.weights)) / (4 * np.pi)
@@ -183,10 +187,10 @@ def _seen(
     looks: tuple[Looks, ...] = ((),) * len(queries)
     try:
         picture = None if frame.read is None else frame.read()
-        if frame.looked and picture is not None:
+        if frame.looked and (picture is not None or isinstance(perception, ReplayPerception)):
             turn = frame.pose.world_R_body
-            seen = partial(look_if_recorded, perception, picture.picture)
-            found = (seen(query, stamp, turn, picture.grid) for query in queries)
+            shown, grid = (None, None) if picture is None else (picture.picture, picture.grid)
+            found = (look_if_recorded(perception, shown, query, stamp, turn, grid) for query in queries)
             looks = tuple(hidden.covered(_own(each, before, stamp, after), picture) for each in found)
     except EagorError as error:
         # Every other frame would fail in the same way, or hardly any other would do better than the first.

@@ -16,18 +16,22 @@ import numpy as np
 from msgspec import Meta
 
 from eagor.errors import FormatError, QueryError
-from eagor.evidence import Evidence
+from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
+from eagor.media.pose_files import FramePose
+from eagor.perception.adapters import Boxes
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
+from eagor.perception.views import Seen, combined
 from eagor.perception.words import RELATIONS, meant
 from eagor.sphere import direction, rotation, world_R_body
 
-KINDS = ("boxes", "points", "response")
+KINDS = ("boxes", "points", "response", "views")
 APART = 1.0  # seconds: lines of one look that lie farther apart are taken for a mistake
 LONGEST = 32  # a view this many times longer than wide is taken for a mistake
 UNIT = 1e-3  # by how much the length of a quaternion may differ from 1
+WHOLE = 0.999  # of the sphere: the least that the solid angles of several views of one look come to
 ARTICLES = {"a", "an", "the"}
 HINTS = {  # for keys that others use, and whose sign or unit may differ
     "pitch_deg": "pitch_up_deg is positive UP, like elevation_deg; pitch_deg of a pose file is positive nose DOWN",
@@ -50,6 +54,7 @@ _VALUES = 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)'
 _Pixels = Annotated[int, Meta(ge=1, le=65536, description=_PIXELS)]  # more is taken for a mistake
 _Coordinate = Annotated[float, Meta(ge=-4 * 65536, le=4 * 65536)]
 _Component = Annotated[float, Meta(ge=-2, le=2, description="a number from -2 to 2")]
+_Metres = Annotated[float, Meta(ge=-1e9, le=1e9, description="metres")]
 _Score = Annotated[Finite, Meta(description=_SCORE)]
 _Label = Annotated[str, Meta(description="text")]
 _PROJECTION = Meta(description='"equirectangular" or "perspective"')
@@ -96,6 +101,45 @@ class _Response(msgspec.Struct, forbid_unknown_fields=True):
     values: Annotated[list[Finite], Meta(description=_VALUES)]
 
 
+class _View(msgspec.Struct, forbid_unknown_fields=True):
+    image: Annotated[_Image, Meta(description="an object with projection, width, height and hfov_deg")]
+    boxes: Annotated[list[_Box], _OBJECTS]
+
+
+class _Pose(msgspec.Struct, forbid_unknown_fields=True):
+    qw: _Component
+    qx: _Component
+    qy: _Component
+    qz: _Component
+    x: _Metres | None = None
+    y: _Metres | None = None
+    z: _Metres | None = None
+
+
+class _Unseen(msgspec.Struct, forbid_unknown_fields=True):
+    rows: Annotated[int, Meta(ge=1, le=4096, description="a whole number from 1 to 4096")]
+    runs: Annotated[list[Annotated[int, Meta(ge=0)]], Meta(description="lengths of runs: seen, not seen, seen, ...")]
+
+
+class Footage(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """The first line of a file of looks: what was looked at, by whom, and where the poses come from, in words.
+
+    `classes`: all that the detector knows; None: it was asked for the queries of the lines. `detector`: how it errs.
+    `begins`: the stamp from which seconds are counted on a terminal.
+    """
+
+    of: Annotated[str, Meta(description="text")]
+    perception: Annotated[str, Meta(description="the name of a perception")]
+    poses: Annotated[str, Meta(description="text")] = ""
+    classes: Annotated[tuple[str, ...] | None, Meta(description="a list of names")] = None
+    detector: Annotated[DetectorModel | None, Meta(description="an object")] = None
+    begins: Finite = 0.0
+
+
+class _Head(msgspec.Struct, forbid_unknown_fields=True):
+    footage: Footage
+
+
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
     stamp: Finite
     query: Annotated[str | None, Meta(description=_QUERY)] = None
@@ -105,6 +149,12 @@ class _Line(msgspec.Struct, forbid_unknown_fields=True):
     points: Annotated[list[_Point] | None, _OBJECTS] = None
     response: Annotated[_Response | None, Meta(description="an object with rows, cols and values")] = None
     scores: Annotated[Literal["probability", "logit"], _SCORES] = "probability"
+    views: Annotated[list[_View] | None, Meta(description="a list of objects with image and boxes")] = None
+    pose: Annotated[_Pose | None, Meta(description="an object with qw, qx, qy, qz")] = None
+    frame: Annotated[str | None, Meta(description="text")] = None
+    lost: Annotated[bool, Meta(description="true or false")] = False
+    problem: Annotated[str | None, Meta(description="text")] = None
+    unseen: Annotated[_Unseen | None, Meta(description="an object with rows and runs")] = None
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -112,12 +162,14 @@ class _Line(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One line of the file, checked: `kind` is "boxes", "points" or "response".
+    """One line of the file, checked: `kind` is "boxes", "points", "response", "views", or "pose" without a look.
 
     `query`: None for any query. `grid`: of the image or of the response; None for points anywhere. `values`: boxes
     ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
     response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response. `look`: which views are one look; None:
-    those of the same stamp.
+    those of the same stamp. `views`: of one camera, with their boxes. `pose` of the camera; `frame`: the name of what
+    was looked at; `lost`: nothing tells how the camera turned since the frame before; `problem`: why the frame could
+    not be used; `unseen`: what the camera never sees.
     """
 
     stamp: float
@@ -128,9 +180,17 @@ class Record:
     scores: np.ndarray
     labels: Sequence[str | None]
     look: str | None = None
+    views: tuple[Seen, ...] = ()
+    pose: FramePose | None = None
+    frame: str | None = None
+    lost: bool = False
+    problem: str | None = None
+    unseen: BodyMask | None = None
 
     def answers(self, query: str) -> bool:
         """Whether this line is for `query`; letter case and spaces do not matter."""
+        if self.kind == "pose":
+            return False
         return self.query is None or words_of(self.query) == words_of(query)
 
     def evidence(
@@ -139,17 +199,36 @@ class Record:
         calibration: Calibration | None = None,
         detector: DetectorModel | None = None,
         among: Collection[str] = (),
+        wanted: Sequence[str] | None = None,
     ) -> Evidence:
         """The evidence for `query`. On a line without a query of its own, items with another label are left out.
 
         `among`: the labels of all lines, of which those that `query` names best are meant (`fitting`);
         default: those of this line. Boxes and points are detections of `detector` (default: `DetectorModel()`); with a
-        `calibration` they are read as a response map instead. A point with a spread of its own keeps it.
+        `calibration` they are read as a response map instead. A point with a spread of its own keeps it. `wanted`: the
+        labels that `query` means, where that is known.
         """
+        found = self._evidence(query, calibration, detector, among, wanted)
+        return found if self.unseen is None else found.covered(self.unseen)
+
+    def _evidence(
+        self,
+        query: str,
+        calibration: Calibration | None,
+        detector: DetectorModel | None,
+        among: Collection[str],
+        wanted: Collection[str] | None,
+    ) -> Evidence:
+        if self.kind == "views":
+            if self.query is None and wanted is None:
+                wanted = fitting(query, among or [label for label in self.labels if label is not None])
+            chosen = None if wanted is None else [*wanted]
+            return combined(self.views, query, chosen, detector, self.stamp)
         if self.kind == "response" and self.grid is not None:
             return Evidence.from_response(self.values, self.grid, calibration=calibration, stamp=self.stamp)
         own = [label for label in self.labels if label is not None]
-        wanted = fitting(query, among or own) if self.query is None and own else frozenset[str]()
+        if wanted is None:
+            wanted = fitting(query, among or own) if self.query is None and own else ()
         keep = [self.query is not None or label is None or label in wanted for label in self.labels]
         values, scores = self.values[keep], self.scores[keep]
         if self.kind == "boxes" and self.grid is not None:
@@ -165,10 +244,29 @@ def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
 
     All views of one `look` get the mean of their stamps.
     """
-    records, name = [record for record, _ in parsed_lines(path, parse_record)], os.fspath(path)
+    return read_looks(path)[1]
+
+
+def read_looks(path: str | os.PathLike[str]) -> tuple[Footage | None, tuple[Record, ...]]:
+    """What the first line says of the footage, if it does, and the records as `read_records` gives them."""
+    records, name, footage = [], os.fspath(path), None
+    for found, where in parsed_lines(path, _parse):
+        if isinstance(found, Record):
+            records.append(found)
+        elif footage is not None or records:
+            raise FormatError(f"{where}: has footage; wanted that in the first line alone")
+        else:
+            footage = found
     if not records:
         raise FormatError(f"{name} holds no records; wanted one JSON object per line, at least one")
-    return tuple(sorted(_joined(records, name), key=lambda r: r.stamp))
+    return footage, tuple(sorted(_joined(records, name), key=lambda r: r.stamp))
+
+
+def _parse(line: bytes) -> Record | Footage:
+    entry = object_of(line)
+    if "footage" in entry:
+        return checked(entry, _Head, "the first line", noted=True).footage
+    return _record(entry)
 
 
 def _joined(records: Sequence[Record], name: str) -> list[Record]:
@@ -188,18 +286,39 @@ def _joined(records: Sequence[Record], name: str) -> list[Record]:
 
 def parse_record(line: str | bytes) -> Record:
     """One line as a `Record`. Raises `FormatError`, which says what is wrong and what is wanted."""
-    entry = checked(object_of(line), _Line, "a line", noted=True, hints=HINTS)
+    return _record(object_of(line))
+
+
+def _record(found: dict[str, Any]) -> Record:
+    entry = checked(found, _Line, "a line", noted=True, hints=HINTS)
+    about = {
+        "pose": None if entry.pose is None else _pose(entry.pose, entry.stamp, entry.frame), "frame": entry.frame,
+        "lost": entry.lost, "problem": entry.problem,
+        "unseen": None if entry.unseen is None else _mask(entry.unseen),
+    }  # fmt: skip
+    return replace(_looked(entry), **about)
+
+
+def _looked(entry: _Line) -> Record:
+    """What a line says of a look, whatever else it says."""
     stamp, query, logits = entry.stamp, entry.query, entry.scores == "logit"
     need(query is None or words_of(query) != [], "query", query, _QUERY)
     need(entry.look != "", "look", entry.look, _LOOK)
     look, image = None if entry.look is None else str(entry.look), entry.image or _Image()
     kinds = [kind for kind in KINDS if getattr(entry, kind) is not None]
+    nothing = np.zeros(0)
+    if not kinds and entry.pose is not None:
+        return Record(stamp, query, "pose", None, nothing, nothing, (), look)
     if len(kinds) != 1:
-        raise FormatError(f"has {' and '.join(kinds) or 'none'} of boxes, points, response; wanted exactly one")
+        raise FormatError(f"has {' and '.join(kinds) or 'none'} of {', '.join(KINDS)}; wanted exactly one, or a pose")
+    if entry.views is not None:
+        views = _views(entry.views, logits)
+        labels = tuple(label for view in entry.views for label in [box.label for box in view.boxes])
+        return Record(stamp, query, "views", None, nothing, nothing, labels, look, views)
     if entry.response is not None:
         values = _response(entry.response, logits)
         grid = _view_of(image, *values.shape) or PatchGrid(*values.shape)
-        return Record(stamp, query, "response", grid, values, np.zeros(0), (), look)
+        return Record(stamp, query, "response", grid, values, nothing, (), look)
     items, grid = entry.boxes if entry.boxes is not None else entry.points or (), _view_of(image)
     scores, labels = _probabilities(items, logits), tuple(each.label for each in items)
     if entry.boxes is None:
@@ -242,6 +361,43 @@ def write_record(
     file.flush()
 
 
+def _views(views: Sequence[_View], logits: bool) -> tuple[Seen, ...]:
+    """The views of one camera, each with its boxes."""
+    found = []
+    for each in views:
+        need(each.image.projection == "perspective", "projection", each.image.projection, '"perspective" in views')
+        grid = _view_of(each.image)
+        assert grid is not None
+        boxes = np.array([_box(b.box, grid.height, grid.width, False) for b in each.boxes]).reshape(-1, 4)
+        told = [box.label for box in each.boxes]
+        labels = None if None in told else [label for label in told if label is not None]
+        need(labels is not None or told == [None] * len(told), "label", None, "one for each box of a view, or for none")
+        found.append(Seen(grid, Boxes(boxes, _probabilities(each.boxes, logits), labels)))
+    area = sum(float(view.grid.weights.sum()) for view in found)
+    if len(found) != 1 and area < 4 * math.pi * WHOLE:
+        raise FormatError(
+            f"has {len(found)} views of {area:.1f} sr in all; wanted one view, or several that cover the whole sphere. "
+            "Views of a part of it want lines of their own, with boxes"
+        )
+    return tuple(found)
+
+
+def _pose(pose: _Pose, stamp: float, frame: str | None) -> FramePose:
+    place = (pose.x, pose.y, pose.z)
+    need(None not in place or place == (None,) * 3, "pose", [*place], "x, y and z, or none of them")
+    turn = _rotation({"qw": pose.qw, "qx": pose.qx, "qy": pose.qy, "qz": pose.qz}, "world_R_body")
+    return FramePose(stamp, turn, None if None in place else np.array(place, dtype=np.float64), frame)
+
+
+def _mask(unseen: _Unseen) -> BodyMask:
+    """The mask of what is seen, from the lengths of runs along the rows of a panorama, from the upper left on."""
+    cells = 2 * unseen.rows**2
+    need(sum(unseen.runs) == cells, "runs", f"{sum(unseen.runs)} cells", f"rows * 2 * rows = {cells} in all")
+    seen = np.repeat(np.arange(len(unseen.runs)) % 2 == 0, unseen.runs)
+    need(bool(seen.any()), "runs", "nothing that is seen", "a camera that sees something")
+    return BodyMask(seen.reshape(unseen.rows, 2 * unseen.rows))
+
+
 def _size(image: _Image) -> tuple[int, int]:
     """Height and width in pixels."""
     for side in ("height", "width"):
@@ -275,9 +431,14 @@ def _body_R_view(told: Mapping[str, float]) -> np.ndarray:
         return world_R_body(yaw, -pitch, roll)  # in REP-103 a positive pitch turns the nose down
     for key in _TURN:
         need(key in told, key, None, "a number from -2 to 2")
+    return _rotation(told, "body_R_view")
+
+
+def _rotation(told: Mapping[str, float], name: str) -> np.ndarray:
+    """The rotation ``(3, 3)`` of a quaternion."""
     wxyz = np.array([told[key] for key in _TURN])
     length = float(np.linalg.norm(wxyz))
-    need(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), "1 (a rotation, body_R_view)")
+    need(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), f"1 (a rotation, {name})")
     sine = float(np.linalg.norm(wxyz[1:]))
     return rotation(wxyz[1:], 2 * math.atan2(sine, wxyz[0])) if sine > 0 else np.eye(3)
 

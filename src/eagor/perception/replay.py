@@ -22,8 +22,10 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
 from eagor.perception import look as one_look
+from eagor.perception.colour import colour_in
 from eagor.perception.partial import look_at_view
-from eagor.perception.records import Record, fitting, parse_record, read_records, write_record
+from eagor.perception.records import Record, fitting, parse_record, read_looks, read_records, write_record
+from eagor.perception.words import meant
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
@@ -47,6 +49,9 @@ class ReplayPerception:
     `detector`: error model of the recorded boxes and points (default: `DetectorModel()`). `labels`: how often each
     label occurs on lines without a query of their own.
 
+    `footage`: what the first line says of the footage, None if it says nothing. Where that names the classes of the
+    detector, these decide what a query means; its error model is the default of `detector`.
+
     Raises `FormatError` for a file that does not follow the format, `TimeError` for an invalid tolerance.
     """
 
@@ -57,12 +62,13 @@ class ReplayPerception:
         tolerance: float = 0.05,
         detector: DetectorModel | None = None,
     ) -> None:
-        self.records = read_records(path)
-        self.calibration, self.detector = calibration, detector
+        self.footage, self.records = read_looks(path)
+        own = None if self.footage is None else self.footage.detector
+        self.calibration, self.detector = calibration, own if detector is None else detector
         if not within(tolerance, 0):
             raise TimeError(f"tolerance = {tolerance!r}; wanted seconds, 0 or more")
         self.tolerance = float(tolerance)
-        self._name = os.fspath(path)
+        self.name = os.fspath(path)
         open_lines = (record for record in self.records if record.query is None)
         self.labels = Counter(label for record in open_lines for label in record.labels if label is not None)
 
@@ -83,14 +89,30 @@ class ReplayPerception:
             return ()
 
     def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
-        return tuple(r.evidence(query, self.calibration, self.detector, self.labels) for r in records)
+        wanted = self._wanted(query)
+        return tuple(r.evidence(query, self.calibration, self.detector, self.labels, wanted) for r in records)
+
+    def _wanted(self, query: str) -> tuple[str, ...] | None:
+        """The classes of the detector that `query` means; None where the file does not name them.
+
+        Raises `QueryError` if none is meant, and for a colour, of which nothing was written.
+        """
+        if self.footage is None or self.footage.classes is None:
+            return None
+        wanted = meant(query, self.footage.classes, coloured=True)
+        if colour_in(query) is not None and query not in self.footage.classes:
+            raise QueryError(
+                f"the query {query!r} names a colour, and {self.name} holds boxes without pictures; ask for "
+                f"{wanted[0]!r}, or look at the footage itself: eagor track FRAMES {query!r}"
+            )
+        return wanted
 
     def used(self, query: str, lines: int) -> str:
         """How many of the lines were used, and which labels stand for `query`: a sentence for the end of a run."""
-        told = f"{lines} of {len(self.records)} lines of {self._name} used"
+        told = f"{lines} of {len(self.records)} lines of {self.name} used"
         if not self.labels:
             return told
-        wanted = fitting(query, self.labels)
+        wanted = self._wanted(query) or fitting(query, self.labels)
         means = f"{query!r} means {', '.join(map(repr, sorted(wanted)))}" if wanted else f"none fits {query!r}"
         return f"{told}; labels in the file: {self._labels()}; {means}"
 
@@ -124,13 +146,15 @@ class ReplayPerception:
 
     def _check_labels(self, query: str) -> None:
         """Raise `QueryError` where labels decide, and all detections of the file have labels that do not fit."""
+        if self._wanted(query) is not None:  # else raises: what the detector knows and has not seen is not there
+            return
         if not self.labels or fitting(query, self.labels):
             return
         answering = [record for record in self.records if record.answers(query)]
         if any(r.query is not None or r.kind == "response" or None in r.labels for r in answering):
             return
         raise QueryError(
-            f"0 of {len(self.records)} lines of {self._name} used; labels in the file: {self._labels()}; none fits "
+            f"0 of {len(self.records)} lines of {self.name} used; labels in the file: {self._labels()}; none fits "
             f"{query!r}. Ask for one of them. If the detector looked for {query!r} and saw none, its lines want "
             '"query": the words that it looked for'
         )
@@ -138,11 +162,14 @@ class ReplayPerception:
     def _nothing(self, query: str, stamp: float) -> EagorError:
         stamps = [r.stamp for r in self.records if r.answers(query)]
         if not stamps:
-            asked = sorted({str(r.query) for r in self.records})[:8]
-            return QueryError(f"{self._name} has nothing for the query {query!r}; it has {', '.join(map(repr, asked))}")
+            asked = sorted({str(r.query) for r in self.records if r.kind != "pose"})[:8]
+            told = f"{self.name} has nothing for the query {query!r}; it has {', '.join(map(repr, asked))}"
+            if self.footage is not None:
+                told += ". That was never looked for, so nobody knows: eagor look FRAMES --for NAME ... looks for it"
+            return QueryError(told)
         nearest = min(stamps, key=lambda s: abs(s - stamp))
         return TimeError(
-            f"{self._name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the nearest "
+            f"{self.name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the nearest "
             f"is at {nearest:.6f} ({nearest - stamp:+.6f} s). Do both use one clock? Otherwise raise the tolerance"
         )
 
@@ -155,15 +182,15 @@ class ReplayPerception:
         record, *others = self.near(query, stamp)
         if others:
             raise FormatError(
-                f"{self._name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
+                f"{self.name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
                 "If they are views of one moment, use each of looks(query, stamp)"
             )
-        return record.evidence(query, self.calibration, self.detector, self.labels)
+        return record.evidence(query, self.calibration, self.detector, self.labels, self._wanted(query))
 
 
 def look(
     perception: Perception,
-    picture: np.ndarray,
+    picture: np.ndarray | None,
     query: str,
     stamp: float,
     world_R_body: np.ndarray | None = None,
@@ -175,6 +202,7 @@ def look(
     """
     if isinstance(perception, ReplayPerception):
         return perception.looks(query, stamp)
+    assert picture is not None, "only a replay answers without a picture"
     if grid is not None:
         return (look_at_view(perception, picture, grid, query, stamp=stamp),)
     return (one_look(perception, picture, query, stamp=stamp, world_R_body=world_R_body),)
@@ -182,7 +210,7 @@ def look(
 
 def look_if_recorded(
     perception: Perception,
-    picture: np.ndarray,
+    picture: np.ndarray | None,
     query: str,
     stamp: float,
     world_R_body: np.ndarray | None = None,

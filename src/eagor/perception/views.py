@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eagor._checks import within
+from eagor._checks import warn_unless_whole, within
 from eagor._lazy import lazy
 from eagor.errors import EagorError, GridError, QueryError
 from eagor.evidence import DetectorModel, Evidence, View
@@ -30,10 +30,17 @@ from eagor.perception.colour import colour_in, share_of
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, unit, world_R_body
 
-__all__ = ["Detect", "Views"]
+__all__ = ["Detect", "Seen", "Views"]
 
 
 Detect = Callable[[np.ndarray, str], Any]
+
+
+class Seen(NamedTuple):
+    """What a detector found in one view, before a query chooses: the view, and boxes in its pixels."""
+
+    grid: PerspectiveGrid
+    boxes: Boxes
 
 
 class Views:
@@ -44,7 +51,8 @@ class Views:
 
     - `detect`: ``detect(picture, query) -> boxes, scores[, labels]`` for a picture ``(h, w, 3)`` uint8 RGB: boxes
       ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries return is understood
-      too (`eagor.perception.adapters.boxes_of`). Where there are labels, those that the query means are kept.
+      too (`eagor.perception.adapters.boxes_of`). Where there are labels, those that the query means are kept. One with
+      a method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
     - `hfov`: field of each view, degrees.
     - `count`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
     - `size`: pixels along each side of a view.
@@ -123,6 +131,7 @@ class Views:
     ) -> list[list[Thing]]:
         """What the detector sees of each query, before any reading: one `Thing` each, the surest first."""
         panorama, grids = checked_picture(panorama), self.views(world_R_body)
+        warn_unless_whole(panorama)
         return self.things_in(tuple(zip(grids, cut(panorama, *grids), strict=True)), queries)
 
     def things_in(
@@ -131,13 +140,38 @@ class Views:
         """As `things`, in ordinary pictures ``(h, w, 3)`` uint8 of one moment, each with its grid."""
         wanted = [self._wanted(query) for query in queries]
         found: list[list[ViewBox]] = [[] for _ in queries]
-        for number, (grid, picture) in enumerate(pictures):
-            seen = None
-            for query, words, pieces in zip(queries, wanted, found, strict=True):
-                if seen is None or self.classes is None:
-                    seen = boxes_of(self.detect(picture, query), self.classes)
-                pieces += self._weighed(_pieces(number, grid, seen, query, words), picture, query)
+        seen = None
+        for query, words, pieces in zip(queries, wanted, found, strict=True):
+            if seen is None or self.classes is None:
+                seen = self._detected([picture for _, picture in pictures], query)
+            for number, ((grid, picture), boxes) in enumerate(zip(pictures, seen, strict=True)):
+                pieces += self._weighed(_pieces(number, grid, boxes, query, words), picture, query)
         return [things(pieces) for pieces in found]
+
+    def _detected(self, pictures: Sequence[np.ndarray], query: str) -> list[Boxes]:
+        """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
+        many = getattr(self.detect, "many", None)
+        found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
+        return [boxes_of(each, self.classes) for each in found]
+
+    def seen(
+        self,
+        picture: np.ndarray,
+        world_R_body: np.ndarray | None = None,
+        query: str = "",
+        grid: PerspectiveGrid | None = None,
+    ) -> list[Seen]:
+        """All that the detector finds in each view of a look; one without `classes` is asked for `query`.
+
+        `picture` is a panorama, or an ordinary one with the pixels of `grid`: then that is the only view. `combined`
+        makes of it what a call, or `view`, makes. Errors as there.
+        """
+        picture = checked_picture(picture, "the panorama" if grid is None else "the picture")
+        grids = self.views(world_R_body) if grid is None else (grid,)
+        if grid is None:
+            warn_unless_whole(picture)
+        found = self._detected(cut(picture, *grids) if grid is None else [picture], query)
+        return [Seen(view, boxes) for view, boxes in zip(grids, found, strict=True)]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
@@ -146,7 +180,8 @@ class Views:
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
         """The boxes of a picture, with lower scores where they show little of the colour that the query names."""
-        colour = None if self.classes is None else colour_in(query)
+        # An orange is a thing, whatever its colour.
+        colour = None if self.classes is None or query in self.classes else colour_in(query)
         for piece in pieces:
             if colour is None:
                 yield piece
@@ -162,8 +197,24 @@ class Views:
         return None if self.classes is None else meant(query, self.classes, coloured=True)
 
 
+def combined(
+    seen: Sequence[Seen],
+    query: str,
+    wanted: Sequence[str] | None = None,
+    detector: DetectorModel | None = None,
+    stamp: float | None = None,
+) -> Evidence:
+    """The evidence of a look from what was `seen` in its views: one view, or several that cover the whole sphere.
+
+    `wanted`: the classes that `query` means; None: the query itself decides about labels, of an open vocabulary.
+    """
+    pieces = [piece for number, each in enumerate(seen) for piece in _pieces(number, *each, query, wanted)]
+    view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
+    return spread_evidence(things(pieces), detector or DetectorModel(), view, stamp)
+
+
 def _pieces(
-    number: int, grid: PerspectiveGrid, seen: Boxes, query: str, wanted: tuple[str, ...] | None
+    number: int, grid: PerspectiveGrid, seen: Boxes, query: str, wanted: Sequence[str] | None
 ) -> Iterator[ViewBox]:
     """The boxes of view `number` that the query means."""
     boxes, scores, labels = seen
@@ -176,7 +227,7 @@ def _pieces(
             yield ViewBox(number, grid, inside, float(score))
 
 
-def _fits(label: str, query: str, wanted: tuple[str, ...] | None) -> bool:
+def _fits(label: str, query: str, wanted: Sequence[str] | None) -> bool:
     """Whether a label is one of the `wanted` classes; of an open vocabulary, whether the query means it."""
     if wanted is not None:
         return label in wanted

@@ -52,15 +52,22 @@ class Moment:
 class Seen:
     """One step for whoever watches a method play: the `method` after its answer, and what it was given.
 
-    `panorama` ``(H, W, 3)`` uint8, or None if the perception needs none; `position` by odometry; `truth` ``(3,)``: the
-    true direction in the body frame, None while the target is away.
+    `panorama` ``(H, W, 3)`` uint8, or None if the perception needs none; `pose` ``(7,)`` by odometry: x, y, z (metres)
+    and a quaternion (w, x, y, z), world_R_body; `evidence` that arrived; `truth` ``(3,)``: the true direction in the
+    body frame, None while the target is away.
     """
 
     stamp: float
     method: Method | None
     panorama: np.ndarray | None
-    position: np.ndarray
+    pose: np.ndarray
+    evidence: Evidence | None
     truth: np.ndarray | None
+
+    @property
+    def position(self) -> np.ndarray:
+        """By odometry, metres ``(3,)``."""
+        return self.pose[:3]
 
 
 Watch = Callable[[Seen], object]
@@ -167,7 +174,7 @@ class Player:
             _note_truth(trace, info, "true_")
             _note_answer(trace, method, direction, directions[-1])
             if watch is not None:
-                watch(Seen(stamp, method, observation.get("panorama"), pose[:3], directions[-1]))
+                watch(Seen(stamp, method, observation.get("panorama"), pose, due, directions[-1]))
             now = self._steering_input(direction, method, look, pose, info, steering.looks_down)
             turn, metres = steering.walk(now)
             if steering.looks_down:
@@ -254,7 +261,8 @@ class Player:
             true = recording.directions[index] if recording.truth["present"][index] else None
             _note_answer(trace, method if regions else None, said[-1], true)
             if watch is not None:
-                watch(Seen(moment.stamp, method, moment.panorama, moment.position, true))
+                pose = np.array([*moment.position, *wxyz_from_rotation(moment.world_R_body)])
+                watch(Seen(moment.stamp, method, moment.panorama, pose, moment.evidence, true))
         played = Played(
             recording.truth, trace, recording.directions, np.array(said), recording.rotations, recording.translations,
             self.rules, self.camera,

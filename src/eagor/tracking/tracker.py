@@ -111,8 +111,15 @@ class DirectionTracker:
 
         Evidence of one moment (views of one panorama) is one look. A look newer than the last pose uses that pose until
         a newer one arrives. Raises `TimeError` without a stamp, or if the stamp is older than the history or more than
-        an hour (`eagor.tracking.poses.HELD`) ahead of the last pose, and `PoseError` if the pose of that time is gone.
+        an hour (`eagor.tracking.poses.HELD`) ahead of the last pose, `PoseError` if the pose of that time is gone, and
+        `EagorError` for what is no evidence.
         """
+        if not isinstance(evidence, Evidence):
+            what = f"an array of shape {evidence.shape}" if hasattr(evidence, "shape") else type(evidence).__name__
+            raise EagorError(
+                f"observe() got {what}; wanted eagor.Evidence: what a perception returns, perception(panorama, query, "
+                "stamp=t), or Evidence.from_points(directions, stamp=t), from_boxes, from_mask, from_response"
+            )
         if evidence.stamp is None:
             raise TimeError(
                 "the evidence has no time stamp; pass stamp=... (time of capture, seconds) where it is made"

@@ -69,5 +69,5 @@
   for (const button of document.querySelectorAll("button[data-step]"))
     button.addEventListener("click", () => { go(Number(button.dataset.step)); frame.scrollIntoView({ block: "nearest" }); });
   at("player").hidden = false;
-  show(0);
+  show(data.steps.length - 1);
 })();

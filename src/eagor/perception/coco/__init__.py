@@ -48,21 +48,22 @@ DETECTOR = DetectorModel(
 )
 
 
-def coco_detector() -> OnnxDetector:
+def coco_detector(together: int = 1) -> OnnxDetector:
     """The detector, from the user's cache: a callable ``detect(picture, query) -> boxes, scores, labels``.
 
-    `picture` is ``(h, w, 3)`` uint8 RGB, boxes are x0, y0, x1, y1 in its pixels. Raises `MissingExtraError` where
-    onnxruntime, or the model, is not installed; the text says what to type.
+    `picture` is ``(h, w, 3)`` uint8 RGB, boxes are x0, y0, x1, y1 in its pixels. `together`: how many pictures it looks
+    at at the same time, one core each, where it gets several. Raises `MissingExtraError` where onnxruntime, or the
+    model, is not installed; the text says what to type.
     """
     need("a detector", "photos", "onnxruntime")
     path = COCO.installed()
     from eagor.perception.onnx import OnnxDetector
 
-    return OnnxDetector(path)
+    return OnnxDetector(path, together=together)
 
 
 def from_text(text: str = "", /, **options: Any) -> Views:
-    """The perception ``coco[:option=value&...]``: this detector in level views; options as `Views` has them.
+    """The perception ``coco[:option=value&...]``: this detector in level views; options as `Views`, and `together`.
 
     Raises `MissingExtraError` as `coco_detector` does, and `EagorError` for an option that `Views` does not have.
     """
@@ -70,10 +71,11 @@ def from_text(text: str = "", /, **options: Any) -> Views:
     from eagor.perception.views import Views
 
     given: dict[str, Any] = {"detector": DETECTOR} | parse_options(text.removeprefix("?")) | options
+    together = given.pop("together", 1)
     known = [*inspect.signature(Views).parameters][1:]
     if unknown := sorted(given.keys() - {*known}):
-        raise EagorError(f"coco has no option {', '.join(unknown)}; it has {', '.join(known)}")
-    return Views(coco_detector(), **given)
+        raise EagorError(f"coco has no option {', '.join(unknown)}; it has {', '.join([*known, 'together'])}")
+    return Views(coco_detector(together), **given)
 
 
 # --- the model in the user's cache ------------------------------------------------------------------------------------

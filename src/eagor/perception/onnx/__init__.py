@@ -14,6 +14,7 @@ import inspect
 import os
 import re
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -52,7 +53,8 @@ class OnnxDetector:
       0.5, and 1 for layouts that have suppressed already).
     - `first`: the number of the first class of a list of labels (default: 1 where 0 is the background, else 0).
     - `sigmoid`: whether scores are logits that want the logistic function.
-    - `threads`: cores that the network runs on.
+    - `threads`: cores that the network runs on, for each picture.
+    - `together`: pictures that `many` looks at at the same time.
 
     It tries the network once on a grey picture. Raises `EagorError` for a file that is no such network, for outputs in
     no known layout, and for values that make no sense; `FormatError` for labels that cannot be read or whose number is
@@ -76,6 +78,7 @@ class OnnxDetector:
         first: int | None = None,
         sigmoid: bool = False,
         threads: int = 1,
+        together: int = 1,
     ) -> None:
         self._made = {name: value for name, value in locals().items() if name != "self" and name != "__class__"}
         _check(self._made)
@@ -111,6 +114,7 @@ class OnnxDetector:
         self.classes: tuple[str, ...] = tuple(self._names.values())
         count = usual.columns(shapes) if usual.columns else None
         self._frame = Frame(self.size, self.threshold, count if names is None else names.total, sigmoid)
+        self.together = together
 
     def __call__(self, picture: np.ndarray, query: str = "") -> tuple[np.ndarray, np.ndarray, list[str]]:
         """Boxes, scores and labels in `picture`; see the class.
@@ -131,6 +135,13 @@ class OnnxDetector:
         order = kept(boxes[real], found.scores[real], found.classes[real], self.overlap)[:MOST]
         best = real[order]
         return boxes[best], found.scores[best], [self._name(int(number)) for number in found.classes[best]]
+
+    def many(self, pictures: Sequence[np.ndarray], query: str = "") -> list[tuple[np.ndarray, np.ndarray, list[str]]]:
+        """What is in each of several pictures, as for one; `together` of them are looked at at the same time."""
+        if self.together == 1:
+            return [self(picture, query) for picture in pictures]
+        with ThreadPoolExecutor(self.together, "eagor-look") as pool:
+            return [*pool.map(self, pictures)]
 
     def _read(self, outputs: list[np.ndarray]) -> Found:
         where = f"{self._network.path} (layout {self.layout})"
@@ -208,6 +219,7 @@ def _check(made: dict[str, Any]) -> None:
         "first": (lambda v: v is None or whole(v, 0), "a whole number, 0 or more"),
         "sigmoid": (lambda v: isinstance(v, bool), "true or false"),
         "threads": (lambda v: whole(v, 1, 1024), "a whole number, 1 or more"),
+        "together": (lambda v: whole(v, 1, 1024), "a whole number, 1 or more"),
     }
     for name, (fits, wanted) in rules.items():
         if not fits(made[name]):

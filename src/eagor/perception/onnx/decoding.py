@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -214,17 +214,33 @@ def centernet(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
 
     The peaks are cells that no neighbour of 3 x 3 exceeds; distances count from the cell's top left corner.
     """
-    scores, distances = probabilities(outputs[0][0], frame.sigmoid), outputs[1][0].astype(np.float64)
-    around = np.pad(scores, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
-    kind, row, column = np.nonzero(scores >= frame.threshold)
-    near = [around[kind, row + down, column + across] for down in range(3) for across in range(3)]
-    peaks = np.max(near, axis=0) <= scores[kind, row, column]
-    kind, row, column = kind[peaks], row[peaks], column[peaks]
-    best = _best(scores[kind, row, column])
-    kind, row, column = kind[best], row[best], column[best]
-    x, y = column * frame.size[1] / scores.shape[2], row * frame.size[0] / scores.shape[1]
+    maps, distances = outputs[0][0], outputs[1][0].astype(np.float64)
+    if frame.sigmoid:
+        maps = logistic(maps)
+    # Few of a million scores reach the threshold: only these are read further, and the extremes are checked.
+    probabilities(np.array([maps.min(), maps.max()]) if maps.size else maps)
+    kind, row, column = np.unravel_index(np.flatnonzero(maps >= _in_kind(frame.threshold, maps.dtype)), maps.shape)
+    scores = np.clip(maps[kind, row, column].astype(np.float64), 0, 1)
+    near = [
+        maps[kind, np.clip(row + down, 0, maps.shape[1] - 1), np.clip(column + across, 0, maps.shape[2] - 1)]
+        for down in (-1, 0, 1)
+        for across in (-1, 0, 1)
+    ]
+    peaks = np.max(near, axis=0) <= maps[kind, row, column]
+    scores, kind, row, column = scores[peaks], kind[peaks], row[peaks], column[peaks]
+    best = _best(scores)
+    scores, kind, row, column = scores[best], kind[best], row[best], column[best]
+    x, y = column * frame.size[1] / maps.shape[2], row * frame.size[0] / maps.shape[1]
     left, top, right, bottom = distances[:, row, column]
-    return Found(np.stack([x - left, y - top, x + right, y + bottom], axis=1), scores[kind, row, column], kind)
+    return Found(np.stack([x - left, y - top, x + right, y + bottom], axis=1), scores, kind)
+
+
+def _in_kind(threshold: float, dtype: np.dtype) -> Any:
+    """The least number of this kind that is not below `threshold`: comparing in the array's own kind copies nothing."""
+    if dtype.kind != "f":
+        return threshold
+    level = dtype.type(threshold)
+    return level if float(level) >= threshold else np.nextafter(level, dtype.type(np.inf))
 
 
 # --- suppression ------------------------------------------------------------------------------------------------------

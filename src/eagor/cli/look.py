@@ -1,0 +1,137 @@
+"""``eagor look``: a detector goes through footage once, and what it saw is kept for any question.
+
+`eagor track LOOKS.jsonl QUERY` answers from the file at once, and without QUERY lists what was seen: see `recorded`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import Positional, arg
+
+from eagor.cli import terminal
+from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception
+from eagor.cli.options import Common, Force, Hfov, RigFile, bare
+from eagor.cli.track import Track, journey_of
+from eagor.errors import ImageError, PoseError
+
+if TYPE_CHECKING:
+    from eagor.perception.views import Views
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look(Common):
+    """Look through footage once with a detector, and keep all that it sees: eagor track LOOKS.jsonl then answers."""
+
+    runs: ClassVar[str] = "look"
+
+    places: Annotated[tuple[Path, ...], Positional, arg(metavar="FRAMES", help_behavior_hint="(required)")]
+    """A panorama, a video, a folder of panoramas, several image files, or a ROS 2 bag."""
+    out: Annotated[Path, arg(metavar="LOOKS.jsonl")]
+    """Where to write what was seen: all things in all views, and the poses. Nothing of the pictures is kept."""
+    perception: Annotated[str, arg(metavar="NAME")] = "coco"
+    """The detector, one that has classes: coco, or onnx:MODEL.onnx. For one that takes any words, see --for."""
+    queries: Annotated[tuple[str, ...], arg(name="for", metavar="QUERY", help_behavior_hint="")] = ()
+    """What to look for, with a detector that takes any words: only this can be asked later."""
+    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
+    """How the camera turned and moved, as for eagor track."""
+    rate: Annotated[float | None, bare("HZ")] = None
+    """Looks per second of a video or bag (default: 2); of images, how many per second were taken (default: 1)."""
+    start: Annotated[float, arg(metavar="SECONDS")] = 0.0
+    """Where to begin in a video or bag."""
+    end: Annotated[float | None, bare("SECONDS")] = None
+    """Where to stop in a video or bag (default: at its end)."""
+    image_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
+    odom_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
+    hfov: Hfov = None
+    rig: RigFile = None
+    force: Force = False
+
+
+def look(options: Look) -> int:
+    """Run the command; returns its exit code."""
+    from eagor._files import Lines
+    from eagor.media.posed_frames import ahead
+    from eagor.perception.footage import HiddenParts
+    from eagor.perception.looks import first_line, looked_at
+
+    queries = checked_queries(options.queries)
+    check_not_read(options.out, "--out", [*options.places, Path(options.poses)])
+    if options.out.suffix.lower() != ".jsonl":
+        raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
+    checked_out(options.out)
+    views = _views(options, queries)
+    asked = Track(
+        words=(*map(str, options.places), "everything"),
+        poses=options.poses, rate=options.rate, start=options.start, end=options.end, image_topic=options.image_topic,
+        odom_topic=options.odom_topic, rig=options.rig, hfov=options.hfov, force=options.force,
+    )  # fmt: skip
+    journey = journey_of(asked, options.places, views)
+    of = ", ".join(place.name for place in options.places[:3]) + (" and more" if len(options.places) > 3 else "")
+    hidden, looks, bad, broken = HiddenParts(say=terminal.log), 0, 0, None
+    labels: Counter[str] = Counter()
+    with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
+        head = [first_line(of, options.perception, views, journey.told, journey.begins)]
+        try:
+            for frame, lines in looked_at(ahead(journey.frames), views, queries, hidden):
+                file.add("".join(f"{line}\n" for line in [*head, *lines]))
+                head.clear()
+                if frame.frame is None or not frame.looked:
+                    continue
+                told = [json.loads(line) for line in lines]
+                looks, bad = looks + ("views" in told[0]), bad + ("problem" in told[0])
+                if "problem" in told[0]:
+                    terminal.warning(f"{frame.frame} is left out: {told[0]['problem']}")
+                for line in told:
+                    found = [box for view in line.get("views", ()) for box in view["boxes"]]
+                    labels.update(line.get("query") or box.get("label", "") for box in found)
+                advance()
+        except (ImageError, PoseError) as error:
+            if not looks:
+                raise
+            broken = str(error)
+            terminal.warning(f"the frames end early: {broken}")
+    if not looks:
+        raise terminal.RunError(f"none of the {bad} frames could be used" if bad else "there was no frame to look at")
+    if options.json:
+        terminal.emit(
+            {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": bad,
+             "boxes": dict(labels.most_common()), "out": str(options.out)}
+        )  # fmt: skip
+    else:
+        example = next(iter(dict(labels.most_common(1))), None) or next(iter([*queries, *(views.classes or ())]))
+        terminal.say(
+            f"{labels.total()} boxes of {len(labels)} things in {looks} look{'s' * (looks != 1)}: {options.out}",
+            f"what there is:  eagor track {options.out}",
+            f'where it is:    eagor track {options.out} "{example}"',
+        )
+    return terminal.INCOMPLETE if bad or broken else terminal.OK
+
+
+def _views(options: Look, queries: list[str]) -> Views:
+    """The detector in its views. Raises `UsageError` for a perception that has none, or wants queries."""
+    from eagor.perception.views import Views
+
+    views = make_perception(options.perception, busy=True)
+    if not isinstance(views, Views):
+        raise terminal.UsageError(
+            f"--perception {options.perception} gives no boxes that can be kept for later questions; wanted a detector "
+            "in views: coco, or onnx:MODEL.onnx. Any other answers one question at a time: eagor track"
+        )
+    if views.classes is None and not queries:
+        raise terminal.UsageError(
+            f"--perception {options.perception} takes any words, and sees only what it is asked for; say what to look "
+            "for: --for chair sofa"
+        )
+    if views.classes is not None and queries:
+        raise terminal.UsageError(
+            f"--for {queries[0]}: {options.perception} sees all of its {len(views.classes)} classes at once; leave it "
+            "out, and ask afterwards"
+        )
+    return views
