@@ -127,7 +127,7 @@ def edge(where: np.ndarray, grid: PerspectiveGrid, width: float, height: float) 
 def _looked_at(
     lens: ViewKey, pose: bytes, height: int, width: int, rows: int, columns: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of a view looks on a panorama: column and row ``(height, width)``, in cells from the first one."""
+    """Where each pixel of a view looks on a panorama: column and row ``(height, width)``, the first cell's being 0."""
     grid = forward_view(lens)
     assert isinstance(grid, PerspectiveGrid)
     turned = grid.resized(height, width).directions @ np.frombuffer(pose).reshape(3, 3).T

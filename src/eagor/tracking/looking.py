@@ -31,7 +31,6 @@ CELLS = 2000  # of equal area: a square of 4.5 degrees each
 PLACES, SAME = 200, math.radians(15)  # 14 degrees each; of a mode: within this angle a report is of the same place
 STEP = math.radians(15)  # between the azimuths, and about so between the elevations, that are weighed
 MARGIN = math.radians(12)  # inside the border of a view: what is nearer to it is cut off, and tells less
-REPEATS, AGAIN = 0.5, math.radians(10)  # share of a look that the next one repeats, within this angle of its axis
 ALIKE = 0.97  # looks that tell this share of the most are alike: the nearest of them is taken
 FIELDS = (math.radians(20) - 1e-9, math.radians(170))  # of a view: a narrower one falls between those that are weighed
 RECALL, ALARM = 0.7, 0.2  # of a perception whose habits are not known: found where it is; a false report
@@ -130,13 +129,10 @@ class Known:
 def best_look(known: Known, camera: TurningCamera, usual: Heights | None, axis: np.ndarray) -> tuple[np.ndarray, float]:
     """The axis ``(3,)`` of the look that tells most for its time, world axes, and what it tells, nats.
 
-    `axis` ``(3,)``: that of the camera now. If it has looked at all, the same picture again repeats a share of its
-    mistakes, which no place tells: a detector errs alike in alike pictures.
+    `axis` ``(3,)``: that of the camera now.
     """
     axes, told = looks(known, camera, usual)
     turns = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
-    if known.hypotheses.standing.bank is not None:
-        told = told * np.where(turns < AGAIN, 1 - REPEATS, 1.0)
     worth = told if camera.turn_rate is None else told / (camera.look_time + turns / camera.turn_rate)
     good = np.flatnonzero(worth >= ALIKE * worth.max())
     best = int(good[np.argmin(turns[good])])
