@@ -32,7 +32,10 @@ ORDER = ("end_to_end", "robustness", "contracts", "golden", "oracles", "laws")
 
 def pytest_collection_modifyitems(items):
     """Tests in real time first, which are one group and wait a lot; then folder by folder."""
-    items.sort(key=lambda item: (item.get_closest_marker("xdist_group") is None, ORDER.index(item.path.parent.name)))
+    place = {name: number for number, name in enumerate(ORDER)}
+    items.sort(
+        key=lambda item: (item.get_closest_marker("xdist_group") is None, place.get(item.path.parent.name, len(ORDER)))
+    )
 
 
 @pytest.hookimpl(optionalhook=True)

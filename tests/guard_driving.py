@@ -86,7 +86,7 @@ class Other:
 
     def begin(self, _: Driver, robot: Any) -> float:
         self._link = Link(robot.domain, "lo")
-        client = SportClient(self._link)
+        client = SportClient(self._link, timeout=20.0)
         assert client.wait(20)
         time.sleep(1.0)  # until the guard has found it as well
         begun = time.monotonic()

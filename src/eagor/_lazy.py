@@ -8,6 +8,7 @@ two threads compute the same value.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from typing import Any, Generic, TypeVar, overload
 
 Value = TypeVar("Value")
@@ -52,6 +53,25 @@ def known(made: Owner, **values: Any) -> Owner:
 def inherited(made: Owner, source: Any, *names: str) -> Owner:
     """`made`, a new object, with those of these lazy values that `source` has computed: they are the same for both."""
     return known(made, **{name: source.__dict__[name] for name in names if name in source.__dict__})
+
+
+def altered(source: Owner, **values: Any) -> Owner:
+    """As `dataclasses.replace`, at a tenth of its cost, for a dataclass that checks nothing when it is made."""
+    made, old = object.__new__(type(source)), source.__dict__
+    made.__dict__.update({name: old[name] for name in type(source).__dataclass_fields__}, **values)  # type: ignore[attr-defined]
+    return made
+
+
+def bare(value: Value) -> Value:
+    """A copy without lazy values, of an immutable object and of those that it consists of; arrays are shared."""
+    kind = type(value)
+    if kind is tuple:
+        return tuple(map(bare, value))  # type: ignore[return-value, arg-type]
+    if not is_dataclass(kind) or kind.__eq__ is not object.__eq__:  # what is equal by value is shared
+        return value
+    made = object.__new__(kind)
+    made.__dict__.update({name: bare(each) for name, each in state_of(value).items()})
+    return made
 
 
 def state_of(owner: Any) -> dict[str, Any]:

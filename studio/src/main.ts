@@ -57,8 +57,11 @@ const session = new Session(store, {
   },
   status: (told) => badge(told),
   scene() {
-    problems.clear("session");
-    if (store.scene && document.activeElement !== shell.query) shell.query.value = store.scene.query;
+    if (store.waiting === null) {
+      problems.clear("session");
+      if (store.scene && document.activeElement !== shell.query) shell.query.value = store.scene.query;
+      stage.follows = store.scene?.drive === "tour";
+    }
     shell.targets.replaceChildren(...(store.scene?.targets ?? []).map((value) => h("option", { value })));
     view?.scene?.();
   },
@@ -80,7 +83,7 @@ function badge(text: string): void {
 store.on("panorama", () => { if (store.panorama) empty(); });
 store.on("step", () => {
   if (!store.step) return;
-  badge(store.step.goal?.words || store.scene?.words || "");
+  badge(store.lookingFor !== null ? words.ask.waiting(store.lookingFor) : store.step.goal?.words || store.scene?.words || "");
   if (store.step.faults?.length) problems.tell("faults", { problem: store.step.faults.join(" "), change: "" });
   else problems.clear("faults");
 });
@@ -113,7 +116,7 @@ layers(store, shell, {
 shell.ask.addEventListener("submit", (event) => {
   event.preventDefault();
   const query = shell.query.value.trim();
-  if (!query) {
+  if (!/[\p{L}\p{N}]/u.test(query)) {
     shell.query.setCustomValidity(words.ask.empty);
     shell.query.reportValidity();
     return;

@@ -10,6 +10,7 @@ export interface SessionEvents {
   connection(state: Connection, seconds: number): void;
   problem(problem: Problem): void;
   status(words: string): void;
+  /** Another scene is shown, or the one before goes on after a question that was refused. */
   scene(): void;
 }
 
@@ -18,6 +19,10 @@ export class Session {
   private decoding = false;
   private next: { blob: Blob; head: PanoramaHead } | null = null;
   private epoch = 0;
+  // Numbers of questions: no other page's, whose questions a live source answers, too.
+  private number = Math.floor(Math.random() * 2 ** 40) * 1024;
+  private awaited = 0; // the number of the question that is not answered yet
+  asked = { query: "", perception: "" };
   active = false;
 
   constructor(private readonly store: Store, private readonly events: SessionEvents) {
@@ -30,20 +35,37 @@ export class Session {
     });
   }
 
-  open(request: Record<string, unknown>): void {
+  open(request: { view: string; query?: string; perception?: string } & Record<string, unknown>): void {
     this.active = true;
     this.epoch++;
-    this.socket.open({ type: "open", ...request });
+    this.asked = { query: request.query ?? "", perception: request.perception ?? "" };
+    // A live source that is only watched answers what others have asked.
+    const asks = request.view !== "live" || this.asked.query !== "";
+    if (!asks) this.answered();
+    this.socket.open({ type: "open", ...request, ...(asks ? { question: this.question() } : {}) });
+  }
+
+  /** The number of a new question; until it is answered or refused the page shows no answer. */
+  private question(): number {
+    this.store.wait(this.asked.query);
+    return (this.awaited = ++this.number);
+  }
+
+  private answered(): void {
+    this.awaited = 0;
+    this.store.wait(null);
   }
 
   send(message: Record<string, unknown>): boolean {
     return this.socket.send(message);
   }
 
-  /** Look for something else, also after a reconnection. Returns whether it could be sent. */
-  ask(query: string): boolean {
-    this.socket.amend({ query });
-    return this.socket.send({ type: "query", text: query });
+  /** Look for something else, or with another perception, also after a reconnection. Returns whether it could be sent. */
+  ask(query: string, perception = this.asked.perception): boolean {
+    this.asked = { query, perception };
+    const question = this.question();
+    this.socket.amend({ query, perception, question });
+    return this.socket.send({ type: "query", text: query, perception, question });
   }
 
   retry(): void {
@@ -54,7 +76,23 @@ export class Session {
     this.active = false;
     this.epoch++;
     this.next = null;
+    this.answered();
     this.socket.close();
+  }
+
+  /** What a question is refused for: the one before goes on. Returns whether anybody still asks it. */
+  private refused({ question, fatal }: Problem): boolean {
+    if (fatal) this.answered();
+    if (!question || fatal) return true;
+    const { scene } = this.store;
+    if (question !== this.awaited) return question === scene?.question && !this.awaited;
+    this.answered();
+    if (scene) {
+      this.asked = { query: scene.query, perception: scene.perception ?? "" };
+      this.socket.amend({ ...this.asked, question: scene.question });
+      this.events.scene();
+    }
+    return true;
   }
 
   private message({ message, blobs, types }: Decoded): void {
@@ -62,11 +100,15 @@ export class Session {
     const told = message as Message;
     if (told.type === "scene") {
       this.store.begin(told);
+      if (told.question === this.awaited) this.answered();
+      if (!this.awaited) this.asked = { query: told.query, perception: told.perception ?? "" };
       this.events.scene();
-    } else if (told.type === "problem") this.events.problem(told);
-    else if (told.type === "status") this.events.status(told.words);
+    } else if (told.type === "problem") {
+      if (this.refused(told)) this.events.problem(told);
+    } else if (told.type === "status") this.events.status(told.words);
     else if (told.type === "step") {
       const step = told as Step;
+      if (step.question !== this.store.scene?.question) return; // it answers another question
       this.store.show(step, blobs);
       if (blobs.panorama && step.panorama)
         this.picture(new Blob([blobs.panorama], { type: types.panorama }), step.panorama);

@@ -39,11 +39,10 @@ export class Store {
   step: Step | null = null;
   method: string | null = null; // of a stored episode: whose belief is shown; null for the main one
   density: Density | null = null;
-  heat: Heat | null = null;
+  waiting: string | null = null; // the query that is asked and not answered yet: until then no answer is shown
   beliefFrame: "world" | "body" = "body";
   beliefMode: Vector | null = null; // where the server finds the maximum
   beliefPose: Matrix | null = null; // world_R_camera of the step that the belief came with
-  evidence: Field | null = null;
   panorama: { image: TexImageSource; head: PanoramaHead } | null = null;
   history: Moment[] = [];
   now = 0; // index in history
@@ -52,6 +51,8 @@ export class Store {
   look = { yaw: 0, pitch: 0, field: 1.25 };
   hold = false;
   stats = { received: 0, evaluated: 0, drawn: 0, ages: [] as number[], evaluation: 0, firstPicture: 0 };
+  private knownHeat: Heat | null = null;
+  private observed: Field | null = null;
   private rows = QUICKEST; // the first belief is evaluated by code that is not compiled yet
   private settling = 0;
   private asked: Matrix | null = null;
@@ -69,7 +70,7 @@ export class Store {
 
   begin(scene: Scene | null): void {
     this.scene = scene;
-    this.step = this.density = this.heat = this.evidence = this.beliefPose = null;
+    this.step = this.density = this.knownHeat = this.observed = this.beliefPose = null;
     this.asked = null;
     this.history = [];
     this.now = 0;
@@ -79,10 +80,36 @@ export class Store {
     this.emit("step");
   }
 
+  /** A question is asked; null: it is answered, or refused, and the one before is shown again. */
+  wait(query: string | null): void {
+    if (this.waiting === query) return;
+    this.waiting = query;
+    this.emit("step");
+  }
+
+  get heat(): Heat | null {
+    return this.waiting === null ? this.knownHeat : null;
+  }
+
+  get evidence(): Field | null {
+    return this.waiting === null ? this.observed : null;
+  }
+
+  /** The step, if it answers what is asked. */
+  private get told(): Step | null {
+    return this.waiting === null ? this.step : null;
+  }
+
   /** The answer that is shown: of the chosen method, or the main one. */
   get answer(): Answer | null {
-    const other = this.method === null ? null : this.step?.methods?.[this.method];
-    return other ? (other.estimate ?? null) : (this.step?.estimate ?? null);
+    const other = this.method === null ? null : this.told?.methods?.[this.method];
+    return other ? (other.estimate ?? null) : (this.told?.estimate ?? null);
+  }
+
+  /** What is looked for at the moment, without a look yet; null: there is an answer, or nothing is asked. */
+  get lookingFor(): string | null {
+    if (this.waiting !== null) return this.waiting;
+    return this.scene?.question && this.step?.look?.age == null && !this.direction ? this.scene.query : null;
   }
 
   /** The camera's pose: that of the step, or one that a person has asked for and the server does not know yet. */
@@ -92,6 +119,7 @@ export class Store {
 
   /** A direction that the step tells, in the camera's frame as it is now. */
   private asNow(d: Vector | null | undefined): Vector | null {
+    if (this.waiting !== null) return null;
     if (!d || !this.asked || !this.step) return d ?? null;
     return apply(inverse(this.asked), apply(this.step.world_R_camera, d));
   }
@@ -107,13 +135,13 @@ export class Store {
   }
 
   get error(): number | null {
-    const other = this.method === null ? null : this.step?.methods?.[this.method];
-    return (other ? other.error_deg : this.step?.error_deg) ?? null;
+    const other = this.method === null ? null : this.told?.methods?.[this.method];
+    return (other ? other.error_deg : this.told?.error_deg) ?? null;
   }
 
   get modes(): Mode[] {
-    const other = this.method === null ? null : this.step?.methods?.[this.method];
-    const modes = (other ? other.modes : this.step?.modes) ?? [];
+    const other = this.method === null ? null : this.told?.methods?.[this.method];
+    const modes = (other ? other.modes : this.told?.modes) ?? [];
     return modes.map(({ direction, weight }) => ({ direction: this.asNow(direction)!, weight }));
   }
 
@@ -144,7 +172,7 @@ export class Store {
     const head = other ? (other.belief ?? null) : step.belief;
     if (head !== undefined) this.believe(densityOf(head, other ? undefined : blobs.belief), head?.frame ?? "body", head?.mode ?? null);
     if (blobs.evidence || step.evidence?.coefficients) this.observe(step, blobs.evidence);
-    if (step.evidence === null) this.evidence = null;
+    if (step.evidence === null) this.observed = null;
     if (index === null) {
       this.history.push(momentOf(step, step.error_deg, step.estimate));
       if (this.history.length > LONGEST) this.history = this.history.filter((_, i) => i % 2 === 0);
@@ -159,7 +187,7 @@ export class Store {
     this.beliefMode = mode;
     this.beliefPose = this.step?.world_R_camera ?? null;
     const begun = performance.now();
-    this.heat = density ? heatOf(density, this.rows) : null;
+    this.knownHeat = density ? heatOf(density, this.rows) : null;
     if (!density) return;
     this.stats.evaluated++;
     const took = performance.now() - begun;
@@ -170,7 +198,7 @@ export class Store {
     if (used < FINEST)
       this.settling = window.setTimeout(() => {
         if (this.density !== density) return;
-        this.heat = heatOf(density, FINEST);
+        this.knownHeat = heatOf(density, FINEST);
         this.emit("layers");
       }, SETTLED);
   }
@@ -182,7 +210,7 @@ export class Store {
     const values = blob ? new Float32Array(blob) : typeof stored === "string" ? floats(stored) : stored;
     if (!values) return;
     const lattice = (EVIDENCE ??= whole(64));
-    this.evidence = {
+    this.observed = {
       frame: head.frame ?? "body", columns: 128, rows: 64, values: synthesise(head.degree, values, lattice),
     };
   }

@@ -54,12 +54,14 @@ export const words = {
     placeholder: "white sofa",
     submit: "Ask",
     empty: "Type what to look for.",
+    waiting: (query: string) => (query ? `Looking for “${query}” …` : "Looking …"),
   },
 
   walk: {
     house: "Apartment",
     perception: "Perception",
     drive: "Steered by",
+    tour: "tour",
     policy: "policy",
     person: "me",
     start: "Start again",
@@ -186,6 +188,7 @@ export const words = {
       stale: "There was an answer, and nothing has been looked at for a while.",
     } as Record<string, string>,
     none: "not asked yet",
+    waiting: "looking",
   },
 
   answer: {

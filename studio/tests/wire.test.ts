@@ -2,6 +2,8 @@
 
 import { afterEach, beforeEach, expect, it, vi } from "vitest";
 import { decode, densityOf, type Decoded } from "../src/wire/decode";
+import { Session } from "../src/session";
+import { Store } from "../src/store";
 import { merged, Socket, type Connection } from "../src/wire/socket";
 
 function message(words: Record<string, unknown>, ...blobs: [string, Uint8Array][]): ArrayBuffer {
@@ -114,4 +116,63 @@ it("hands on one step where several have piled up", () => {
   for (const number of [1, 2, 3]) FakeSocket.made[0].onmessage({ data: message({ type: "step", number }) });
   vi.advanceTimersByTime(1);
   expect(told.map(({ message: one }) => (one as unknown as { number: number }).number)).toEqual([3]);
+});
+
+/** A session that has asked for a sofa, with the messages of its server. */
+function asking() {
+  vi.stubGlobal("location", { href: "http://here/", search: "" });
+  const store = new Store();
+  const problems: string[] = [];
+  const session = new Session(store, {
+    connection: () => {}, problem: ({ problem }) => problems.push(problem), status: () => {}, scene: () => {},
+  });
+  session.open({ view: "walk", query: "sofa", perception: "scout" });
+  const socket = FakeSocket.made[0];
+  socket.opens();
+  const says = (words: Record<string, unknown>) => {
+    socket.onmessage({ data: message(words) });
+    vi.advanceTimersByTime(1);
+  };
+  const asked = () => JSON.parse(socket.sent.at(-1)!) as { question: number; query?: string; text?: string; perception: string };
+  const scene = (question: number, query: string) => says({ type: "scene", view: "walk", query, perception: "scout", question, methods: [] });
+  const step = (question: number) =>
+    says({ type: "step", question, world_R_camera: [1, 0, 0, 0, 1, 0, 0, 0, 1], estimate: { direction: [1, 0, 0] }, modes: [], look: { age: 0.1 } });
+  return { store, session, problems, says, asked, scene, step };
+}
+
+it("shows no answer to another question", () => {
+  const { store, session, asked, scene, step } = asking();
+  const first = asked().question;
+  expect(store.lookingFor).toBe("sofa");
+  scene(first, "sofa");
+  step(first);
+  expect(store.direction).toEqual([1, 0, 0]);
+  session.ask("bed");
+  const second = asked().question;
+  expect([store.direction, store.lookingFor]).toEqual([null, "bed"]);
+  step(first); // was on its way
+  expect(store.direction).toBeNull();
+  session.ask("bed", "truth"); // before the bed was found
+  expect(asked()).toMatchObject({ text: "bed", perception: "truth", question: second + 1 });
+  scene(second, "bed");
+  step(second);
+  expect([store.direction, store.lookingFor]).toEqual([null, "bed"]);
+  scene(second + 1, "bed");
+  step(second); // of a merged or late message
+  expect(store.direction).toBeNull();
+  step(second + 1);
+  expect(store.direction).toEqual([1, 0, 0]);
+});
+
+it("goes on with the answer before a question that is refused", () => {
+  const { store, session, problems, says, asked, scene, step } = asking();
+  const first = asked().question;
+  scene(first, "sofa");
+  step(first);
+  session.ask("sfoa");
+  says({ type: "problem", problem: "somebody else's", change: "", question: 5 });
+  expect(problems).toEqual([]);
+  says({ type: "problem", problem: "unknown", change: "", question: asked().question });
+  expect(problems).toEqual(["unknown"]);
+  expect([store.direction, store.lookingFor, session.asked.query]).toEqual([[1, 0, 0], null, "sofa"]);
 });

@@ -146,7 +146,7 @@ def test_live_it_walks_sends_pictures_and_tells_the_truth_beside():
     robot = SimulatedGo2(SimSettings(target="red ball", speed=0.3, camera=SMALL))
     with LiveGo2(robot, domain, "lo") as live, Link(domain, "lo") as link:
         live.wait_for_camera()
-        state, client = Go2State(link), SportClient(link)
+        state, client = Go2State(link), SportClient(link, timeout=20.0)
         kind = "sensor_msgs/msg/CompressedImage"
         link.subscribe(CAMERA_TOPIC, kind, lambda message, when: frames.append((message, when)))
         link.subscribe(TRUTH, "nav_msgs/msg/Odometry", lambda message, when: truths.append(message))

@@ -22,6 +22,8 @@ from eagor.robots.go2.sim_live import Go2Server
 from eagor.robots.go2.state import Go2Low, Go2State, Remote
 from eagor.robots.go2.wire import SportFields, raw
 
+LONG = 20.0  # seconds for an answer: this machine may be busy
+
 
 def robot(link: Link, wire: WireSettings | None = None, **settings) -> Go2Server:
     plant = Plant(PlantSettings(**settings), np.random.default_rng(3))
@@ -60,7 +62,7 @@ def test_states_come_in_both_forms_and_from_the_lidar_on_our_clock(short, source
 def test_a_robot_walks_where_it_is_told_and_stops():
     domain = free_domain()
     with Link(domain, "lo") as link, robot(link, scale_drift=0, turn_drift=0, yaw_drift=0) as server:
-        state, client = Go2State(link), sport.SportClient(link)
+        state, client = Go2State(link), sport.SportClient(link, timeout=LONG)
         assert client.wait(20)
         assert client.api_version() == (0, "1.0.0.1")
         assert client.balance_stand() == sport.OK
@@ -113,7 +115,7 @@ def test_nobody_there_is_said_and_commands_have_a_code():
 
 def test_what_a_robot_does_not_know_or_understand_has_a_code():
     with Link(free_domain(), "lo") as link, robot(link):
-        client = sport.SportClient(link)
+        client = sport.SportClient(link, timeout=LONG)
         client.wait(20)
         client._allowed = frozenset(range(3000))
         assert client.call(1030)[0] == 3203
@@ -126,7 +128,11 @@ ODD = ["NaN", "Infinity", "1e308", "-1e39", '"nan"', "1" + 400 * "0", "null", "[
 @pytest.mark.parametrize("service", ["sport", "obstacles_avoid"])
 def test_a_move_that_is_no_velocity_is_refused_and_moves_nothing(service):
     with Link(free_domain(), "lo") as link, robot(link, dead_time=0.0) as server:
-        client = sport.AvoidClient(link) if service == "obstacles_avoid" else sport.SportClient(link)
+        client = (
+            sport.AvoidClient(link, timeout=LONG)
+            if service == "obstacles_avoid"
+            else sport.SportClient(link, timeout=LONG)
+        )
         assert client.wait(20)
         if service == "obstacles_avoid":
             assert client.start() == sport.OK
@@ -147,7 +153,7 @@ def asked(link, service, api_id, **parameter):
     """A request to a service that our clients never use, as another program sends it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sport.ALLOWED, service, frozenset({1, *range(1001, 1007)}))
-        client = sport.Service(link, service)
+        client = sport.Service(link, service, timeout=LONG)
     assert client.wait(20)
     code, data = client.call(api_id, parameter)
     client.close()
@@ -157,7 +163,7 @@ def asked(link, service, api_id, **parameter):
 def test_programs_that_command_motors_can_be_rehearsed_release_the_mode_and_select_it_again():
     """As Unitree's examples do: lie down and release until no mode is on; later select one and stand up."""
     with Link(free_domain(), "lo") as link, robot(link, deaf=(0.0, 0.0)) as server:
-        client = sport.SportClient(link, timeout=0.5)
+        client = sport.SportClient(link, timeout=LONG)
         assert client.wait(20)
         assert asked(link, "motion_switcher", 1001) == (0, {"form": "0", "name": "normal"})
         assert client.stand_down() == sport.OK
@@ -165,7 +171,9 @@ def test_programs_that_command_motors_can_be_rehearsed_release_the_mode_and_sele
         assert asked(link, "motion_switcher", 1001)[1]["name"] == ""
         assert server.truth.mode == 7  # limp
         assert client.move(0.3, 0.0, 0.0) == sport.OK  # it was sent
+        client.timeout = 0.5
         assert client.stop() == sport.TIMEOUT  # nobody answers
+        client.timeout = LONG
         assert server.plant.walked == 0.0
         assert asked(link, "motion_switcher", 1002, name="moonwalk") == (7004, None)
         assert asked(link, "motion_switcher", 1002, name="ai") == (0, None)
@@ -192,6 +200,7 @@ def test_services_are_listed_and_switched_unless_they_are_protected():
         client = sport.SportClient(link, timeout=0.5)
         client.wait(20)
         assert client.stand_up() == sport.TIMEOUT
+        client.timeout = LONG
         assert asked(link, "robot_state", 1001, name="motion_switcher", switch=0)[1]["status"] == 5
         assert asked(link, "robot_state", 1001, name="lidar", switch=0)[0] == 5201
         assert asked(link, "robot_state", 1001, name="sport_mode")[0] == 3204
@@ -207,7 +216,7 @@ def test_the_motors_tell_their_angles_and_rates():
         np.testing.assert_allclose([motor.q for motor in seen[-1].motor_state[:12]], server.plant.joints, atol=1e-6)
         assert {motor.dq for motor in seen[-1].motor_state[:12]} == {0.0}
         assert seen[-1].crc != 0
-        client = sport.SportClient(link)
+        client = sport.SportClient(link, timeout=LONG)
         client.wait(20)
         client.move(0.5, 0.0, 0.0)
         wait_for(lambda: server.plant.walked > 0.1)
@@ -218,7 +227,7 @@ def test_the_motors_tell_their_angles_and_rates():
 
 def test_dangerous_commands_are_never_sent():
     with Link(free_domain(), "lo") as link, robot(link) as server:
-        client = sport.SportClient(link)
+        client = sport.SportClient(link, timeout=LONG)
         client.wait(20)
         for number in (1030, 1031, 1032, *range(2041, 2048), 1006, 1001, 0):
             with pytest.raises(DeviceError, match=f"command {number} of 'sport' is never sent"):
@@ -297,14 +306,14 @@ def test_lost_and_late_messages_are_lost_and_late_but_commands_are_asked_again()
         assert sport.OK in codes
         assert sport.TIMEOUT in codes  # 51 % of the answers come on average
         steps, count = server.plant.steps, state.count
-        wait_for(lambda: server.plant.steps > steps + 400)
-        assert 200 < state.count - count < 400
+        wait_for(lambda: state.count > count + 200)
+        assert state.count - count < 0.9 * (server.plant.steps - steps)  # 0.7 come, and on a busy machine fewer
 
 
 def test_moving_carefully_needs_to_be_turned_on():
     domain = free_domain()
     with Link(domain, "lo") as link, robot(link, dead_time=0.0) as server:
-        state, client = Go2State(link), sport.AvoidClient(link)
+        state, client = Go2State(link), sport.AvoidClient(link, timeout=LONG)
         assert client.wait(20)
         assert client.api_version() == (0, "1.0.0.2")
         assert client.on() is False

@@ -50,6 +50,13 @@ VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60
         (line(image=VIEW | {"qw": 1}), "qx is missing"),
         (line(image=VIEW | {"qw": 1, "qx": 1, "qy": 0, "qz": 0}), r"length of qw, qx, qy, qz is 1\.4142; wanted 1"),
         (line(image=VIEW | {"qw": 1, "qx": 0, "qy": 0, "qz": 0, "pitch_up_deg": 3}), "not both"),
+        (line(boxes=None, views=[{"image": VIEW, "boxes": []}] * 2), "2 views of .* sr in all; wanted one view, or"),
+        (line(boxes=None, views=[{"image": PANORAMA, "boxes": []}]), 'wanted "perspective" in views'),
+        (line(pose={"qw": 1, "qx": 0, "qy": 0, "qz": 0, "x": 1}), "wanted x, y and z, or none of them"),
+        (line(pose={"qw": 1, "qx": 1, "qy": 0, "qz": 0}), r"wanted 1 \(a rotation, world_R_body\)"),
+        (line(unseen={"rows": 2, "runs": [1, 2]}), r"runs is '3 cells'; wanted rows \* 2 \* rows = 8 in all"),
+        (line(boxes=None), "has none of boxes, points, response, views; wanted exactly one, or a pose"),
+        ('{"footage": {"of": "a.mp4", "perception": "coco"}}', "has footage; wanted that in the first line alone"),
     ],
 )
 def test_a_key_that_means_nothing_is_refused_with_the_nearest(tmp_path, bad, says):
@@ -183,3 +190,13 @@ def test_a_file_that_never_ends_is_refused(tmp_path, monkeypatch):
     (link := tmp_path / "link.jsonl").symlink_to(path)
     monkeypatch.undo()
     assert len(read_records(link)) == 1
+
+
+def test_what_the_camera_never_sees_says_nothing():
+    """A box under the tripod's patch is none, and not having seen anything there is no sign of absence."""
+    seen = {"unseen": {"rows": 2, "runs": [4, 4]}}  # the lower half is black
+    boxes = [{"box": [500, 100, 540, 140]}, {"box": [500, 400, 540, 440]}]
+    evidence = parse_record(line(boxes=boxes, **seen)).evidence("thing")
+    assert len(evidence.detections) == 1
+    assert evidence.detections.directions[0, 2] > 0
+    assert evidence.detections.share(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])).tolist() == [0.0, 1.0]

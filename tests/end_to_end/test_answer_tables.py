@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,10 +31,17 @@ ENTRY = {
 }  # fmt: skip
 
 
+@cache
+def png():
+    """The file of the painted room, which takes longer to paint than to write."""
+    Image.fromarray(painted_room(128, 256)).save(buffer := io.BytesIO(), "PNG")
+    return buffer.getvalue()
+
+
 @pytest.fixture
 def room(tmp_path):
     path = tmp_path / "room.png"
-    Image.fromarray(painted_room(128, 256)).save(path)
+    path.write_bytes(png())
     return path
 
 

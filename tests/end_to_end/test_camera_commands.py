@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import clips
 import numpy as np
@@ -11,11 +12,12 @@ from moving_rooms import PatternRoom
 from PIL import Image
 
 from eagor.cli import main
-from eagor.media.panorama import turn
+from eagor.grids import PerspectiveGrid
+from eagor.media.panorama import turn, view
 from eagor.media.rigs import dual_fisheye, read_rig, write_rig
 from eagor.media.stitching import seen_by
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import painted_room
+from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 pytest.importorskip("cv2")
 pytest.importorskip("av")
@@ -180,3 +182,37 @@ def test_an_ideal_rig_is_the_default(capsys, tmp_path):
     code, _, err = run(capsys, "camera", "view", tmp_path / "a.png")
     assert code == 0
     assert "two ideal lenses of 200 degrees" in err
+
+
+RIG_OF_TWO = """
+pictures: [{width: 480, height: 360}, {width: 480, height: 360}]
+lenses:
+  - name: front_optical_frame
+    kind: pinhole
+    focal: 260
+    centre: [240, 180]
+    rotation: {x: -0.5, y: 0.5, z: -0.5, w: 0.5}
+    position: [0.1, 0.0, 0.3]
+  - {name: back, kind: pinhole, picture: 1, focal: 260, centre: [240, 180], rotation: {yaw_deg: 180}}
+"""
+
+
+def test_track_looks_at_each_picture_of_a_rig_of_ordinary_lenses(capsys, tmp_path):
+    (tmp_path / "rig.yaml").write_text(RIG_OF_TWO)
+    with pytest.warns(UserWarning, match=r"lenses\[0\].position is ignored"):
+        lenses = read_rig(tmp_path / "rig.yaml").lenses
+    assert np.allclose(lenses[0].body_R_lens, np.eye(3), atol=1e-9)
+    room, poses = painted_room(512, 1024), [world_R_body(0.06 * k) for k in range(16)]
+    for lens, name in zip(lenses, ("front", "back"), strict=True):
+        grid = PerspectiveGrid.of_lens(lens)
+        pictures = [view(room, replace(grid, body_R_view=pose @ lens.body_R_lens)) for pose in poses]
+        clips.clip(tmp_path / f"{name}.mp4", pictures, rate=10, options={"crf": "10"})
+    videos = f"{tmp_path / 'front.mp4'},{tmp_path / 'back.mp4'}"
+    code, out, err = run(capsys, "track", videos, "the red ball", "--rig", tmp_path / "rig.yaml", "--rate", 2, "--json")
+    assert code == 0, err
+    frames = json.loads(out)["frames"]
+    assert [(round(each["stamp"], 2), each["frame"].split(".")[0]) for each in frames] == [
+        (stamp, name) for stamp in (0.0, 0.5, 1.0, 1.5) for name in ("front", "back")
+    ]
+    truth = bearing(Room().balls[0], EYE, poses[15])[0]
+    assert abs(math.remainder(frames[-1]["azimuth_deg"] - math.degrees(math.atan2(truth[1], truth[0])), 360)) < 3

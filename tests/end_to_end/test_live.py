@@ -15,8 +15,11 @@ from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
+from eagor.grids import PerspectiveGrid
 from eagor.live.recording import Replay
-from eagor.worlds.painted import painted_room
+from eagor.media.panorama import view
+from eagor.sphere import world_R_body
+from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -230,3 +233,24 @@ def test_what_cannot_be_done_is_said_in_a_sentence_with_exit_code_2(words, says,
     errors = [line for line in captured.err.splitlines() if line.startswith("eagor: error: ")]
     assert len(errors) == 1
     assert says in errors[0]
+
+
+def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
+    (tmp_path / "film").mkdir()
+    room, hfov = painted_room(256, 512), math.radians(80)
+    for number in range(8):
+        seen = view(room, PerspectiveGrid(180, 240, hfov, world_R_body(0.09 * number)))
+        Image.fromarray(seen).save(tmp_path / "film" / f"{number / 10:.2f}.png")
+    words = ["--hfov", "80", "--fast", "--json", "--record", str(tmp_path / "run"), "--pictures", "png"]
+    assert main(["live", str(tmp_path / "film"), "the red ball", *words]) == 0
+    last = lines(capsys)[-1]
+    truth = bearing(Room().balls[0], EYE, world_R_body(0.63))[0]
+    azimuth = math.degrees(math.atan2(truth[1], truth[0]))
+    assert abs(last["azimuth_deg"] - azimuth) < 3, "it has left the picture"
+    again = ["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]
+    assert main(again) == 2
+    assert "--hfov DEGREES" in capsys.readouterr().err
+    assert main([*again, "--hfov", "80"]) == 0
+    assert abs(lines(capsys)[-1]["azimuth_deg"] - azimuth) < 3
+    assert main(["live", str(tmp_path / "film"), "the red ball", "--fast"]) == 2
+    assert "--hfov DEGREES" in capsys.readouterr().err

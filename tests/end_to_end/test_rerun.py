@@ -56,11 +56,9 @@ def test_a_log_holds_the_answers_of_the_table(followed):
         assert [at for at, _ in log[name]] == [row["stamp"] for row in rows]
         return [float(value[0]) for _, value in log[name]]
 
-    np.testing.assert_allclose(plotted("angles/the_red_ball/azimuth"), [row["azimuth_deg"] for row in rows], atol=0.01)
-    np.testing.assert_allclose(plotted("presence/the_red_ball/presence"), [row["presence"] for row in rows], atol=1e-6)
-    (vectors,) = (
-        value for key, value in log.items() if key.startswith("/world/body/the_red_ball") and "vectors" in key
-    )
+    np.testing.assert_allclose(plotted("angles/red/azimuth"), [row["azimuth_deg"] for row in rows], atol=0.01)
+    np.testing.assert_allclose(plotted("presence/red/presence"), [row["presence"] for row in rows], atol=1e-6)
+    (vectors,) = (value for key, value in log.items() if key.startswith("/world/body/red") and "vectors" in key)
     last = np.array(vectors[-1][1].tolist(), dtype=float)[-1]
     azimuth, elevation = azimuth_elevation(last / np.linalg.norm(last))
     assert abs(np.degrees(float(azimuth)) - rows[-1]["azimuth_deg"]) < 0.1

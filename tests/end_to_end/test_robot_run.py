@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -134,6 +133,8 @@ def test_a_perception_that_hangs_stops_the_robot(tmp_path):
             said += line
             if " armed, " in line:
                 break
+        else:
+            raise AssertionError(said)
         # Of the processes that were spawned, the perception's is the youngest.
         started = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
         spawned = [int(pid) for pid in started if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
@@ -169,8 +170,6 @@ def test_a_perception_that_hangs_stops_the_robot(tmp_path):
 ])  # fmt: skip
 def test_what_cannot_be_is_said_and_nothing_is_started(words, said, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    begun = time.monotonic()
     assert main(["robot", "run", *words]) == 2
     assert said in capsys.readouterr().err
-    assert time.monotonic() - begun < 120
     assert not list(tmp_path.iterdir())

@@ -190,7 +190,7 @@ def test_queries_come_on_a_topic_and_faults_are_told(robot):
         query = heard.link.publish("/eagor/query", m.TEXT, transient=True)
         query.write(m.text_message("red"))
         heard.until(lambda got: worst(got, "/eagor/direction", 0) < 5, "the red ball is found")
-        query.write(m.text_message("+yellow ball"))
+        query.write(m.text_message("+yellow"))
         heard.until(lambda got: worst(got, "/eagor/yellow/direction", 2) < 5, "the yellow ball is found, too")
         query.write(m.text_message("zzz"))  # no perception of ours knows that word
         heard.until(

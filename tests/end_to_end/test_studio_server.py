@@ -99,9 +99,12 @@ def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(serve
         page.say(type="methods", names=["vmf", "nonsense"])
         answered = page.until(lambda header: header["rivals"])
         assert list(answered["rivals"]) == ["vmf"]
-        page.say(type="query", text="bed")
-        assert page.until("scene")["query"] == "bed"
-        assert page.until("step")["estimate"]["direction"] is None  # it was the sofa's
+        page.say(type="query", text="bed", question=7)
+        scene = page.until(lambda header: header["type"] == "scene" or header["question"] != 0)
+        assert (scene["type"], scene["query"], scene["question"]) == ("scene", "bed", 7)
+        step = page.until("step")
+        assert step["question"] == 7
+        assert step["estimate"]["direction"] is not None  # the first look for it has been taken
         page.say(type="degree", L=7)
         assert page.until("scene")["degree"] == 7
         belief = page.until(lambda header: "belief" in header)["belief"]
@@ -121,15 +124,34 @@ def test_the_policy_walks_towards_the_thing(served):
         page.say(type="pause", on=True)
 
 
-def test_what_nobody_knows_is_said_in_words(served):
+def test_what_nobody_knows_is_said_in_words_and_changes_nothing(served):
     with served.page() as page:
-        page.say(type="open", view="walk", query="unicorn", perception="scout")
+        page.say(type="open", view="walk", query="unicorn", perception="scout", question=1)
         page.until("scene")
         said = next(header for header in iter(page.hear, None) if header["type"] == "problem")
         assert "unicorn" in said["problem"]
-        assert not said["fatal"]
-        page.say(type="query", text="bed")
+        assert (said["fatal"], said["question"]) == (False, 1)
+        page.say(type="query", text="bed", question=2)
         page.until(lambda header: header["type"] == "step" and header["look"]["fresh"])
+        page.say(type="query", text="unicorn", question=3)
+        said = next(header for header in iter(page.hear, None) if header["type"] != "step" or header["question"] != 2)
+        assert (said["type"], said["question"]) == ("problem", 3)
+        page.until(lambda header: header["question"] == 2 and header["look"]["fresh"])
+        page.say(type="query", text="bed", perception="nothing", question=4)
+        said = next(header for header in iter(page.hear, None) if header["type"] != "step")
+        assert (said["type"], said["question"]) == ("problem", 4)
+
+
+def test_the_first_walk_begins_in_sight_and_leads_behind_a_wall(served):
+    with served.page() as page:
+        page.say(type="open", view="walk", drive="tour", perception="truth")
+        page.until(lambda header: header["type"] == "step" and "is in sight" in header["goal"]["words"])
+        hidden = page.until(lambda header: header["type"] == "step" and "A wall has hidden" in header["goal"]["words"])
+        assert hidden["drive"] == "tour"
+        rows = 0
+        while rows < 1024:  # it rests there
+            if "panorama" in page.until("step"):
+                rows = Image.open(io.BytesIO(page.blobs["panorama"])).height
 
 
 def test_an_eye_that_dies_is_replaced_and_the_view_begins_anew(served):

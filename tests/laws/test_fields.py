@@ -28,7 +28,7 @@ def test_the_cells_of_a_patch_are_those_whose_middles_lie_inside():
     inside = patch.places(grid.directions)[1]
     assert 0 < inside.sum() == len(patch.cells(grid))
     assert inside.reshape(-1)[patch.cells(grid)].all()
-    assert (SphereField(grid, np.zeros(grid.shape), (patch,)).outside == ~inside).all()
+    assert (SphereField(grid, np.zeros(grid.shape), (patch,)).layout.outside == ~inside).all()
 
 
 def test_a_field_goes_on_across_the_seam_and_the_poles():

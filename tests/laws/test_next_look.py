@@ -40,7 +40,7 @@ def shows(estimate, toward, where):
 
 def test_before_any_look_all_directions_are_alike_and_the_nearest_is_taken():
     estimate = eagor.DirectionTracker().estimate(0.0)
-    _, told = looks(estimate.hypotheses, estimate.posterior.nodes, None, CAMERA, None)
+    _, told = looks(estimate._known, CAMERA, None)
     assert told.min() > 0.95 * told.max()
     assert estimate.next_look(CAMERA).turn < 1e-6
     assert estimate.next_look(CAMERA, body_R_view=world_R_body(math.pi / 2)).direction[1] == pytest.approx(1.0)
@@ -52,7 +52,7 @@ def test_what_was_looked_at_in_vain_is_not_looked_at_again(turns):
     """The next look tells as much as any, and more than the same look again; it shows mostly what none has shown."""
     estimate = looked(*(world_R_body(*np.radians(turn)) for turn in turns))
     next_look = estimate.next_look(CAMERA)
-    axes, told = looks(estimate.hypotheses, estimate.posterior.nodes, estimate.alarms, CAMERA, None)
+    axes, told = looks(estimate._known, CAMERA, None)
     again = told[np.argmax(axes @ estimate.world_R_body[:, 0])]
     assert 0.97 * told.max() <= next_look.tells <= told.max()
     assert next_look.tells > again

@@ -5,6 +5,8 @@ import json
 import math
 import struct
 from contextlib import suppress
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,15 +15,20 @@ from hypothesis import strategies as st
 from starlette.datastructures import Headers
 
 from eagor.errors import EagorError
+from eagor.evidence import Evidence
+from eagor.live.events import Answer, Asked, EvidenceCame, Trouble
 from eagor.studio import runs
 from eagor.studio.guard import Gate
 from eagor.studio.houses import Body, Walker, outlines
 from eagor.studio.hub import Channel, Slot
+from eagor.studio.live import Shown
 from eagor.studio.messages import LONGEST, Blob, Message, PageError, merged, packed, read, rounded
 from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.replays import Redrawn
 from eagor.studio.runs import page_of
-from eagor.studio.session import Opened, Opening, Outbox, Refused, See, Turn
+from eagor.studio.session import Loaded, Opened, Opening, Outbox, Question, Refused, See, Seen, Turn, Turned
+from eagor.tracking import TrackerConfig
+from eagor.tracking.follower import Follower
 
 
 def unpacked(frame):
@@ -359,24 +366,147 @@ def test_words_from_outside_cannot_leave_their_place_in_the_page(monkeypatch, tm
     assert held["steps"][0]["panorama"]["url"].startswith("data:image/jpeg;base64,")
 
 
-@pytest.mark.parametrize("kind", [PictureSession, VideoSession])
-def test_a_refusal_that_comes_late_is_of_the_query_that_was_refused(kind, tmp_path):
-    """While "unicorn" is being looked for, something else is asked: that is looked for, and nothing is said."""
-    orders, said = [], []
-    opening = Opening("picture", "unicorn", "colour", picture=tmp_path / "a.png", frames=8)
-    session = kind(1, opening, Outbox(lambda _, message: said.append(message.header), orders.append))
+# --- questions ---
 
-    def looks():
-        session.tick(0.0)
-        return [order.query for order in orders if isinstance(order, See | Turn)]
 
-    session.saw(Opened(1, b"", (), {}), 0.0)
-    assert looks() == ["unicorn"]
-    session.told({"type": "query", "text": "red ball"}, 0.0)
-    session.saw(Refused(1, "query", "there are no unicorns", "unicorn"), 0.0)
-    if kind is VideoSession:  # it looks again when the frame has come
-        session._asking = False
-    assert looks() == ["unicorn", "red ball"]
-    assert not [one for one in said if one["type"] == "problem"]
-    session.saw(Refused(1, "query", "there are no balls", "red ball"), 0.0)
-    assert [one["problem"] for one in said if one["type"] == "problem"] == ["there are no balls"]
+class Heard:
+    """A session, with what it orders from the eye and says to its page."""
+
+    def __init__(self, kind, opening):
+        self.orders, self.said = [], []
+        self.session = kind(1, opening, Outbox(lambda _, message: self.said.append(message.header), self.orders.append))
+        self.hears(Loaded(1, opening.question.perception, {"words": "", "numbers": {}}))
+
+    def hears(self, *said):
+        for each in said:
+            self.session.saw(each, 0.0)
+
+    def looks(self):
+        """The questions that it has looks taken for, once it has had its turn."""
+        self.session.tick(0.0)
+        return [order.question for order in self.orders if isinstance(order, See | Turn)]
+
+    def sees(self, evidence=()):
+        """The newest look is taken."""
+        order = next(order for order in reversed(self.orders) if isinstance(order, See | Turn))
+        if isinstance(order, Turn):
+            self.frames = getattr(self, "frames", -1) + 1
+            self.hears(Turned(1, 0.25 * self.frames, np.eye(3), b"", order.question, tuple(evidence)))
+        else:
+            self.hears(Seen(1, order.stamp, order.question, tuple(evidence)))
+
+    def told(self, kind):
+        return [one for one in self.said if one["type"] == kind]
+
+
+@pytest.fixture(params=[PictureSession, VideoSession])
+def heard(request, tmp_path):
+    opening = Opening("picture", Question("red ball", "colour", 1), picture=tmp_path / "a.png", frames=8)
+    found = Heard(request.param, opening)
+    if request.param is PictureSession:
+        found.hears(Opened(1, b"", ()))
+    return found
+
+
+def ball():
+    return Evidence.from_points(np.array([[1.0, 0.1, 0.0]]), scores=np.full(1, 0.9))
+
+
+def test_what_answers_a_question_carries_its_number_and_a_new_one_is_answered_from_its_first_look_on(heard):
+    heard.looks()
+    heard.sees([ball()])
+    heard.looks()
+    assert {one["question"] for one in heard.told("step")} == {1}
+    heard.session.told({"type": "query", "text": "blue ball", "perception": "", "question": 2}, 0.0)
+    while heard.looks()[-1].query != "blue ball":
+        heard.sees([ball()])  # what was under way
+    assert [one["question"] for one in heard.told("scene")] == [1], "nothing changes before a look is taken"
+    heard.sees([ball()])
+    heard.looks()
+    scene, step = heard.told("scene")[-1], heard.told("step")[-1]
+    assert (scene["question"], scene["query"], step["question"]) == (2, "blue ball", 2)
+
+
+def test_a_question_that_is_refused_changes_nothing(heard):
+    heard.looks()
+    heard.sees([ball()])
+    heard.looks()
+    known = heard.told("step")[-1]["estimate"]["presence"]
+    heard.session.told({"type": "query", "text": "unicorn", "perception": "", "question": 2}, 0.0)
+    while (asked := heard.looks()[-1]).query != "unicorn":
+        heard.sees([ball()])
+    heard.hears(Refused(1, "query", "there are no unicorns", asked))
+    if isinstance(heard.session, VideoSession):
+        heard.hears(Turned(1, 9.0, np.eye(3), b"", None))
+    heard.looks()
+    assert [(one["problem"], one["question"]) for one in heard.told("problem")] == [("there are no unicorns", 2)]
+    assert [one["question"] for one in heard.told("scene")] == [1]
+    assert heard.told("step")[-1]["question"] == 1
+    assert heard.told("step")[-1]["estimate"]["presence"] >= 0.9 * known
+    heard.hears(Refused(1, "query", "too late", asked))
+    assert len(heard.told("problem")) == 1, "nobody asks for it any more"
+
+
+def test_what_is_asked_before_a_view_is_ready_is_asked(tmp_path):
+    found = Heard(PictureSession, Opening("picture", Question("red ball", "colour", 1), picture=tmp_path / "a.png"))
+    found.session.told({"type": "query", "text": "bed", "perception": "coco", "question": 2}, 0.0)
+    assert found.orders[-1] == ("perception", 1, "coco")
+    found.hears(Opened(1, b"", ()))
+    assert found.looks() == [], "its perception is not loaded yet"
+    found.hears(Loaded(1, "coco", {"words": "", "numbers": {}}))
+    assert found.looks() == [Question("bed", "coco", 2)]
+    (scene,) = found.told("scene")
+    assert (scene["question"], scene["query"], scene["perception"]) == (2, "bed", "coco")
+
+
+def test_a_paused_view_answers_a_new_question_and_stands_still_again(heard):
+    heard.looks()
+    heard.sees([ball()])
+    heard.looks()
+    heard.session.told({"type": "pause", "on": True}, 0.0)
+    if isinstance(heard.session, VideoSession):
+        heard.sees()  # the frame that was under way
+    before = len(heard.looks())
+    heard.session.told({"type": "query", "text": "blue ball", "perception": "", "question": 2}, 0.0)
+    assert heard.looks()[before:] == [Question("blue ball", "colour", 2)]
+    heard.sees([ball()])
+    heard.looks()
+    assert heard.told("step")[-1]["question"] == 2
+    assert len(heard.looks()) == before + 1
+
+
+class Loop:
+    """What a live source's watcher needs of the loop: it notes what is followed."""
+
+    def __init__(self):
+        self.core = SimpleNamespace(config=TrackerConfig(), queries=("ball",))
+        self.followed = []
+        self.follow = self.followed.append
+
+
+def test_a_live_source_goes_on_with_the_question_before_one_that_is_refused():
+    said, estimate = [], Follower()
+    estimate.move(0.0, np.eye(3))
+    estimate.look(replace(ball(), stamp=0.0))
+    shown = Shown(lambda message: said.append(message.header), "camera", "colour")
+    shown.loop = Loop()
+
+    def answers(query):
+        return [Answer(1.0, query, estimate.estimate(1.0), None, 0.1, 0.1)]
+
+    shown.take(Asked(1.0), answers("ball"))
+    shown.ask("zzz", 7)
+    assert shown.loop.followed[-1] == ["ball", "zzz"]
+    shown.take(Asked(1.0), answers("ball") + answers("zzz"))
+    shown.take(Trouble(1.0, "perception", "no such word", "zzz"), [])
+    assert shown.loop.followed[-1] == ["ball"]
+    assert [(one["problem"], one["question"]) for one in said if one["type"] == "problem"] == [("No such word.", 7)]
+    assert {one["question"] for one in said if one["type"] == "step"} == {0}
+    shown.ask("cup", 8)
+    shown.take(EvidenceCame(1.0, 1.0, None, "cup", (), 0.1), [])
+    assert shown.loop.followed[-1] == ["cup"]
+    shown.take(Asked(1.0), answers("ball") + answers("cup"))
+    assert [(one["type"], one["question"]) for one in said[-2:]] == [("scene", 8), ("step", 8)]
+    shown.close()
+    shown.ask("ball", 9)
+    assert (said[-1]["type"], said[-1]["question"]) == ("problem", 9)

@@ -55,7 +55,7 @@ def eagor(site, *words):
     path = os.pathsep.join([str(site), *(entry for entry in sys.path if entry)])
     command = [sys.executable, "-c", IMPATIENT, *map(str, words)]
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=200)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=900)
     assert "Traceback" not in done.stderr
     return done
 

@@ -77,7 +77,7 @@ def test_an_answer_is_whole_within_its_deadline(answer):
             look(server.url, timeout=0.5)
         with pytest.raises(ServerError, match=r"gave no answer within 0\.5 s"):
             EndpointPerception("", (server.url,), timeout=0.5)(GREY, "red chair")  # the list of its models
-        assert time.monotonic() - began < 15, "for ever"
+        assert time.monotonic() - began < 120, "for ever"
 
 
 def flooding(head):

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from eagor.studio import eye
-from eagor.studio.session import Built, Close, Opened, See
+from eagor.studio.session import Built, Close, Opened, Question, See
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def seeing(monkeypatch):
     class Seeing:
         def open(self, what, session, which):
             used[session] = which
-            eye._build((what, session, which, "truth" if what == "house" else "colour"), said.append)
+            eye._build((what, session, which), said.append)
             assert isinstance(said[-1], Built | Opened), said[-1]
             return said[-1]
 
@@ -42,7 +42,7 @@ def test_apartments_go_with_the_last_page_that_shows_them(seeing):
     seeing.tell(Close(2))
     assert gone[2]() is None
     assert gone[1]() is not None  # another page is still in it
-    seeing.tell(See(1, 0.0, np.eye(3), eye._eye(eye._homes(3)), "truth", "chair", 0, 3))
+    seeing.tell(See(1, 0.0, np.eye(3), eye._eye(eye._homes(3)), Question("chair", "truth"), 0, 3))
     seeing.tell(Close(1))
     gc.collect()
     assert gone[1]() is None
@@ -60,7 +60,7 @@ def test_photographs_go_with_their_page_and_are_bounded_before(seeing, tmp_path,
         assert seeing.open("picture", session, file).jpeg
         assert eye._photograph.bytes <= eye._photograph.most
     for session in range(4):  # those that had no room are read again
-        seeing.tell(See(session, 0.0, np.eye(3), None, "colour", "red chair", 0, None, files[session]))
+        seeing.tell(See(session, 0.0, np.eye(3), None, Question("red chair", "colour"), 0, None, files[session]))
     for session in range(4):
         seeing.tell(Close(session))
     assert eye._photograph.bytes == 0

@@ -27,11 +27,11 @@ since either the target was detected, and no look-alike is there, or a look-alik
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import altered, lazy
 from eagor.evidence.detector import Habits
 from eagor.grids import ErpGrid
 
@@ -96,8 +96,8 @@ class Bank:
 
     @property
     def missed(self) -> np.ndarray:
-        """log M ``(...)``."""
-        return np.broadcast_to(self.never[-1], self.lead.shape)
+        """log M ``(...)``, or of shape ``(1, 1)`` where it is the same everywhere."""
+        return self.never[-1]
 
     def judged(self, support: np.ndarray, explained: np.ndarray | None) -> np.ndarray:
         """log LR ``(...)`` from log T, where look-alikes explain so much: log(1 + Q); None: there are none."""
@@ -174,14 +174,14 @@ class Bank:
             if told is not None:
                 maps[name] += hit * told
         if not len(other):
-            return replace(self, maps=maps)
+            return altered(self, maps=maps)
         silence = -np.asarray(shown.share, dtype=np.float64)
         silence = silence.reshape((1,) * (maps.ndim - 1)) if silence.ndim == 0 else silence
         shape = np.broadcast_shapes(self.never.shape[1:], silence.shape)
         never = np.empty((count + 1, *shape))
         unseen = self.never[:-1]
         never[-1] = self.never[-1] + np.log(_learnt(unseen, own, mixed(own, unseen), silence, never[:-1]))
-        return replace(self, maps=maps, never=never)
+        return altered(self, maps=maps, never=never)
 
     def renewed(self, share: float) -> Bank:
         """After a `share` of the places has drawn its habit anew."""
@@ -193,7 +193,7 @@ class Bank:
         maps[:-EXTRAS] += _column(share * prior, maps.ndim - 1)
         maps[-EXTRAS:] = self.maps[-EXTRAS:]
         never[:-1] += share * (_column(self.habits.shares, maps.ndim - 1) - never[:-1])
-        return replace(self, maps=maps, never=never)
+        return altered(self, maps=maps, never=never)
 
     def read_with(self, habits: Habits) -> Bank:
         """For looks of another detector: habits are drawn anew, what was learnt with the others stays."""
@@ -212,22 +212,22 @@ class Bank:
         count = len(self.habits.levels)
         maps[count:] = self.maps[count:]
         maps[LEAD], maps[HITS:EXCUSED], maps[EXCUSED] = lead, 0.0, excused
-        return replace(blank, maps=maps)
+        return altered(blank, maps=maps)
 
     def at_cells(self, grid: ErpGrid, directions: np.ndarray) -> Bank:
         """At directions ``(..., 3)``, of a bank ``(C, H, W)`` on a grid: linear between its cells."""
         if self.never[0].size == 1:
             never = self.never.reshape(-1, *[1] * (directions.ndim - 1))
-            return replace(self, maps=linear(grid, self.maps, directions), never=never)
+            return altered(self, maps=linear(grid, self.maps, directions), never=never)
         both = linear(grid, np.concatenate([self.maps, self.never]), directions)
-        return replace(self, maps=both[: len(self.maps)], never=both[len(self.maps) :])
+        return altered(self, maps=both[: len(self.maps)], never=both[len(self.maps) :])
 
     def at_nodes(self, places: np.ndarray) -> Bank:
         """At places ``(2, ...)`` of a bank ``(C, n, n)``, counted in nodes from 0 to n - 1: linear between nodes."""
         if self.never[0].size == 1:
-            return replace(self, maps=_between(self.maps, places))
+            return altered(self, maps=_between(self.maps, places))
         both = _between(np.concatenate([self.maps, self.never]), places)
-        return replace(self, maps=both[: len(self.maps)], never=both[len(self.maps) :])
+        return altered(self, maps=both[: len(self.maps)], never=both[len(self.maps) :])
 
     def with_nodes(self, nodes: np.ndarray, other: Bank) -> Bank:
         """With the values of another bank ``(C, m)`` at the `nodes`, a mask ``(n, n)`` with m of them."""
@@ -236,7 +236,7 @@ class Bank:
         if other.never.shape[1:] == (nodes.sum(),) or never[0].size > 1:
             never = np.broadcast_to(never, (len(never), *nodes.shape)).copy()
             never[:, nodes] = other.never
-        return replace(self, maps=maps, never=never)
+        return altered(self, maps=maps, never=never)
 
 
 def log_detected(bank: Bank) -> np.ndarray:

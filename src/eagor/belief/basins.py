@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor.belief.field import LARGEST, SphereField, cells_of
+from eagor.evidence.detections import LOWEST
 
 # Nats from a peak down to the saddle at which it counts as one of its own. It is Rayleigh's criterion, by which the eye
 # sees two points of light apart: the light between them falls to 0.735 of that of the points.
@@ -55,7 +56,7 @@ def climbed(field: np.ndarray) -> np.ndarray:
     target = _highest([best[side] for side in sides], [target[side] for side in sides])[1].reshape(-1)
     while True:
         further = target.take(target)
-        if np.array_equal(further, target):
+        if (further == target).all():
             return target.reshape(field.shape)
         target = further
 
@@ -84,43 +85,49 @@ def _highest(values: list[np.ndarray], indices: list[np.ndarray]) -> tuple[np.nd
     return best, target
 
 
-def _saddles(field: np.ndarray, label: np.ndarray) -> list[tuple[tuple[int, int], float]]:
-    """Pairs of basins that touch and the height of the saddle between them, in the order in which they are met."""
-    keys, heights = [], []
-    for value, other in zip(_neighbours(field)[:4], _neighbours(label)[:4], strict=True):
-        border = label != other
-        a, b = label[border], other[border]
-        keys.append(np.minimum(a, b) * field.size + np.maximum(a, b))
-        heights.append(np.minimum(field[border], value[border]))
-    key, height = np.concatenate(keys), np.concatenate(heights)
-    if not len(key):
-        return []
+def _saddles(field: np.ndarray, label: np.ndarray) -> tuple[list[int], list[int], list[float]]:
+    """Pairs of basins that touch, and the height of the saddle between them, the highest first.
+
+    Saddles of equal height are in the order in which they are met.
+    """
+    others = np.array(_neighbours(label)[:4])
+    border = (others != label).reshape(-1).nonzero()[0]
+    home = border % field.size
+    a, b = label.reshape(-1).take(home), others.reshape(-1).take(border)
+    heights = np.minimum(field.reshape(-1).take(home), np.array(_neighbours(field)[:4]).reshape(-1).take(border))
+    key = np.minimum(a, b) * field.size + np.maximum(a, b)
     order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-    top = np.maximum.reduceat(height[order], starts)
-    found = sorted(zip(order[starts].tolist(), key[order][starts].tolist(), top.tolist(), strict=True))
-    return [(divmod(each, field.size), most) for _, each, most in found]
+    key = key[order]
+    starts = np.flatnonzero(np.diff(key, prepend=-1))
+    if not len(starts):
+        return [], [], []
+    top = np.maximum.reduceat(heights[order], starts)
+    best = np.lexsort((order[starts], -top))
+    low, high = np.divmod(key[starts[best]], field.size)
+    return low.tolist(), high.tolist(), top[best].tolist()
 
 
 def _merge(field: np.ndarray, label: np.ndarray, prominence: float) -> np.ndarray:
     """Labels after merging shallow basins into a higher neighbour (persistence, highest saddle first)."""
     flat = field.reshape(-1)
-    there = np.zeros(flat.size, dtype=bool)
-    there[label] = True
-    parent = {peak: peak for peak in np.flatnonzero(there).tolist()}
-
-    def root(peak: int) -> int:
-        while parent[peak] != peak:
-            peak = parent[peak]
-        return peak
-
-    for (a, b), height in sorted(_saddles(field, label), key=lambda item: -item[1]):
-        low, high = sorted((root(a), root(b)), key=lambda peak: flat[peak])
-        if low != high and flat[low] - height < prominence:
+    parent: dict[int, int] = {}  # of the basins that were merged
+    for a, b, height in zip(*_saddles(field, label), strict=True):
+        while a in parent:
+            a = parent[a]
+        while b in parent:
+            b = parent[b]
+        if a == b:
+            continue
+        low, high = (a, b) if flat[a] <= flat[b] else (b, a)
+        if flat[low] - height < prominence:
             parent[low] = high
+    if not parent:
+        return label
     table = np.arange(flat.size)
-    for peak in parent:
-        table[peak] = root(peak)
+    for peak, top in parent.items():
+        while top in parent:
+            top = parent[top]
+        table[peak] = top
     return table[label]
 
 
@@ -153,11 +160,11 @@ def labelled(values: np.ndarray) -> tuple[int, np.ndarray]:
 
 def log_sums(field: SphereField, places: Places) -> np.ndarray:
     """log of the integral ``(m,)`` of exp(field) over each of the places."""
-    log, weight, _ = field.nodes
-    of_patches = [np.full(patch.values.size, home) for patch, home in zip(field.patches, places.patches, strict=True)]
-    home = np.concatenate([places.cells.reshape(-1)[field.free], *of_patches])
+    log, weight = field.logs, field.layout.weights
+    of_patches = np.repeat(places.patches, [patch.values.size for patch in field.patches])
+    home = np.concatenate([places.cells.reshape(-1).take(field.layout.free), of_patches])
     top = np.full(places.count, -np.inf)
     np.maximum.at(top, home, log)
-    top = np.clip(top, -LARGEST, None)  # a place may lie under patches of other places
-    sums = np.bincount(home, np.exp(log - top[home]) * weight, minlength=places.count)
+    top = np.maximum(top, -LARGEST)  # a place may lie under patches of other places
+    sums = np.bincount(home, np.exp(np.maximum(log - top.take(home), LOWEST)) * weight, minlength=places.count)
     return np.log(np.maximum(sums, math.exp(-LARGEST))) + top

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from eagor._lazy import inherited, lazy
+from eagor._lazy import altered, inherited, known, lazy
 from eagor.grids import ErpGrid, ErpWindow, PatchGrid
 
 
@@ -27,7 +27,7 @@ def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = No
     """
     shape = values.shape[-len(places) :]
     lower = places.astype(np.intp).reshape(len(places), -1)
-    weights = _weights(places.reshape(lower.shape) - lower)
+    weights = np.stack(_weights(places.reshape(lower.shape) - lower), axis=1)
     first = np.zeros(lower.shape[1], dtype=np.intp)
     coefficients = values
     for axis, count in enumerate(shape, start=-len(shape)):
@@ -55,12 +55,19 @@ def _corners(shape: tuple[int, ...]) -> np.ndarray:
     return np.ravel_multi_index(np.ix_(*[np.arange(2)] * len(shape)), shape).reshape(-1, 1)
 
 
-def _weights(beyond: np.ndarray) -> np.ndarray:
-    """Of the four nodes around points ``(d, 4, m)`` that lie `beyond` ``(d, m)`` the second: the cubic B-spline."""
+def _weights(beyond: Any) -> list[Any]:
+    """Of the four nodes around points of which the second lies `beyond` ``(...)`` before them: the cubic B-spline."""
     short = 1 - beyond
     squared, rest = beyond * beyond, short * short
-    found = [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
-    return np.stack(found, axis=1)
+    return [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
+
+
+def _thrice(count: int, place: float) -> np.ndarray:
+    """From values at `count` nodes along an axis to those a node before a place, there, and a node after it."""
+    node = min(max(int(place), 1), count - 2)
+    one, two, three, four = _weights(place - node)
+    table = [[one, two, three, four, 0.0, 0.0], [0.0, one, two, three, four, 0.0], [0.0, 0.0, one, two, three, four]]
+    return np.array(table) @ _coefficients(count)[:, node - 1 : node + 5].T
 
 
 @lru_cache(maxsize=16)
@@ -84,6 +91,7 @@ def _neighbours(shape: tuple[int, ...]) -> np.ndarray:
 
 MARGIN = 4  # cells of padding that interpolation needs
 LARGEST = 700.0  # nats: the exponential still fits a float64
+FINER = 4  # refinement (per side) of patches and heavy cells where masses are summed
 EVEN = 1e-3  # a smaller bend counts as 0
 
 
@@ -103,7 +111,7 @@ class Nodes:
 
     def like(self, values: np.ndarray) -> Self:
         """The same nodes with other values; cached geometry is kept."""
-        return inherited(replace(self, values=values), self, "directions", "weights")
+        return inherited(altered(self, values=values), self, "directions", "weights", "spacing", "_scale")
 
     @lazy
     def directions(self) -> np.ndarray:
@@ -115,10 +123,14 @@ class Nodes:
         """Solid angles ``(n, n)`` of the nodes."""
         return plane_weights(self.values.shape[-1], self.half, self.bend)
 
-    @property
+    @lazy
     def spacing(self) -> np.ndarray:
         """Spacing ``(2,)`` of the nodes in the middle, in units of the plane."""
         return 2 / (self.values.shape[-1] - 1) * self.half * self.bend / np.sinh(self.bend)
+
+    @lazy
+    def _scale(self) -> np.ndarray:
+        return np.sinh(self.bend) / self.half
 
     def located(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The t ``(2, ...)`` of directions ``(..., 3)`` of any length, and their components ``(...)`` along the middle.
@@ -128,8 +140,7 @@ class Nodes:
         local = (self.frame @ directions.reshape(-1, 3).T).reshape(3, *directions.shape[:-1])
         across = local[1:] / np.maximum(local[0], 1e-6)
         shape = (2, *[1] * (across.ndim - 1))
-        scale, bend = (np.sinh(self.bend) / self.half).reshape(shape), self.bend.reshape(shape)
-        return np.arcsinh(across * scale) / bend, local[0]
+        return np.arcsinh(across * self._scale.reshape(shape)) / self.bend.reshape(shape), local[0]
 
     def places(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The t ``(2, ...)`` of directions ``(..., 3)``, -1 to 1, and which of them lie inside."""
@@ -145,18 +156,24 @@ class Patch(Nodes):
         """The flat indices ``(m,)`` of the cells of a grid whose middles lie inside."""
         return _cells(grid, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
+    def around(self, u: float, v: float) -> np.ndarray:
+        """Values ``(3, 3)`` at coordinates as `places` gives them and a node to each side of them, as `at`."""
+        count = len(self.values)
+        first, second = (_thrice(count, (t + 1) * ((count - 1) / 2)) for t in (u, v))
+        return first @ self.values @ second.T
+
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
         return interpolated(self.values, (places + 1) * ((self.values.shape[0] - 1) / 2))
 
-    def finer(self, times: int) -> np.ndarray:
-        """Values ``(m, m)`` at nodes `times` as dense, m = (n - 1) times + 1, by the same spline."""
-        table = _refining(len(self.values), times)
+    def finer(self) -> np.ndarray:
+        """Values ``(m, m)`` at nodes `FINER` times as dense, m = (n - 1) FINER + 1, by the same spline."""
+        table = _refining(len(self.values), FINER)
         return table @ self.values @ table.T
 
-    def fine_nodes(self, grid: ErpGrid, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fine_nodes(self, grid: ErpGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Directions ``(m m, 3)`` and solid angles ``(m m,)`` of these nodes, and the cell of a grid around each."""
-        count = (len(self.values) - 1) * times + 1
+        count = (len(self.values) - 1) * FINER + 1
         return _fine_nodes(grid, count, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
 
     @property
@@ -195,6 +212,14 @@ def cells_of(grid: ErpGrid | PatchGrid, directions: np.ndarray) -> np.ndarray:
     return np.minimum(y.astype(np.intp), grid.height - 1) * grid.width + x.astype(np.intp) % grid.width
 
 
+@lru_cache(maxsize=16)
+def even(count: int) -> np.ndarray:
+    """`count` numbers from -1 to 1."""
+    found = np.linspace(-1, 1, count)
+    found.setflags(write=False)
+    return found
+
+
 def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates ``(2, n)`` on the plane of nodes at t = `at` ``(n,)``, and their derivatives by t."""
     scale, steps = (half / np.sinh(bend))[:, None], bend[:, None] * at
@@ -207,7 +232,7 @@ def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     `reach`: standard deviations from the middle of a patch to its border. The plane is treated as flat: sigma is small.
     """
     half = np.hypot(patch.half, reach * math.tan(sigma))
-    at = np.linspace(-1, 1, len(patch.values))
+    at = even(len(patch.values))
     top = float(patch.values.max())
     mass = np.exp(patch.values - top) * patch.weights
     new, old = bent(at, half, patch.bend)[0], bent(at, patch.half, patch.bend)[0]
@@ -218,7 +243,7 @@ def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
 
 def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Unit vectors ``(count, count, 3)`` of nodes on the plane of a `Patch`; the first axis is u."""
-    (u, v), _ = bent(np.linspace(-1, 1, count), half, bend)
+    (u, v), _ = bent(even(count), half, bend)
     plane = frame[0] + u[:, None, None] * frame[1] + v[None, :, None] * frame[2]
     return plane / np.sqrt(np.einsum("...i,...i->...", plane, plane))[..., None]
 
@@ -226,8 +251,9 @@ def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.n
 def plane_weights(count: int, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Solid angles ``(count, count)`` of such nodes: du dv / (1 + u^2 + v^2)^(3/2), half of it at a border."""
     share = np.full(count, 2 / (count - 1))
-    share[[0, -1]] /= 2
-    (u, v), (du, dv) = bent(np.linspace(-1, 1, count), half, bend)
+    share[0] /= 2
+    share[-1] /= 2
+    (u, v), (du, dv) = bent(even(count), half, bend)
     return (share * du)[:, None] * (share * dv) * (1 + (u * u)[:, None] + v * v) ** -1.5
 
 
@@ -279,67 +305,41 @@ class SphereField:
             rows, columns = where.shape
             y = (np.arange(rows) + top + 0.5)[:, None] * (height / whole.height) + np.zeros(columns)
             x = ((np.arange(columns) + left + 0.5) * (width / whole.width))[None, :] % width + np.zeros((rows, 1))
-        places = np.stack([y - 0.5 + MARGIN, x - 0.5 + MARGIN])
-        padded = self.values.reshape(-1)[_padded(self.grid)]
-        return map_coordinates(padded, places, order=order, mode="mirror")
+        y, x = y + (MARGIN - 0.5), x + (MARGIN - 0.5)
+        flat, around = self.values.reshape(-1), _padded(self.grid)
+        if order > 1:
+            return map_coordinates(flat[around], np.stack([y, x]), order=order, mode="mirror")
+        top, left = y.astype(np.intp), x.astype(np.intp)
+        start, high, wide = top * around.shape[1] + left, 1 - (y - top), 1 - (x - left)
+        low, beside = 1 - high, 1 - wide
+        a, b, c, d = (flat[around.take(start + step)] for step in (0, 1, around.shape[1], around.shape[1] + 1))
+        return a * high * wide + b * high * beside + c * low * wide + d * low * beside
 
-    def plus(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
+    def plus(self, values: np.ndarray | float, patches: Sequence[np.ndarray | float]) -> SphereField:
         """With `values` ``(H, W)`` added, and to the patches what `patches` ``(n, n)`` hold."""
-        added = zip(self.patches, patches, strict=True)
-        return SphereField(self.grid, self.values + values, tuple(patch.like(patch.values + x) for patch, x in added))
+        added = [patch.values + x for patch, x in zip(self.patches, patches, strict=True)]
+        return self.like(self.values + values, added)
 
     def like(self, values: np.ndarray, patches: Sequence[np.ndarray]) -> SphereField:
         """The same grid and patches with other values ``(H, W)`` and ``(n, n)``."""
-        return SphereField(self.grid, values, tuple(p.like(x) for p, x in zip(self.patches, patches, strict=True)))
+        return self.redrawn(values, tuple(p.like(x) for p, x in zip(self.patches, patches, strict=True)))
+
+    def redrawn(self, values: np.ndarray, patches: tuple[Patch, ...]) -> SphereField:
+        """With other `values` ``(H, W)``, and patches on the same nodes."""
+        return known(SphereField(self.grid, values, patches), layout=self.layout)
 
     @lazy
-    def outside(self) -> np.ndarray:
-        """Mask ``(H, W)`` of the cells outside of all patches."""
-        free = np.ones(self.grid.shape, dtype=bool)
-        for patch in self.patches:
-            free.reshape(-1)[patch.cells(self.grid)] = False
-        return free
+    def layout(self) -> Layout:
+        """The geometry, which fields on the same nodes share."""
+        return Layout(self.grid, self.patches)
 
     @lazy
-    def free(self) -> np.ndarray:
-        """The flat indices ``(m,)`` of the cells outside of all patches."""
-        return np.flatnonzero(self.outside)
-
-    @lazy
-    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Values and solid angles of the cells in no patch, and of the nodes of each patch."""
-        cells = self.values.reshape(-1)[self.free], self.grid.weights[:, 0][self.free // self.grid.width]
-        nodes = [(p.values.reshape(-1), s.reshape(-1)) for p, s in zip(self.patches, self.shares, strict=True)]
-        return [cells, *nodes]
-
-    @lazy
-    def shares(self) -> tuple[np.ndarray, ...]:
-        """Solid angles ``(n, n)`` of the nodes of each patch; 0 where a node lies deeper in another patch."""
-        return tuple(self.owned(index, patch.directions, patch.weights) for index, patch in enumerate(self.patches))
-
-    def owned(self, index: int, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """`weights` ``(...)`` of `directions` ``(..., 3)`` in one patch; 0 for what lies deeper in another."""
-        if len(self.patches) == 1:
-            return weights
-        depth = np.abs(self.patches[index].places(directions)[0]).max(axis=0)
-        weights = weights.copy()
-        for other, patch in enumerate(self.patches):
-            if other != index:
-                places, inside = patch.places(directions)
-                rival = np.abs(places).max(axis=0)
-                weights[inside & ((rival < depth) | ((rival == depth) & (other < index)))] = 0.0
-        return weights
-
-    @lazy
-    def nodes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Values, solid angles ``(n,)`` and directions ``(n, 3)`` of the cells in no patch and the nodes of patches."""
+    def logs(self) -> np.ndarray:
+        """Values ``(n,)`` of the cells in no patch and the nodes of patches, in the order of the `layout`."""
         if not self.patches:
-            return self.values.reshape(-1), self.grid.weights.reshape(-1), self.grid.directions.reshape(-1, 3)
-        values = [part for part, _ in self._parts]
-        weights = [part for _, part in self._parts]
-        directions = [self.grid.directions.reshape(-1, 3).take(self.free, axis=0)]
-        directions += [patch.directions.reshape(-1, 3) for patch in self.patches]
-        return np.concatenate(values), np.concatenate(weights), np.concatenate(directions)
+            return self.values.reshape(-1)
+        cells = self.values.reshape(-1).take(self.layout.free)
+        return np.concatenate([cells, *(patch.values.reshape(-1) for patch in self.patches)])
 
     def averaged(self, level: float) -> np.ndarray:
         """exp(field - level), averaged over each cell of the grid ``(H, W)``.
@@ -348,7 +348,7 @@ class SphereField:
         """
         found = np.exp(np.minimum(self.values - level, LARGEST)).reshape(-1)
         weights = self.grid.weights.reshape(-1)
-        for patch, shares in zip(self.patches, self.shares, strict=True):
+        for patch, shares in zip(self.patches, self.layout.shares, strict=True):
             inside = patch.cells(self.grid)
             mass = float(np.sum(np.exp(np.minimum(patch.values - level, LARGEST)) * shares))
             cells = float(found[inside] @ weights[inside])
@@ -362,9 +362,81 @@ class SphereField:
     @lazy
     def log_mean(self) -> float:
         """log of the mean of exp(field) over the sphere."""
-        top = max(float(values.max()) for values, _ in self._parts if values.size)
-        total = sum(float(np.exp(values - top) @ weights) for values, weights in self._parts)
+        top = float(self.logs.max())
+        mass, weights, total, start = np.exp(self.logs - top), self.layout.weights, 0.0, 0
+        for part in (len(mass) - sum(p.values.size for p in self.patches), *(p.values.size for p in self.patches)):
+            total += float(mass[start : start + part] @ weights[start : start + part])
+            start += part
         return top + math.log(total / (4 * math.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the values of a field lie: the cells of a `grid` that are in none of its `patches`, and the patches."""
+
+    grid: ErpGrid
+    patches: tuple[Patch, ...]
+
+    @lazy
+    def outside(self) -> np.ndarray:
+        """Mask ``(H, W)`` of the cells outside of all patches."""
+        free = np.ones(self.grid.shape, dtype=bool)
+        for patch in self.patches:
+            free.reshape(-1)[patch.cells(self.grid)] = False
+        return free
+
+    @lazy
+    def free(self) -> np.ndarray:
+        """The flat indices ``(m,)`` of the cells outside of all patches."""
+        return self.outside.reshape(-1).nonzero()[0]
+
+    @lazy
+    def shares(self) -> tuple[np.ndarray, ...]:
+        """Solid angles ``(n, n)`` of the nodes of each patch; 0 where a node lies deeper in another patch."""
+        return tuple(self._owned(index, patch.directions, patch.weights) for index, patch in enumerate(self.patches))
+
+    def _owned(self, index: int, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """`weights` ``(...)`` of `directions` ``(..., 3)`` in one patch; 0 for what lies deeper in another."""
+        if len(self.patches) == 1:
+            return weights
+        depth = np.abs(self.patches[index].places(directions)[0]).max(axis=0)
+        weights = weights.copy()
+        for other, patch in enumerate(self.patches):
+            if other != index:
+                places, inside = patch.places(directions)
+                rival = np.abs(places).max(axis=0)
+                weights[inside & ((rival < depth) | ((rival == depth) & (other < index)))] = 0.0
+        return weights
+
+    @lazy
+    def weights(self) -> np.ndarray:
+        """Solid angles ``(n,)`` of the cells in no patch and the nodes of patches."""
+        cells = self.grid.weights.reshape(-1)
+        if not self.patches:
+            return cells
+        return np.concatenate([cells.take(self.free), *(share.reshape(-1) for share in self.shares)])
+
+    @lazy
+    def directions(self) -> np.ndarray:
+        """Directions ``(n, 3)`` of the same."""
+        cells = self.grid.directions.reshape(-1, 3)
+        if not self.patches:
+            return cells
+        return np.concatenate([cells.take(self.free, axis=0), *(p.directions.reshape(-1, 3) for p in self.patches)])
+
+    @lazy
+    def fine(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Of nodes `FINER` times as dense in each patch, where they lie deeper than in any other.
+
+        Which these are ``(m,)``, their solid angles ``(m,)``, directions ``(m, 3)``, and the cell around each ``(m,)``.
+        """
+        found = []
+        for index, patch in enumerate(self.patches):
+            directions, weights, cells = patch.fine_nodes(self.grid)
+            shares = self._owned(index, directions, weights)
+            counts = shares.nonzero()[0]
+            found.append((counts, shares[counts], directions.take(counts, axis=0), cells[counts]))
+        return found
 
 
 @lru_cache(maxsize=16)

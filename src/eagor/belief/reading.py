@@ -9,11 +9,9 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.belief.basins import PROMINENCE, basins
-from eagor.belief.field import Patch, SphereField, bent, cells_of
+from eagor.belief.field import FINER, Patch, SphereField, cells_of
 from eagor.harmonics.peaks import refine
-from eagor.sphere import unit
 
-FINER = 4  # refinement (per side) of patches and heavy cells where masses are summed
 HEAVY = 0.002  # of the belief: cells that hold more are refined
 NEAR = math.radians(20)  # of a peak: within this angle it is the same thing, which parallax may move
 DEEP = 12.0  # nats below the highest peak: deeper values are clipped
@@ -35,20 +33,21 @@ class Reading:
         return self._parts[:3]
 
     @lazy
-    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The `parts`, and the cell of the grid ``(n,)`` that each lies in; first the cells that are not refined."""
+    def _parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+        """The `parts`, and the cell of the grid ``(n,)`` that each lies in; so many of the first are not refined."""
         field, grid = self.field, self.field.grid
         row_weights = grid.weights[:, 0]
 
         def of_cells(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return field.values.reshape(-1)[cells], row_weights[cells // grid.width]
 
-        values, weights = of_cells(field.free)
+        free = field.layout.free
+        values, weights = of_cells(free)
         heavy = np.exp(values - field.log_mean) * weights / (4 * math.pi) > HEAVY
-        light = field.free[~heavy]
+        light = free[~heavy]
         found = [(*of_cells(light), grid.directions.reshape(-1, 3).take(light, axis=0), light)]
         if heavy.any():
-            home = field.free[heavy]
+            home = free[heavy]
             rows, columns = np.divmod(home, grid.width)
             at = (np.arange(FINER) + 0.5) / FINER
             y = (rows[:, None, None] + at[None, :, None]) + np.zeros((1, 1, FINER))
@@ -57,16 +56,10 @@ class Reading:
             cosine = np.cos(math.pi / 2 - math.pi * y / grid.height)
             shares = cosine / cosine.sum(axis=(1, 2), keepdims=True) * weights[heavy][:, None, None]
             found.append((field.smooth(cells), shares.reshape(-1), cells, np.repeat(home, FINER * FINER)))
-        for index, patch in enumerate(field.patches):
-            cells, shares, home = patch.fine_nodes(grid, FINER)
-            values, shares = patch.finer(FINER).reshape(-1), field.owned(index, cells, shares)
-            if len(field.patches) > 1:
-                counts = np.flatnonzero(shares)
-                values, shares, home = values[counts], shares[counts], home[counts]
-                cells = cells.take(counts, axis=0)
-            found.append((values, shares, cells, home))
+        for patch, (counts, shares, cells, home) in zip(field.patches, field.layout.fine, strict=True):
+            found.append((patch.finer().reshape(-1).take(counts), shares, cells, home))
         values, weights, directions, homes = (np.concatenate(column) for column in zip(*found, strict=True))
-        return values, weights, directions, homes
+        return values, weights, directions, homes, len(light)
 
     @lazy
     def log_total(self) -> float:
@@ -122,15 +115,14 @@ class Reading:
     @lazy
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Masses ``(n,)`` and directions ``(n, 3)`` of cells and nodes: fewer than the `parts`."""
-        values, weights, directions = self.field.nodes
-        mass = np.exp(values - values.max()) * weights
-        return mass / mass.sum(), directions
+        values, layout = self.field.logs, self.field.layout
+        mass = np.exp(values - values.max()) * layout.weights
+        return mass / mass.sum(), layout.directions
 
     @lazy
     def peak(self) -> np.ndarray:
         """The direction of the highest density ``(3,)``."""
-        values, _, directions = self.field.nodes
-        return self._refined(directions[int(values.argmax())])
+        return self._refined(self.field.layout.directions[int(self.field.logs.argmax())])
 
     def around(self, direction: np.ndarray, angle: float) -> float:
         """Approximate probability of the cone of half-angle `angle` about a direction: `within`, from fewer cells."""
@@ -154,12 +146,12 @@ class Reading:
 
         Parts further from their top than `NEAR` belong to no basin: a slope all around the sphere is not a place.
         """
-        values, _, directions, home = self._parts
+        values, _, directions, home, whole = self._parts
         grid = self.field.grid
         tops = self.field.values.reshape(-1).copy()
         if self.field.patches:
-            tops[~self.field.outside.reshape(-1)] = -np.inf
-            np.maximum.at(tops, home, values)
+            tops[~self.field.layout.outside.reshape(-1)] = -np.inf
+            np.maximum.at(tops, home[whole:], values[whole:])
             lost = np.flatnonzero(~np.isfinite(tops))  # cells without own nodes
             if len(lost):
                 cells = self.field.values.reshape(-1)[lost]
@@ -168,11 +160,11 @@ class Reading:
         label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
         there = np.zeros(len(label), dtype=bool)
         there[label] = True
-        of_part = (np.cumsum(there) - 1)[label[home]]
+        of_part = (np.cumsum(there) - 1).take(label.take(home))
         count = int(np.count_nonzero(there))
         highest = np.full(count, -np.inf)
         np.maximum.at(highest, of_part, values)
-        tied = np.flatnonzero(values == highest[of_part])
+        tied = (values == highest.take(of_part)).nonzero()[0]
         top = np.zeros(count, dtype=np.intp)
         top[of_part[tied]] = tied  # of equal ones the last
         near = np.einsum("ij,ij->i", directions, directions[top].take(of_part, axis=0)) > math.cos(NEAR)
@@ -205,16 +197,15 @@ class Reading:
 def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:
     """The direction ``(3,)`` of the peak of a patch near `places` ``(2,)``."""
     step = 2 / (patch.values.shape[0] - 1)
-    at = np.clip(places, -1 + step, 1 - step)
-    side = np.array([-1.0, 0.0, 1.0]) * step
-    nine = patch.at(np.stack(np.meshgrid(at[0] + side, at[1] + side, indexing="ij")).reshape(2, -1)).reshape(3, 3)
-    gu, gv = (nine[2, 1] - nine[0, 1]) / 2, (nine[1, 2] - nine[1, 0]) / 2
-    huu, hvv = nine[2, 1] + nine[0, 1] - 2 * nine[1, 1], nine[1, 2] + nine[1, 0] - 2 * nine[1, 1]
-    huv = (nine[2, 2] + nine[0, 0] - nine[2, 0] - nine[0, 2]) / 4
+    s, t = (min(max(place, -1 + step), 1 - step) for place in places.tolist())
+    (a, b, c), (d, e, f), (g, h, i) = patch.around(s, t).tolist()
+    gu, gv, huu, hvv, huv = (h - b) / 2, (f - d) / 2, h + b - 2 * e, f + d - 2 * e, (i + a - g - c) / 4
     det = huu * hvv - huv * huv
     if huu < 0 and det > 0:
-        offset = np.array([huv * gv - hvv * gu, huv * gu - huu * gv]) / det
-        if float(np.abs(offset).max()) < 1:
-            at = at + offset * step
-    u, v = np.diagonal(bent(at, patch.half, patch.bend)[0])
-    return unit(patch.frame[0] + u * patch.frame[1] + v * patch.frame[2])
+        along, across = (huv * gv - hvv * gu) / det, (huv * gu - huu * gv) / det
+        if max(abs(along), abs(across)) < 1:
+            s, t = s + along * step, t + across * step
+    (half, other), (bend, beside) = patch.half.tolist(), patch.bend.tolist()
+    u, v = half * math.sinh(bend * s) / math.sinh(bend), other * math.sinh(beside * t) / math.sinh(beside)
+    found = np.array([1.0, u, v]) @ patch.frame
+    return found / math.sqrt(1 + u * u + v * v)

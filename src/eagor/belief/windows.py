@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from eagor._lazy import known, lazy
-from eagor.belief.bank import Bank
+from eagor._lazy import altered, known, lazy
+from eagor.belief.bank import Bank, mixed
 from eagor.belief.field import EVEN, Nodes, Patch, bent, interpolated
 from eagor.evidence.detections import resolved, tangent_frame
 from eagor.sphere import cross
@@ -70,7 +70,7 @@ class Window(Nodes):
         frame = np.concatenate([centre[None], tangent_frame(centre)])
         return cls(frame, half, np.zeros((1, 1, NODES, NODES)), bend, border=border)
 
-    @property
+    @lazy
     def shares(self) -> np.ndarray:
         """Prior probability ``(K,)`` of the ranges: even in the logarithm."""
         if self.logs is None:
@@ -153,7 +153,7 @@ class Window(Nodes):
         """The window, without values, that fits the peak after a `step`; at least `border` wide."""
         values = self.by_range if prior is None else self.by_range + prior
         mass = np.exp(values - values.max())
-        mean = np.tensordot(self.shares, mass, axes=1)
+        mean = mixed(self.shares, mass)
         peak = _component(np.log(np.maximum(mean, 1e-300)))
         if self.logs is None:
             points, shares = self.directions[peak], mean[peak] * self.weights[peak]
@@ -212,7 +212,7 @@ class Window(Nodes):
             likely = 0 if self.bank is None else int(np.exp(values - values.max()).sum(axis=(0, 2, 3)).argmax())
             across = places[:, likely]  # habits are carried along at the likeliest range
         bank = None if self.bank is None else self.bank.at_nodes(across)
-        return replace(new.like(values), bank=bank), beyond if beyond.any() else None
+        return altered(new.like(values), bank=bank), beyond if beyond.any() else None
 
     def _places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices ``(2, ...)`` of points ``(..., 3)``, clipped at the borders, and which lie beyond them."""

@@ -235,7 +235,7 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
     from eagor.evaluation.labelled_looks import LabelledLook, joined
     from eagor.perception.footage import HiddenParts, look_at
 
-    perception, found, lost, bad = make_perception(spec), [], 0, 0
+    perception, found, lost, bad = make_perception(spec, busy=True), [], 0, 0
     track = Track(
         words=(*options.words, queries[0]), poses=options.poses, rate=options.rate, mask=options.mask,
         force=options.force,

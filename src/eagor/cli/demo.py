@@ -16,6 +16,9 @@ from eagor.cli.options import Common, Name, Whole, bare, given
 if TYPE_CHECKING:
     import numpy as np
 
+    from eagor.perception import Perception
+
+NARROWEST, WIDEST = 20, 120  # degrees: fields of a camera that searches
 AUTO = "auto"  # the default of --perception
 
 
@@ -29,6 +32,8 @@ class Demo(Common):
     """Turn a camera in this panorama of yours, an equirectangular image, instead of walking in an apartment."""
     query: Annotated[str | None, bare("QUERY")] = None
     """With --photo: what to look for (default: what the detector is surest of)."""
+    hfov: Annotated[float | None, bare("DEGREES")] = None
+    """With --photo: search with an ordinary camera, which sees so many degrees across its picture, by turning it."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""
@@ -48,6 +53,8 @@ def demo(options: Demo) -> int:
     """Run the command; returns its exit code."""
     if options.photo is not None:
         return _photo(options, options.photo)
+    if options.hfov is not None:
+        raise terminal.UsageError("--hfov is for --photo PICTURE; in the apartment the camera sees all around")
     if options.query is not None:
         raise terminal.UsageError("--query is for --photo PICTURE; in the apartment the search is chosen by --episode")
     return _apartment(options)
@@ -79,6 +86,8 @@ def _apartment(options: Demo) -> int:
 def _photo(options: Demo, path: Path) -> int:
     if mistaken := given(options, ("seed", "episode")):
         raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
+    if options.hfov is not None and not NARROWEST <= options.hfov <= WIDEST:
+        raise terminal.UsageError(f"--hfov {options.hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
     checked_folder(options.out)
     need("eagor demo --photo", "sim", "jinja2")
     spec = options.perception
@@ -90,6 +99,8 @@ def _photo(options: Demo, path: Path) -> int:
     from eagor.perception import short_name
 
     query = options.query or demo_photo.best_query(perception, image)
+    if options.hfov is not None:
+        return _turning(options, path.name, image, perception, spec, query, options.hfov)
     if not options.json:
         print(
             f"A camera turns in {path.name} and looks {demo_photo.LOOKS} times for the {query}, with the perception "
@@ -103,6 +114,29 @@ def _photo(options: Demo, path: Path) -> int:
         terminal.emit(demo_photo.as_json(looks, spec, path.name) | {"report": str(report)})
     else:
         _print(demo_photo.as_text(looks), demo_photo.summary(looks), report)
+    return terminal.OK
+
+
+def _turning(
+    options: Demo, photo: str, image: np.ndarray, perception: Perception, spec: str, query: str, hfov: float
+) -> int:
+    """Search with an ordinary camera."""
+    from eagor.cli import demo_looking
+    from eagor.perception import short_name
+
+    if not options.json:
+        print(
+            f"An ordinary camera of {hfov:g} degrees turns in {photo} and looks for the {query}, with the perception "
+            f"{short_name(spec)}.",
+            flush=True,
+        )
+    with terminal.progress("looking", None, shown=not options.json) as advance:
+        searches = demo_looking.play(image, perception, spec, query, hfov, advance)
+    report = demo_looking.write_report(searches, spec, photo, options.out)
+    if options.json:
+        terminal.emit(demo_looking.as_json(searches, spec, photo) | {"report": str(report)})
+    else:
+        _print(demo_looking.as_text(searches), demo_looking.summary(searches), report)
     return terminal.OK
 
 

@@ -106,7 +106,7 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
         title = f"Look {index + 1}, {what}: {estimate.status}"
         drawn = draw_belief(looks.panorama(index), estimate, others={"last answer": answer}, title=title, width=900)
         keep_picture(drawn, folder / f"look-{index + 1:02}.jpg")
-        moments.append((_as_image(drawn, title), f"{title}, {looks.angles(OURS)[index]:.0f}° from the last answer"))
+        moments.append((as_image(drawn, title), f"{title}, {looks.angles(OURS)[index]:.0f}° from the last answer"))
     times = [SECONDS * index for index in range(len(looks.poses))]
     errors = draw_errors(times, {name: looks.angles(name).tolist() for name in names}, title="Angle to our last answer")
     pose = looks.poses[-1]
@@ -124,11 +124,11 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     )
     both = [
         (
-            _as_image(errors, "Angle of each method to our last answer, over time"),
+            as_image(errors, "Angle of each method to our last answer, over time"),
             "How steady each method is: no truth is known, so an error here is the angle to our last answer",
         ),
         (
-            _as_image(every, "The last look with the direction of each method"),
+            as_image(every, "The last look with the direction of each method"),
             "Our estimate at the end, and those of four others",
         ),
     ]
@@ -157,7 +157,7 @@ def _boxes(values: dict[str, float], what: str, box: Any) -> list[Any]:
     return [box(f"{mean:.1f}"), box(f"{last:.1f}"), box(f"{near:.0f}"), box(what)]
 
 
-def _as_image(picture: Image, text: str) -> str:
+def as_image(picture: Image, text: str) -> str:
     """An element of a page with the picture in it, as JPEG."""
     buffer = io.BytesIO()
     picture.convert("RGB").save(buffer, format="JPEG", quality=88)

@@ -31,11 +31,12 @@ from eagor.cli.checks import (
     checked_seconds,
     make_perception,
     mask_of,
+    ordinary,
     perception_for_all,
     rows_for,
     tracker_config,
 )
-from eagor.cli.options import Common, Detector, Flag, Floor, Force, Mask, Modes, Rerun, Whole, bare
+from eagor.cli.options import CameraFile, Common, Detector, Flag, Floor, Force, Hfov, Mask, Modes, Rerun, Whole, bare
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer
@@ -83,8 +84,10 @@ class Live(Common):
     """Time from capture to arrival of the camera's pictures."""
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
     """The lenses, if the pictures are those of fisheye or ordinary lenses."""
+    hfov: Hfov = None
+    camera: CameraFile = None
     rows: Annotated[int | None, bare("N")] = None
-    """Rows of the panoramas at most (default: 960, or what the detector wants)."""
+    """Rows of the pictures at most (default: 960, or what the detector wants)."""
     domain: Annotated[int | None, bare("N")] = None
     """DDS domain of ros: and go2 (default: ROS_DOMAIN_ID, else 0)."""
     interface: Annotated[str | None, bare("NAME")] = None
@@ -171,7 +174,8 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
-    opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig)
+    told = ordinary(options.hfov, options.camera, options.rig)
+    opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig, camera=told)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
         from eagor.media.rigs import read_rig
         from eagor.robots.ros.sources import RosCamera
@@ -185,6 +189,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
             latency=options.latency,
             rows=rows,
             rig=None if options.rig is None else read_rig(options.rig),
+            camera=told,
         )
     camera = opens()
     try:
@@ -331,7 +336,8 @@ def _replay(options: Live) -> int:
     if options.perception is not None:
         check_looks(options.perception)
         make_perception(options.perception)
-    replay = Replay(folder, options.perception, patience=options.patience)
+    camera = ordinary(options.hfov, options.camera, None)
+    replay = Replay(folder, options.perception, patience=options.patience, camera=camera)
     told = _Told(options, replay.settings.queries)
     try:
         for answer in replay:

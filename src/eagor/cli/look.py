@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -13,7 +15,7 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
 from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception
-from eagor.cli.options import Common, Force, RigFile, bare
+from eagor.cli.options import Common, Force, Hfov, RigFile, bare
 from eagor.cli.track import Track, journey_of
 from eagor.errors import ImageError, PoseError
 
@@ -47,6 +49,7 @@ class Look(Common):
     """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
+    hfov: Hfov = None
     rig: RigFile = None
     force: Force = False
 
@@ -67,11 +70,12 @@ def look(options: Look) -> int:
     asked = Track(
         words=(*map(str, options.places), "everything"),
         poses=options.poses, rate=options.rate, start=options.start, end=options.end, image_topic=options.image_topic,
-        odom_topic=options.odom_topic, rig=options.rig, force=options.force,
+        odom_topic=options.odom_topic, rig=options.rig, hfov=options.hfov, force=options.force,
     )  # fmt: skip
     journey = journey_of(asked, options.places, views)
     of = ", ".join(place.name for place in options.places[:3]) + (" and more" if len(options.places) > 3 else "")
-    hidden, looks, bad, boxes, broken = HiddenParts(say=terminal.log), 0, 0, 0, None
+    hidden, looks, bad, broken = HiddenParts(say=terminal.log), 0, 0, None
+    labels: Counter[str] = Counter()
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, journey.told, journey.begins)]
         try:
@@ -80,11 +84,13 @@ def look(options: Look) -> int:
                 head.clear()
                 if frame.frame is None or not frame.looked:
                     continue
-                found = [line for line in lines if '"views"' in line]
-                looks, bad = looks + bool(found), bad + (not found)
-                boxes += sum(line.count('"score"') for line in found)
-                if not found:
-                    terminal.warning(f"{frame.frame} is left out; {options.out} has the reason")
+                told = [json.loads(line) for line in lines]
+                looks, bad = looks + ("views" in told[0]), bad + ("problem" in told[0])
+                if "problem" in told[0]:
+                    terminal.warning(f"{frame.frame} is left out: {told[0]['problem']}")
+                for line in told:
+                    found = [box for view in line.get("views", ()) for box in view["boxes"]]
+                    labels.update(line.get("query") or box.get("label", "") for box in found)
                 advance()
         except (ImageError, PoseError) as error:
             if not looks:
@@ -93,20 +99,19 @@ def look(options: Look) -> int:
             terminal.warning(f"the frames end early: {broken}")
     if not looks:
         raise terminal.RunError(f"none of the {bad} frames could be used" if bad else "there was no frame to look at")
-    told = {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "boxes": boxes}
     if options.json:
-        terminal.emit(told | {"left_out": bad, "out": str(options.out)})
+        terminal.emit(
+            {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": bad,
+             "boxes": dict(labels.most_common()), "out": str(options.out)}
+        )  # fmt: skip
     else:
+        example = next(iter(dict(labels.most_common(1))), None) or next(iter([*queries, *(views.classes or ())]))
         terminal.say(
-            f"{looks} looks, {boxes} boxes: {options.out}",
+            f"{labels.total()} boxes of {len(labels)} things in {looks} look{'s' * (looks != 1)}: {options.out}",
             f"what there is:  eagor track {options.out}",
-            f'where it is:    eagor track {options.out} "{_example(queries, views)}"',
+            f'where it is:    eagor track {options.out} "{example}"',
         )
     return terminal.INCOMPLETE if bad or broken else terminal.OK
-
-
-def _example(queries: list[str], views: Views) -> str:
-    return (queries or [*(views.classes or ("chair",))])[0]
 
 
 def _views(options: Look, queries: list[str]) -> Views:

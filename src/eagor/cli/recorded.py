@@ -17,7 +17,19 @@ if TYPE_CHECKING:
     from eagor.tracking.config import TrackerConfig
 
 # What belongs to footage: a file of looks has its poses and times, and no pictures.
-_OF_FOOTAGE = ("poses", "rate", "start", "end", "image_topic", "odom_topic", "perception", "rig", "force")
+_OF_FOOTAGE = (
+    "poses",
+    "rate",
+    "start",
+    "end",
+    "image_topic",
+    "odom_topic",
+    "perception",
+    "rig",
+    "hfov",
+    "camera",
+    "force",
+)
 _OF_PICTURES = ("video", "fps", "page", "picture", "rerun")
 _OF_ONE = ("out", "compare")
 

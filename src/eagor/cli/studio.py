@@ -47,8 +47,8 @@ class Studio(Common):
     """The folder with the runs to choose from; the folder of a run itself works, too."""
     perception: Annotated[str | None, bare("NAME")] = None
     """A further detector to choose, as for locate; --source looks with it (default: as for live)."""
-    seed: Annotated[int, arg(metavar="N")] = 602
-    """The apartment that is built first, 0 to 9999."""
+    seed: Annotated[int, arg(metavar="N")] = 2
+    """The apartment that is shown first, 0 to 9999 (default: that of the first walk)."""
     source: Annotated[str | None, bare("SOURCE")] = None
     """A live camera, a video, a folder or a bag to watch, as for live."""
     query: Annotated[str | None, bare("QUERY")] = None

@@ -8,6 +8,7 @@ after every line.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -132,6 +133,7 @@ SEEN = {
     "level": "headings from the pictures themselves, which are taken as level",
 }
 RATE, FPS = 2.0, 10.0  # looks and frames per second of a video
+BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is found: neighbours have to overlap
 
 
 def track(options: Track) -> int:
@@ -146,7 +148,7 @@ def track(options: Track) -> int:
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
     query = checked_query(options.words[-1])
-    places = [Path(word) for word in options.words[:-1]]
+    places = _places(options)
     replay = recorded(options, places)
     spec = perception_for(query, options.perception) if replay is None else _seen_by(replay)
     check_not_read(options.out, "--out", [*places, Path(options.poses)])
@@ -173,6 +175,14 @@ def track(options: Track) -> int:
                 each(result)
             advance()
     return run.close(journey)
+
+
+def _places(options: Track) -> list[Path]:
+    """What to look at; for a rig, files may stand with commas between."""
+    words = options.words[:-1]
+    if options.rig is not None:
+        words = tuple(part for word in words for part in ([word] if os.path.exists(word) else word.split(",")))
+    return [Path(word) for word in words]
 
 
 def _rival_names() -> tuple[str, ...]:
@@ -237,7 +247,8 @@ def _of_looks(replay: ReplayPerception) -> Journey:
     looks = [each for each in frames if each.frame is not None]
     span = frames[-1].pose.stamp - frames[0].pose.stamp
     poses = [each.pose for each in frames]
-    terminal.log(f"{len(looks)} looks of {footage.perception} at {footage.of}, {footage.poses}")
+    many = "1 look" if len(looks) == 1 else f"{len(looks)} looks"
+    terminal.log(f"{many} of {footage.perception} at {footage.of}, {footage.poses}")
     return Journey(iter(frames), len(looks), footage.poses, poses, None, span, footage.begins)
 
 
@@ -260,17 +271,40 @@ def _list_seen(options: Track, replay: ReplayPerception) -> int:
 
 def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
     from eagor.media.footage import VideoFrames, open_video
+    from eagor.media.lens_views import LensVideos, are_ordinary
     from eagor.media.posed_frames import thinned
+    from eagor.media.rigs import read_rig
 
     looks, shown = _rates(options)
-    video = open_video(places, options.rig, rate=shown, start=options.start, end=options.end, rows=rows)
+    rig = None if options.rig is None else read_rig(options.rig)
+    views = rig if rig is not None and are_ordinary(rig) else None
+
+    def opened(rate: float) -> Any:
+        cut: dict[str, Any] = {"rate": rate, "start": options.start, "end": options.end, "rows": rows}
+        return open_video(places, options.rig, **cut) if views is None else LensVideos(places, views, **cut)
+
+    video = opened(shown)
+    sighted = not poses and (options.poses == "level" or video.motion is None)
+    if sighted and shown < BY_SIGHT and (views is not None or _is_ordinary(options, video.shape)):
+        shown = BY_SIGHT
+        video = opened(shown)
     say_of_video(places[0].name, video.facts, video.duration)
-    source = VideoFrames(video, _check(options))
+    source = VideoFrames(video, _check(options)) if views is None else video
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
-    return Journey(thinned(frames, looks), source.count, told, poses, shown, span)
+    lenses = 1 if views is None else len(views.sizes)
+    return Journey(thinned(frames, looks, lenses=lenses), source.count, told, poses, shown, span)
+
+
+def _is_ordinary(options: Track, shape: tuple[int, int]) -> bool:
+    """Whether a video of this shape (rows, columns) is an ordinary camera's."""
+    from eagor.media.panorama import ROUNDING
+
+    height, width = shape
+    told = options.hfov is not None or options.camera is not None
+    return options.rig is None and (told or not (options.force or abs(width - 2 * height) <= ROUNDING))
 
 
 def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:

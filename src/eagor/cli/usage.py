@@ -20,7 +20,7 @@ from tyro.conf import Positional
 from eagor.cli.commands import Command
 
 _NUMBER = re.compile(r"-(?:[0-9.]|inf|nan)", re.IGNORECASE)  # a value, although it begins with a dash
-_VIDEOS = (".mp4", ".mkv", ".webm", ".mov", ".insv")
+_FOR_TRACK = (".mp4", ".mkv", ".webm", ".mov", ".insv", ".jsonl")
 _NUMBERS = {int: "a whole number", float: "a number"}
 
 
@@ -101,7 +101,7 @@ def _wrong_command(path: str, rest: list[str], table: Mapping[str, _Command]) ->
     if near := get_close_matches(word.lower(), table, 1):
         return f"unknown command {word!r}; did you mean {near[0]}? {path} --help describes all"
     if path == "eagor" and os.path.exists(word):
-        what = "track" if os.path.isdir(word) or word.lower().endswith(_VIDEOS) else "locate"
+        what = "track" if os.path.isdir(word) or word.lower().endswith(_FOR_TRACK) else "locate"
         return f"unknown command {word!r}, which is a file or folder; did you mean {path} {what} {word} ...?"
     return f"unknown command {word!r}; wanted {_either(table)}; {path} --help describes them"
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import altered, lazy
 from eagor.evidence.coverage import Region, confine, region, taper
 from eagor.evidence.detector import Alarms, DetectorModel
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
@@ -15,6 +15,7 @@ from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
 
 LEAST_RATIO = 1e-3  # of a score: no single one is a proof of absence
+LOWEST = -600.0  # nats: nothing; for what underflows, the exponential and products take ten times as long
 RESOLVED = math.radians(115)  # over degree + 1: the narrowest likelihood that the degree represents without loss
 
 
@@ -92,16 +93,16 @@ class Detections:
             key: np.concatenate([getattr(self, key), getattr(other, key)])
             for key in ("directions", "axes", "ratios", "clutter", "scores", "sizes")
         }
-        return replace(self, views=views, **pairs)
+        return altered(self, views=views, **pairs)
 
     def turned(self, new_R_old: np.ndarray) -> Detections:
         """The detections in other axes; `share` still takes directions of the body."""
-        return replace(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
+        return altered(self, directions=self.directions @ new_R_old.T, axes=self.axes @ new_R_old.T)
 
     def widened(self, spread: float) -> Detections:
         """The same where the pose of the camera is only known to a deviation of `spread` (radians per axis)."""
         deviations = 1 / np.linalg.norm(self.axes, axis=-1, keepdims=True)
-        return replace(self, axes=self.axes * deviations / np.hypot(deviations, spread))
+        return altered(self, axes=self.axes * deviations / np.hypot(deviations, spread))
 
     def share(self, directions: np.ndarray) -> np.ndarray | float:
         """v ``(...)``: how far any of the views covered each direction ``(..., 3)`` of the body frame."""
@@ -150,7 +151,7 @@ class Detections:
         own = np.maximum(lengths**-2 - self.model.spread**2, 0.0)  # the detection's own part, such as a box's size
         axes = self.axes / lengths / np.sqrt(own + model.spread**2)
         ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
-        return replace(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
+        return altered(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
 
     def response(self, directions: np.ndarray) -> np.ndarray:
         """The set drawn as a response ``(...)`` in [0, 1]: the maximum of score times bump."""
@@ -171,7 +172,7 @@ class Detections:
         lengths, exponents = self._lengths, self._exponents(directions)
         factors = 1 / np.maximum(scales[:, None, None], np.reshape(least, (-1, 1)) * lengths)  # (S, n, 2)
         first, second = (-(factors**2)).transpose(2, 0, 1)[..., None]
-        falls = np.exp(first * exponents[:, 0] + second * exponents[:, 1])
+        falls = np.exp(np.maximum(first * exponents[:, 0] + second * exponents[:, 1], LOWEST))
         heights = rows / self.clutter * bump_norms(lengths * factors)[:, None]  # (S, k, n)
         return (heights @ falls).reshape(len(scales), len(rows), *directions.shape[:-1])
 

@@ -126,10 +126,11 @@ def _quarter(degree: int, columns: Array, transposed: bool) -> Array:
     """J (or its transpose) on `columns` ``(size, n)``."""
     if degree <= DENSE_UP_TO and (columns.ndim == 1 or columns.shape[1] <= DENSE_COLUMNS):
         return constant(_quarter_dense, degree, transposed, like=columns) @ columns
-    parts = []
-    for l in range(degree + 1):
-        block = constant(_quarter_block, degree, l, transposed, like=columns)
-        parts.append(block @ columns[l * l : (l + 1) ** 2, ...])
+    if type(columns) is np.ndarray:
+        blocks = _quarter_kept(degree, transposed, columns.dtype.char)
+    else:
+        blocks = tuple(constant(_quarter_block, degree, l, transposed, like=columns) for l in range(degree + 1))
+    parts = [block @ columns[l * l : (l + 1) ** 2, ...] for l, block in enumerate(blocks)]
     return namespace(columns).concat(parts)
 
 
@@ -161,6 +162,13 @@ def _quarter_blocks(degree: int) -> tuple[np.ndarray, ...]:
             part = slice(l * l, (l + 1) ** 2)
             block += here[:, part].T @ before[:, part]
     return tuple(blocks)
+
+
+@lru_cache(maxsize=64)
+def _quarter_kept(degree: int, transposed: bool, kind: str) -> tuple[np.ndarray, ...]:
+    """The blocks of J (or its transpose) in one precision."""
+    like = np.zeros(0, dtype=kind)
+    return tuple(constant(_quarter_block, degree, l, transposed, like=like) for l in range(degree + 1))
 
 
 def _quarter_block(degree: int, l: int, transposed: bool) -> np.ndarray:

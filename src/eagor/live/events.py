@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from eagor.evidence import Evidence
+from eagor.grids import PerspectiveGrid
 from eagor.media.frames import Pose
 from eagor.tracking.estimate import Estimate
 
@@ -114,12 +115,16 @@ def _number(value: float | None, digits: int | None) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class FrameCame:
-    """A picture; `stamp`: its capture. The core needs no `panorama` ``(H, W, 3)``; a recording does."""
+    """A picture; `stamp`: its capture. The core needs no `picture` ``(H, W, 3)``; a recording does.
+
+    `grid`: its pixels, if an ordinary camera took it; None for a panorama.
+    """
 
     arrival: float
     stamp: float
     name: str
-    panorama: np.ndarray | None = field(default=None, repr=False)
+    picture: np.ndarray | None = field(default=None, repr=False)
+    grid: PerspectiveGrid | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

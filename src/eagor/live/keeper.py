@@ -17,6 +17,7 @@ import numpy as np
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.errors import EagorError, ImageError
 from eagor.evidence import BodyMask, Evidence
+from eagor.grids import PerspectiveGrid
 from eagor.live.looker import serve
 from eagor.perception import Perception
 from eagor.tracking.checkpoint import unpacked
@@ -101,20 +102,27 @@ class Keeper:
             raise UnusableError(said[1])
 
     def look(
-        self, panorama: np.ndarray, queries: Sequence[str], stamp: float, world_R_body: np.ndarray | None = None
+        self,
+        picture: np.ndarray,
+        queries: Sequence[str],
+        stamp: float,
+        world_R_body: np.ndarray | None = None,
+        grid: PerspectiveGrid | None = None,
     ) -> Iterator[Looked | Failed]:
-        """Look at a panorama ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
+        """Look at a picture ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
+
+        It is a panorama, or an ordinary one with its `grid`.
 
         Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
         """
-        if panorama.ndim != 3 or panorama.shape[2] != 3 or panorama.dtype != np.uint8:
-            raise ImageError(f"a picture is {panorama.dtype} {panorama.shape}; wanted uint8 (H, W, 3)")
+        if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+            raise ImageError(f"a picture is {picture.dtype} {picture.shape}; wanted uint8 (H, W, 3)")
         yield from self.start()
         if (worker := self._worker) is None:
             return
-        name = self._show(panorama)
+        name = self._show(picture)
         try:
-            worker.send((name, tuple(queries), stamp, panorama.shape, world_R_body))
+            worker.send((name, tuple(queries), stamp, picture.shape, world_R_body, grid))
             while (said := worker.receive(self.patience))[0] != "done":
                 self._pause = PAUSES[0]
                 if said[0] == "looked":
@@ -138,12 +146,12 @@ class Keeper:
         self._killed.set()
         self._end()
 
-    def _show(self, panorama: np.ndarray) -> str:
+    def _show(self, picture: np.ndarray) -> str:
         """Put the picture into shared memory; its name there."""
-        if self._memory is None or self._memory.size < panorama.nbytes:
+        if self._memory is None or self._memory.size < picture.nbytes:
             self._free()
-            self._memory = SharedMemory(create=True, size=panorama.nbytes)
-        np.ndarray(panorama.shape, dtype=np.uint8, buffer=self._memory.buf)[...] = panorama
+            self._memory = SharedMemory(create=True, size=picture.nbytes)
+        np.ndarray(picture.shape, dtype=np.uint8, buffer=self._memory.buf)[...] = picture
         return self._memory.name
 
     def _free(self) -> None:

@@ -1,6 +1,6 @@
 """The process that looks: it sees one picture at a time in shared memory, and says what the perception found.
 
-It is told: ``(queries, stamp, shape, world_R_body)`` for each picture. It says: ``("ready",)`` once, or
+It is told: ``(name, queries, stamp, shape, world_R_body, grid)`` for each picture. It says: ``("ready",)`` once, or
 ``("unusable", text)``; then for each query ``("looked", query, evidence, seconds)`` or ``("failed", query, text,
 refused)``, and at the end of each picture ``("done",)``. Evidence comes as bytes of `eagor.tracking.checkpoint`.
 """
@@ -23,6 +23,7 @@ import numpy as np
 
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import BodyMask, Evidence
+from eagor.grids import PerspectiveGrid
 from eagor.media.defects import NeverSeen
 from eagor.perception import Perception, load
 from eagor.perception.replay import look_if_recorded
@@ -45,17 +46,19 @@ def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMa
         line.send(("ready",))
         black = NeverSeen()
         while (order := line.recv()) is not None:
-            name, queries, stamp, shape, pose = order
+            name, queries, stamp, shape, pose, grid = order
             if memory is None or memory.name != name:
                 if memory is not None:
                     memory.close()
                 memory = SharedMemory(name)
             seen = np.ndarray(shape, dtype=np.uint8, buffer=memory.buf)
             seen.flags.writeable = False
-            hidden = black.add(seen)
-            covers = [*masks, BodyMask(~hidden)] if hidden.any() and not hidden.all() else masks
+            covers = list(masks)
+            if grid is None:  # an ordinary picture has no poles
+                hidden = black.add(seen)
+                covers += [BodyMask(~hidden)] if hidden.any() and not hidden.all() else []
             for query in queries:
-                line.send(_looked(looking, seen, query, stamp, pose, covers))
+                line.send(_looked(looking, seen, query, stamp, pose, grid, covers))
             del seen
             line.send(("done",))
     if memory is not None:
@@ -64,12 +67,18 @@ def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMa
 
 
 def _looked(
-    perception: Perception, seen: np.ndarray, query: str, stamp: float, pose: Any, covers: Sequence[BodyMask]
+    perception: Perception,
+    seen: np.ndarray,
+    query: str,
+    stamp: float,
+    pose: Any,
+    grid: PerspectiveGrid | None,
+    covers: Sequence[BodyMask],
 ) -> tuple[Any, ...]:
     """One look, as it is said; whatever the perception raises is said too."""
     began = time.perf_counter()
     try:
-        looks = look_if_recorded(perception, seen, query, stamp, pose)
+        looks = look_if_recorded(perception, seen, query, stamp, pose, grid)
         for mask in covers:
             looks = tuple(look.covered(mask) for look in looks)
         return "looked", query, looks_in_bytes(looks), time.perf_counter() - began

@@ -285,13 +285,13 @@ class LiveLoop:
                 yield from self._taken(Asked(tick))
                 ticks += 1
             take_poses(now)
-            self._taken(FrameCame(now, now, frame.name, frame.picture))
-            picture = Picture(now, now, frame.picture)
+            self._taken(FrameCame(now, now, frame.name, frame.picture, frame.grid))
+            picture = Picture(now, now, frame.picture, frame.grid)
             if self._visual_poses is not None:
                 for event in self._visual_poses.of(picture, lambda at=now: at):
                     self._taken(event)
             queries = [query for query in self.core.queries if query not in self._refused]
-            for said in self._keeper.look(frame.picture, queries, now, self.core.orientation(now)):
+            for said in self._keeper.look(frame.picture, queries, now, self.core.orientation(now), frame.grid):
                 self._found(picture, said, now)
         if begun is not None:
             yield from self._taken(Asked(now))
@@ -380,11 +380,11 @@ class LiveLoop:
         frame, told = item
         self._last_frame = self.clock.now()
         shown = frame.picture if self._watchers else None  # who else would hold on to it?
-        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown))
+        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid))
         if self.live and (froze := self._frozen.take(frame.picture, frame.stamp)) != self._froze:
             self._froze = froze
             self._post(Trouble(self._last_frame, "camera", froze, "frozen"))
-        picture = Picture(frame.stamp, told, frame.picture)
+        picture = Picture(frame.stamp, told, frame.picture, frame.grid)
         if self._seer is not None:
             self._seer.pictures.give(picture)
         assert self._perception is not None

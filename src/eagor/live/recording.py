@@ -40,6 +40,8 @@ from eagor.media.bags.messages import (
 )
 from eagor.media.bags.reader import BagWriter, bag_topics, read_bag
 from eagor.media.frames import Pose
+from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
+from eagor.media.panorama import is_whole
 from eagor.perception import Perception
 from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked
@@ -224,7 +226,7 @@ class Recorder:
         self._bag.write(EVENTS, BYTES, found, self._last)
 
     def _picture(self, event: FrameCame) -> None:
-        if event.panorama is None or self.pictures == "none":
+        if event.picture is None or self.pictures == "none":
             return
         if self._waiting > WAITING:
             self.left_out += 1
@@ -232,7 +234,7 @@ class Recorder:
                 self._trouble("pictures come faster than they can be written; some are left out of the recording")
             return
         stamp = max(0.0, event.stamp)
-        found = compressed_message(event.panorama, stamp, BODY, kind=self.pictures, quality=QUALITY)
+        found = compressed_message(event.picture, stamp, BODY, kind=self.pictures, quality=QUALITY)
         self._bag.write(IMAGES, COMPRESSED, found, self._last)
 
     def _answer(self, answer: Answer) -> None:
@@ -281,12 +283,18 @@ class Replay:
     """A recording in the folder `path`: iterate for the answers that it gives again; `compared` tells how they differ.
 
     `perception`: look at the recorded pictures anew with this one instead of taking the recorded evidence; each look
-    comes when the recorded one came, and takes `patience` seconds at most. A recording that was cut off is played as
+    comes when the recorded one came, and takes `patience` seconds at most. Pictures of an ordinary `camera` need it
+    again, since a recording does not hold the lens. A recording that was cut off is played as
     far as it goes, with a `UserWarning`. Raises `FormatError` for a folder that is no recording of the live loop.
     """
 
     def __init__(
-        self, path: str | Path, perception: str | Perception | None = None, *, patience: float = PATIENCE
+        self,
+        path: str | Path,
+        perception: str | Perception | None = None,
+        *,
+        patience: float = PATIENCE,
+        camera: Camera | None = None,
     ) -> None:
         self.path, self.perception, self.patience = Path(path), perception, patience
         topics = bag_topics(self.path)
@@ -296,12 +304,16 @@ class Replay:
             )
         if perception is not None and IMAGES not in topics:
             raise FormatError(f"{path} was recorded without pictures: play it with its own evidence")
-        self.compared = Compared()
+        self.compared, self._camera = Compared(), camera or Camera()
         self.settings = self._settings()
 
     def __iter__(self) -> Iterator[Answer]:
         core, self.compared = LiveCore(self.settings), Compared()
-        anew = None if self.perception is None else _Anew(self.perception, self.patience, core, self._looked_at())
+        anew = (
+            None
+            if self.perception is None
+            else _Anew(self.perception, self.patience, core, self._looked_at(), self._camera)
+        )
         written = self._answers() if anew is None else iter(())
         try:
             for event in self.events(pictures=anew is not None):
@@ -324,7 +336,7 @@ class Replay:
         for _, topic, _, found in read_bag(self.path, [EVENTS, IMAGES] if pictures else [EVENTS]):
             if topic == IMAGES:
                 if held is not None:
-                    yield replace(held, panorama=panorama_of(found))
+                    yield replace(held, picture=panorama_of(found))
                     held = None
                 continue
             if held is not None:
@@ -356,26 +368,32 @@ class Replay:
 class _Anew:
     """In place of recorded evidence: looks of another perception at the same pictures."""
 
-    def __init__(self, perception: str | Perception, patience: float, core: LiveCore, wanted: list[float]) -> None:
-        self._keeper, self._core = Keeper(perception, patience=patience), core
+    def __init__(
+        self, perception: str | Perception, patience: float, core: LiveCore, wanted: list[float], camera: Camera
+    ) -> None:
+        self._keeper, self._core, self._camera = Keeper(perception, patience=patience), core, camera
         self._left = Counter(wanted)  # looks at the picture of each stamp
         self._pictures: dict[float, np.ndarray] = {}
 
     def instead(self, event: Event) -> Iterator[Event]:
         """What comes in place of an event."""
-        if isinstance(event, FrameCame) and event.panorama is not None and self._left[event.stamp]:
-            self._pictures[event.stamp] = event.panorama
+        if isinstance(event, FrameCame) and event.picture is not None and self._left[event.stamp]:
+            self._pictures[event.stamp] = event.picture
         if not isinstance(event, EvidenceCame):
             yield event
             return
-        panorama = self._pictures.get(event.stamp)
+        picture = self._pictures.get(event.stamp)
         self._left[event.stamp] -= 1
         if not self._left[event.stamp]:
             self._pictures.pop(event.stamp, None)
-        if panorama is None:  # it was left out of the recording
+        if picture is None:  # it was left out of the recording
             return
+        height, width = picture.shape[:2]
+        grid = ordinary_grid(self._camera, Told(), (width, height), "the recorded picture")
+        if grid is None and not is_whole(picture):
+            raise FormatError(f"the recorded pictures are {width} x {height}: of an ordinary camera. {ASK}")
         pose = self._core.orientation(event.stamp)
-        for said in self._keeper.look(panorama, [event.query], event.told, pose):
+        for said in self._keeper.look(picture, [event.query], event.told, pose, grid):
             if isinstance(said, Looked):
                 yield replace(event, looks=said.looks, seconds=said.seconds)
             elif isinstance(said, Failed):

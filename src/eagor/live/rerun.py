@@ -11,6 +11,7 @@ import numpy as np
 
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError
+from eagor.grids import PerspectiveGrid
 from eagor.live.events import Answer, Event, FaultLog, FrameCame, PoseCame
 
 __all__ = ["LiveLog"]
@@ -31,6 +32,7 @@ class LiveLog:
         self.problem: str | None = None
         self._turn = threading.Condition()
         self._picture: np.ndarray | None = None
+        self._grid: PerspectiveGrid | None = None
         self._position: np.ndarray | None = None
         self._answers: tuple[Answer, ...] = ()
         self._taken = -math.inf
@@ -43,7 +45,7 @@ class LiveLog:
         """An event of the loop, and the answers to it."""
         with self._turn:
             if isinstance(event, FrameCame):
-                self._picture = event.panorama
+                self._picture, self._grid = event.picture, event.grid
             elif isinstance(event, PoseCame):
                 self._position = event.pose.position
             if answers and answers[0].stamp - self._taken >= INTERVAL:
@@ -66,15 +68,24 @@ class LiveLog:
                     return
                 answers, self._answers = self._answers, ()
                 (picture, self._picture), position = (self._picture, None), self._position
+                grid = self._grid
             try:
-                self._write(answers, picture, position)
+                self._write(answers, picture, grid, position)
             except (EagorError, OSError) as error:
                 self.problem = f"the log for Rerun ends here: {error}"
                 return
 
-    def _write(self, answers: Sequence[Answer], picture: np.ndarray | None, position: np.ndarray | None) -> None:
+    def _write(
+        self,
+        answers: Sequence[Answer],
+        picture: np.ndarray | None,
+        grid: PerspectiveGrid | None,
+        position: np.ndarray | None,
+    ) -> None:
         for text, wrong in self._news.of(answers[0].faults, answers[0].stamp):
             self._log.say(answers[0].stamp, text, "WARN" if wrong else "INFO")
         for answer in answers:
-            self._log.add(picture, answer.estimate, stamp=answer.stamp, query=answer.query, position=position)
+            self._log.add(
+                picture, answer.estimate, stamp=answer.stamp, query=answer.query, position=position, grid=grid
+            )
             picture = None  # once, with the first query's belief on it

@@ -11,6 +11,7 @@ import numpy as np
 
 from eagor._extras import need
 from eagor.errors import EagorError
+from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import Failed, Keeper, Looked, UnusableError
 from eagor.media.frames import Pose
@@ -21,11 +22,15 @@ __all__ = ["NewestPicture", "PerceptionThread", "Picture", "VisualPoses", "Visua
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A panorama ``(H, W, 3)`` to look at. `stamp`: of its source; `told`: the stamp that the perception is told."""
+    """A picture ``(H, W, 3)`` to look at: a panorama, or an ordinary one with its `grid`.
+
+    `stamp`: of its source; `told`: the stamp that the perception is told.
+    """
 
     stamp: float
     told: float
-    panorama: np.ndarray
+    picture: np.ndarray
+    grid: PerspectiveGrid | None = None
 
 
 class NewestPicture:
@@ -128,7 +133,7 @@ class PerceptionThread:
         if not queries:
             return
         pose = self._pose(picture.stamp)
-        for said in self.keeper.look(picture.panorama, queries, picture.told, pose):
+        for said in self.keeper.look(picture.picture, queries, picture.told, pose, picture.grid):
             if self._stopped:
                 return
             if isinstance(said, Failed) and said.refused and said.query is not None:
@@ -146,7 +151,7 @@ class VisualPoses:
     def of(self, picture: Picture, now: Callable[[], float]) -> Iterator[Event]:
         """The pose at a picture, after what is to be said of it. `now` gives the times of arrival."""
         try:
-            turned = self._odometer.add(picture.panorama, picture.stamp)
+            turned = self._odometer.add(picture.picture, picture.stamp, picture.grid)
         except EagorError as error:
             yield Trouble(now(), "poses", str(error))
             return

@@ -25,7 +25,7 @@ from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid
 from eagor.media.bags.reader import is_bag, split_bag
 from eagor.media.frames import CameraSource, Frame
-from eagor.media.intrinsics import Told
+from eagor.media.intrinsics import Camera, Told
 from eagor.media.live_camera import LiveCamera
 from eagor.media.metadata import read_metadata
 from eagor.media.panorama import pictures_in, read_panorama, read_photograph
@@ -35,7 +35,8 @@ from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_inp
 from eagor.media.video import Video
 
 __all__ = [
-    "BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "Newest", "StitchedVideo", "VideoCamera", "lens_videos",
+    "BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "Newest", "StitchedVideo", "VideoCamera", "lens_files",
+    "lens_videos",
     "open_camera", "partner_of",
 ]  # fmt: skip
 
@@ -68,13 +69,14 @@ def open_camera(
     rows: int | None = None,
     rig: Rig | str | os.PathLike[str] | None = None,
     rate: float | None = None,
+    camera: Camera | None = None,
 ) -> CameraSource:
     """The source of pictures that `text` names (`SOURCES`), or that another package brings (``NAME:REST``).
 
     `latency`: seconds from capture to arrival, taken off the stamps. `rows`: the most rows of a panorama. `rig`: the
     lenses (`eagor.media.rigs`) or their YAML file, if the pictures are not panoramas; for a rig with several
     pictures, `text` is as many sources with commas between, unless one gives all. `rate`: the most pictures per second
-    to take; for a folder, how many per second were taken.
+    to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
 
     Other packages add cameras under the entry points ``eagor.cameras``: a name, and a function ``(rest, *, latency,
     rows, rig, rate) -> CameraSource``. Raises `DeviceError`, `ImageError`, `FormatError` for the rig, and
@@ -86,6 +88,8 @@ def open_camera(
         parts = text.split(",")
     kinds = [_kind(part) for part in parts]
     settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
+    if camera is not None and camera.known:  # else not given: cameras of other packages need not know of it
+        settings["camera"] = camera
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
     if kinds[0] == "folder":
@@ -173,7 +177,7 @@ class StitchedVideo:
         end: float | None = None,
         rows: int | None = None,
     ) -> None:
-        files = _lens_files([Path(path) for path in paths], len(rig.sizes))
+        files = lens_files([Path(path) for path in paths], len(rig.sizes))
         settings = {"rate": rate, "start": start, "end": end, "lenses": True}
         videos = [Video(path, track=track, **settings) for path, track in files]
         self.path = str(paths[0])
@@ -204,7 +208,7 @@ def lens_videos(
     if count is None and len(found) == 1 and found[0].is_file():
         tracks = read_metadata(str(found[0]), lenses=True).tracks
         count = tracks if tracks > 1 else 2 if partner_of(found[0]) else 1
-    files = _lens_files(found, len(found) if count is None else count)
+    files = lens_files(found, len(found) if count is None else count)
     yield from _together([Video(path, track=track, lenses=True, rate=rate, start=start) for path, track in files])
 
 
@@ -224,8 +228,8 @@ def _together(videos: Sequence[Video]) -> Iterator[tuple[Frame, ...]]:
         yield frames
 
 
-def _lens_files(paths: Sequence[Path], count: int) -> list[tuple[Path, int]]:
-    """Path and track of each of `count` pictures."""
+def lens_files(paths: Sequence[Path], count: int) -> list[tuple[Path, int]]:
+    """Path and track of each of `count` pictures: files of their own, tracks of one, or a file and its partner."""
     if len(paths) == 1 and count > 1:
         if paths[0].is_file() and read_metadata(str(paths[0]), lenses=True).tracks >= count:
             return [(paths[0], track) for track in range(count)]
@@ -247,6 +251,7 @@ class VideoCamera:
         rows: int | None = None,
         rate: float | None = None,
         latency: float = 0.0,
+        camera: Camera | None = None,
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed = False
@@ -258,16 +263,22 @@ class VideoCamera:
                 raise ImageError(f"{len(paths)} files are given, and no rig says how they belong together: --rig FILE")
             self.video = Video(paths[0], rate=rate, rows=rows)
             height, width = self.video.shape
-            self._panoramas = Panoramas(((width, height),), None, rows, self.video.path)
+            self._panoramas = Panoramas(((width, height),), None, rows, self.video.path, camera)
         self.grid, self.unseen, self.motion = ErpGrid(*self.video.shape), self.video.unseen, self.video.motion
+        if self._panoramas is not None:
+            self.grid = self._panoramas.grid
+            self.unseen = self.unseen if self._panoramas.unseen is None else self._panoramas.unseen
 
     def __iter__(self) -> Iterator[Frame]:
         for number, frame in enumerate(self.video):
             if self._closed:
                 return
-            if number == 0 and self._panoramas is not None:
-                self._panoramas.check(frame.picture)
-            yield Frame(frame.stamp - self.latency, frame.picture, frame.name)
+            picture, view = frame.picture, None
+            if self._panoramas is not None:
+                if number == 0:
+                    self._panoramas.check(picture)
+                picture, view = self._panoramas.make(picture), self._panoramas.view
+            yield Frame(frame.stamp - self.latency, picture, frame.name, view)
 
     def close(self) -> None:
         self._closed = True
@@ -290,9 +301,10 @@ class FolderCamera:
         rows: int | None = None,
         rate: float | None = None,
         latency: float = 0.0,
+        camera: Camera | None = None,
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
-        self._closed, self._rig = False, rig
+        self._closed, self._rig, self._camera = False, rig, camera
         lists = [pictures_in(Path(folder)) for folder in folders]
         if len({len(each) for each in lists}) > 1:
             counts = ", ".join(f"{len(each)} in {folder}" for each, folder in zip(lists, folders, strict=True))
@@ -300,7 +312,7 @@ class FolderCamera:
         self._moments = list(zip(*lists, strict=True))
         self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
         first = self._read(self._moments[0])
-        self._panoramas = Panoramas(sizes_of(first), rig, rows, str(folders[0]))
+        self._panoramas = Panoramas(sizes_of(first), rig, rows, str(folders[0]), camera)
         self._panoramas.check(*first)
         self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
 
@@ -311,14 +323,14 @@ class FolderCamera:
             try:
                 pictures = self._read(moment)
                 if self._rig is None:  # raises for another shape
-                    Panoramas(sizes_of(pictures), None, None, str(moment[0]))
+                    Panoramas(sizes_of(pictures), None, None, str(moment[0]), self._camera)
                 panorama = self._panoramas.make(*pictures)
             except EagorError as error:
                 if not self.dropped:
                     warnings.warn(f"a picture is left out: {error}", UserWarning, stacklevel=2)
                 self.dropped += 1
                 continue
-            yield Frame(stamp - self.latency, panorama, moment[0].name)
+            yield Frame(stamp - self.latency, panorama, moment[0].name, self._panoramas.view)
 
     def _read(self, moment: tuple[Path, ...]) -> list[np.ndarray]:
         with warnings.catch_warnings():  # of shapes, which are checked here

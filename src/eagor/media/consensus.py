@@ -36,12 +36,31 @@ class Agreement:
     inliers: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """What is known of a turn before, as a camera cannot stop at once: `old_R_new` ``(3, 3)`` up to `most` radians."""
+
+    old_R_new: np.ndarray
+    most: float
+
+    def allows(self, old_R_new: np.ndarray) -> np.ndarray:
+        """Whether each of the turns ``(..., 3, 3)`` can be."""
+        cosine = (np.sum(self.old_R_new * old_R_new, axis=(-2, -1)) - 1) / 2
+        return cosine >= math.cos(min(self.most, math.pi)) - 1e-12
+
+
 def agreeing_rotation(
-    here: np.ndarray, there: np.ndarray, random: np.random.Generator, level: bool = False, area: float = SPHERE
+    here: np.ndarray,
+    there: np.ndarray,
+    random: np.random.Generator,
+    level: bool = False,
+    area: float = SPHERE,
+    inertia: Inertia | None = None,
 ) -> Agreement | None:
     """The rotation with ``rotation @ there = here`` for most of the unit vectors ``(n, 3)``; None if there are too few.
 
     `level`: only about z. A sample is two pairs, or one if level. `area`: of the field in which they are, steradians.
+    `inertia`: others do not count.
     """
     size, parts = 1 if level else 2, Parts(here, area)
     if parts.count <= size:
@@ -54,6 +73,8 @@ def agreeing_rotation(
         u, v = here[chosen], there[chosen]
         rotations = _yaws(u[:, 0], v[:, 0]) if level else _triads(u, v)
         tried += BATCH
+        if inertia is not None:
+            rotations = rotations[inertia.allows(rotations)]
         if len(rotations):
             shares = np.maximum((1 - rotations.reshape(-1, 9) @ products.T) / 2, _LEAST)  # of the sphere
             shares = np.minimum(shares * (SPHERE / area), 1)

@@ -20,6 +20,7 @@ from eagor._secrets import redacted
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.media.clocks import StreamClock
 from eagor.media.frames import Frame
+from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.media.stitching import Panoramas
 from eagor.media.video import to_rgb
@@ -216,7 +217,7 @@ class Feed:
 
 
 class LiveCamera:
-    """A `CameraSource` of one stream, or of one per picture of a `rig`.
+    """A `CameraSource` of one stream, of panoramas or of an ordinary `camera`; or of one per picture of a `rig`.
 
     Only the newest picture is kept (`keeps_newest`): it is made a panorama when it is asked for. `dropped` counts those
     that nobody took in time and those that were damaged; `rate`: the most pictures per second to take, which are not
@@ -238,6 +239,7 @@ class LiveCamera:
         rows: int | None = None,
         rate: float | None = None,
         latency: float = 0.0,
+        camera: Camera | None = None,
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to arrival, 0 or more")
@@ -257,7 +259,7 @@ class LiveCamera:
             shots = [shot for feed in self._feeds if (shot := feed.seen) is not None]
             sizes = tuple((shot.picture.width, shot.picture.height) for shot in shots)
             self._sizes = sizes
-            self._panoramas = Panoramas(sizes, rig, rows, self._name)
+            self._panoramas = Panoramas(sizes, rig, rows, self._name, camera)
             self._panoramas.check(*self._pictures(shots))
         except BaseException:
             self.close()
@@ -289,7 +291,7 @@ class LiveCamera:
                     f"{self._name} tells no times, or not those of the pictures: each is stamped with its arrival less "
                     f"the latency ({self.latency:g} s), and carries the jitter of its way"
                 )
-            yield Frame(shot.stamp, panorama, f"{self._name} {_clock(shot.stamp)}")
+            yield Frame(shot.stamp, panorama, f"{self._name} {_clock(shot.stamp)}", self._panoramas.view)
         if first.error is not None:
             raise first.error
 

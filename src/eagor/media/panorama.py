@@ -22,7 +22,7 @@ from PIL import Image, ImageOps
 from eagor._checks import ROUNDING
 from eagor._extras import need
 from eagor._srgb import to_coded
-from eagor.errors import ImageError
+from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid
 from eagor.media.metadata import GPANO, Projection, of_photograph, properties
 from eagor.sphere import check_rotation
@@ -58,6 +58,8 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
         raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
     try:
         image = tone_mapped(_radiance(name)) if _is_hdr(name) else read_image(name, os.path.getsize(name), _lying)
+    except MissingExtraError:
+        raise
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
@@ -95,7 +97,12 @@ def _radiance(name: str) -> np.ndarray:
     height, width = int(size[1]), int(size[2])
     if 12 * height * width > max(_SMALL, _DENSEST * os.path.getsize(name)):
         raise ImageError(f"claims {width} x {height} pixels in {os.path.getsize(name)} bytes; it is corrupt, or blank")
-    found = cv2.imread(name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    told = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
+    try:
+        found = cv2.imread(name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    finally:
+        cv2.utils.logging.setLogLevel(told)
     if found is None or found.dtype != np.float32:
         raise ImageError("cannot be decoded; it is corrupt or truncated: fetch or export it again")
     return np.nan_to_num(found[..., ::-1], nan=0.0, posinf=float(np.finfo(np.float32).max), neginf=0.0)

@@ -191,16 +191,19 @@ def posed_by_odometry(
             say(f"{count} pictures {side} pose of {poses.topic} are left out")
 
 
-def thinned(frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0) -> Iterator[PosedFrame]:
-    """The same, with `rate` frames per second from `begins` on looked at (None: all)."""
-    tick = -math.inf
+def thinned(
+    frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0, lenses: int = 1
+) -> Iterator[PosedFrame]:
+    """The same, with `rate` frames per second from `begins` on looked at (None: all); of each of so many `lenses`."""
+    tick, left = -math.inf, 0
     for each in frames:
         if rate is None or each.frame is None or each.lost:
             yield each
             continue
         number = math.floor((each.pose.stamp - begins) * rate + 1e-6)
-        yield each if number > tick else replace(each, looked=False)
-        tick = max(tick, number)
+        left = lenses if number > tick else left
+        yield each if left > 0 else replace(each, looked=False)
+        tick, left = max(tick, number), left - 1
 
 
 def ahead(frames: Iterable[PosedFrame], most: int = 2) -> Iterator[PosedFrame]:

@@ -19,6 +19,12 @@ Files are read with errors that name the line. The format::
         centre: [640.0, 360.0]
         distortion: [-0.1, 0.01, 0, 0, 0]                   # k1, k2, p1, p2, k3, k4, k5, k6, as OpenCV orders them
         rotation: [0.707, 0, 0, 0.707]                      # or a unit quaternion w, x, y, z
+      - name: left_optical_frame # or optical: true: the rotation is that of axes x right, y down, z forward
+        kind: pinhole
+        focal: 610.0
+        centre: [640.0, 360.0]
+        rotation: {x: -0.5, y: 0.5, z: -0.5, w: 0.5}        # or a quaternion by names, as a ROS static transform has it
+        position: [0.1, 0.0, 0.3]                           # ignored: lenses count as in one place
 """
 
 from __future__ import annotations
@@ -26,6 +32,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,7 +42,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor._files import written
-from eagor.conventions import rotation_from_wxyz
+from eagor.conventions import OPTICAL_R_BODY, rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, GridError, ImageError
 from eagor.lenses import FisheyeLens, Lens, PinholeLens
 from eagor.media.yaml_files import Place, read_yaml
@@ -45,12 +52,14 @@ __all__ = ["Rig", "dual_fisheye", "read_rig", "sizes_of", "write_rig"]
 
 SHAPE = 0.01  # by which the ratio of a picture's sides may differ from the rig's: rounding to even numbers
 
-BOTH = ("name", "kind", "picture", "centre", "rotation")
+BOTH = ("name", "kind", "picture", "centre", "rotation", "optical", "position")
 KEYS = {
     "fisheye": (*BOTH, "focal", "field_deg", "radius", "polynomial"),
     "pinhole": (*BOTH, "focal", "distortion"),
 }
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
+QUATERNION = ("x", "y", "z", "w")
+OPTICAL = "_optical_frame"  # REP-103: the suffix of frames with x right, y down, z forward
 UNIT = 0.01  # by which the length of a quaternion may differ from 1
 
 
@@ -184,6 +193,16 @@ def _lens(place: Place, sizes: Sequence[tuple[int, int]]) -> Lens:
     if not 0 <= picture < len(sizes):
         raise found["picture"].wrong(f"is {picture}; wanted 0 to {len(sizes) - 1}, since pictures lists {len(sizes)}")
     rotation = _rotation(found["rotation"]) if "rotation" in found else np.eye(3)
+    optical = found["optical"].text().lower() if "optical" in found else str(name.endswith(OPTICAL)).lower()
+    if optical not in ("true", "false"):
+        raise found["optical"].wrong(f"is {optical!r}; wanted true or false")
+    if optical == "true" and "rotation" not in found:
+        raise place.wrong("has no rotation; wanted that of its optical frame (x right, y down, z forward) in the body")
+    if optical == "true":
+        rotation = rotation @ OPTICAL_R_BODY
+    if "position" in found:
+        found["position"].numbers(3, 3, "x, y, z, metres")
+        warnings.warn(f"{place.path}.position is ignored: lenses count as in one place", UserWarning, stacklevel=2)
     if "centre" not in found:
         raise place.wrong("has no centre; wanted x and y of the optical axis, pixels")
     x, y = found["centre"].numbers(2, 2, "x and y, pixels")
@@ -222,12 +241,21 @@ def _pair(place: Place) -> tuple[float, float]:
 def _rotation(place: Place) -> np.ndarray:
     if place.node.tag.endswith("seq"):
         wxyz = np.array(place.numbers(4, 4, "a quaternion w, x, y, z, or yaw_deg, pitch_deg and roll_deg"))
-        norm = float(np.linalg.norm(wxyz))
-        if abs(norm - 1) > UNIT:
-            raise place.wrong(f"has length {norm:.3g}; wanted a unit quaternion w, x, y, z")
-        return rotation_from_wxyz(wxyz / norm)
+        return _unit_quaternion(place, wxyz)
+    if place.node.id == "mapping" and {key.value for key, _ in place.node.value} & set(QUATERNION):
+        named = place.mapping(QUATERNION)
+        if len(named) < 4:
+            raise place.wrong(f"has {', '.join(named)} only; wanted a quaternion x, y, z, w")
+        return _unit_quaternion(place, np.array([named[name].number() for name in ("w", "x", "y", "z")]))
     found = place.mapping(ANGLES)
     return world_R_body(*(math.radians(found[name].number("degrees")) if name in found else 0.0 for name in ANGLES))
+
+
+def _unit_quaternion(place: Place, wxyz: np.ndarray) -> np.ndarray:
+    norm = float(np.linalg.norm(wxyz))
+    if abs(norm - 1) > UNIT:
+        raise place.wrong(f"has length {norm:.3g}; wanted a unit quaternion w, x, y, z")
+    return rotation_from_wxyz(wxyz / norm)
 
 
 def write_rig(rig: Rig, path: str | os.PathLike[str], notes: Sequence[str] = ()) -> None:

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from eagor._lazy import lazy
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
+from eagor.media.consensus import Inertia
 from eagor.media.features import SIZE, Features, Views, corners_of, followed, lens_of, match, overlap, steadied, warped
-from eagor.media.two_views import Inertia, Turn, turn_between
+from eagor.media.two_views import Turn, turn_between
 
 __all__ = ["Turned", "VisualOdometer"]
 
@@ -95,6 +96,7 @@ class VisualOdometer:
         self._previous: _Key | None = None  # the last picture that was found
         self._step = np.zeros(3)  # the turn (rotation vector) from the picture before that one to it, and the seconds
         self._lasted = 1.0
+        self._moving = False  # whether that is known
         self._stamp = 0.0  # of that one
         self._held = 0  # pictures without information since then
         self._squares, self._steps = 0.0, 0  # of the turns from picture to picture (radians), and how many
@@ -169,7 +171,7 @@ class VisualOdometer:
     ) -> tuple[Views, tuple[_Key, Turn] | None]:
         """The same, and the views in which corners were looked for: `seen` makes them from a guess of the turn."""
         guess = anchor.world_R_body.T @ self._expected(stamp)
-        inertia = self._inertia(anchor, anchor.views, stamp)
+        inertia = self._inertia(anchor, stamp)
         enough = max(FEWEST, FOLLOWED * sum(map(len, anchor.corners)))
         left = ROUNDS
         while True:
@@ -180,8 +182,6 @@ class VisualOdometer:
                 return views, None
             turn = turn_between(old, new, level=self.level, area=anchor.views.area, inertia=inertia)
             if turn is None or turn.inliers.sum() < enough:
-                return views, None
-            if inertia is not None and not inertia.allows(turn.old_R_new):
                 return views, None
             if _angle(guess, turn.old_R_new) < NEAR or not left:
                 return views, (_placed(anchor, views, turn), turn)
@@ -204,6 +204,7 @@ class VisualOdometer:
         self._anchors = {views.lens: start} if self._keys else {}
         self._latest = {views.lens: (start.world_R_body, stamp)}
         self._reference = self._turn = 0
+        self._moving = False
         return Turned(start.world_R_body, 0.0, anew, 0)
 
     def _beside(self, lens: bytes, stamp: float) -> bool:
@@ -241,9 +242,6 @@ class VisualOdometer:
             indices = dict.fromkeys((self._reference, near[0], surest, near[self._turn]))
         results = {index: self._compared(self._keys[index], views, stamp) for index in indices}
         agreed = {index: result for index, result in results.items() if result is not None}
-        now = self._inertia(None, views, stamp)
-        able = {index: each for index, each in agreed.items() if now is None or now.allows(each[0].world_R_body)}
-        agreed = able or agreed
         best, most = None, 0.0
         if agreed:
             clearest = max(agreed.values(), key=lambda result: result[1].inliers.sum())
@@ -290,19 +288,18 @@ class VisualOdometer:
         start = self._held * TRIED % len(every)
         return (every + every)[start : start + min(TRIED, len(every))]
 
-    def _inertia(self, key: _Key | None, views: Views, stamp: float) -> Inertia | None:
-        """What an ordinary camera's turn from a key frame, or that from the world's axes, can be."""
-        if views.whole or self._previous is None:
+    def _inertia(self, key: _Key, stamp: float) -> Inertia | None:
+        """What an ordinary camera's turn from a key frame can be, once its rate is known."""
+        if key.views.whole or not self._moving:
             return None
-        pose = self._expected(stamp)
         most = STEADY + PUSHED * (stamp - self._stamp) ** 2 / 2
-        return Inertia(pose if key is None else key.world_R_body.T @ pose, most)
+        return Inertia(key.world_R_body.T @ self._expected(stamp), most)
 
     def _compared(self, key: _Key, views: Views, stamp: float) -> tuple[_Key, Turn] | None:
         """This picture's pose by way of one key frame."""
         here, there = key.views.features, views.features
         old, new = match(here, there)
-        old, new, inertia = here.directions[old], there.directions[new], self._inertia(key, views, stamp)
+        old, new, inertia = here.directions[old], there.directions[new], self._inertia(key, stamp)
         turn = turn_between(old, new, level=self.level, area=views.area, inertia=inertia)
         return None if turn is None else (_placed(key, views, turn), turn)
 
@@ -320,7 +317,7 @@ class VisualOdometer:
         if before is None:
             return
         self._step = Rotation.from_matrix(before.T @ now.world_R_body).as_rotvec()
-        self._lasted = max(stamp - at, 1e-6)
+        self._lasted, self._moving = max(stamp - at, 1e-6), True
         if not self._held:
             self._squares += float(self._step @ self._step)
             self._steps += 1

@@ -12,8 +12,9 @@ import numpy as np
 from eagor._extras import need
 from eagor._lazy import lazy
 from eagor.errors import ImageError
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.defects import fisheye_circles
+from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
 from eagor.media.panorama import ROUNDING, checked_picture, resized
 from eagor.media.rigs import Rig
 
@@ -199,14 +200,25 @@ def seen_by(rig: Rig, panorama: np.ndarray) -> tuple[np.ndarray, ...]:
 class Panoramas:
     """Makes panoramas from pictures of `sizes` (width, height), of a source called `name`.
 
-    Without a `rig` the one picture is a panorama. `rows`: the most rows; larger pictures are shrunk. `grid`: of the
-    panoramas; `unseen` ``(H, W)``: what no lens sees, or None; `wanted`: rows and columns to which each picture is to
-    be brought while it is decoded. Raises `ImageError` for sizes that fit neither a panorama nor the rig.
+    Without a `rig` the one picture is a panorama, or with a `camera` that is known, an ordinary one, which stays what
+    it is. `rows`: the most rows; larger pictures are shrunk. `grid`: of what it makes; `unseen` ``(H, W)``: what no
+    lens sees, or None; `wanted`: rows and columns to which each picture is to be brought while it is decoded. Raises
+    `ImageError` for sizes that fit neither a panorama, nor the rig, nor the camera.
     """
 
-    def __init__(self, sizes: tuple[tuple[int, int], ...], rig: Rig | None, rows: int | None, name: str) -> None:
+    def __init__(
+        self,
+        sizes: tuple[tuple[int, int], ...],
+        rig: Rig | None,
+        rows: int | None,
+        name: str,
+        camera: Camera | None = None,
+    ) -> None:
+        if camera is not None and camera.wide:
+            rig = camera.rig
         self.name, self.rig = name, rig
         self.unseen: np.ndarray | None = None
+        self.grid: ErpGrid | PerspectiveGrid
         self._stitcher: Stitcher | None = None
         if rig is not None:
             factor = rig.factor_of(sizes, name)
@@ -218,17 +230,29 @@ class Panoramas:
         if len(sizes) > 1:
             raise ImageError(f"{name} gives {len(sizes)} pictures at a time, one for each lens. {MAKE}")
         width, height = next(iter(sizes))
+        view = None if camera is None else ordinary_grid(camera, Told(), (width, height), name)
+        if view is not None:
+            by = 1.0 if rows is None else min(1.0, rows / height)
+            self.grid = view.resized(max(1, round(height * by)), max(1, round(width * by)))
+            self.wanted = (self.grid.shape,)
+            return
         if abs(width - 2 * height) > ROUNDING:
             raise ImageError(
                 f"{name} gives pictures of {width} x {height}, not 2:1; wanted whole panoramas, twice as wide as high. "
-                f"Set the camera to 360-degree (equirectangular) pictures. If these are pictures of lenses: {MAKE}"
+                f"Set the camera to 360-degree (equirectangular) pictures. If these are pictures of lenses: {MAKE}. An "
+                f"ordinary camera? {ASK}"
             )
         count = height if rows is None else min(rows, height)
         self.grid, self.wanted = ErpGrid(count, 2 * count), ((count, 2 * count),)
 
+    @property
+    def view(self) -> PerspectiveGrid | None:
+        """The grid of an ordinary camera's pictures; None where it makes panoramas."""
+        return self.grid if isinstance(self.grid, PerspectiveGrid) else None
+
     def check(self, *pictures: np.ndarray) -> None:
         """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ImageError` for fisheye circles without a rig."""
-        if self.rig is None and (circles := fisheye_circles(pictures[0])):
+        if self.rig is None and self.view is None and (circles := fisheye_circles(pictures[0])):
             what = "the two circles of a dual fisheye camera, side by side" if circles == 2 else "a fisheye's circle"
             raise ImageError(f"{self.name} shows {what}, and no panorama: directions would be wrong. {MAKE}")
 
@@ -237,4 +261,5 @@ class Panoramas:
         if self._stitcher is not None:
             return self._stitcher.stitch(*pictures)
         (picture,) = pictures
-        return picture if picture.shape[:2] == self.grid.shape else resized(picture, self.grid.shape, wrap=True)
+        whole = self.view is None
+        return picture if picture.shape[:2] == self.grid.shape else resized(picture, self.grid.shape, wrap=whole)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import expit, log_expit, log_ndtr
 
-from eagor.media.consensus import SPHERE, Agreement, Parts, agreeing_motion, agreeing_rotation
+from eagor.media.consensus import SPHERE, Agreement, Inertia, Parts, agreeing_motion, agreeing_rotation
 
 FALSE_ALARM = 1e-5  # expected number of agreements among unrelated pairs; above it an agreement counts as chance
 
@@ -32,17 +32,6 @@ _ENOUGH = 1e-2  # nats: what a step gains when the rest moves a turn by a small 
 _USUAL_NOISE = math.radians(0.2)  # of a SIFT point in a view of 320 pixels; half a pixel
 _LEAST_NOISE = math.radians(0.05)  # points that are drawn, or fixed to the camera, may seem exact
 _USUAL_SHIFT = 0.1  # radians: a step of 0.2 m, things at 2 m
-
-
-@dataclass(frozen=True, eq=False)
-class Inertia:
-    """What is known of a turn before: a camera cannot stop at once. `old_R_new` ``(3, 3)``, off by `most` radians."""
-
-    old_R_new: np.ndarray
-    most: float
-
-    def allows(self, old_R_new: np.ndarray) -> bool:
-        return float(Rotation.from_matrix(self.old_R_new.T @ old_R_new).magnitude()) <= self.most
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +64,11 @@ def turn_between(
     turns are about z only. `moves`: False leaves out the second model. `area`: steradians that the camera sees. The
     same input gives the same result: the random samples have a fixed seed.
 
-    In a narrow field a turn looks much like a step to the side, all the more if something moves on its own. So where
-    only one of the two fits to `inertia`, it is taken.
+    In a narrow field a turn looks much like a step to the side, all the more if something moves on its own. So with
+    `inertia` only turns that it allows count.
     """
     random = np.random.default_rng(0)
-    still = agreeing_rotation(old, new, random, level, area)
+    still = agreeing_rotation(old, new, random, level, area, inertia)
     if still is None:
         return None
     moved = agreeing_motion(old, new, still.rotation, random, area) if moves else None
@@ -93,8 +82,10 @@ def turn_between(
         assert moved.direction is not None
         guess = _yaw_of(moved.rotation) if level else moved.rotation
         found.append(_fitted(Moving(old, new, guess, axes, parts, moved.direction), moved))
-    able = [each for each in found if inertia is None or inertia.allows(each[1].rotation)]
-    _, model, parameters = max(able or found, key=lambda each: each[0])
+    found = [each for each in found if inertia is None or inertia.allows(each[1].rotation)]
+    if not found:
+        return None
+    _, model, parameters = max(found, key=lambda each: each[0])
     d = len(axes)
     spread = covariance(model, parameters)
     if spread is None:

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from eagor.errors import EagorError, FormatError, PoseError, QueryError
 from eagor.evidence import BodyMask, model_as_json
+from eagor.grids import ErpGrid
 from eagor.media.footage import ShapeError
 from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame
@@ -27,7 +28,6 @@ from eagor.perception.footage import HiddenParts
 from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.views import Seen, Views
-from eagor.sphere import direction
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["ThingSeen", "first_line", "looked_at", "recorded_frames", "things_seen"]
@@ -65,6 +65,11 @@ def looked_at(
         at |= {"frame": frame.frame} | ({"lost": True} if frame.lost else {})
         try:
             picture = frame.read()
+            if picture.grid is not None and picture.grid.optics is not None:
+                raise ShapeError(
+                    f"{frame.frame} has a lens that a file of looks cannot hold (distortion, or an axis beside the "
+                    "middle); follow the footage itself: eagor track FRAMES QUERY. Of an ideal lens give --hfov"
+                )
             mask = hidden.of(picture)
             if mask is not None:
                 at["unseen"] = _runs(mask)
@@ -72,7 +77,7 @@ def looked_at(
             lines = [
                 at | ({} if query is None else {"query": query}) | {"views": [*map(_view, seen)]}
                 for query in (queries or (None,))
-                for seen in [views.seen(picture.picture, turn, query or "")]
+                for seen in [views.seen(picture.picture, turn, query or "", picture.grid)]
             ]
         except EagorError as error:
             if isinstance(error, QueryError) or (isinstance(error, ShapeError) and first):
@@ -99,7 +104,7 @@ def _view(seen: Seen) -> dict[str, Any]:
     image = {"projection": "perspective", "width": grid.width, "height": grid.height}
     image |= {"hfov_deg": round(math.degrees(grid.hfov), TURNS)} | _quaternion(grid.body_R_view)
     inside = np.clip(boxes, 0, [grid.width, grid.height] * 2).round(PIXELS)
-    real = (inside[:, 2:] > inside[:, :2]).all(axis=1)
+    real = np.all(inside[:, 2:] > inside[:, :2], axis=1).tolist()
     found = [
         {"box": box.tolist(), "score": round(float(score), SCORES)} | ({} if label is None else {"label": label})
         for box, score, label, kept in zip(inside, scores, labels or [None] * len(inside), real, strict=True)
@@ -111,17 +116,10 @@ def _view(seen: Seen) -> dict[str, Any]:
 def _runs(mask: BodyMask) -> dict[str, Any]:
     """A mask as the lengths of runs: seen, not seen, seen, ..., along the rows of a panorama twice as wide as high."""
     rows = mask.seen.shape[0]
-    seen = mask.at(_centres(rows)).ravel()
+    seen = mask.at(ErpGrid(rows, 2 * rows).directions).ravel()
     ends = np.flatnonzero(np.diff(seen)) + 1
-    runs = np.diff([0, *ends, len(seen)]).tolist()
+    runs = np.diff(np.concatenate([[0], ends, [len(seen)]])).tolist()
     return {"rows": rows, "runs": runs if seen[0] else [0, *runs]}
-
-
-def _centres(rows: int) -> np.ndarray:
-    """Directions ``(rows, 2 * rows, 3)`` of the cells of a panorama."""
-    elevation = (0.5 - (np.arange(rows)[:, None] + 0.5) / rows) * np.pi
-    azimuth = np.pi - (np.arange(2 * rows) + 0.5) / rows * np.pi
-    return direction(azimuth, elevation)
 
 
 # --- reading --------------------------------------------------------------------------------------------------------

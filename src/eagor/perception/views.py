@@ -154,16 +154,24 @@ class Views:
         found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
         return [boxes_of(each, self.classes) for each in found]
 
-    def seen(self, panorama: np.ndarray, world_R_body: np.ndarray | None = None, query: str = "") -> list[Seen]:
+    def seen(
+        self,
+        picture: np.ndarray,
+        world_R_body: np.ndarray | None = None,
+        query: str = "",
+        grid: PerspectiveGrid | None = None,
+    ) -> list[Seen]:
         """All that the detector finds in each view of a look; one without `classes` is asked for `query`.
 
-        `combined` makes of it what a call makes. Errors as there.
+        `picture` is a panorama, or an ordinary one with the pixels of `grid`: then that is the only view. `combined`
+        makes of it what a call, or `view`, makes. Errors as there.
         """
-        panorama = checked_picture(panorama)
-        warn_unless_whole(panorama)
-        grids = self.views(world_R_body)
-        found = self._detected(cut(panorama, *grids), query)
-        return [Seen(grid, boxes) for grid, boxes in zip(grids, found, strict=True)]
+        picture = checked_picture(picture, "the panorama" if grid is None else "the picture")
+        grids = self.views(world_R_body) if grid is None else (grid,)
+        if grid is None:
+            warn_unless_whole(picture)
+        found = self._detected(cut(picture, *grids) if grid is None else [picture], query)
+        return [Seen(view, boxes) for view, boxes in zip(grids, found, strict=True)]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,8 +23,9 @@ class Backend:
 
     `serve`: its name, ``package.module:function``.
 
-    `heard` is called with everything that it says, `died` after it has died, both in another thread. Telling never
-    waits. A process that dies three times without having said anything is not started any more.
+    `heard` is called with everything that it says, `died` after it has died, both by the event loop that runs where the
+    backend is made. Telling never waits. A process that dies three times without having said anything is not started
+    any more.
     """
 
     def __init__(
@@ -33,6 +35,7 @@ class Backend:
         self._serve, self._arguments, self._heard, self._died = serve, arguments, heard, died
         self._orders: SimpleQueue[Any] = SimpleQueue()
         self._closed, self._turn = threading.Event(), threading.Lock()
+        self._loop = asyncio.get_running_loop()
         self._start()
         threading.Thread(target=self._listen, name="eagor studio hears", daemon=True).start()
         threading.Thread(target=self._speak, name="eagor studio tells", daemon=True).start()
@@ -68,13 +71,17 @@ class Backend:
                     return
                 silent += 1
                 self._worker.close(ENDING)
-                self._died()
+                self._soon(self._died)
                 if silent == 3:
                     return
                 self._start()
                 continue
             silent = 0
-            self._heard(said)
+            self._soon(self._heard, said)
+
+    def _soon(self, call: Callable[..., None], *arguments: Any) -> None:
+        with suppress(RuntimeError):  # the loop is closed: the server ends
+            self._loop.call_soon_threadsafe(call, *arguments)
 
     def _speak(self) -> None:
         while (order := self._orders.get()) is not None:

@@ -96,7 +96,7 @@ def _ground(field: SphereField, log_total: float, degree: int) -> np.ndarray:
     """Coefficients of the log density outside of the patches; under a patch it goes on as it is around it."""
     values = field.values - log_total
     if field.patches:
-        values = _filled(values, ~field.outside)
+        values = _filled(values, ~field.layout.outside)
     return np.asarray(RealHarmonics(degree).analyse(np.maximum(values, values.max() - DEEPEST), field.grid))
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError
-from eagor.studio.following import SOONEST, warm
+from eagor.studio.following import SOONEST, FollowingSession, warm
 from eagor.studio.messages import Message
 from eagor.studio.picture import PictureSession, VideoSession
-from eagor.studio.session import Close, Opening, Outbox, Session
+from eagor.studio.session import Close, Opening, Outbox
 from eagor.studio.walk import WalkSession
 from eagor.tasks.methods import BASE
 
@@ -48,7 +48,7 @@ class _Engine:
     def __init__(self, line: Connection, perceptions: tuple[str, ...], seed: int | None) -> None:
         self._line, self._settings = line, (perceptions, seed)
         self._eye = Worker(EYE, *self._settings, parent=True)
-        self._sessions: dict[int, Session] = {}
+        self._sessions: dict[int, FollowingSession] = {}
         self._out = Outbox(self._send, self._order)
         self._cost = 0.0  # seconds of one computation of a belief, a running mean; more on a busy machine
         self._ready = False
@@ -83,7 +83,6 @@ class _Engine:
             self._sessions[number] = KINDS[opening.view](number, opening, self._out)
         elif what == "close":
             self._sessions.pop(number, None)
-            self._out.forget(number)
             self._order(Close(number))
         elif (session := self._sessions.get(number)) is not None:
             self._safely(session, session.told, rest[0], time.monotonic())
@@ -111,7 +110,7 @@ class _Engine:
             self._out.problem(number, text, "If this goes on, choose another perception.")
             self._obey(("open", number, session.opening))
 
-    def _safely(self, session: Session, call: Any, *arguments: Any) -> Any:
+    def _safely(self, session: FollowingSession, call: Any, *arguments: Any) -> Any:
         """What the call returns. A session that fails is closed; the others go on."""
         try:
             return call(*arguments)

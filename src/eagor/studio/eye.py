@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -31,7 +30,20 @@ from eagor.perception.replay import look_if_recorded
 from eagor.studio.caching import Kept, given_back
 from eagor.studio.houses import House, house_of, place_of
 from eagor.studio.messages import jpeg
-from eagor.studio.session import LOOKS, Built, Close, Opened, Panorama, Refused, See, Seen, Turn, Turned
+from eagor.studio.session import (
+    LOOKS,
+    Built,
+    Close,
+    Loaded,
+    Opened,
+    Panorama,
+    Question,
+    Refused,
+    See,
+    Seen,
+    Turn,
+    Turned,
+)  # fmt: skip
 from eagor.studio.steps import calibration_of, small_jpeg
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
@@ -55,26 +67,29 @@ class Reel:
     _video: Video = field(init=False)
     _frames: Iterator[Frame] = field(init=False)
     _odometer: VisualOdometer = field(init=False)
+    _found: tuple[Frame, np.ndarray, bool] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._video = Video(self.path, rate=LOOKS, start=self.start, rows=ROWS)
         self._frames, self._odometer = iter(self._video), VisualOdometer()
 
-    def next(self) -> tuple[Frame, np.ndarray, bool] | None:
+    def next(self, again: bool = False) -> tuple[Frame, np.ndarray, bool] | None:
         """The next frame, the camera's rotation ``(3, 3)`` there, and whether the world starts anew; None at the end.
 
-        Raises `EagorError` for a file that is cut off.
+        `again`: the one that was given last, if there is one. Raises `EagorError` for a file that is cut off.
         """
+        if again and self._found is not None:
+            return *self._found[:2], False
         frame = next(self._frames, None)
         if frame is None:
             return None
         if (motion := self._video.motion) is not None:
-            try:
-                return frame, motion.world_R_body(frame.stamp), False
-            except EagorError:  # the track is shorter than the video
-                pass
+            with suppress(EagorError):  # the track may be shorter than the video
+                self._found = frame, motion.world_R_body(frame.stamp), False
+                return self._found
         turned = self._odometer.add(frame.picture)
-        return frame, np.asarray(turned.world_R_body), turned.lost
+        self._found = frame, np.asarray(turned.world_R_body), turned.lost
+        return self._found
 
 
 FIRST_ROWS = 256  # of the first panorama of an apartment
@@ -126,30 +141,30 @@ def _forever(jobs: queue.SimpleQueue[Any], work: Callable[[Any], None]) -> None:
 
 
 def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
-    """("warm", seed, perception), ("house", session, seed, perception) or ("picture", session, file, perception)."""
+    """("warm", seed, perception), ("house", session, seed), ("picture", session, file), ("perception", session, it)."""
     what, *rest = job
     try:
         if what == "warm":
             seed, perception = rest
             home = _homes(seed)
-            _looked(See(0, 0.0, np.eye(3), _eye(home), perception, home.house.query, 0, seed))
+            _looked(See(0, 0.0, np.eye(3), _eye(home), Question(home.house.query, perception), 0, seed))
             say(("warm",))
         elif what == "house":
-            session, seed, perception = rest
-            say(Built(session, _homes(seed).house, calibration_of(_loaded(perception), TrackerConfig())))
-        elif what == "video":
+            session, seed = rest
+            say(Built(session, _homes(seed).house))
+        elif what == "perception":
             session, perception = rest
-            say(Opened(session, b"", (), calibration_of(_loaded(perception), TrackerConfig())))
+            say(Loaded(session, perception, calibration_of(_loaded(perception), TrackerConfig())))
         elif what == "picture":
-            session, path, perception = rest
+            session, path = rest
             found = _photograph(path)
-            sent = small_jpeg(found.picture, PHOTO_ROWS)
-            say(Opened(session, sent, found.facts, calibration_of(_loaded(perception), TrackerConfig())))
+            say(Opened(session, small_jpeg(found.picture, PHOTO_ROWS), found.facts))
     except Exception as error:
         if what == "warm":
             say(("warm",))  # whoever opens it is told what is wrong
         else:
-            say(Refused(rest[0], what, _said(error)))
+            of = Question("", rest[1]) if what == "perception" else None
+            say(Refused(rest[0], what, _said(error), of))
 
 
 def _furnished(seed: int) -> _Home:
@@ -194,19 +209,20 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
     try:
         if job.start is not None or job.session not in reels:
             reels[job.session] = Reel(job.path, job.start or 0.0)
-        found = reels[job.session].next()
+        found = reels[job.session].next(job.again)
         if found is None:
             say(Turned(job.session, 0.0, np.eye(3), b"", None, over=True))
             return
         frame, pose, lost = found
-        looks: tuple[Evidence, ...] = ()
-        if job.query is not None:
+        looks, asked = (), job.question
+        if asked is not None:
             try:
-                looks = look_if_recorded(_loaded(job.perception), frame.picture, job.query, frame.stamp, pose)
+                looks = look_if_recorded(_loaded(asked.perception), frame.picture, asked.query, frame.stamp, pose)
             except EagorError as error:
                 say(_refusal(job, error))
+                asked = None
         small = small_jpeg(frame.picture, FIRST_ROWS)
-        say(Turned(job.session, frame.stamp, pose, small, job.query, looks, lost))
+        say(Turned(job.session, frame.stamp, pose, small, asked, looks, lost))
     except Exception as error:
         say(Refused(job.session, "picture", _said(error)))
 
@@ -214,22 +230,20 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
 def _see(job: See, say: Callable[[Any], None]) -> None:
     """Render, say so, look, say so."""
     try:
-        if job.rows:
-            say(Panorama(job.session, job.stamp, job.world_R_body, jpeg(_rendered(job))))
-        if job.query is not None:
-            began = time.perf_counter()
-            looks = _looked(job)
-            say(Seen(job.session, job.stamp, job.query, looks, time.perf_counter() - began))
+        shown = _rendered(job, job.rows) if job.rows else None
+        if shown is not None:
+            say(Panorama(job.session, job.stamp, job.world_R_body, jpeg(shown)))
+        if job.question is not None:
+            say(Seen(job.session, job.stamp, job.question, _looked(job, shown)))
     except Exception as error:
         say(_refusal(job, error))
 
 
 def _refusal(job: See | Turn, error: Exception) -> Refused:
-    return Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error), job.query)
+    return Refused(job.session, "query" if isinstance(error, QueryError) else "look", _said(error), job.question)
 
 
-def _rendered(job: See, rows: int | None = None) -> np.ndarray:
-    rows = rows or job.rows
+def _rendered(job: See, rows: int) -> np.ndarray:
     if job.seed is not None:
         assert job.position is not None
         found = (
@@ -242,20 +256,22 @@ def _rendered(job: See, rows: int | None = None) -> np.ndarray:
     return found
 
 
-def _looked(job: See) -> tuple[Evidence, ...]:
-    """The look of the job's perception at what is seen from its pose."""
-    assert job.query is not None
-    perception = _loaded(job.perception)
+def _looked(job: See, shown: np.ndarray | None = None) -> tuple[Evidence, ...]:
+    """The look of the question's perception at what is seen from its pose; `shown`: the panorama that was rendered."""
+    asked = job.question
+    assert asked is not None
+    perception = _loaded(asked.perception)
     if is_privileged(perception):
         if job.seed is None:
-            raise QueryError(f"{job.perception} knows only simulated apartments; choose another perception")
+            raise QueryError(f"{asked.perception} knows only simulated apartments; choose another perception")
         assert job.position is not None
         ids = _homes(job.seed).place.ids(job.position, job.world_R_body, LOOK_ROWS)
-        return (_informed(job.perception, job.seed)(ids, job.query, stamp=job.stamp),)
+        return (_informed(asked.perception, job.seed)(ids, asked.query, stamp=job.stamp),)
     rows = rows_of(perception)
     if job.picture is not None:
         rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).picture.shape[0]))
-    return look_if_recorded(perception, _rendered(job, rows), job.query, job.stamp, job.world_R_body)
+    panorama = shown if shown is not None and len(shown) == rows else _rendered(job, rows)
+    return look_if_recorded(perception, panorama, asked.query, job.stamp, job.world_R_body)
 
 
 @lru_cache(maxsize=4)

@@ -1,7 +1,8 @@
-"""What every session follows: one query, with our tracker and with other methods; and what a step says of both."""
+"""What every session follows: one question, with our tracker and with other methods; and what a step says of both."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Sequence
@@ -15,8 +16,8 @@ from eagor.errors import EagorError, PoseError, TimeError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.session import Opening, Outbox, Refused
-from eagor.studio.steps import FLOATS, belief_of, believed, error_deg, estimate_json, evidence_of
+from eagor.studio.session import Loaded, Opening, Outbox, Question, Refused
+from eagor.studio.steps import FLOATS, belief_of, believed, error_deg, estimate_json, evidence_of, scene_of
 from eagor.tasks.methods import BASE, DESCRIPTIONS, NAMES, Method, make_method
 from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.follower import Follower, Refresh
@@ -42,10 +43,13 @@ class Following:
         self.belief: dict[str, Any] = {}
         self.coefficients, self.news = b"", False
         self.took = 0.0  # seconds of the newest answer, if it was a computation
+        self.posed = -math.inf  # stamp of the newest pose
 
     def pose(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        """A pose of the camera; once for every stamp, in order."""
-        self.follower.move(stamp, world_R_body, position)
+        """A pose of the camera, in order; the first of a stamp counts."""
+        if stamp > self.posed:
+            self.posed = stamp
+            self.follower.move(stamp, world_R_body, position)
 
     def look(self, evidence: Evidence) -> None:
         """A look, stamped with the time of a pose. One that comes later than the history reaches is left out."""
@@ -122,62 +126,120 @@ class Rivals:
 
 
 class FollowingSession:
-    """What all sessions share: the query, what is believed about it, and how that is said to the page.
+    """What all sessions share: the question, what is believed about it, and how that is said to the page.
 
-    A session of a kind says when it looks, and when it takes a step; see `eagor.studio.session.Session`.
+    A new question changes nothing until a look for it has been taken: so one that is refused changes nothing at all. A
+    session of a kind says when it looks, and when it takes a step. `due`: when `tick` is to be called, on
+    `time.monotonic`.
     """
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
         self.number, self.opening, self._out = number, opening, out
         self.due = math.inf
-        self._query, self._degree, self._names = opening.query, BASE.degree, opening.methods
-        self._refused: str | None = None  # a query that cannot be looked for
-        self._paused = False
+        self._asked: Question = opening.question  # what is answered,
+        self._next: Question | None = None  # and what is looked for in its place
+        self._refused = False  # what is asked cannot be looked for
+        self._names, self._steps = opening.methods, itertools.count(1)
+        self._calibrated: dict[str, dict[str, Any]] = {}  # of the perceptions that are loaded
+        self._running = self._paused = self._due_once = False  # the last: a step, though it is paused
+        self._load()
         self._forget()
 
+    def _load(self) -> None:
+        """Have the perception of what is asked loaded."""
+        self._out.eye(("perception", self.number, (self._next or self._asked).perception))
+
+    def _loaded(self, said: Loaded) -> None:
+        self._calibrated[said.perception] = said.calibrated
+
     def _forget(self) -> None:
-        """Follow the query, with nothing known."""
-        self._following = Following(replace(BASE, degree=self._degree))
-        self._rivals = Rivals(self.opening.perception)
+        """Follow what is asked, with nothing known."""
+        self._following = Following(replace(BASE, degree=self._asked.degree))
+        self._rivals = Rivals(self._asked.perception)
         self._rivals.choose(self._names)
+        self._refused = False
         self._parts: dict[str, Any] = {}  # of the next step
         self._blobs: dict[str, Blob] = {}
-        self._fresh = False
+        self._fresh, self._looks = False, 0
 
-    def _changes(self, message: dict[str, Any]) -> bool:
-        """Take in another query or degree; whether the message was one, so that all begins anew."""
+    def _told(self, message: dict[str, Any]) -> bool:
+        """Take in what all sessions understand: another question, other methods. Whether the message was one."""
+        if message["type"] == "methods":
+            self._names = tuple(message["names"])
+            self._rivals.choose(self._names)
+            return True
+        before = self._next or self._asked
         if message["type"] == "query":
-            self._query = message["text"]
-            self.opening = replace(self.opening, query=self._query)
+            perception = message["perception"] or before.perception
+            asked = replace(before, query=message["text"], perception=perception, number=message["question"])
         elif message["type"] == "degree":
-            self._degree = message["L"]
+            asked = replace(before, degree=message["L"])
         else:
             return False
-        self._refused = None
+        if self._running:
+            self._next = asked
+        else:  # there is nothing to keep yet
+            self._asked = asked
+        if asked.perception not in self._calibrated:
+            self._load()
         return True
 
-    def _compare(self, message: dict[str, Any]) -> None:
-        """Take in the choice of other methods."""
-        self._names = tuple(message["names"])
-        self._rivals.choose(self._names)
+    @property
+    def _wanted(self) -> Question | None:
+        """What the next look is for; None: nothing."""
+        wanted = self._next or (None if self._refused else self._asked)
+        return wanted if wanted is not None and wanted.perception in self._calibrated else None
 
-    def _concerns(self, said: Refused) -> bool:
-        """Whether a refusal is of what is wanted now; one of a query may come late."""
-        if said.part == "query":
-            self._refused = said.query
-        return said.part != "query" or said.query == self._query
+    def _answers(self, question: Question | None) -> bool:
+        """Whether a look for this question says something now; the first one for a new question takes it up."""
+        if question is not None and question == self._next:
+            self._asked, self._next, self._due_once = question, None, True
+            self.opening = replace(self.opening, question=self._asked)
+            self._follow()
+            return True
+        return question == self._asked
+
+    def tick(self, now: float, soonest: float = SOONEST) -> float:
+        """Go on; `soonest`: seconds between two computations of the belief. Returns the seconds of one, or 0."""
+        raise NotImplementedError
+
+    def saw(self, said: Any, now: float) -> None:
+        """Take in what the eye says."""
+        raise NotImplementedError
+
+    def told(self, message: dict[str, Any], now: float) -> None:
+        """Take in what the page says, which has been checked."""
+        raise NotImplementedError
+
+    def _follow(self) -> None:
+        """Forget what was believed, and say what is followed from now on."""
+        raise NotImplementedError
+
+    def _refuse(self, said: Refused, change: str) -> None:
+        """Say what is refused, unless nobody asks for it any more; what was followed before goes on."""
+        of, wanted = said.question, self._next or self._asked
+        if of is not None:
+            if of != (Question("", wanted.perception) if said.part == "perception" else wanted):
+                return
+            if self._next is None:
+                self._refused = said.part == "query"
+            self._next = None
+        number = 0 if of is None else wanted.number
+        fatal = said.part in ("house", "picture") or not self._running
+        self._out.problem(self.number, said.problem, change, fatal, number)
 
     def _take(
         self, looks: Sequence[Evidence], stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None
     ) -> None:
         """Take in the looks at what was seen from a pose."""
+        self._following.pose(stamp, world_R_body, position)  # if the question is as new as the look, there is none yet
         for evidence in looks:
             self._following.look(evidence)
         self._rivals.look(stamp, world_R_body, position, looks)
         if looks:
-            found = evidence_of(looks[0], world_R_body, stamp, self._degree)
+            found = evidence_of(looks[0], world_R_body, stamp, self._asked.degree)
             self._parts["evidence"], self._blobs["evidence"] = found
-        self._fresh = True
+        self._fresh, self._looks = True, self._looks + 1
 
     def _picture(self, stamp: float, world_R_body: np.ndarray, jpeg: bytes) -> None:
         """The next step has a panorama."""
@@ -195,6 +257,9 @@ class FollowingSession:
         """Say what is believed now, and what is new. `truth`: the true direction ``(3,)``, body frame, if known."""
         header: dict[str, Any] = {
             "type": "step",
+            "number": next(self._steps),
+            "sent": time.time(),
+            "question": self._asked.number,
             **believed(estimate, stamp, position, truth, self._following.entropy),
             "rivals": self._rivals.answers(estimate.world_R_body, truth),
             "goal": None,
@@ -206,23 +271,14 @@ class FollowingSession:
             header["belief"] = self._following.belief
             self._blobs["belief"] = Blob(FLOATS, self._following.coefficients)
             self._following.news = False
-        self._out.step(self.number, Message(header, self._blobs))
-        self._parts, self._blobs = {}, {}
+        self._out.send(self.number, Message(header, self._blobs))
+        self._parts, self._blobs, self._due_once = {}, {}, False
 
-    def _scene(self, view: str, title: str, calibration: dict[str, Any], **about: Any) -> None:
+    def _scene(self, view: str, title: str, **about: Any) -> None:
         """Say what is shown."""
-        scene = {
-            "type": "scene",
-            "view": view,
-            "title": title,
-            "session": str(self.number),
-            "query": self._query,
-            "targets": [],
-            "plan": None,
-            "degree": self._degree,
-            "calibration": calibration,
-            "perception": self.opening.perception,
-            "methods": list(OFFERED),
-            "region": 0.9,
-        }
-        self._out.send(self.number, Message(scene | about))
+        asked = self._asked
+        told = scene_of(
+            view, title, asked.query, question=asked.number, degree=asked.degree, perception=asked.perception,
+            calibration=self._calibrated[asked.perception], methods=list(OFFERED), **about,
+        )  # fmt: skip
+        self._out.send(self.number, Message({"type": "scene", **told}))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,16 +21,33 @@ from eagor.tasks.rules import Camera, NavigationRules
 from eagor.worlds.scene import STRUCTURE, Instance
 from eagor.worlds.walkable import Walkable
 
-__all__ = ["Body", "House", "Walker", "house_of", "place_of", "plan_of"]
+__all__ = ["Body", "House", "Tour", "Walker", "house_of", "place_of", "plan_of", "walled"]
 
-EPISODE = 2  # of the apartment `SEED`, as in `eagor demo`
+# The first walk, in the apartment `SEED`: `docs/figures/studio.py choose` says by which rule it is chosen.
+TOUR = "green sofa", "4.13,3.52 3.78,2.07 3.78,1.77 3.68,1.57 3.58,1.52 1.48,1.57 0.78,1.67"
+
+
+@dataclass(frozen=True, eq=False)
+class Tour:
+    """The first walk: what it looks for, points ``(2,)`` of the `way` there and back, and the `yaw` to begin with."""
+
+    query: str
+    way: tuple[np.ndarray, ...]
+    yaw: float
+
+    @classmethod
+    def to(cls, query: str, thing: np.ndarray, way: Sequence[np.ndarray]) -> Tour:
+        """It faces the `thing` ``(3,)``, walks along the way, stops at its end, and walks back."""
+        ahead = thing[:2] - way[0]
+        return cls(query, (*way, *reversed(way)), math.atan2(ahead[1], ahead[0]))
 
 
 @dataclass(frozen=True, eq=False)
 class House:
     """An apartment as a session needs it: it can be pickled, and renders nothing.
 
-    `names`: what can be asked for without doubt; `start` ``(2,)``, `yaw` and `query` of an episode in it.
+    `names`: what can be asked for without doubt; `start` ``(2,)``, `yaw` and `query` of an episode in it; `tour`: the
+    first walk, if it is the apartment for that.
     """
 
     seed: int
@@ -40,6 +58,7 @@ class House:
     yaw: float
     query: str
     plan: dict[str, Any]
+    tour: Tour | None = None
 
     def targets(self, query: str) -> list[int]:
         """The things that a query names; none if it names nothing that is known here."""
@@ -57,9 +76,9 @@ def place_of(seed: int) -> Place:
 
 def house_of(seed: int, place: Place) -> House:
     """The apartment `place`, of this seed, for a session. Raises `WorldError` if nobody can walk to anything in it."""
-    number = EPISODE if seed == SEED else seed % PER_PLACE
+    number = seed % PER_PLACE
     episode = navigation.plan(Slot("navigation", APARTMENT, seed, number, number), Camera(), NavigationRules())
-    return House(
+    found = House(
         seed,
         replace(place.ground),  # type: ignore[type-var]  # without what it keeps for itself, so that it can be pickled
         tuple(place.scene.instances),
@@ -69,6 +88,11 @@ def house_of(seed: int, place: Place) -> House:
         str(episode.query),
         plan_of(place.ground, place.scene.instances),
     )
+    if seed != SEED:
+        return found
+    query, points = TOUR
+    way = [np.array(point.split(","), dtype=float) for point in points.split()]
+    return replace(found, tour=Tour.to(query, np.asarray(found.things[found.targets(query)[0]].centre), way))
 
 
 def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
@@ -83,6 +107,19 @@ def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
             if thing.category not in (*STRUCTURE, "ceiling lamp", "rug", "curtain")
         ],
     }
+
+
+def walled(ground: Walkable, xy: np.ndarray, point: np.ndarray) -> bool:
+    """Whether a wall (or a door's or a window's frame) of the plan stands between two points ``(2,)``.
+
+    The last half metre does not count: things stand against walls.
+    """
+    gap = float(np.linalg.norm(point - xy))
+    count = math.ceil(gap / ground.cell * 4) + 1
+    line = xy + np.linspace(0.0, max(0.0, 1 - 0.5 / max(gap, 0.5)), count)[:, None] * (point - xy)
+    col, row = np.floor((line - ground.origin) / ground.cell).astype(np.intp).T
+    inside = (row >= 0) & (row < ground.structure.shape[0]) & (col >= 0) & (col < ground.structure.shape[1])
+    return bool(np.any(np.asarray(ground.structure)[row[inside], col[inside]]))
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:
@@ -133,6 +170,7 @@ def _metres(line: np.ndarray, origin: np.ndarray, cell: float) -> list[list[floa
     return rounded(origin + line * cell, 3)
 
 
+STOP, HERE = 5.0, 0.05  # seconds of a stop on a way, and metres from a point at which the body is there
 SPEED, TURN = 0.5, math.radians(75)  # metres and radians per second, of the policy
 FASTEST, QUICKEST = 1.2, math.radians(150)  # of the person
 
@@ -168,13 +206,18 @@ class Body:
 
 @dataclass
 class Walker:
-    """Moves a body: `by` the policy as time passes, or by the person, who says how."""
+    """Moves a body: `by` the policy or along a `way` ("tour") as time passes, or by the person, who says how.
+
+    A point of the way at which the body is already is a stop.
+    """
 
     body: Body
     by: str = "policy"
+    way: list[np.ndarray] = field(default_factory=list)  # points ``(2,)`` that are still to come
     policy: Policy = field(default_factory=lambda: Policy(Camera().step))
-    _heading: float | None = None  # of the policy's step that is under way
-    _left: float = 0.0  # metres of that step
+    _heading: float | None = None  # of the straight part that is under way
+    _left: float = 0.0  # metres of it
+    _waits: float = 0.0  # seconds of a stop that are left
     _stood: tuple[float, ...] = field(init=False)  # where it stood when it was last asked
 
     def __post_init__(self) -> None:
@@ -187,23 +230,32 @@ class Walker:
             self.body.advance(min(max(forward, -FASTEST), FASTEST) * seconds)
 
     def drive(self, by: str) -> None:
-        """Hand over to "policy" or "person"."""
+        """Hand over to "policy", "person" or "tour"."""
         if by != self.by:
             self.by, self._heading = by, None
             self.policy = Policy(self.policy.step)
 
     def move(self, seconds: float, direction: np.ndarray | None, arrived: bool) -> bool:
         """Let time pass; `direction` ``(3,)``: the estimate, body frame. Returns whether the body has moved since."""
-        if self.by == "policy" and not arrived:
+        if self.by == "tour" or (self.by == "policy" and not arrived):
             self._walk(min(seconds, LATE), direction)
         before, self._stood = self._stood, (*self.body.xy, self.body.yaw)
         return before != self._stood
 
     def _walk(self, seconds: float, direction: np.ndarray | None) -> None:
-        if direction is None:  # nothing is known: look around
-            self._turned(TURN / 2 * seconds)
+        if direction is None:  # nothing is known: look around, or wait for the first look
+            self._turned(TURN / 2 * seconds * (self.by == "policy"))
             return
-        if self._heading is None:
+        if self._heading is None and self.by == "tour":
+            self._waits = max(0.0, self._waits - seconds)
+            if self._waits or not self.way:
+                return
+            ahead = self.way.pop(0) - self.body.xy
+            if float(np.hypot(*ahead)) < HERE:
+                self._waits = STOP
+                return
+            self._heading, self._left = math.atan2(ahead[1], ahead[0]), float(np.hypot(*ahead))
+        elif self._heading is None:
             azimuth = float(azimuth_elevation(direction)[0])
             self._heading = self.body.yaw + self.policy.heading(azimuth, self.body.xy, self.body.yaw)
             self._left = self.policy.step

@@ -9,7 +9,6 @@ import asyncio
 import itertools
 import time
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +21,7 @@ from eagor.studio.backends import Backend
 from eagor.studio.guard import Gate
 from eagor.studio.library import Library
 from eagor.studio.messages import LONGEST, SEED, Message, PageError, merged
-from eagor.studio.session import Opening
+from eagor.studio.session import Opening, Question
 from eagor.studio.uploads import BYTES, PIXELS, Uploads
 
 __all__ = ["Channel", "LiveSource", "Offer", "Page", "Settings", "Slot", "Studio", "offers"]
@@ -175,6 +174,7 @@ class Page:
 
     slot: Slot = field(default_factory=Slot)
     session: int = 0
+    view: str = ""  # of the session
     watches: bool = False  # the live source
     rubbish: int = 0
     allowance: float = BURST
@@ -192,7 +192,7 @@ class Page:
 
 
 class Studio:
-    """The server's state. Used in the loop's thread alone, except `_heard` and `_died`."""
+    """The server's state. Used in the loop's thread alone."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.ready = settings, False
@@ -201,14 +201,12 @@ class Studio:
         self.uploads, self.library = Uploads(), Library(settings.runs)
         self.open = 0
         self._numbers, self._steps = itertools.count(1), itertools.count(1)
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._engine: Backend | None = None
         self._live: Backend | None = None
         self._channel = Channel()
 
     def start(self) -> None:
         """Start the processes; from the loop's thread."""
-        self._loop = asyncio.get_running_loop()
         walks = [offer.name for offer in self.offers if offer.ready and "walk" in offer.views]
         names = tuple(walks) or ("colour",)
         seed = self.settings.seed if walks else None
@@ -227,23 +225,28 @@ class Studio:
 
     def opening(self, message: dict[str, Any]) -> Opening:
         """What a page wants to open. Raises `PageError` for what there is not."""
-        view = message["view"]
-        usable = [offer for offer in self.offers if offer.ready and view in offer.views]
-        chosen = next((offer for offer in usable if offer.name == message["perception"]), None)
-        if chosen is None and message["perception"]:
-            raise self._unusable(message["perception"], view)
-        if chosen is None and not usable:
-            raise self._unusable(next(offer.name for offer in self.offers if view in offer.views), view)
-        perception = (chosen or usable[0]).name
-        asked = {"query": message["query"], "perception": perception, "methods": tuple(message["methods"])}
+        view, methods = message["view"], tuple(message["methods"])
+        asked = Question(message["query"], self._usable(message["perception"], view), message["question"])
         if view == "picture":
             found = self.uploads.get(message["id"])
-            if not asked["query"]:
+            if not asked.query:
                 raise PageError("There is no query.", "Say what to look for, such as 'red chair'.")
             kind = "video" if found.kind == "video" else view
-            return Opening(kind, picture=found.path, name=found.name, frames=found.frames, **asked)
-        seed = SEED if message["seed"] is None else message["seed"]
-        return Opening(view, seed=seed, drive=message["drive"], **asked)
+            return Opening(kind, asked, picture=found.path, name=found.name, frames=found.frames, methods=methods)
+        seed = self._seed if message["seed"] is None else message["seed"]
+        return Opening(view, asked, seed=seed, drive=message["drive"], methods=methods)
+
+    @property
+    def _seed(self) -> int:
+        return SEED if self.settings.seed is None else self.settings.seed
+
+    def _usable(self, name: str, view: str) -> str:
+        """This perception, or the first one for a view if none is named. Raises `PageError` for what cannot be used."""
+        offered = [offer for offer in self.offers if view in offer.views]
+        usable = [offer.name for offer in offered if offer.ready]
+        if name in usable or (not name and usable):
+            return name or usable[0]
+        raise self._unusable(name or offered[0].name, view)
 
     def _unusable(self, name: str, view: str) -> PageError:
         offer = next((offer for offer in self.offers if offer.name == name), None)
@@ -255,24 +258,24 @@ class Studio:
     def show(self, page: Page, message: dict[str, Any]) -> None:
         """Open a view on a page, in place of the one before. Raises `PageError`."""
         if message["view"] == "live":
-            self._watch(page, message["query"])
+            self._watch(page, message)
             return
         opening = self.opening(message)
         self.hide(page)
         page.slot.clear()
-        page.session = next(self._numbers)
+        page.session, page.view = next(self._numbers), message["view"]
         self.pages[page.session] = page
         assert self._engine is not None
         self._engine.tell(("open", page.session, opening))
 
-    def _watch(self, page: Page, query: str) -> None:
+    def _watch(self, page: Page, message: dict[str, Any]) -> None:
         if self._live is None:
             raise PageError("There is no live source.", "Start eagor studio with --source.", 404)
         self.hide(page)
         page.slot.clear()
         page.watches = True
-        if query:
-            self._live.tell(("query", query))
+        if message["query"]:
+            self._live.tell(("query", message["query"], message["question"]))
         self._channel.join(page.slot)
 
     def tell(self, page: Page, message: dict[str, Any]) -> None:
@@ -282,6 +285,8 @@ class Studio:
             return
         if not page.session:
             raise PageError("No view is open.", "Open one first.")
+        if message.get("perception"):
+            self._usable(message["perception"], page.view)
         assert self._engine is not None
         self._engine.tell(("told", page.session, message))
 
@@ -289,7 +294,7 @@ class Studio:
         """What a page says to the live source, which others watch, too."""
         assert self._live is not None
         if message["type"] == "query":
-            self._live.tell(("query", message["text"]))
+            self._live.tell(("query", message["text"], message["question"]))
         elif message["type"] == "pause":
             self._channel.leave(page.slot)
             if not message["on"]:
@@ -307,11 +312,7 @@ class Studio:
             page.session = 0
 
     def _heard(self, said: tuple[int, Message]) -> None:
-        assert self._loop is not None
-        with suppress(RuntimeError):  # the loop is closed: the server ends
-            self._loop.call_soon_threadsafe(self._deliver, *said)
-
-    def _deliver(self, number: int, message: Message) -> None:
+        number, message = said
         if number == 0:
             self.ready = True
             self.library.warm()  # now that nobody waits for the first apartment
@@ -319,27 +320,17 @@ class Studio:
             page.slot.put(message)
 
     def _seen(self, message: Message) -> None:
-        assert self._loop is not None
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._channel.put, self._stamped(message))
+        """What the live source says; a step with its number and the time."""
+        if message.header["type"] == "step":
+            told = {**message.header, "number": next(self._steps), "sent": time.time()}
+            message = Message(told, message.blobs)
+        self._channel.put(message)
 
     def _unseen(self) -> None:
         words = {"problem": "The process that watches the source has ended.", "change": "It is started anew; wait."}
         self._seen(Message({"type": "problem", **words, "fatal": False}))
 
-    def _stamped(self, message: Message) -> Message:
-        """A step of the live source, with its number and the time."""
-        if message.header["type"] != "step":
-            return message
-        header = {**message.header, "number": next(self._steps), "sent": time.time()}
-        return Message(header, message.blobs)
-
     def _died(self) -> None:
-        assert self._loop is not None
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._lost)
-
-    def _lost(self) -> None:
         """The engine has died: every page is told to open its view again."""
         words = {"problem": "The process of all views has ended unexpectedly.", "change": "Open the view again."}
         for page in list(self.pages.values()):
@@ -362,8 +353,8 @@ class Studio:
             "ready": self.ready,
             "views": views,
             "perceptions": [vars(offer) | {"views": list(offer.views)} for offer in self.offers],
-            "houses": {"first": 0, "last": 9999, "default": SEED, "offered": [SEED, 3, 8, 12, 17, 23]},
-            "default": {"seed": SEED, "query": "", "perception": walk[0].name},
+            "houses": {"first": 0, "last": 9999, "offered": [SEED, 3, 8, 12, 17, 602]},
+            "default": {"seed": self._seed, "tour": SEED, "perception": walk[0].name},
             "limits": {"message_bytes": LONGEST, "upload_bytes": BYTES, "pixels": PIXELS},
             "source": None if self.settings.live is None else self.settings.live.words,
             "token": self.settings.gate.token is not None,

@@ -32,7 +32,7 @@ CHANGE = "Choose another run or episode; eagor bench info and eagor bench failur
 def serve(line: Connection) -> None:
     """The life of the process: one job after the other, ``(number, what, root, name, key)``.
 
-    It says ``(number, "step", n)``, ``(number, "done", result)`` or ``(number, "refused", text)``.
+    It says ``(number, "step", n)``, ``(number, "done", (result, its bytes))`` or ``(number, "refused", text)``.
     """
     from eagor.studio import runs
 
@@ -47,7 +47,7 @@ def serve(line: Connection) -> None:
                 else:
                     folder = runs.folder_of(root, name)
                     found = runs.again(folder, key, lambda step, number=number: line.send((number, "step", step)))
-                line.send((number, "done", found))
+                line.send((number, "done", (found, weighed(found))))
             except Exception as error:
                 known = isinstance(error, EagorError | OSError)
                 line.send((number, "refused", str(error) if known else f"{type(error).__name__}: {error}"))
@@ -72,11 +72,9 @@ class Library:
         self._numbers = itertools.count(1)
         self._jobs: dict[int, _Job] = {}
         self._episodes: OrderedDict[tuple[str, str], _Job] = OrderedDict()
-        self._loop: asyncio.AbstractEventLoop | None = None
 
     def warm(self) -> None:
         """Start the process, so that the first question is answered soon."""
-        self._loop = asyncio.get_running_loop()
         if self._backend is None:
             self._backend = Backend(PROCESS, (), self._heard, self._died)
 
@@ -113,21 +111,15 @@ class Library:
 
     def _ask(self, what: str, name: str = "", key: str | None = None) -> _Job:
         self.warm()
-        assert self._loop is not None
         assert self._backend is not None
         number = next(self._numbers)
-        job = self._jobs[number] = _Job(self._loop.create_future())
+        job = self._jobs[number] = _Job(asyncio.get_running_loop().create_future())
         job.future.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may be waiting
         self._backend.tell((number, what, self.root, name, key))
         return job
 
     def _heard(self, said: tuple[int, str, Any]) -> None:
-        assert self._loop is not None
-        size = weighed(said[2]) if said[1] == "done" else 0  # here, where nobody waits
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._take, *said, size)
-
-    def _take(self, number: int, what: str, found: Any, size: int = 0) -> None:
+        number, what, found = said
         job = self._jobs.get(number)
         if job is None:
             return
@@ -136,17 +128,12 @@ class Library:
             return
         del self._jobs[number]
         if what == "done":
-            job.bytes = size
-            job.future.set_result(found)
+            result, job.bytes = found
+            job.future.set_result(result)
         else:
             words = " ".join(str(found).split())
             job.future.set_exception(PageError(f"{words[:1].upper()}{words[1:]}.".replace("..", "."), CHANGE, 422))
 
     def _died(self) -> None:
-        assert self._loop is not None
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._lost)
-
-    def _lost(self) -> None:
         for number in list(self._jobs):
-            self._take(number, "refused", "the process that reads runs has ended unexpectedly")
+            self._heard((number, "refused", "the process that reads runs has ended unexpectedly"))

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, small_jpeg
+from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, scene_of, small_jpeg
 
 __all__ = ["Shown", "watch"]
 
@@ -33,33 +33,73 @@ class Shown:
         self._position: np.ndarray | None = None
         self._fresh = False
         self._shown: Any = None  # the belief that was sent last
-        self._number = 0
-        self._query = ""
-        self._faults = ""
-        self.core: Any = None  # of the loop: where the camera pointed when a picture was taken
+        self._asked: tuple[str, int] | None = None  # the query that is answered, and the number of its question
+        self._next: tuple[str, int] | None = None  # what is looked for in its place
+        self._ended = False
+        self.loop: Any = None
+        self._lock = threading.Lock()  # questions come in a thread of their own
+
+    def ask(self, query: str, number: int) -> None:
+        """Look for something else, too, until it is seen or refused; then for one of the two alone."""
+        with self._lock:
+            if self._next is not None:
+                self._refused(f"Before {self._next[0]!r} could be looked for, something else was asked.")
+            self._next = query, number
+            if self._ended:
+                self._refused(f"{self._source} has ended: nothing more can be looked for in it.")
+                return
+            self.loop.follow([*([self._asked[0]] if self._asked else self.loop.core.queries[:1]), query])
+
+    def _refused(self, problem: str) -> None:
+        """Say why the newest question is not answered; the one before goes on."""
+        if self._next is not None:
+            said = {"problem": problem, "change": "", "fatal": False, "question": self._next[1]}
+            self._say(Message({"type": "problem", **said}))
+        self._next = None
+
+    def _tried(self, event: Event) -> None:
+        """Take up a new query with the first look for it, drop one that cannot be looked for."""
+        asked = self._next
+        if asked is None or self._asked is None:
+            return
+        if isinstance(event, EvidenceCame) and event.query == asked[0]:
+            self._asked, self._next = asked, None
+            self._scene()
+        elif isinstance(event, Trouble) and event.part == "perception" and event.about == asked[0] and event.text:
+            self._refused(f"{event.text[:1].upper()}{event.text[1:]}.")
+        else:
+            return
+        self.loop.follow([self._asked[0]])
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop, and the answers to it."""
+        with self._lock:
+            self._tried(event)
         if isinstance(event, FrameCame) and event.panorama is not None:
             self._picture = event
         elif isinstance(event, PoseCame):
             self._position = event.pose.position
         elif isinstance(event, EvidenceCame):
             self._fresh = True
-        for answer in answers[:1]:
-            self._answered(answer)
+        for answer in answers:
+            if self._asked is None:
+                self._asked = answer.query, 0
+                self._scene()
+            if answer.query == self._asked[0]:
+                self._answered(answer, self._asked[1])
 
     def close(self) -> None:
         """The loop has ended."""
+        with self._lock:
+            self._ended = True
+            self._refused(f"{self._source} has ended.")
         self._say(Message({"type": "status", "words": f"{self._source} has ended."}))
 
-    def _answered(self, answer: Answer) -> None:
+    def _answered(self, answer: Answer, number: int) -> None:
         estimate = answer.estimate
-        if answer.query != self._query:
-            self._query = answer.query
-            self._scene(estimate.config)
         header: dict[str, Any] = {
             "type": "step",
+            "question": number,
             **believed(estimate, answer.stamp, self._position),
             "rivals": {},
             "goal": None,
@@ -75,28 +115,19 @@ class Shown:
         picture = self._picture
         if picture is not None and picture.panorama is not None and answer.stamp - self._sent >= PICTURES:
             self._picture, self._sent = None, answer.stamp
-            pose = None if self.core is None else self.core.orientation(picture.stamp)
+            pose = self.loop.core.orientation(picture.stamp)
             pose = estimate.world_R_body if pose is None else pose
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
             blobs["panorama"] = Blob("image/jpeg", small_jpeg(picture.panorama, ROWS))
         self._say(Message(header, blobs))
 
-    def _scene(self, config: Any) -> None:
-        scene = {
-            "type": "scene",
-            "view": "live",
-            "title": self._source,
-            "session": "live",
-            "query": self._query,
-            "targets": [],
-            "plan": None,
-            "degree": config.degree,
-            "calibration": calibration_of(None, config),
-            "perception": self._perception,
-            "methods": [],
-            "region": 0.9,
-        }
-        self._say(Message(scene))
+    def _scene(self) -> None:
+        assert self._asked is not None
+        query, number = self._asked
+        config = self.loop.core.config
+        calibrated = calibration_of(None, config)
+        about = {"question": number, "degree": config.degree, "perception": self._perception, "calibration": calibrated}
+        self._say(Message({"type": "scene", **scene_of("live", self._source, query, **about)}))
 
 
 def watch(
@@ -104,7 +135,8 @@ def watch(
 ) -> None:  # fmt: skip
     """Run the loop that `opens` makes and say what happens, until the line or the parent ends.
 
-    It is told ``("query", text)``. What cannot be opened is said as a fatal problem.
+    It is told ``("query", text, number)``: the number of the question, which answers carry. What cannot be opened is
+    said as a fatal problem.
     """
     lock = threading.Lock()
 
@@ -119,8 +151,8 @@ def watch(
         _problem(say, str(error))
         _until_told_to_end(line, None)
         return
-    shown.core = loop.core
-    threading.Thread(target=_until_told_to_end, args=(line, loop), daemon=True).start()
+    shown.loop = loop
+    threading.Thread(target=_until_told_to_end, args=(line, shown), daemon=True).start()
     say(Message({"type": "status", "words": f"Opening {source}. The perception is being loaded."}))
     try:
         loop.run(lambda _: None)
@@ -134,10 +166,10 @@ def _problem(say: Callable[[Message], None], text: str) -> None:
     say(Message({"type": "problem", **words, "fatal": True}))
 
 
-def _until_told_to_end(line: Connection, loop: LiveLoop | None) -> None:
+def _until_told_to_end(line: Connection, shown: Shown | None) -> None:
     with suppress(EOFError, OSError):
         while (told := line.recv()) is not None:
-            if loop is not None and told[0] == "query":
-                loop.follow([told[1]])
-    if loop is not None:
-        loop.stop()
+            if shown is not None and told[0] == "query":
+                shown.ask(*told[1:])
+    if shown is not None:
+        shown.loop.stop()

@@ -12,7 +12,7 @@ import numpy as np
 from eagor.sphere import angular_distance, world_R_body
 from eagor.studio.following import SOONEST, FollowingSession
 from eagor.studio.messages import rounded
-from eagor.studio.session import LOOKS, Opened, Opening, Outbox, Refused, See, Seen, Turn, Turned
+from eagor.studio.session import LOOKS, Loaded, Opened, Opening, Outbox, Refused, See, Seen, Turn, Turned
 
 __all__ = ["PictureSession", "VideoSession"]
 
@@ -24,10 +24,13 @@ OTHER_FILE, OTHER_QUERY = "Drop another file.", "Ask for something else, or choo
 
 
 class PictureSession(FollowingSession):
-    """One person's view of one photograph; see `eagor.studio.session.Session`.
+    """One person's view of one photograph.
 
     A photograph does not change, so its time passes with looks: each is half a second after the one before.
     """
+
+    _looked_from: np.ndarray | None
+    _poses: dict[float, np.ndarray]
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
         super().__init__(number, opening, out)
@@ -35,27 +38,30 @@ class PictureSession(FollowingSession):
         self._file: Path = opening.picture
         self._angles = (0.0, 0.0, 0.0)
         self._opened: Opened | None = None
-        self._seeing = False
-        out.eye(("picture", number, opening.picture, opening.perception))
+        self._seeing, self._looked_from = False, None
+        self._stamp, self._poses = 0.0, {}
+        out.eye(("picture", number, opening.picture))
         out.status(number, f"Reading {opening.name or 'the picture'}.")
 
     def saw(self, said: Any, now: float) -> None:
         """What the eye says."""
-        if isinstance(said, Opened):
+        self.due = now
+        if isinstance(said, Loaded):
+            self._loaded(said)
+        elif isinstance(said, Opened):
             self._opened = said
-            self._follow(now)
         elif isinstance(said, Seen):
             self._seeing = False
-            if said.query == self._query and said.stamp in self._poses:
-                self._take(said.looks, said.stamp, self._poses.pop(said.stamp))
-            self.due = now
+            pose = self._poses.get(said.stamp)
+            if pose is not None and self._answers(said.question):
+                self._following.pose(said.stamp, pose, None)
+                self._take(said.looks, said.stamp, pose)
         elif isinstance(said, Refused):
             self._seeing = False
-            if not self._concerns(said):
-                self.due = now
-                return
-            fatal = said.part == "picture"
-            self._out.problem(self.number, said.problem, OTHER_FILE if fatal else OTHER_QUERY, fatal)
+            self._refuse(said, OTHER_FILE if said.part == "picture" else OTHER_QUERY)
+        if not self._running and self._opened is not None and self._wanted is not None:
+            self._running = True
+            self._follow()
 
     def told(self, message: dict[str, Any], now: float) -> None:
         """What the page says; its fields have been checked."""
@@ -64,22 +70,15 @@ class PictureSession(FollowingSession):
             self._paused = message["on"]
         elif kind == "camera":
             self._angles = (message["yaw"], message["pitch"], message["roll"])
-        elif self._opened is None:
-            return
-        elif self._changes(message):
-            self._follow(now)
-        elif kind == "methods":
-            self._compare(message)
-        elif kind == "restart":
-            self._angles = (0.0, 0.0, 0.0)
-            self._follow(now)
-        if self._opened is not None:
-            self.due = min(self.due, now + SOON)  # drags come in bursts
+        elif not self._told(message) and kind == "restart" and self._running:
+            self._angles, self._looked_from, self._paused = (0.0, 0.0, 0.0), None, False
+            self._follow()
+        self.due = min(self.due, now + SOON)  # drags come in bursts
 
     def tick(self, now: float, soonest: float = SOONEST) -> float:
         """Turn, look if that is worth it, answer."""
         self.due = math.inf
-        if self._opened is None or self._paused:
+        if not self._running or (self._paused and self._next is None and not self._due_once):
             return 0.0
         self._stamp += TICK
         yaw, pitch, roll = self._angles
@@ -91,33 +90,30 @@ class PictureSession(FollowingSession):
         self._step(estimate, self._stamp, attitude=attitude)
         return self._following.took
 
-    def _follow(self, now: float) -> None:
-        """Follow the query, with nothing known."""
+    def _follow(self) -> None:
+        """Follow what is asked, with nothing known."""
         assert self._opened is not None
         self._forget()
-        self._stamp, self._poses, self._looked_from, self._refused = 0.0, {}, None, None
-        self._picture(0.0, np.eye(3), self._opened.jpeg)
-        title, facts = self.opening.name or "Picture", list(self._opened.facts)
-        self._scene("picture", title, self._opened.calibrated, facts=facts)
-        self.due = now
+        self._picture(self._stamp, np.eye(3), self._opened.jpeg)
+        self._scene("picture", self.opening.name or "Picture", facts=list(self._opened.facts))
 
     def _see(self, pose: np.ndarray) -> None:
-        """Ask for a look, if the camera looks another way than before."""
-        if self._seeing or self._refused == self._query:
+        """Ask for a look, if the question is new or the camera looks another way than before."""
+        if self._seeing or (wanted := self._wanted) is None:
             return
         before = self._looked_from
-        if before is not None and max(float(angular_distance(before[:, k], pose[:, k])) for k in range(3)) < TURNED:
+        turned = before is None or max(float(angular_distance(before[:, k], pose[:, k])) for k in range(3)) >= TURNED
+        if not turned and wanted != self._next:
             return
         self._stamp += BETWEEN
         self._following.pose(self._stamp, pose, None)
         self._looked_from, self._seeing = pose, True
         self._poses = {self._stamp: pose}
-        job = See(self.number, self._stamp, pose, None, self.opening.perception, self._query, 0, picture=self._file)
-        self._out.eye(job)
+        self._out.eye(See(self.number, self._stamp, pose, None, wanted, 0, picture=self._file))
 
 
 class VideoSession(FollowingSession):
-    """One person's view of one video; see `eagor.studio.session.Session`. Its time is that of the video.
+    """One person's view of one video. Its time is that of the video.
 
     It is played as fast as it can be looked at, at its own speed at most; one can pause and seek.
     """
@@ -126,18 +122,18 @@ class VideoSession(FollowingSession):
         super().__init__(number, opening, out)
         assert opening.picture is not None
         self._file: Path = opening.picture
-        self._opened: Opened | None = None
-        self._over = self._asking = False
+        self._over = self._asking = self._again = False  # the last: look at the frame that is shown once more
         self._start: float | None = 0.0  # where to seek with the next frame
         self._anchor: tuple[float, float] | None = None  # time of the video, and ours
-        out.eye(("video", number, opening.perception))
         out.status(number, f"Reading {opening.name or 'the video'}.")
 
     def saw(self, said: Any, now: float) -> None:
         """What the eye says."""
-        if isinstance(said, Opened):
-            self._opened = said
-            self._show_all()
+        if isinstance(said, Loaded):
+            self._loaded(said)
+            if not self._running and self._wanted is not None:
+                self._running = True
+                self._follow()
             self.due = now
         elif isinstance(said, Turned):
             self._asking = False
@@ -151,8 +147,7 @@ class VideoSession(FollowingSession):
         elif isinstance(said, Refused):
             fatal = said.part == "picture"
             self._asking = self._asking and not fatal
-            if self._concerns(said):
-                self._out.problem(self.number, said.problem, OTHER_FILE if fatal else OTHER_QUERY, fatal)
+            self._refuse(said, OTHER_FILE if fatal else OTHER_QUERY)
 
     def told(self, message: dict[str, Any], now: float) -> None:
         """What the page says; its fields have been checked."""
@@ -164,23 +159,18 @@ class VideoSession(FollowingSession):
             self._seek(message["frame"] / LOOKS)
         elif kind == "restart":
             self._seek(0.0)
-        elif kind == "methods":
-            self._compare(message)
-        elif self._opened is None:
-            return
-        elif self._changes(message):
-            self._show_all()
-        self.due = min(self.due, now) if self._opened is not None else self.due
+        elif self._told(message) and self._next is not None and (self._paused or self._over):
+            self._again = True
+        self.due = min(self.due, now)
 
     def tick(self, now: float, soonest: float = SOONEST) -> float:
         """Ask for the next frame; one frame is shown after a seek even while the video is paused."""
         self.due = math.inf
-        wanted = self._start is not None or not (self._paused or self._over)
-        if self._opened is None or self._asking or not wanted:
+        wanted = self._start is not None or self._again or not (self._paused or self._over)
+        if not self._running or self._asking or not wanted:
             return 0.0
-        query = None if self._refused == self._query else self._query
-        self._out.eye(Turn(self.number, self._file, self.opening.perception, query, self._start))
-        self._start, self._asking = None, True
+        self._out.eye(Turn(self.number, self._file, self._wanted, self._start, self._again))
+        self._start, self._again, self._asking = None, False, True
         return 0.0
 
     def _seek(self, seconds: float) -> None:
@@ -193,11 +183,10 @@ class VideoSession(FollowingSession):
         self._forget()
         self._anchor = None
 
-    def _show_all(self) -> None:
+    def _follow(self) -> None:
         """Begin, and say what is shown."""
-        assert self._opened is not None
         self._begin()
-        self._scene("picture", self.opening.name or "Video", self._opened.calibrated, frames=self.opening.frames)
+        self._scene("picture", self.opening.name or "Video", frames=self.opening.frames)
 
     def _show(self, said: Turned, now: float) -> None:
         """One frame: take in its looks, and say what is believed."""
@@ -205,10 +194,11 @@ class VideoSession(FollowingSession):
             self._begin()
             self._out.status(self.number, "A picture does not fit to those before it: the belief starts anew.")
         stamp, pose = said.stamp, said.world_R_body
+        looks = said.looks if said.question is not None and self._answers(said.question) else ()
         self._following.pose(stamp, pose, None)
         self._picture(stamp, pose, said.jpeg)
-        if said.looks and said.query == self._query:
-            self._take([replace(evidence, stamp=stamp) for evidence in said.looks], stamp, pose)
+        if looks:
+            self._take([replace(evidence, stamp=stamp) for evidence in looks], stamp, pose)
         frame = {"n": round(stamp * LOOKS), "of": self.opening.frames, "stamp": rounded(stamp, 3)}
         self._step(self._following.answer(stamp, 0.0), stamp, frame=frame)
         if self._anchor is None:

@@ -29,7 +29,7 @@ from eagor.live.recording import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.houses import plan_of
 from eagor.studio.messages import jpeg, rounded
-from eagor.studio.steps import belief_in_json, believed, calibration_of, small_jpeg
+from eagor.studio.steps import belief_in_json, believed, calibration_of, scene_of, small_jpeg
 from eagor.tasks.episodes import Episode
 from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
 from eagor.tasks.places import Place, load_place
@@ -115,22 +115,12 @@ def _scene(
     names = {place.scene.instances[index].name for index in episode.targets if index < len(place.scene.instances)}
     plan["things"] = [thing | {"target": thing["name"] in names} for thing in plan["things"]]
     listed = [shown, *(name for name in methods if name != shown)]
-    return {
-        "view": "run",
-        "title": f"{run.study.name} {episode.slot.id}: {episode.query}",
-        "task": run.study.name,
-        "case": episode.slot.id,
-        "query": str(episode.query),
-        "targets": [],
-        "plan": plan,
-        "degree": 15,
-        "calibration": calibrated,
-        "perception": str(run.settings.get("perception", "")),
-        "methods": [{"name": name, "words": DESCRIPTIONS.get(name.partition(":")[0], name)} for name in listed],
-        "method": shown,
-        "region": 0.9,
-        "paths": {name: path for name in listed if (path := _path(methods[name]))},
-    }
+    return scene_of(
+        "run", f"{run.study.name} {episode.slot.id}: {episode.query}", str(episode.query), plan=plan, method=shown,
+        calibration=calibrated, perception=str(run.settings.get("perception", "")),
+        methods=[{"name": name, "words": DESCRIPTIONS.get(name.partition(":")[0], name)} for name in listed],
+        paths={name: path for name in listed if (path := _path(methods[name]))},
+    )  # fmt: skip
 
 
 def _trace(entry: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -310,8 +300,5 @@ def _sampled(sample: dict[str, Any]) -> dict[str, Any]:
 
 
 def _scene_of_recording(title: str, query: str, calibrated: dict[str, Any] | None) -> dict[str, Any]:
-    return {
-        "view": "run", "title": title, "query": query, "targets": [], "plan": None, "degree": 15,
-        "calibration": calibrated, "perception": "", "methods": [{"name": "eagor", "words": "our tracker"}],
-        "method": "eagor", "region": 0.9, "paths": {},
-    }  # fmt: skip
+    methods = [{"name": "eagor", "words": "our tracker"}]
+    return scene_of("run", title, query, calibration=calibrated, methods=methods, method="eagor", paths={})

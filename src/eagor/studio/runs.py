@@ -31,20 +31,9 @@ from eagor.studio.messages import rounded
 from eagor.studio.replays import Advance, Redrawn, recorded, redraw, report_of, walked
 
 __all__ = [
-    "again",
-    "built",
-    "episode_of",
-    "episodes_of",
-    "export",
-    "folder_of",
-    "key_of",
-    "kind_of",
-    "listed",
-    "opened",
-    "page_of",
-    "runs_in",
-    "write",
-]
+    "again", "built", "episode_of", "episodes_of", "export", "folder_of", "key_of", "kind_of", "listed", "opened",
+    "page_of", "runs_in", "write",
+]  # fmt: skip
 
 MOST = 200  # runs that are listed
 LARGEST = 1 << 22  # bytes of a run.json that is listed

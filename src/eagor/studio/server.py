@@ -179,7 +179,7 @@ async def _listen(studio: Studio, page: Page, web: WebSocket) -> None:
         received = await web.receive()
         if received["type"] == "websocket.disconnect":
             return
-        text = received.get("text")
+        text, message = received.get("text"), {}
         try:
             if text is None:
                 raise PageError("A message of bytes came; text was wanted.", "Reload the page.")
@@ -192,7 +192,8 @@ async def _listen(studio: Studio, page: Page, web: WebSocket) -> None:
                 studio.tell(page, message)
         except PageError as error:
             page.rubbish += 1
-            words = {"problem": error.problem, "change": error.change, "fatal": False}
+            words = {"problem": error.problem, "change": error.change, "fatal": False,
+                     "question": message.get("question", 0)}  # fmt: skip
             page.slot.put(Message({"type": "problem", **words}))
             if page.rubbish >= RUBBISH:
                 await web.close(TOO_WRONG, "too many messages that make no sense")

@@ -20,16 +20,9 @@ from eagor.tracking import Estimate, TrackerConfig
 from eagor.worlds.photograph import Photograph
 
 __all__ = [
-    "FLOATS",
-    "belief_in_json",
-    "belief_of",
-    "believed",
-    "calibration_of",
-    "error_deg",
-    "estimate_json",
-    "evidence_of",
-    "small_jpeg",
-]
+    "FLOATS", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg", "estimate_json", "evidence_of",
+    "scene_of", "small_jpeg",
+]  # fmt: skip
 
 FLOATS = "float32"
 
@@ -102,16 +95,6 @@ def evidence_of(
     return header, Blob(FLOATS, turned.astype("<f4").tobytes())
 
 
-def stage(estimate: Estimate, stamp: float, position: np.ndarray | None) -> dict[str, Any]:
-    """The part of a step that says when and where the camera is."""
-    return {
-        "stamp": rounded(stamp),
-        "world_R_camera": rounded(estimate.world_R_body.reshape(9), 6),
-        "position": rounded(position, 4),
-        "look": {"age": rounded(estimate.age, 3), "fresh": False},
-    }
-
-
 def believed(
     estimate: Estimate,
     stamp: float,
@@ -125,7 +108,10 @@ def believed(
     """
     entropy = estimate.posterior.entropy() if entropy is None else entropy
     return {
-        **stage(estimate, stamp, position),
+        "stamp": rounded(stamp),
+        "world_R_camera": rounded(estimate.world_R_body.reshape(9), 6),
+        "position": rounded(position, 4),
+        "look": {"age": rounded(estimate.age, 3), "fresh": False},
         "estimate": estimate_json(estimate, entropy),
         "modes": modes_json(estimate),
         "truth": {"direction": rounded(truth)},
@@ -137,6 +123,12 @@ def belief_in_json(estimate: Estimate, stamp: float, degree: int) -> dict[str, A
     """The belief as `belief_of`, with its coefficients in the header."""
     header, coefficients = belief_of(estimate, stamp, degree)
     return header | {"coefficients": base64.b64encode(coefficients).decode("ascii")}
+
+
+def scene_of(view: str, title: str, query: str, **about: Any) -> dict[str, Any]:
+    """What is shown, as the page is told before the steps; `about`: what is not as in most scenes."""
+    most = {"question": 0, "targets": [], "plan": None, "degree": DEGREE, "calibration": None, "perception": ""}
+    return {"view": view, "title": title, "query": query, **most, "methods": [], "region": MASS, **about}
 
 
 def small_jpeg(panorama: np.ndarray, rows: int) -> bytes:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from eagor.studio.following import SOONEST, FollowingSession
-from eagor.studio.houses import Body, House, Walker
+from eagor.studio.houses import Body, House, Walker, walled
 from eagor.studio.messages import rounded
-from eagor.studio.session import Built, Opening, Outbox, Panorama, Refused, See, Seen
+from eagor.studio.session import Built, Loaded, Opening, Outbox, Panorama, Refused, See, Seen
 from eagor.tasks.rules import NavigationRules
+from eagor.tracking import Estimate
 from eagor.worlds.walkable import Way
 
 __all__ = ["WalkSession"]
@@ -19,113 +22,128 @@ __all__ = ["WalkSession"]
 PERIOD = 0.1  # seconds between two steps
 RESTING = 0.5  # between two steps while nothing moves
 STILL = 1.0  # seconds between two looks from the same place
-ROWS, FINE = 192, 384  # of panoramas: while the body moves, and when it has come to rest
+SURE = 3  # looks before the first walk begins
+MOVING = (256, 384, 512)  # rows of panoramas while the body moves: the most that come
+QUICK = 0.1  # seconds after they were ordered
+FINE = ((0.5, 512), (1.5, 1024))  # seconds of rest, and rows of the panorama that is shown from then on
 
 
 class WalkSession(FollowingSession):
-    """One person's walk; see `eagor.studio.session.Session`."""
+    """One person's walk."""
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
         super().__init__(number, opening, out)
         self.house: House | None = None
-        self._seeing = self._looking = self._fine = False  # something is under way, with a look; the picture is fine
-        out.eye(("house", number, opening.seed, opening.perception))
+        self._seeing = self._looking = False  # something is under way, with a look
+        self._cost = 0.0  # seconds of a panorama, by the square of its rows, with what it waits for other pages
+        self._ordered = 0.0, 1  # when the newest one was ordered, and its rows
+        self._rows = 0  # of the panorama that is shown from here
+        self._seen_from: tuple[float, ...] | None = None  # and where that is
+        self._poses: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+        self._hidden: float | None = None  # since when a wall hides the thing
+        self._estimate: Estimate | None = None
+        out.eye(("house", number, opening.seed))
         out.status(number, f"Building apartment {opening.seed}. The first time takes some seconds.")
 
     def saw(self, said: Any, now: float) -> None:
         """What the eye says."""
-        if isinstance(said, Built):
-            self.house, self._calibration = said.house, said.calibrated
-            self._query = self.opening.query or said.house.query
-            self._begin(now)
-        elif isinstance(said, Panorama) and self.house is not None:
+        if isinstance(said, Loaded):
+            self._loaded(said)
+        elif isinstance(said, Built):
+            self.house = said.house
+        elif isinstance(said, Panorama) and self._running:
             self._seeing = self._seeing and self._looking  # the look is still to come
-            if said.stamp < self._since:
-                return
-            self._picture(said.stamp, said.world_R_body, said.jpeg)
-            self.due = now
-        elif isinstance(said, Seen) and self.house is not None:
+            ordered, rows = self._ordered
+            self._cost = (time.monotonic() - ordered) / rows**2
+            if said.stamp in self._poses:  # else it is from before the walk began again
+                self._picture(said.stamp, said.world_R_body, said.jpeg)
+        elif isinstance(said, Seen) and self._running:
             self._seeing = False
-            if said.query == self._query and said.stamp >= self._since:
-                if (pose := self._poses.pop(said.stamp, None)) is not None:
-                    self._take(said.looks, said.stamp, *pose)
-                self.due = now
+            pose = self._poses.get(said.stamp)
+            if pose is not None and self._answers(said.question):
+                self._take(said.looks, said.stamp, *pose)
         elif isinstance(said, Refused):
             self._seeing = False
-            if not self._concerns(said):
-                return
             change = "Ask for one of the things that are offered." if said.part == "query" else "Choose another one."
-            self._out.problem(self.number, said.problem, change, fatal=said.part == "house")
+            self._refuse(said, change)
+        self.due = now
+        if self.house is not None and not self._running and self._wanted is not None:
+            self._running = True
+            self._begin(now)
 
     def told(self, message: dict[str, Any], now: float) -> None:
         """What the page says; its fields have been checked."""
         kind = message["type"]
         if kind == "pause":
-            self._paused = message["on"]
-            self._last = now
-        elif self.house is None:
-            return
-        elif kind == "drive":
-            self._walker.drive(message["by"])
-            if message["by"] == "person" and not self._paused:
-                self._walker.steer(message["forward"], message["turn"], message["seconds"])
-        elif self._changes(message):
-            self._follow(now)
-        elif kind == "methods":
-            self._compare(message)
-        elif kind == "restart":
-            self._begin(now)
+            if self._running and message["on"] != self._paused:  # its time stands still, too
+                self._stopped, self._begun = now, self._begun + (now - self._stopped) * self._paused
+            self._paused, self._last = message["on"], now
+        elif not self._told(message) and self._running:
+            if kind == "restart":
+                self.opening = replace(self.opening, drive=self._walker.by)
+                self._begin(now)
+            elif kind == "drive":
+                self._walker.drive(message["by"])
+                if message["by"] == "person" and not self._paused:
+                    self._walker.steer(message["forward"], message["turn"], message["seconds"])
         self.due = min(self.due, now)
 
     def tick(self, now: float, soonest: float = SOONEST) -> float:
         """Move, look, answer; `soonest`: seconds between two computations of the belief, as all sessions can bear."""
-        if self.house is None or self._paused:
+        idle = self._paused and self._next is None and not self._due_once
+        if not self._running or (idle and self._rows == FINE[-1][1] and "panorama" not in self._parts):
             self.due = math.inf
             return 0.0
-        stamp = now - self._begun
+        stamp = (self._stopped if self._paused else now) - self._begun
         body, before = self._walker.body, self._estimate
         known = None if before is None else before.direction
-        moved = self._walker.move(now - self._last, known, self._arrived)
+        if self._walker.by == "tour" and self._looks < SURE:
+            known = None  # it waits at the beginning
+        moved = not self._paused and self._walker.move(now - self._last, known, self._arrived)
         self._last = now
         self._following.pose(stamp, body.world_R_body, body.position)
         self._estimate = estimate = self._following.answer(stamp, soonest)
-        self._rested = 0.0 if moved else self._rested + PERIOD
-        self._arrive()
-        goal, truth = self._goal(), self._truth()
-        self._step(estimate, stamp, body.position, truth, goal=goal, drive=self._walker.by)
-        self._see(stamp)
-        self.due = now + (PERIOD if moved or self._rested < 1.0 else RESTING)
+        self._moved = now if moved else self._moved
+        goal = self._goal(stamp)
+        self._step(estimate, stamp, body.position, self._truth(), goal=goal, drive=self._walker.by)
+        self._see(stamp, now - self._moved)
+        self.due = now + (PERIOD if now - self._moved < STILL else RESTING)
         return self._following.took
 
     def _begin(self, now: float) -> None:
-        """Stand where the episode begins."""
+        """Stand where the episode or the first walk begins."""
         assert self.house is not None
-        self._walker = Walker(Body(self.house.ground, self.house.start.copy(), self.house.yaw), self.opening.drive)
-        self._begun = now
-        self._follow(now)
+        tour = self.house.tour if self.opening.drive == "tour" else None
+        if not self._asked.query:
+            self._asked = replace(self._asked, query=self.house.query if tour is None else tour.query)
+        if tour is None:
+            body = Body(self.house.ground, self.house.start.copy(), self.house.yaw)
+            by = "person" if self.opening.drive == "person" else "policy"
+            self._walker = Walker(body, by)
+        else:
+            self._walker = Walker(Body(self.house.ground, tour.way[0].copy(), tour.yaw), "tour", [*tour.way[1:]])
+        self._begun = self._last = self._moved = self._stopped = now
+        self._looked, self._seen_from, self._poses, self._paused = -math.inf, None, {}, False
+        self._follow()
 
-    def _follow(self, now: float) -> None:
-        """Forget what was believed, and follow the query from here."""
+    def _follow(self) -> None:
+        """Forget what was believed, and follow what is asked from here."""
         assert self.house is not None
         self._forget()
-        self._estimate, self._refused = None, None
-        self._since = now - self._begun
-        self._poses: dict[float, tuple[np.ndarray, np.ndarray]] = {}
-        self._looked, self._rested, self._seen_from = -math.inf, 0.0, None
-        self._last = now
-        self._targets = self.house.targets(self._query)
+        self._estimate = None
+        self._rows = 0  # the newest picture may have been overtaken by the scene
+        self._targets = self.house.targets(self._asked.query)
         ground = self.house.ground
         ways = [ground.footprint(self.house.things[index]) for index in self._targets]
         self._way: Way | None = ways[0].union(*ways[1:]) if ways else None
-        self._arrived = False
+        self._arrived, self._hidden = False, None
         plan = dict(self.house.plan)
         names = {self.house.things[index].name for index in self._targets}
         plan["things"] = [thing | {"target": thing["name"] in names} for thing in plan["things"]]
         self._scene(
-            "walk", f"Apartment {self.house.seed}", self._calibration, seed=self.house.seed,
-            targets=list(self.house.names), plan=plan, drive=self._walker.by,
+            "walk", f"Apartment {self.house.seed}", seed=self.house.seed, targets=list(self.house.names), plan=plan,
+            drive=self._walker.by,
         )  # fmt: skip
-        self.due = now
 
     def _truth(self) -> np.ndarray | None:
         """The direction of the nearest thing that the query names, body frame; None if it names none here."""
@@ -133,52 +151,61 @@ class WalkSession(FollowingSession):
         if not self._targets:
             return None
         body = self._walker.body
-        offsets = np.array([self.house.things[index].centre for index in self._targets]) - body.position
-        nearest = offsets[int(np.linalg.norm(offsets, axis=1).argmin())]
+        nearest = self._nearest - body.position
         return body.world_R_body.T @ (nearest / max(float(np.linalg.norm(nearest)), 1e-9))
 
-    def _arrive(self) -> None:
-        reached = (
-            self._way is not None
-            and float(self._way.distance(self._walker.body.xy)) < NavigationRules().success_distance
-        )
-        self._arrived = bool(reached)
-
-    def _goal(self) -> dict[str, Any] | None:
+    @property
+    def _nearest(self) -> np.ndarray:
+        """The centre ``(3,)`` of the nearest thing that the query names; it names one."""
         assert self.house is not None
+        centres = np.array([self.house.things[index].centre for index in self._targets])
+        return centres[int(np.linalg.norm(centres - self._walker.body.position, axis=1).argmin())]
+
+    def _goal(self, stamp: float) -> dict[str, Any] | None:
+        """How far it is to the thing, whether a wall hides it, and whether the body has arrived."""
         if self._way is None:
             return None
-        left = float(self._way.distance(self._walker.body.xy))
-        centre = self.house.things[self._targets[0]].centre
-        words = "Reached." if self._arrived else f"{left:.1f} m of walking left."
-        if not math.isfinite(left):
-            words = "No way leads there on foot."
+        assert self.house is not None
+        body, thing = self._walker.body, self._nearest
+        left = float(self._way.distance(body.xy))
+        self._arrived = left < NavigationRules().success_distance
+        hidden = walled(self.house.ground, body.xy, thing[:2])
+        self._hidden = (stamp if self._hidden is None else self._hidden) if hidden else None
+        words = f"{left:.1f} m of walking left." if math.isfinite(left) else "No way leads there on foot."
+        if self._hidden is not None:
+            words = f"A wall has hidden the {self._asked.query} for {stamp - self._hidden:.0f} s. {words}"
+        elif self._walker.by == "tour":
+            words = f"The {self._asked.query} is in sight."
+        elif self._arrived:
+            words = "Reached."
         return {
-            "position": rounded(centre[:2], 3), "metres": rounded(left, 2), "reached": self._arrived, "words": words,
+            "position": rounded(thing[:2], 3), "metres": rounded(left, 2), "reached": self._arrived, "words": words,
         }  # fmt: skip
 
-    def _see(self, stamp: float) -> None:
-        """Ask for the next picture, and a look at it, once the one before has come."""
+    def _see(self, stamp: float, rested: float) -> None:
+        """Ask for the next picture or look, once the one before has come.
+
+        A body at rest is shown a finer picture the longer it stands; a look comes before that.
+        """
         if self._seeing:
             return
         body = self._walker.body
         here = (*body.xy, body.yaw)
-        rested = self._rested > 0.5
-        if here == self._seen_from and stamp - self._looked < STILL:
+        stands, first = here == self._seen_from, self._seen_from is None
+        wanted = self._wanted
+        waits = self._paused or (stands and stamp - self._looked < STILL)  # only a new question does not
+        if first or (waits and wanted != self._next):
+            wanted = None  # a picture at once; looks take their turns with those of other pages
+        rows = max(each for each in MOVING if each == MOVING[0] or self._cost * each**2 < QUICK)
+        rows = max((each for after, each in FINE if stands and rested >= after), default=rows)
+        if stands and (wanted is not None or rows <= self._rows):
+            rows = 0
+        if wanted is None and not rows:
             return
-        rows = ROWS if here != self._seen_from else 0
-        if here == self._seen_from and rested and not self._fine:
-            rows = FINE
-        self._fine = rows == FINE or (rows == 0 and self._fine)
-        first = self._seen_from is None  # a picture at once; looks take their turns with those of other pages
-        query = None if first or self._refused == self._query else self._query
-        self._seen_from, self._looked = here, -math.inf if first else stamp
-        if query is None and not rows:
-            return
-        self._seeing, self._looking = True, query is not None
+        self._seen_from, self._rows = here, rows or self._rows
+        self._looked = self._looked if wanted is None else stamp
+        self._seeing, self._looking, self._ordered = True, wanted is not None, (time.monotonic(), rows)
         self._poses = {stamp: (body.world_R_body, body.position)}
-        job = See(
-            self.number, stamp, body.world_R_body, body.position, self.opening.perception, query, rows,
-            seed=self.opening.seed,
-        )  # fmt: skip
-        self._out.eye(job)
+        self._out.eye(See(
+            self.number, stamp, body.world_R_body, body.position, wanted, rows, seed=self.opening.seed,
+        ))  # fmt: skip

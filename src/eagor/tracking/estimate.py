@@ -19,7 +19,7 @@ from eagor.harmonics.peaks import FLAT
 from eagor.sphere import angular_distance, azimuth_elevation, check_directions, check_rotation
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.hypotheses import TargetHypotheses
-from eagor.tracking.looking import Heights, NextLook, TurningCamera, best_look
+from eagor.tracking.looking import Heights, Known, NextLook, TurningCamera, best_look
 
 __all__ = ["Estimate", "Mode", "Status"]
 
@@ -287,10 +287,16 @@ class Estimate:
         camera = camera if isinstance(camera, TurningCamera) else TurningCamera(camera)
         view = np.eye(3) if body_R_view is None else np.asarray(check_rotation(body_R_view, "body_R_view"))
         axis = self.world_R_body @ view[:, 0]
-        to, tells = best_look(self.hypotheses, self.posterior.nodes, self.alarms, camera, usual, axis)
+        to, tells = best_look(self._known, camera, usual, axis)
         toward = to @ self.world_R_body
         azimuth, elevation = azimuth_elevation(toward)
         return NextLook(toward, float(azimuth), float(elevation), tells, float(angular_distance(to, axis)))
+
+    @lazy
+    def _known(self) -> Known:
+        """What is believed, for a choice of the next look."""
+        modes = np.zeros((0, 3)) if self._answer is None else self._places[0]
+        return Known(self.hypotheses, *self.posterior.nodes, modes, self.alarms)
 
     def turned(self, stamp: float, world_R_body: np.ndarray, spread: float = 0.0) -> Estimate:
         """This belief at a later time, from another orientation ``(3, 3)``; quick, since all is shared with this one.

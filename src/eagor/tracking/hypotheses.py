@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import altered, lazy
 from eagor.belief.bank import Bank, linear, log_detected
 from eagor.belief.field import LARGEST, Patch, SphereField, bent, blurred
 from eagor.belief.ranged import RangedBelief
@@ -95,11 +95,7 @@ class TargetHypotheses:
         if turns < _UNLIKELY:
             stays, turns = stays + turns, 0.0
         level = math.log(max(stays, 1e-300)) - self.standing.log_mean
-        stands = replace(
-            stands,
-            values=stands.values + level,
-            patches=tuple(patch.like(patch.values + level) for patch in stands.patches),
-        )
+        stands = stands.plus(level, [level] * len(stands.patches))
         if not len(self.wandering) and not turns:
             return stands
         wandering = self.wandering.mixed(shares[1 : 1 + len(self.wandering)])
@@ -121,7 +117,8 @@ class TargetHypotheses:
         moving = moves(wandering, self.grid.directions)
         # Like `logaddexp`, ten times as fast; values are too large for it only where patches lie.
         values = np.log(np.exp(np.minimum(stands.values, LARGEST)) + np.maximum(moving, 1e-300))
-        return SphereField(self.grid, values, tuple(patches))
+        found = SphereField(self.grid, values, tuple(patches))
+        return found if len(fine) > len(stands.patches) else stands.redrawn(values, found.patches)
 
     @property
     def reading(self) -> Reading:
@@ -136,7 +133,10 @@ class TargetHypotheses:
         """The reading if all directions together may be off by `spread` radians per axis."""
         if spread not in self._readings:
             field = self.field if spread == 0 else _widened(self.field, spread)
-            least = -math.inf if self.standing.bank is None else float(np.median(field.values)) + _RISE
+            least, middle = -math.inf, field.values.size // 2
+            if self.standing.bank is not None:  # over the median, as of `np.median`
+                ranked = np.partition(field.values.reshape(-1), (middle - 1, middle))
+                least = float(ranked[middle - 1] + ranked[middle]) / 2 + _RISE
             self._readings[spread] = Reading(field, least)
         return self._readings[spread]
 
@@ -174,7 +174,7 @@ class TargetHypotheses:
             moves = None if moves is None else moves.renewed(anew)
         kept = self
         if standing is not self.standing or moves is not self.moves:
-            kept = replace(self, standing=standing, moves=moves)
+            kept = altered(self, standing=standing, moves=moves)
         if elapsed <= 0:
             return kept
         flows = self.weights[:, None] * motion.transitions(elapsed)
@@ -186,17 +186,17 @@ class TargetHypotheses:
             sharp, standing = standing, _drifted(standing, drift, elapsed)
             if sharp.explained is not None:  # else looks at a look-alike would regain it again and again
                 lost = standing.log_mean - sharp.log_mean
-        stays, newly = flows[1, 1], np.delete(flows[:, 1], 1)
-        spread, others = standing.spread, np.delete(flows, 1, axis=1)
+        others, spread = np.concatenate([flows[:, :1], flows[:, 2:]], axis=1), standing.spread
+        stays, newly = flows[1, 1], np.concatenate([flows[:1, 1], flows[2:, 1]])
         left = float(others[1].sum() / max(others.sum(), 1e-300))  # the share that stood before
         if left > 0:
-            standing = standing.spreading(replace(spread, otherwise=spread.mixed(left).weights))
+            standing = standing.spreading(altered(spread, otherwise=spread.mixed(left).weights))
         if newly.sum() > stays:  # it has stopped just now
             standing = self._restarted(standing, newly)
         weights = flows.sum(axis=0)
         weights[1] *= math.exp(lost)
         weights = weights / weights.sum()
-        return replace(kept, weights=weights, standing=standing, wandering=wandering, turning=turning)
+        return altered(kept, weights=weights, standing=standing, wandering=wandering, turning=turning)
 
     def _turned(self, flows: np.ndarray, elapsed: float, motion: MotionModel, drift: float) -> TurningTarget | None:
         """The turning target after `elapsed` seconds, with the inflow from the other hypotheses."""
@@ -208,7 +208,7 @@ class TargetHypotheses:
         if total <= 0:
             return turned
         patches = self.standing.field.patches
-        masses = self.standing.masses()
+        masses = self.standing.masses
         widths = np.array([patch.spacing for patch in patches]).reshape(-1, 2)
         across = np.array([patch.frame[1:] for patch in patches]).reshape(-1, 2, 3) * widths[..., None]
         covariances = np.einsum("nai,naj->nij", across, across)
@@ -359,11 +359,11 @@ class TargetHypotheses:
         standing, spread = self.standing, self.standing.spread
         field, support, explained = standing.field, standing.support, standing.explained
         banks = [window.habits for window in standing.windows]
-        values, weights, directions = field.nodes
-        owned = weights / (4 * math.pi)
+        layout = field.layout
+        values, owned, directions = field.logs, layout.weights / (4 * math.pi), layout.directions
 
         def nodes(grid: np.ndarray, patches: Sequence[np.ndarray]) -> np.ndarray:
-            return np.concatenate([grid[field.outside], *(patch.reshape(-1) for patch in patches)])
+            return np.concatenate([grid[layout.outside], *(patch.reshape(-1) for patch in patches)])
 
         def caused(amounts: np.ndarray) -> np.ndarray:
             counts = np.flatnonzero(amounts > _UNHEARD)
@@ -386,7 +386,7 @@ class TargetHypotheses:
 
 def _near(grid: ErpGrid, found: Detections, scale: float, least: float) -> np.ndarray:
     """The flat indices ``(m,)`` of the cells that any detection speaks for, widened by `scale`, or to `least`."""
-    widths = np.maximum(scale / np.linalg.norm(found.axes, axis=-1).min(axis=-1), least)
+    widths = np.maximum(scale / np.sqrt((found.axes**2).sum(axis=-1)).min(axis=-1), least)
     reach = np.cos(np.minimum(_FAR * widths, math.pi))
     return np.flatnonzero((grid.directions.reshape(-1, 3) @ found.directions.T > reach).any(axis=1))
 
@@ -411,7 +411,7 @@ def _with_offset(field: SphereField, offset: float) -> SphereField:
         around = np.full(wide.values.shape, -np.inf)
         around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
         patches.append(wide.like(np.logaddexp(wide.values, around)))
-    return replace(field, patches=tuple(patches))
+    return altered(field, patches=tuple(patches))
 
 
 def _widened(field: SphereField, spread: float) -> SphereField:

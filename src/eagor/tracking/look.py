@@ -232,7 +232,7 @@ class Look:
         if self.world is None or not len(self.world):
             return np.zeros((0, 3)), np.zeros(0)
         order = np.argsort(-self.world.ratios, kind="stable")[:8]
-        widths = 1 / np.linalg.norm(self.world.axes[order], axis=-1).min(axis=-1)
+        widths = 1 / np.sqrt((self.world.axes[order] ** 2).sum(axis=-1)).min(axis=-1)
         return self.world.directions[order], widths
 
     def sightings(self, recall: float) -> Sightings:
@@ -249,7 +249,7 @@ class Look:
             amplitudes = amplitudes * self.shares.moving
         scales = self.spread.scales if len(self.spread.scales) > 1 else self.spread.scales[:0]
         scales = np.array([self.spread.precision**-0.5, *scales])[:, None, None]
-        lengths = np.linalg.norm(self.world.axes, axis=-1)
+        lengths = np.sqrt((self.world.axes**2).sum(axis=-1))
         widths = scales / lengths
         deviations = self.world.axes * (widths / lengths)[..., None]
         covariances = np.einsum("snai,snaj->snij", deviations, deviations)

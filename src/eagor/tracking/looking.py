@@ -28,6 +28,7 @@ from eagor.tracking.hypotheses import TargetHypotheses
 __all__ = ["Heights", "NextLook", "TurningCamera", "best_look"]
 
 CELLS = 2000  # of equal area: a square of 4.5 degrees each
+PLACES, SAME = 200, math.radians(15)  # 14 degrees each; of a mode: within this angle a report is of the same place
 STEP = math.radians(15)  # between the azimuths, and about so between the elevations, that are weighed
 MARGIN = math.radians(12)  # inside the border of a view: what is nearer to it is cut off, and tells less
 ALIKE = 0.97  # looks that tell this share of the most are alike: the nearest of them is taken
@@ -110,20 +111,27 @@ class NextLook:
         return f"NextLook({where(self.azimuth, self.elevation)}, {turn}, tells {self.tells:.3f} nats)"
 
 
-def best_look(
-    hypotheses: TargetHypotheses,
-    parts: tuple[np.ndarray, np.ndarray],
-    alarms: Alarms | None,
-    camera: TurningCamera,
-    usual: Heights | None,
-    axis: np.ndarray,
-) -> tuple[np.ndarray, float]:
-    """The axis ``(3,)`` of the look that tells most for its time, world axes (z up), and what it tells, nats.
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is believed before a look; directions in world axes, z up.
 
-    `parts`: masses ``(n,)`` that sum to 1, and directions ``(n, 3)``, world axes: the belief, given presence. `axis`
-    ``(3,)``: that of the camera now.
+    `mass` ``(n,)``, which sums to 1, at `directions` ``(n, 3)``: where the thing is, if it is present. `modes`
+    ``(m, 3)``: the candidates.
     """
-    axes, told = looks(hypotheses, parts, alarms, camera, usual)
+
+    hypotheses: TargetHypotheses
+    mass: np.ndarray
+    directions: np.ndarray
+    modes: np.ndarray
+    alarms: Alarms | None
+
+
+def best_look(known: Known, camera: TurningCamera, usual: Heights | None, axis: np.ndarray) -> tuple[np.ndarray, float]:
+    """The axis ``(3,)`` of the look that tells most for its time, world axes, and what it tells, nats.
+
+    `axis` ``(3,)``: that of the camera now.
+    """
+    axes, told = looks(known, camera, usual)
     turns = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
     worth = told if camera.turn_rate is None else told / (camera.look_time + turns / camera.turn_rate)
     good = np.flatnonzero(worth >= ALIKE * worth.max())
@@ -131,42 +139,51 @@ def best_look(
     return axes[best], float(told[best])
 
 
-def looks(
-    hypotheses: TargetHypotheses,
-    parts: tuple[np.ndarray, np.ndarray],
-    alarms: Alarms | None,
-    camera: TurningCamera,
-    usual: Heights | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The axes ``(n, 3)`` of the views that are weighed, and what a look at each is expected to tell ``(n,)``, nats.
-
-    Arguments as for `best_look`.
-    """
+def looks(known: Known, camera: TurningCamera, usual: Heights | None) -> tuple[np.ndarray, np.ndarray]:
+    """The axes ``(n, 3)`` of the views that are weighed, and what a look at each is expected to tell ``(n,)``, nats."""
     axes, seen, shown = _views(view_key(camera.grid), round(camera.reach, 6))
-    cells = _cells()
-    mass = np.bincount(_nearest(parts[1]), parts[0], minlength=CELLS)
+    cells, hypotheses = _cells(CELLS), known.hypotheses
+    mass = np.bincount(_nearest(known.directions), known.mass, minlength=CELLS)
     if usual is not None:
         height, tilt = math.degrees(usual.height), math.degrees(usual.tilt)
         elevations = np.degrees(azimuth_elevation(cells)[1])
         mass *= even_and_usual(elevations, np.ones(CELLS), height, tilt, usual.elsewhere)
         mass /= mass.sum()
     if hypotheses.standing.bank is None:
-        recall, false = np.full(CELLS, RECALL), _even(shown, ALARM)
+        recall, alike, number = np.full(CELLS, RECALL), np.zeros(CELLS), ALARM
     else:
-        grid, alike = hypotheses.grid, hypotheses.alike_reports()
-        recall = hypotheses.recall(cells)
-        number = 0.0 if alarms is None else float(alarms.weights @ alarms.numbers)
-        known = np.bincount(_cells_of(grid), alike.reshape(-1), minlength=CELLS)
-        false = _even(shown, number) + shown * known[seen]
-    expected = false.sum(axis=1)
-    falls = false / np.maximum(expected, 1e-300)[:, None]
+        recall, reports = hypotheses.recall(cells), hypotheses.alike_reports()
+        alike = np.bincount(_cells_of(hypotheses.grid), reports.reshape(-1), minlength=CELLS)
+        number = 0.0 if known.alarms is None else float(known.alarms.weights @ known.alarms.numbers)
     here = hypotheses.presence * mass[seen] * (shown > 0)
-    return axes, information(here, shown * recall[seen], -np.expm1(-expected), falls)
+    false = number * shown / shown.sum(axis=1, keepdims=True) + alike[seen] * shown
+    at = _places(known.modes)[seen]
+    here, there, false = (_summed(values, at) for values in (here, here * shown * recall[seen], false))
+    expected = false.sum(axis=1, keepdims=True)
+    share = np.minimum(there / np.maximum(here, 1e-300), 1.0)
+    alarm = -np.expm1(-expected[:, 0])
+    return axes, information(here, share, alarm, false / np.maximum(expected, 1e-300))
 
 
-def _even(shown: np.ndarray, number: float) -> np.ndarray:
-    """`number` reports in each of the views ``(n, k)``, spread evenly over what it shows."""
-    return number * shown / shown.sum(axis=1, keepdims=True)
+def _places(modes: np.ndarray) -> np.ndarray:
+    """The place ``(CELLS,)`` of each cell: the nearest of the `modes` ``(m, 3)`` about it, or one of `PLACES` others.
+
+    A report tells in which place the thing is. Finer ones would promise more: a detection of the same thing, off by as
+    much as the one before, would count as news each time.
+    """
+    found = _nearest(_cells(CELLS), PLACES)
+    if len(modes):
+        cosines = _cells(CELLS) @ modes.T
+        near = cosines.max(axis=1) > math.cos(SAME)
+        found = np.where(near, PLACES + cosines.argmax(axis=1), found)
+    return found
+
+
+def _summed(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The sums of `values` ``(n, k)`` over the cells of each place ``(n, p)``."""
+    count = int(places.max()) + 1
+    flat = (np.arange(len(values))[:, None] * count + places).reshape(-1)
+    return np.bincount(flat, values.reshape(-1), minlength=len(values) * count).reshape(len(values), count)
 
 
 @lru_cache(maxsize=8)
@@ -182,28 +199,28 @@ def _views(lens: ViewKey, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndar
     margin = min(MARGIN, float(grid.lens.project(np.array([1.0, 0.0, 0.0]))[2]) / 2)
     shown = np.empty((len(poses), CELLS))
     for row, (yaw, pitch) in enumerate(poses):
-        depth = grid.lens.project(_cells() @ world_R_body(yaw, -pitch))[2]
+        depth = grid.lens.project(_cells(CELLS) @ world_R_body(yaw, -pitch))[2]
         shown[row] = np.sin(np.clip(depth / margin, 0, 1) * (math.pi / 2)) ** 2
     most = int(np.count_nonzero(shown, axis=1).max())
     seen = np.argsort(shown == 0, axis=1, kind="stable")[:, :most]
     return frozen(direction(*np.array(poses).T)), frozen(seen), frozen(np.take_along_axis(shown, seen, axis=1))
 
 
-@lru_cache(maxsize=1)
-def _cells() -> np.ndarray:
-    """The middles ``(CELLS, 3)`` of cells of equal area: a Fibonacci lattice (Gonzalez, Math. Geosci. 42, 2010)."""
-    at = np.arange(CELLS) + 0.5
-    return frozen(direction(at * (math.pi * (3 - math.sqrt(5))), np.arcsin(1 - 2 * at / CELLS)))
+@lru_cache(maxsize=2)
+def _cells(count: int) -> np.ndarray:
+    """The middles ``(count, 3)`` of cells of equal area: a Fibonacci lattice (Gonzalez, Math. Geosci. 42, 2010)."""
+    at = np.arange(count) + 0.5
+    return frozen(direction(at * (math.pi * (3 - math.sqrt(5))), np.arcsin(1 - 2 * at / count)))
 
 
-@lru_cache(maxsize=1)
-def _tree() -> KDTree:
-    return KDTree(_cells())
+@lru_cache(maxsize=2)
+def _tree(count: int) -> KDTree:
+    return KDTree(_cells(count))
 
 
-def _nearest(directions: np.ndarray) -> np.ndarray:
-    """The cell ``(n,)`` of each of the directions ``(n, 3)``."""
-    return _tree().query(directions)[1]
+def _nearest(directions: np.ndarray, count: int = CELLS) -> np.ndarray:
+    """Which of so many cells each of the directions ``(n, 3)`` is in ``(n,)``."""
+    return _tree(count).query(directions)[1]
 
 
 @lru_cache(maxsize=4)

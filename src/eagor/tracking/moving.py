@@ -15,14 +15,15 @@ direction is exp(phi) d, and after t seconds phi becomes R phi + t (error of the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._lazy import altered, lazy
 from eagor.belief.bank import mixed
 from eagor.belief.field import Patch, SphereField
-from eagor.evidence.detections import bump_norms, scaled_frames, tangent_frames
+from eagor.evidence.detections import LOWEST, bump_norms, scaled_frames, tangent_frames
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
@@ -72,7 +73,7 @@ class WanderingTarget:
         born, begun, kept = (flow[wander, None, None] for flow in (flows[0], flows[1], np.diagonal(flows)))
         mixed = kept * roamed + begun * stands + born
         means = np.einsum("mij,ij->m", mixed, grid.weights) / (4 * math.pi)
-        return replace(self, densities=mixed / means[:, None, None])
+        return altered(self, densities=mixed / means[:, None, None])
 
     def updated(self, ratio: np.ndarray, new: np.ndarray) -> tuple[WanderingTarget, np.ndarray]:
         """After one more look of this likelihood `ratio` ``(H, W)``, and its logarithm for each pace ``(M,)``.
@@ -85,7 +86,7 @@ class WanderingTarget:
         gains = np.log(np.einsum("mij,ij->m", self.densities, new * shares))
         densities = self.densities * ratio
         densities /= np.einsum("mij,ij->m", densities, shares)[:, None, None]
-        return replace(self, densities=densities), gains
+        return altered(self, densities=densities), gains
 
 
 MOST = 24  # components
@@ -98,6 +99,7 @@ ALIKE = 0.05  # of the variance: nearer components are merged for drawing
 LIGHT = 1e-2  # of the weight: lighter ones are not drawn
 FINE = 2  # patches
 NODES, REACH = 11, 4.0  # of a patch about a component
+_EYE = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,24 +126,24 @@ class TurningTarget:
 
     def after(self, elapsed: float, jumped: float, drift: float) -> TurningTarget:
         """After `elapsed` seconds, in which a share `jumped` has jumped anywhere; `drift`: of the odometry."""
-        kept = replace(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
+        kept = altered(self, unseen=self.unseen * (1 - jumped) + jumped, weights=self.weights * (1 - jumped))
         if not len(self.weights):
             return kept
         turned = _rotations(self.turns * elapsed)
         step = np.zeros((len(self.weights), 6, 6))
         step[:, :3, :3] = turned
-        step[:, :3, 3:] = elapsed * np.eye(3) + 0.5 * elapsed**2 * _crosses(self.turns)  # of first order in the turn
-        step[:, 3:, 3:] = np.eye(3)
+        step[:, :3, 3:] = elapsed * _EYE + 0.5 * elapsed**2 * _crosses(self.turns)  # of first order in the turn
+        step[:, 3:, 3:] = _EYE
         covariances = step @ self.covariances @ np.swapaxes(step, 1, 2)
         speed = np.sum(self.turns**2, axis=1) + min(self.rates) ** 2
-        covariances[:, 3:, 3:] += (STEADY**2 * elapsed * speed)[:, None, None] * np.eye(3)
-        covariances[:, :3, :3] += drift**2 * elapsed * np.eye(3)
+        covariances[:, 3:, 3:] += (STEADY**2 * elapsed * speed)[:, None, None] * _EYE
+        covariances[:, :3, :3] += drift**2 * elapsed * _EYE
         wide = WIDEST**2 / np.maximum(np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1], WIDEST**2)
         scale = np.sqrt(wide)[:, None, None]
         covariances[:, :3, :] *= scale
         covariances[:, :, :3] *= scale
         directions = np.einsum("nij,nj->ni", turned, self.directions)
-        return replace(kept, directions=directions, covariances=covariances)
+        return altered(kept, directions=directions, covariances=covariances)
 
     def mixed(self, share: float, directions: np.ndarray, shares: np.ndarray, covariances: np.ndarray) -> TurningTarget:
         """With a `share` of targets that begin to turn now, at `directions` ``(n, 3)`` with covariances ``(n, 3, 3)``.
@@ -150,7 +152,7 @@ class TurningTarget:
         """
         born = self._born(share * shares, directions, covariances)
         unseen = (1 - share) * self.unseen + share * (1 - float(shares.sum()))
-        old = replace(self, weights=self.weights * (1 - share))
+        old = altered(self, weights=self.weights * (1 - share))
         return _joined(old, born, unseen=unseen)
 
     def updated(
@@ -163,7 +165,7 @@ class TurningTarget:
         """
         missed = sightings.missed(self.directions)
         peaks, amplitudes, spreads = sightings.directions, sightings.amplitudes, sightings.covariances
-        found = replace(self, weights=self.weights * missed)
+        found = altered(self, weights=self.weights * missed)
         born = self._born(self.unseen * amplitudes / (4 * math.pi), peaks, spreads)
         unseen = self.unseen * sightings.mean_missed
         parts = [found, born]
@@ -181,20 +183,17 @@ class TurningTarget:
 
     def _born(self, weights: np.ndarray, directions: np.ndarray, covariances: np.ndarray) -> TurningTarget:
         """New components, of which only the direction is known."""
-        rates, count, bends = np.array(self.rates), len(directions), len(BENDS)
-        along = directions[:, :, None] * directions[:, None, :]
         # The bend of a path shows late, and then no single Gaussian fits: start with three for each rate.
-        joint = np.zeros((len(rates), bends, count, 6, 6))
+        shares, bends, variances = _starts(self.rates)
+        joint = np.zeros((len(shares), len(directions), 6, 6))
         joint[..., :3, :3] = covariances
-        across = np.eye(3) - (1 - BEND_VARIANCE) * along
-        joint[..., 3:, 3:] = (rates**2)[:, None, None, None, None] * across
-        shares = np.tile(np.array(BEND_SHARES) / len(rates), len(rates))
-        bent = np.outer(rates, BENDS).reshape(-1, 1, 1) * directions
-        return replace(
+        across = _EYE - (1 - BEND_VARIANCE) * (directions[:, :, None] * directions[:, None, :])
+        joint[..., 3:, 3:] = variances[:, None, None, None] * across
+        return altered(
             self,
-            weights=np.outer(shares, weights).reshape(-1),
-            directions=np.tile(directions, (len(shares), 1)),
-            turns=bent.reshape(-1, 3),
+            weights=(shares[:, None] * weights).reshape(-1),
+            directions=np.concatenate([directions] * len(shares)),
+            turns=(bends[:, None, None] * directions).reshape(-1, 3),
             covariances=joint.reshape(-1, 6, 6),
         )
 
@@ -213,7 +212,7 @@ class TurningTarget:
         owner = kept[0]
         gain = gains[owner] @ inverse[kept]
         change = np.einsum("mia,ma->mi", gains[owner], pull[kept])
-        detected = replace(
+        detected = altered(
             self,
             weights=weights[kept],
             directions=np.einsum("nij,nj->ni", _rotations(change[:, :3]), self.directions[owner]),
@@ -264,7 +263,7 @@ class TurningTarget:
         """
         frames, _, own = self._across
         covariances = np.swapaxes(frames, 1, 2) @ own @ frames
-        traces = np.trace(own, axis1=1, axis2=2)
+        traces = own[:, 0, 0] + own[:, 1, 1]
         apart = 1 - self.directions @ self.directions.T
         alike = (apart < ALIKE * traces) & (np.abs(np.log(traces[:, None] / traces)) < 0.5)
         np.fill_diagonal(alike, True)  # also where rounding leaves a direction a little shorter than 1
@@ -294,7 +293,7 @@ class TurningTarget:
         ahead = centres @ points
         along = (axes.reshape(-1, 3) @ points).reshape(len(weights), 2, -1)
         along *= along
-        falls = np.exp(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead, 1e-9))
+        falls = np.exp(np.maximum(-(along[:, 0] + along[:, 1]) / np.maximum(1 + ahead, 1e-9), LOWEST))
         falls[ahead <= reach[:, None]] = 0.0
         return (self.unseen + heights @ falls).reshape(where.shape[:-1])
 
@@ -313,6 +312,13 @@ class TurningTarget:
         return tuple(found)
 
 
+@lru_cache(maxsize=16)
+def _starts(rates: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the new components of one direction ``(n,)``: shares, rates along the bend, variances of the rates."""
+    shares = np.tile(np.array(BEND_SHARES) / len(rates), len(rates))
+    return shares, np.outer(rates, BENDS).reshape(-1), np.repeat(np.array(rates) ** 2, len(BENDS))
+
+
 def _joined(*parts: TurningTarget, unseen: float) -> TurningTarget:
     """The likeliest components of all, weights that sum to 1 with `unseen`."""
     weights = np.concatenate([part.weights for part in parts])
@@ -323,18 +329,22 @@ def _joined(*parts: TurningTarget, unseen: float) -> TurningTarget:
         name: np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("directions", "turns", "covariances")
     }
-    return replace(parts[0], unseen=unseen / total, weights=weights[order] / total, **pick)
+    return altered(parts[0], unseen=unseen / total, weights=weights[order] / total, **pick)
 
 
 def _rotations(vectors: np.ndarray) -> np.ndarray:
     """Rotation matrices ``(n, 3, 3)`` about `vectors` ``(n, 3)`` by their lengths (Rodrigues' formula)."""
     angles, crosses = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None, None], _crosses(vectors)
-    once, twice = np.sinc(angles / math.pi), 0.5 * np.sinc(angles / (2 * math.pi)) ** 2
-    return np.eye(3) + once * crosses + twice * (crosses @ crosses)
+    angles = np.maximum(angles, 1e-20)
+    whole, half = math.pi * (angles / math.pi), math.pi * (angles / (2 * math.pi))
+    once, twice = np.sin(whole) / whole, 0.5 * (np.sin(half) / half) ** 2
+    return _EYE + once * crosses + twice * (crosses @ crosses)
 
 
 def _crosses(vectors: np.ndarray) -> np.ndarray:
     """Matrices ``(n, 3, 3)`` that take a vector to its cross product with each of `vectors` ``(n, 3)``."""
+    found = np.zeros((len(vectors), 3, 3))
     x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), 2, 0)
+    found[:, 0, 1], found[:, 0, 2], found[:, 1, 0] = -z, y, z
+    found[:, 1, 2], found[:, 2, 0], found[:, 2, 1] = -x, -y, x
+    return found

@@ -15,12 +15,12 @@ much a place tells about who is there, not where.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from eagor._lazy import given, inherited, known, lazy
+from eagor._lazy import altered, given, inherited, known, lazy
 from eagor.belief.bank import Bank, log_detected, log_over
 from eagor.belief.basins import Places, labelled, log_sums
 from eagor.belief.direction import Belief
@@ -80,8 +80,8 @@ class StationaryTarget:
             excused = np.zeros(values.shape) if explained is None else explained[self.places.cells]
             bank = bank.restarted(lead, excused)
         coarse = blank.coarse.plus(RealHarmonics(self.degree).analyse(values, self.grid))
-        spread = replace(self.spread, weights=self.spread.otherwise)
-        return replace(blank, coarse=coarse, spread=spread, bank=bank)
+        spread = altered(self.spread, weights=self.spread.otherwise)
+        return altered(blank, coarse=coarse, spread=spread, bank=bank)
 
     @property
     def degree(self) -> int:
@@ -160,9 +160,9 @@ class StationaryTarget:
         if not isinstance(self.coarse, RangedBelief):
             return self
         coarse = with_heights(self.coarse.predict(np.eye(3), step), height)
-        found = replace(self, coarse=coarse, windows=(), height=height)
+        found = altered(self, coarse=coarse, windows=(), height=height)
         pairs = zip(self.windows, self._borders(), strict=True)
-        return replace(
+        return altered(
             found, windows=tuple(found._filled(*w.moved(step, self._prior(w), border)) for w, border in pairs)
         )
 
@@ -172,10 +172,10 @@ class StationaryTarget:
         logs = np.log(ranges)
         limits = float(logs[0]), float(logs[-1])
         windows = tuple(
-            replace(w, values=np.repeat(w.values, RANGES, axis=1), logs=np.linspace(*limits, RANGES), limits=limits)
+            altered(w, values=np.repeat(w.values, RANGES, axis=1), logs=np.linspace(*limits, RANGES), limits=limits)
             for w in self.windows
         )
-        return replace(self, coarse=with_heights(found, height), windows=windows, height=height)
+        return altered(self, coarse=with_heights(found, height), windows=windows, height=height)
 
     def plus(self, look: Look) -> StationaryTarget:
         """With one more look."""
@@ -192,10 +192,10 @@ class StationaryTarget:
                 found = share * look.mapped(window.directions)
                 windows.append(window.plus(found[None, None]))
                 patches.append(patch.like(patch.values + found) if len(window.values) == 1 else None)
-            found = replace(self, coarse=self.coarse.plus(share * coefficients), windows=tuple(windows))
+            found = altered(self, coarse=self.coarse.plus(share * coefficients), windows=tuple(windows))
             # What is said of all ranges alike adds as much to the field over directions.
             drawn = tuple(w.patch(self._prior(w)) if p is None else p for w, p in zip(windows, patches, strict=True))
-            return known(found, support=SphereField(self.grid, self.support.values + share * look.values, drawn))
+            return known(found, support=self.support.redrawn(self.support.values + share * look.values, drawn))
         ranges = self.coarse.ranges
         alike = np.broadcast_to(share * coefficients, (len(ranges), len(coefficients)))
         carried = RangedBelief(alike, ranges).predict(np.eye(3), since).shells
@@ -204,7 +204,7 @@ class StationaryTarget:
             points = window.points() + since
             points /= np.sqrt(np.einsum("...i,...i->...", points, points))[..., None]
             windows.append(window.plus(share * look.mapped(points)[None]))
-        return replace(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
+        return altered(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
 
     def _detected(self, look: Look) -> StationaryTarget:
         """With the detections of a look."""
@@ -225,13 +225,13 @@ class StationaryTarget:
             own = Bank.blank(habits, patch.values.shape) if window.bank is None else window.bank.read_with(habits)
             shown = look.at(window.directions, window.finest(look.world.directions), self.spread.scales)  # type: ignore[union-attr]
             total = np.log(shown.gains(own.recall))
-            windows.append(replace(window.plus(total[:, None]), bank=own.after(shown, self.spread.weights)))
+            windows.append(altered(window.plus(total[:, None]), bank=own.after(shown, self.spread.weights)))
             if len(total) == 1:  # what is said of all ranges alike
                 patches.append(patch.like(patch.values + total[0]))
             else:
                 patches.append(windows[-1].patch(self._prior(window)))
-        found = replace(self, coarse=self.coarse.plus(added), windows=tuple(windows), bank=bank)
-        return known(found, support=SphereField(self.grid, self.support.values + values, tuple(patches)))
+        found = altered(self, coarse=self.coarse.plus(added), windows=tuple(windows), bank=bank)
+        return known(found, support=self.support.redrawn(self.support.values + values, tuple(patches)))
 
     def _ready(self, look: Look) -> Bank:
         """The habits of the cells, for the detector of this look."""
@@ -243,24 +243,24 @@ class StationaryTarget:
         """After a `share` of the places has drawn its habit anew."""
         if self.bank is None or share <= 0:
             return self
-        windows = tuple(replace(window, bank=window.habits.renewed(share)) for window in self.windows)
+        windows = tuple(altered(window, bank=window.habits.renewed(share)) for window in self.windows)
         return self._alike(bank=self.bank.renewed(share), windows=windows)
 
     def _alike(self, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `field`."""
-        names = "support", "labels", "places", "explained", "field", "log_mean"
-        return inherited(replace(self, **changes), self, *names)
+        names = "support", "labels", "places", "explained", "field", "log_mean", "masses"
+        return inherited(altered(self, **changes), self, *names)
 
     def _with(self, patches: tuple[Patch, ...] | None = None, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `coarse`; `patches` of the `support`, if they differ."""
-        found = inherited(replace(self, **changes), self, "labels", "support")
-        return found if patches is None else known(found, support=replace(self.support, patches=patches))
+        found = inherited(altered(self, **changes), self, "labels", "support")
+        return found if patches is None else known(found, support=altered(self.support, patches=patches))
 
     def scaled(self, factor: float) -> StationaryTarget:
         """With all log ratios scaled by `factor` in [0, 1]: the covariance of each peak grows by 1 / factor."""
         kept = (1 - factor) * self.spread.logs  # what is known of the spread
         windows = tuple(window.like(window.values * factor + kept) for window in self.windows)
-        return replace(self, coarse=self.coarse.forget(factor), windows=windows)
+        return altered(self, coarse=self.coarse.forget(factor), windows=windows)
 
     def detecting(self) -> StationaryTarget:
         """With a spread that is learnt, from the first detections on."""
@@ -268,7 +268,7 @@ class StationaryTarget:
             return self
         spread = Spread.unsure()
         windows = tuple(window.like(window.values + spread.logs) for window in self.windows)
-        return replace(self, windows=windows, spread=spread)
+        return altered(self, windows=windows, spread=spread)
 
     def spreading(self, spread: Spread) -> StationaryTarget:
         """With other weights of the scales."""
@@ -282,7 +282,7 @@ class StationaryTarget:
         if len(self.spread.scales) == 1:
             return self
         held = np.zeros(len(self.spread.scales))
-        patches = zip(self.windows, self.field.patches, self.support.patches, self.field.shares, strict=True)
+        patches = zip(self.windows, self.field.patches, self.support.patches, self.field.layout.shares, strict=True)
         for window, judged, patch, share in patches:
             values = window.by_scale(self._prior(window)) + (judged.values - patch.values) - self.log_mean
             held += np.exp(values).reshape(len(held), -1) @ share.ravel()
@@ -293,7 +293,7 @@ class StationaryTarget:
         spread = Spread(self.spread.scales[likely], held / held.sum(), otherwise / otherwise.sum(), True)
         if likely.all():
             return self.spreading(spread)
-        return replace(
+        return altered(
             self, windows=tuple(window.like(window.values[likely]) for window in self.windows), spread=spread
         )
 
@@ -335,7 +335,7 @@ class StationaryTarget:
             )
             found = self._with(patches, windows=windows)
         found = found._searched()
-        masses, least = found.masses(), LEAST if found.explained is None else LEAST_OF_MANY
+        masses, least = found.masses, LEAST if found.explained is None else LEAST_OF_MANY
         alone = with_own_peaks(found.windows, found.field.patches)
         if found.explained is not None and isinstance(found.coarse, RangedBelief):
             alone |= {int(i) for i in np.flatnonzero(masses > MOST_OF_IT)}  # capped shells could not stand in for it
@@ -348,7 +348,7 @@ class StationaryTarget:
         if not any(window.border for window in self.windows):
             return found
         around, grid = skirts(self.degree), self.field.grid
-        for index, (window, mass) in enumerate(zip(self.windows, self.masses(), strict=True)):
+        for index, (window, mass) in enumerate(zip(self.windows, self.masses, strict=True)):
             if not window.border:
                 continue
             cosine = grid.directions @ window.frame[0]
@@ -358,9 +358,10 @@ class StationaryTarget:
             found[index] = math.tan(around) if held > SPILL * mass else 0.0
         return found
 
+    @lazy
     def masses(self) -> np.ndarray:
         """The share of the belief in each window."""
-        pairs = zip(self.field.patches, self.field.shares, strict=True)
+        pairs = zip(self.field.patches, self.field.layout.shares, strict=True)
         found = [np.sum(np.exp(patch.values - self.log_mean) * share) for patch, share in pairs]
         return np.array(found) / (4 * math.pi)
 
@@ -373,7 +374,7 @@ class StationaryTarget:
         if len(self.windows) >= MOST:
             return self
         field, grid = self.field, self.field.grid
-        values = np.where(field.outside, field.values, -np.inf) if self.windows else field.values
+        values = np.where(field.layout.outside, field.values, -np.inf) if self.windows else field.values
         best = int(values.argmax())
         flat = field.values.reshape(-1)
         if not math.isfinite(values.reshape(-1)[best]) or flat[neighbours(grid, best)].max() > flat[best]:
@@ -392,7 +393,7 @@ class StationaryTarget:
         window = Window.about(centre, width, self.degree)
         if isinstance(self.coarse, RangedBelief):
             limits = math.log(self.coarse.ranges[0]), math.log(self.coarse.ranges[-1])
-            window = replace(window, logs=np.linspace(*limits, RANGES), limits=limits)
+            window = altered(window, logs=np.linspace(*limits, RANGES), limits=limits)
         inside = [other for other in self.windows if other.places(centre)[1]]
         if inside:
             finest = min(inside, key=lambda other: float(other.spacing.max()))
@@ -400,7 +401,7 @@ class StationaryTarget:
         else:
             window = window.like(self._coarse_at(window.directions, window.logs))
             if bank is not None:
-                window = replace(window, bank=bank.at_cells(self.grid, window.directions))
+                window = altered(window, bank=bank.at_cells(self.grid, window.directions))
         patches = (*self.support.patches, window.patch(self._prior(window)))
         return self._with(patches, windows=(*self.windows, window), bank=bank)
 
@@ -427,7 +428,7 @@ class StationaryTarget:
         if self.bank is None or window.bank is None:
             return window.like(values)
         around = self.bank.at_cells(self.grid, window.directions[nodes])
-        return replace(window.like(values), bank=window.bank.with_nodes(nodes, around))
+        return altered(window.like(values), bank=window.bank.with_nodes(nodes, around))
 
     def size(self, about: np.ndarray) -> float:
         """Half the angular size (radians) of what was detected in a direction ``(3,)``; 0 if that is not known."""

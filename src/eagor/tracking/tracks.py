@@ -8,11 +8,11 @@ looks and after every `APART`-th of the others, so that a late look recomputes o
 from __future__ import annotations
 
 import bisect
-import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from eagor._lazy import altered, bare
 from eagor.belief.ranged import RangedBelief
 from eagor.errors import TimeError
 from eagor.evidence.detector import Alarms
@@ -46,7 +46,7 @@ class State:
 
     def at(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> State:
         """Carried to a later time and another place; `stamp` is still the look's."""
-        return replace(self, hypotheses=self._carried(now, position, config))
+        return altered(self, hypotheses=self._carried(now, position, config))
 
     def after(self, sight: Sight, config: TrackerConfig) -> State:
         """After one more look."""
@@ -63,7 +63,7 @@ class State:
         ranges = config.shells(position)
         if ranges is not None and not isinstance(hypotheses.standing.coarse, RangedBelief):
             # Positions are known from here on.
-            hypotheses = replace(hypotheses, standing=hypotheses.standing.ranged(ranges, height))
+            hypotheses = altered(hypotheses, standing=hypotheses.standing.ranged(ranges, height))
         step = None if position is None or self.position is None else position - self.position
         return hypotheses.after(now - self.stamp, config.target_motion, config.drift, step, height)
 
@@ -109,7 +109,7 @@ class Track:
 
     def copied(self) -> Track:
         """A copy with its own moments."""
-        return replace(self, moments=[replace(moment, looks=moment.looks.copy()) for moment in self.moments])
+        return altered(self, moments=[altered(moment, looks=moment.looks.copy()) for moment in self.moments])
 
     @property
     def newest(self) -> float | None:
@@ -183,8 +183,8 @@ class Track:
         if moment.state is None or moment.bare:
             return
         moment.bare = all(near.state is None for near in self.moments[max(0, place - APART + 1) : place])
-        # A copy drops the cached values, which are most of the memory.
-        moment.state = copy.deepcopy(moment.state) if moment.bare else None
+        # Cached values are most of the memory.
+        moment.state = bare(moment.state) if moment.bare else None
 
     def _fold(self, history: float) -> None:
         """Fold moments that are too old or too many into `base`."""

@@ -1,26 +1,60 @@
 /**
  * When to draw, and how finely: at most one drawing is under way; their times set the resolution of the next ones.
  *
- * Software rendering is bound by the number of pixels, so a quarter of them takes about a quarter of the time. What is
- * at rest is drawn with all pixels, however long that takes.
+ * What rests is drawn with all pixels, however long that takes. While things move, the resolution falls as far as it must.
+ * A drawing costs something for itself and something for its pixels, and what each is worth depends on the machine. So
+ * nothing is extrapolated: a scale is left when its own drawings are too slow, and the next finer one is tried again when
+ * there is time to spare.
  */
 
-const AIM = 55; // milliseconds for a drawing while things move
-const REMEMBERED = 5; // drawings: one that the machine was too busy for says nothing
-const REST = 350; // milliseconds without a change
+const AIM = 60; // milliseconds for a drawing while things move
+const SPARE = 0.7; // of them: a finer scale is tried below
+const REMEMBERED = 5; // drawings at each scale: one that the machine was too busy for says nothing
+const FORGOTTEN = 4000; // milliseconds after which a scale that was too slow is tried again
+const REST = 350; // milliseconds without a movement
 const GIVEN_UP = 5000; // milliseconds after which a drawing counts as finished: its end may never be told
 const HELD_BACK = 500; // milliseconds
 const SCALES = [0.25, 0.35, 0.5, 0.7, 1];
 
+/** The scale of drawings while things move, learnt from how long they took. */
+export class Scale {
+  private at = SCALES.length - 1;
+  private readonly costs = SCALES.map((): number[] => []); // milliseconds of the newest drawings, by scale
+  private readonly when = SCALES.map(() => -Infinity);
+
+  get current(): number {
+    return SCALES[this.at];
+  }
+
+  /** A drawing at a scale took so many milliseconds; `now` in milliseconds, too. */
+  learn(took: number, scale: number, now: number): void {
+    const which = SCALES.indexOf(scale);
+    this.costs[which] = [...this.costs[which], took].slice(-REMEMBERED);
+    this.when[which] = now;
+    const here = this.usual(this.at);
+    if (here === null) return;
+    if (here > AIM && this.at > 0) this.at--;
+    else if (here < SPARE * AIM && this.at < SCALES.length - 1) {
+      const finer = this.usual(this.at + 1);
+      const old = now - this.when[this.at + 1] > FORGOTTEN;
+      if (old) this.costs[this.at + 1] = [];
+      if (old || finer === null || finer < AIM) this.at++;
+    }
+  }
+
+  private usual(at: number): number | null {
+    const sorted = [...this.costs[at]].sort((a, b) => a - b);
+    return sorted[Math.floor(sorted.length / 2)] ?? null;
+  }
+}
+
 export class Pace {
   private wanted = false;
-  private resting = 0;
-  private scale = 0.5;
-  private readonly costs: number[] = []; // milliseconds at scale 1, of the newest drawings
+  private movesUntil = 0;
+  private readonly scale = new Scale();
   private underWay = 0;
   private begun = 0;
   private newest = 0;
-  private sharp = false;
 
   /**
    * @param draw draws at a scale (1: all pixels of the screen)
@@ -36,16 +70,15 @@ export class Pace {
     setInterval(() => !document.hidden && this.turn(), HELD_BACK);
   }
 
-  /** Something changed. */
-  request(): void {
+  /** Something changed; `moves`: the camera or the look did. */
+  request(moves: boolean): void {
     this.wanted = true;
-    this.resting = performance.now() + REST;
-    this.sharp = false;
+    if (moves) this.movesUntil = performance.now() + REST;
   }
 
   /** The scale of drawings while things move. */
   get current(): number {
-    return this.scale;
+    return this.scale.current;
   }
 
   /** The scale of the newest drawing. */
@@ -55,36 +88,23 @@ export class Pace {
 
   /** Whether the newest change is drawn, as finely as it will be. */
   get rests(): boolean {
-    return this.sharp && this.underWay === 0;
+    return !this.wanted && this.newest === 1 && this.underWay === 0;
   }
 
   private turn(): void {
+    const now = performance.now();
     if (this.underWay > 0) {
-      const passed = performance.now() - this.begun;
+      const passed = now - this.begun;
       const took = this.finished() ?? (passed > GIVEN_UP ? passed : null);
       if (took === null) return;
-      this.learn(took, this.underWay);
+      this.scale.learn(took, this.underWay, now);
       this.underWay = 0;
     }
-    if (this.wanted) {
-      this.wanted = false;
-      this.start(this.scale);
-    } else if (!this.sharp && performance.now() > this.resting) {
-      this.sharp = true;
-      if (this.newest < 1) this.start(1);
-    }
-  }
-
-  private start(scale: number): void {
-    this.underWay = this.newest = scale;
-    this.begun = performance.now();
-    this.draw(scale);
-  }
-
-  private learn(took: number, scale: number): void {
-    this.costs.push(took / scale ** 2);
-    if (this.costs.length > REMEMBERED) this.costs.shift();
-    const usual = [...this.costs].sort((a, b) => a - b)[Math.floor(this.costs.length / 2)];
-    this.scale = [...SCALES].reverse().find((one) => usual * one ** 2 < AIM) ?? SCALES[0];
+    const moves = now < this.movesUntil;
+    if (!this.wanted && (moves || this.newest === 1)) return;
+    this.wanted = false;
+    this.underWay = this.newest = moves ? this.scale.current : 1;
+    this.begun = now;
+    this.draw(this.underWay);
   }
 }

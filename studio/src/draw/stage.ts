@@ -1,7 +1,9 @@
 /** The panorama twice, from inside and flat, with the belief and the marks: who looks where, and when to draw. */
 
 import { flat, lookThatHolds, perspective, type Point, type Projection } from "../math/projection";
-import { apply, azimuthOf, elevationOf, IDENTITY, inverse, pose, times, type Matrix, type Vector } from "../math/rotation";
+import {
+  apply, azimuthOf, between, direction as directionOf, elevationOf, IDENTITY, inverse, pose, times, wrapped, type Matrix, type Vector,
+} from "../math/rotation";
 import type { Store } from "../store";
 import { sheetOf } from "./canvas";
 import { drawMarks, type Marks } from "./marks";
@@ -10,6 +12,9 @@ import { heatTexture, lookTexture, Sphere, type Camera } from "./sphere";
 
 const FIELDS: readonly [number, number] = [0.35, 2.1];
 const STEEPEST = 1.5;
+const QUICK = 0.25; // of the way to the answer per step
+const CALM = 0.02; // radians
+const UNSEEN = 0.01; // radians or metres: so small a movement is drawn finely
 const POLL = 16; // milliseconds from one look at whether a drawing is finished to the next
 
 interface Pair {
@@ -23,6 +28,8 @@ export class Stage {
   readonly flat: Pair;
   readonly pace: Pace;
   readonly broken: boolean;
+  follows = false; // the view stays with the answer, until a person looks elsewhere
+  private drawnFrom: number[] = []; // where the camera was, and where one looked, when they moved last
   private textures: object | null = null;
   private drawnSent: number | null = null;
   private begun = 0;
@@ -47,11 +54,21 @@ export class Stage {
         this.textures = null; // all that was uploaded is gone
         store.emit("panorama");
       });
-    for (const topic of ["scene", "step", "look", "layers", "style"] as const) store.on(topic, () => this.pace.request());
+    store.on("step", () => this.follow());
+    for (const topic of ["scene", "step", "look", "layers", "style"] as const) store.on(topic, () => this.request());
     store.on("panorama", () => {
       for (const { sphere } of [this.inside, this.flat]) sphere?.panorama(store.panorama?.image ?? null);
-      this.pace.request();
+      this.request();
     });
+  }
+
+  /** Something is to be drawn: finely at once, unless the camera or the look moves. */
+  private request(): void {
+    const { look, step } = this.store;
+    const from = [look.yaw, look.pitch, look.field, ...this.world_R_body, ...(step?.position ?? [])];
+    const moves = from.some((value, i) => !(Math.abs(value - this.drawnFrom[i]) < UNSEEN));
+    if (moves) this.drawnFrom = from;
+    this.pace.request(moves);
   }
 
   // --- frames ---
@@ -93,6 +110,7 @@ export class Stage {
   // --- looking around ---
 
   turn(yaw: number, pitch: number): void {
+    this.follows = false;
     const { look } = this.store;
     look.yaw += yaw;
     look.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, look.pitch + pitch));
@@ -105,8 +123,24 @@ export class Stage {
     this.store.emit("look");
   }
 
-  /** Looks at a direction of the body frame. */
+  /** Looks at a direction of the body frame, from now on by hand. */
   lookAt(d: Vector): void {
+    this.follows = false;
+    this.aim(d);
+  }
+
+  /** Turns the view a part of the way to the answer, so that it is calm. */
+  private follow(): void {
+    const { direction } = this.store;
+    if (!this.follows || !direction) return;
+    const ahead = apply(this.body_R_view, [1, 0, 0]);
+    if (between(ahead, direction) < CALM) return;
+    const [a, e] = [azimuthOf(ahead), elevationOf(ahead)];
+    const yaw = a + QUICK * wrapped(azimuthOf(direction) - a);
+    this.aim(directionOf(yaw, e + QUICK * (elevationOf(direction) - e)));
+  }
+
+  private aim(d: Vector): void {
     const aim = this.store.hold ? apply(this.world_R_body, d) : d;
     const { look } = this.store;
     [look.yaw, look.pitch] = [azimuthOf(aim), Math.max(-STEEPEST, Math.min(STEEPEST, elevationOf(aim)))];
@@ -124,6 +158,7 @@ export class Stage {
   }
 
   drag(grabbed: Vector, at: Point): void {
+    this.follows = false;
     const found = lookThatHolds(grabbed, this.projection("inside").unproject(at), STEEPEST);
     Object.assign(this.store.look, found);
     this.store.emit("look");

@@ -62,14 +62,16 @@ export class Panels {
 
   private answer(): void {
     const { store, shell } = this;
-    const { answer, direction, step } = store;
-    const state = answer?.status ?? "";
+    const { answer, direction, lookingFor, step } = store;
+    const state = lookingFor === null ? (answer?.status ?? "") : "";
     shell.status.dataset.status = state || "none";
-    const name = state ? (words.status[state as "tracking"] as string | undefined) ?? state : words.status.none;
+    const named = state ? (words.status[state as "tracking"] as string | undefined) ?? state : words.status.none;
+    const name = lookingFor === null ? named : words.status.waiting;
     say(shell.status, name);
-    const told = direction ? this.where(direction) : words.answer.none;
+    const none = lookingFor === null ? words.answer.none : words.ask.waiting(lookingFor);
+    const told = direction ? this.where(direction) : none;
     say(shell.sentence, told[0].toUpperCase() + told.slice(1));
-    const age = step?.look?.age ?? null;
+    const age = store.waiting === null ? (step?.look?.age ?? null) : null;
     say(shell.means, age !== null && age > SLOW && state ? words.answer.slow : (words.status.means[state] ?? ""));
     const region = store.scene?.region ?? 0.9;
     const dash = words.answer.unknown;
@@ -80,7 +82,7 @@ export class Panels {
       [words.answer.entropy, answer?.entropy == null ? dash : words.answer.nats(answer.entropy)],
     ];
     if (answer?.moving != null) rows.push([words.answer.moving, words.percent(answer.moving)]);
-    if (step?.truth?.direction || store.error !== null)
+    if (store.truth || store.error !== null)
       rows.push([words.answer.error, store.error === null ? dash : words.answer.degrees(store.error)]);
     rows.push([words.answer.look, age === null ? words.answer.never : words.answer.seconds(age), age !== null && age > SLOW]);
     fill(shell.facts, rows);

@@ -17,7 +17,7 @@ export function live(page: Page): ViewHandler {
       }
       shell.controls.replaceChildren(h("p", { class: "source" }, `${words.live.source}: ${state.source}`));
       page.empty(words.panorama.waiting);
-      session.open({ view: "live", query: shell.query.value });
+      session.open({ view: "live" }); // others may watch it, too: what is asked there is shown
     },
     leave: () => session.close(),
     ask(query) {

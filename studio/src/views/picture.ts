@@ -20,7 +20,9 @@ export function picture(page: Page): ViewHandler {
   let asked = 0; // counts the files that were taken, and leaves: what is uploaded for an older one changes nothing
   const file = h("input", { type: "file", accept: "image/*,video/*", class: "in-words", id: "file", onchange: () => take(file.files?.[0]) });
   const chooser = (text: string) => h("label", { for: "file", class: "button primary" }, text);
-  const perception = h("select", { onchange: () => known && open() });
+  const perception = h("select", { onchange: () => {
+    if (known && !(session.active && session.ask(session.asked.query, perception.value))) open();
+  } });
   const dragging = segmented(words.picture.turn, [["camera", words.picture.turnCamera], ["look", words.picture.turnLook]], turns, (what) => {
     turns = what;
     shell.keys.textContent = what === "camera" ? words.panorama.keysCamera : words.panorama.keys;
@@ -104,9 +106,7 @@ export function picture(page: Page): ViewHandler {
     if (!store.panorama) page.empty(words.panorama.waiting);
     page.badge("");
     paused = false;
-    const request: Record<string, unknown> = { view: "picture", id: known.id, query: shell.query.value.trim() };
-    if (perception.value) request.perception = perception.value;
-    session.open(request);
+    session.open({ view: "picture", id: known.id, query: shell.query.value.trim(), perception: perception.value });
   }
 
   function drop(event: DragEvent): void {
@@ -152,7 +152,7 @@ export function picture(page: Page): ViewHandler {
       if (!session.active || !session.ask(query)) open();
     },
     scene() {
-      if (store.scene?.attitude) Object.assign(attitude, store.scene.attitude);
+      if (store.waiting === null && store.scene?.perception) perception.value = store.scene.perception;
     },
     turnsCamera: () => turns === "camera" && session.active,
     turnCamera(yaw, pitch) {

@@ -7,23 +7,32 @@ import { words } from "../words";
 
 export function walk(page: Page): ViewHandler {
   const { session, shell, store } = page;
-  let drive = "policy";
+  let drive = "";
   let paused = false;
   const seed = h("input", { type: "number", step: 1, list: "houses", class: "short", onchange: () => open() });
   const offered = h("datalist", { id: "houses" });
-  const perception = h("select", { onchange: () => open() });
+  const perception = h("select", { onchange: () => {
+    if (!session.ask(session.asked.query, perception.value)) open(session.asked.query);
+  } });
   const stick = new Stick((forward, turn, seconds) => session.send({ type: "drive", by: "person", forward, turn, seconds }));
-  const steering = segmented(words.walk.drive, [["policy", words.walk.policy], ["person", words.walk.person]], drive, (by) => {
+  const ways = [["tour", words.walk.tour], ["policy", words.walk.policy], ["person", words.walk.person]] as const;
+  const steering = segmented(words.walk.drive, ways, drive, (by) => {
     drive = by;
     stick.stop();
+    if (by === "tour") {
+      seed.value = String(page.state()?.default?.tour ?? seed.value);
+      return open();
+    }
     session.send({ type: "drive", by });
     if (paused) hold(false); // who takes over wants to go
     mark();
+    page.stage.follows = false;
+    // After a click the arrow keys steer at once; who chose by keys stays where the keys choose.
+    if (by === "person" && byHand) shell.look.focus({ preventScroll: true });
   });
-  // After a click the arrow keys steer at once; who chose by keys stays where the keys choose.
-  steering.addEventListener("click", (event) => {
-    if (drive === "person" && event.detail > 0) shell.look.focus({ preventScroll: true });
-  });
+  let byHand = false;
+  steering.addEventListener("pointerdown", () => (byHand = true));
+  steering.addEventListener("keydown", () => (byHand = false));
   const pause = h("button", { type: "button", onclick: () => hold(!paused) }, words.walk.pause);
 
   function hold(on: boolean): void {
@@ -39,17 +48,18 @@ export function walk(page: Page): ViewHandler {
   } }, words.walk.start);
 
   function mark(): void {
+    for (const one of steering.querySelectorAll("input")) one.checked = one.value === drive;
     shell.stick.replaceChildren(...(drive === "person" ? [stick.element] : []));
     shell.keys.textContent = drive === "person" ? words.panorama.keysDrive : words.panorama.keys;
   }
 
   function open(query?: string): void {
     const state = page.state();
-    const request: Record<string, unknown> = { view: "walk", drive };
-    if (seed.value !== "") request.seed = Number(seed.value);
-    else if (state?.default) request.seed = state.default.seed;
-    if (query) request.query = query;
-    if (perception.value) request.perception = perception.value;
+    const where = Number(seed.value || state?.default?.seed);
+    // There is one first walk: elsewhere the policy walks.
+    if (!drive || drive === "tour") drive = where === state?.default?.tour ? "tour" : "policy";
+    mark();
+    const request = { view: "walk", drive, seed: where, query: query ?? "", perception: perception.value };
     paused = false;
     pause.textContent = words.walk.pause;
     session.open(request);
@@ -69,7 +79,6 @@ export function walk(page: Page): ViewHandler {
       if (seed.value === "" && state?.default) seed.value = String(state.default.seed);
       shell.controls.replaceChildren(
         field(words.walk.house, seed), offered, field(words.walk.perception, perception), steering, h("span", { class: "buttons" }, pause, again));
-      mark();
       page.empty(words.panorama.waiting);
       open();
     },
@@ -82,7 +91,11 @@ export function walk(page: Page): ViewHandler {
       if (!session.ask(query)) open(query);
     },
     scene() {
-      if (store.scene?.seed !== undefined) seed.value = String(store.scene.seed);
+      if (store.waiting !== null || !store.scene) return;
+      seed.value = String(store.scene.seed);
+      perception.value = store.scene.perception ?? "";
+      drive = store.scene.drive ?? drive;
+      mark();
     },
     steer: (key, down, at) => drive === "person" && stick.key(key, down, at),
   };

@@ -5,6 +5,8 @@ import type { Matrix, Vector } from "../math/rotation";
 export type View = "walk" | "run" | "picture" | "live";
 export const VIEWS: readonly View[] = ["walk", "run", "picture", "live"];
 
+export type Drive = "tour" | "policy" | "person";
+
 export interface Plan {
   walls: number[][][]; // polylines, metres, world
   floor: number[][][]; // polygons
@@ -22,11 +24,12 @@ export interface Calibration {
 }
 
 export interface Scene {
+  question?: number; // that is answered from here on
   view: View;
   title: string;
   query: string;
   targets: string[]; // names of things that can be asked for
-  drive?: "policy" | "person";
+  drive?: Drive;
   seed?: number;
   plan: Plan | null;
   degree: number;
@@ -38,7 +41,6 @@ export interface Scene {
   method?: string; // whose belief a stored episode holds
   perception?: string;
   words?: string; // what is missing in this scene
-  attitude?: { yaw: number; pitch: number; roll: number };
 }
 
 export interface Answer {
@@ -92,6 +94,7 @@ export interface MethodStep {
 }
 
 export interface Step {
+  question?: number; // that is answered
   stamp: number;
   number?: number;
   sent?: number; // seconds since 1970 when the server made it
@@ -107,7 +110,7 @@ export interface Step {
   truth?: { direction: Vector | null } | null;
   error_deg: number | null;
   faults?: string[]; // of a live source
-  drive?: "policy" | "person";
+  drive?: Drive;
   goal?: { position: number[] | null; words?: string; metres?: number | null; reached?: boolean } | null;
   frame?: { n: number; of: number } | null;
   methods?: Record<string, MethodStep>;
@@ -123,15 +126,16 @@ export interface Problem {
   problem: string;
   change: string;
   fatal?: boolean;
+  question?: number; // that is refused
 }
 
 export interface ServerState {
   version: string;
   ready?: boolean; // false while the server warms up
-  default?: { seed: number; query: string; perception: string };
+  default?: { seed: number; tour: number; perception: string }; // tour: the apartment of the first walk
   views: { name: View; usable: boolean; problem: string }[];
   perceptions: { name: string; words: string; ready: boolean; problem?: string | null; views?: string[] }[];
-  houses: { first: number; last: number; default: number; offered: number[] };
+  houses: { first: number; last: number; offered: number[] };
   limits: { upload_bytes: number; pixels: number };
   source: string | null;
 }

@@ -17,6 +17,7 @@ from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeEr
 from eagor.media.bags.messages import TRANSFORMS, panorama_of, stamp_of
 from eagor.media.bags.reader import Bag, split_bag
 from eagor.media.frames import Frame, Pose
+from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.media.stitching import Panoramas
 from eagor.robots.ros.graph import MOTION, PICTURES, TF, TF_STATIC, DdsGraph, Graph, GraphReader, find_topic, pick
@@ -70,6 +71,7 @@ class RosCamera:
         latency: float = 0.0,
         rows: int | None = None,
         rig: Rig | None = None,
+        camera: Camera | None = None,
         rate: float | None = None,
         graph: Graph | None = None,
         wait: float = FIRST,
@@ -94,7 +96,7 @@ class RosCamera:
             first = self._first(wait, ended)
             picture = panorama_of(first)
             self.frame: str = first.header.frame_id
-            self._panoramas = Panoramas(((picture.shape[1], picture.shape[0]),), rig, rows, self.topic)
+            self._panoramas = Panoramas(((picture.shape[1], picture.shape[0]),), rig, rows, self.topic, camera)
             self._panoramas.check(picture)
         except BaseException:
             self.close()
@@ -129,7 +131,7 @@ class RosCamera:
             if 0 < stamp - self._last < self._apart:
                 continue
             self._last, self.problem = stamp, None
-            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s")
+            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s", self._panoramas.view)
 
     def close(self) -> None:
         with self._changed:
@@ -359,6 +361,7 @@ class BagCamera:
         latency: float = 0.0,
         rows: int | None = None,
         rig: Rig | None = None,
+        camera: Camera | None = None,
         rate: float | None = None,
     ) -> None:
         self._apart = apart(rate)
@@ -376,7 +379,9 @@ class BagCamera:
         self.frame: str = first[3].header.frame_id
         picture = panorama_of(first[3])
         self._size = picture.shape
-        self._panoramas = Panoramas(((picture.shape[1], picture.shape[0]),), rig, rows, f"{self.topic} of {bag}")
+        self._panoramas = Panoramas(
+            ((picture.shape[1], picture.shape[0]),), rig, rows, f"{self.topic} of {bag}", camera
+        )
         self._panoramas.check(picture)
         self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
 
@@ -389,7 +394,7 @@ class BagCamera:
                     warnings.warn(f"a picture of {self.topic} is left out: {error}", UserWarning, stacklevel=2)
                 self.dropped += 1
                 continue
-            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s")
+            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s", self._panoramas.view)
 
     def pictures(self) -> Iterator[tuple[float, Any]]:
         """Stamp of each picture, in order of time, and a function that gives the panorama or raises `ImageError`."""

@@ -1,0 +1,112 @@
+"""Errors after the first sighting: what each method makes of one body's looks, beside each single look's own answer.
+
+    python benchmarks/first_sighting.py [--perception scout] [--episodes 60] [--seed 1600] [--methods eagor vmf]
+
+The searching body of Map-Free Navigation walks by `eagor`, and its looks are written down. Every method then gets the
+same looks. `frame` answers with the highest value of the newest response map and remembers nothing: what the perception
+alone says. Columns: degrees of error after the first sighting, of these while the target is in sight, and while it is
+hidden again; means over episodes of the mean over steps, with 95 % intervals over apartments. `- frame`: the same after
+the first sighting, less that of `frame`, paired by episode.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import argparse
+import math
+import sys
+from typing import Any
+
+import numpy as np
+
+from eagor.evaluation import traces
+from eagor.metrics import angular_error_deg
+from eagor.perception import rows_of
+from eagor.statistics import bootstrap_interval
+from eagor.tasks.episodes import Slot, slots
+from eagor.tasks.methods import answer_at
+from eagor.tasks.models import shared
+from eagor.tasks.play import Player, Seen
+from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
+
+OURS, FRAME = "eagor", "frame"
+SHOWN = (traces.SEEN, traces.IN_SIGHT, traces.HIDDEN)
+
+
+def frame_errors(steps: list[Seen]) -> np.ndarray:
+    """Degrees ``(n,)`` between the truth and the highest value of each look; NaN where there is no response map."""
+    found = []
+    for step in steps:
+        error, look = math.nan, step.evidence
+        if look is not None and look.response is not None:
+            best = look.grid.directions.reshape(-1, 3)[int(np.argmax(look.response))]
+            error = float(angular_error_deg(best, step.truth))
+        found.append(error)
+    return np.array(found)
+
+
+def errors(player: Player, name: str, slot: Slot, steps: list[Seen]) -> np.ndarray:
+    """Degrees ``(n,)`` of error of a method after each look."""
+    if name == FRAME:
+        return frame_errors(steps)
+    method = player.method(name, slot)
+    answers = [answer_at(method, step.stamp, step.pose, step.evidence) for step in steps]
+    return np.array([float(angular_error_deg(answer, step.truth)) for answer, step in zip(answers, steps, strict=True)])
+
+
+def means(record: dict[str, Any], name: str) -> list[float]:
+    """A method's mean in each of `SHOWN`; NaN where the episode has no such step."""
+    found = (traces.error_in([record], name, part) for part in SHOWN)
+    return [math.nan if part is None else part.mean for part in found]
+
+
+def cell(values: np.ndarray, seeds: np.ndarray) -> str:
+    """Mean and interval of the values that are known."""
+    known = ~np.isnan(values)
+    if not known.any():
+        return f"{'-':>22s}"
+    if len({*seeds[known]}) < 2:  # one apartment alone says nothing about the spread
+        return f"{values[known].mean():8.2f} {'':>13s}"
+    found = bootstrap_interval(values[known], np.random.default_rng(0), groups=seeds[known])
+    return f"{values[known].mean():8.2f} [{found.low:5.1f} {found.high:5.1f}]"
+
+
+def main() -> int:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--perception", default="scout")
+    options.add_argument("--episodes", type=int, default=60)
+    options.add_argument("--seed", type=int, default=1600)
+    options.add_argument("--methods", nargs="+", default=[OURS, "vmf", "grid_filter"])
+    given = options.parse_args()
+    settings = {"rules": NavigationRules(), "disturbances": Disturbances(), "camera": Camera()}
+    config = {"task": "navigation", "perception": given.perception, "rows": rows_of(shared(given.perception))}
+    player = Player(config | {key: as_dict(value) for key, value in settings.items()})
+    names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
+    for slot in slots(config["task"], given.episodes, given.seed):
+        steps: list[Seen] = []
+        record = player.play(slot, [OURS], steps.append) | {"status": "ok"}
+        visible = record["methods"][OURS]["trace"]["visible"]
+        found = {name: errors(player, name, slot, steps) for name in names}
+        record["methods"] = {name: {"trace": {"error_deg": found[name], "visible": visible}} for name in names}
+        rows.append([means(record, name) for name in names])
+        seeds.append(slot.seed)
+        if any(visible):
+            pointed.append(float((found[FRAME][visible] < 15).mean()))
+    table, clusters = np.array(rows), np.array(seeds)
+    print(f"{given.perception}: {given.episodes} episodes; a look points within 15 degrees of what is in sight in "
+          f"{100 * np.mean(pointed):.1f} % of the cases")  # fmt: skip
+    print(f"{'':24s}{'after the first':>22s}{'in sight':>22s}{'hidden again':>22s}{'- frame':>22s}")
+    for index, name in enumerate(names):
+        cells = [cell(table[:, index, part], clusters) for part in range(len(SHOWN))]
+        if index:
+            cells.append(cell(table[:, index, 0] - table[:, 0, 0], clusters))
+        print(f"{name:24s}" + "".join(cells))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,169 @@
+"""``eagor demo --photo --hfov``: an ordinary camera searches a photograph by turning, and so do two others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor._files import written
+from eagor.cli.checks import keep_picture
+from eagor.cli.demo_photo import as_image
+from eagor.cli.terminal import RunError
+from eagor.drawing.words import in_words, sureness
+from eagor.evidence import Evidence
+from eagor.grids import PerspectiveGrid
+from eagor.media.cutting import cut
+from eagor.media.panorama import turn
+from eagor.perception import Perception, look, short_name
+from eagor.perception.partial import look_at_view
+from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
+from eagor.tasks.turning import CHOICES, PRESENT, LookTaken, search
+from eagor.tracking import DirectionTracker
+
+OURS, SHOWN = "next", ("next", "follow", "sweep")
+MOST = 16  # looks
+AROUND = (0, 20, 40, 60)  # degrees: headings of the looks all around, to which the answers are compared
+WIDTH, RATIO = 640, 4 / 3  # of the camera's pictures
+
+
+@dataclass(frozen=True, eq=False)
+class Searches:
+    """What became of the searches, by who chose; `around` ``(3,)``: the answer of looks all around, world frame.
+
+    `pictures`: what the camera saw in our looks.
+    """
+
+    query: str
+    hfov: float
+    around: np.ndarray
+    taken: dict[str, tuple[LookTaken, ...]]
+    pictures: tuple[np.ndarray, ...]
+
+    def looks(self, choice: str) -> int | None:
+        """How many looks it took until it was sure; None if it never was."""
+        return len(self.taken[choice]) if self.taken[choice][-1].sure else None
+
+    def off(self, choice: str) -> float | None:
+        """Degrees between its last answer and that of the looks all around; None without one."""
+        last = self.taken[choice][-1]
+        toward = last.estimate.direction
+        return None if toward is None else math.degrees(angular_distance(last.world_R_body @ toward, self.around))
+
+
+def play(
+    image: np.ndarray,
+    perception: Perception,
+    spec: str,
+    query: str,
+    hfov: float,
+    advance: Callable[[], object] = lambda: None,
+) -> Searches:
+    """Search the photograph `image` for `query` with a camera of `hfov` degrees, until it is sure.
+
+    Raises `RunError` if looks all around do not see the thing.
+    """
+    whole = DirectionTracker()
+    for stamp, azimuth in enumerate(AROUND):
+        pose = world_R_body(math.radians(azimuth))
+        whole.add_pose(stamp, pose)
+        whole.observe(look(perception, turn(image, pose.T), query, stamp=stamp, world_R_body=pose))
+    around = whole.estimate(len(AROUND) - 1).direction
+    around = None if around is None else pose @ around
+    if around is None:
+        raise RunError(f"{spec} sees no {query!r} in this photograph, all around; ask for something else with --query")
+    view = PerspectiveGrid(round(WIDTH / RATIO), WIDTH, math.radians(hfov))
+    taken, pictures = {}, []
+    for choice in SHOWN:
+        seen: list[np.ndarray] = []
+
+        def camera(pose: np.ndarray, grid: PerspectiveGrid, stamp: float, seen: list[np.ndarray] = seen) -> Evidence:
+            seen += cut(image, replace(grid, body_R_view=pose @ grid.body_R_view))
+            advance()
+            return look_at_view(perception, seen[-1], grid, query, stamp=stamp)
+
+        looks = []
+        for each in search(camera, choice, view, MOST):
+            looks.append(each)
+            if each.sure:
+                break
+        taken[choice], pictures = tuple(looks), seen if choice == OURS else pictures
+    return Searches(query, hfov, around, taken, tuple(pictures))
+
+
+def as_text(searches: Searches) -> list[str]:
+    """One line for each who chose."""
+    lines = [f"{'where to look':14}{'looks until sure':>18}{'off the looks all around':>26}"]
+    for choice in searches.taken:
+        count, off = searches.looks(choice), searches.off(choice)
+        told = f"not in {MOST}" if count is None else str(count)
+        lines.append(f"{choice:14}{told:>18}{'-' if off is None else f'{off:.0f} °':>26}")
+    return lines
+
+
+def summary(searches: Searches) -> list[str]:
+    """The result in sentences."""
+    last = searches.taken[OURS][-1]
+    toward = last.estimate.direction
+    said = "is not known"
+    if toward is not None:
+        azimuth, elevation = map(float, azimuth_elevation(last.world_R_body @ toward))
+        said = f"is {in_words(azimuth, elevation)} ({sureness(last.estimate)})"
+    return [
+        f"With the photograph's centre ahead, the {searches.query} {said}.",
+        f"Sure is a presence above {PRESENT:g}. " + "; ".join(f"{c}: {CHOICES[c][1]}" for c in searches.taken) + ".",
+        "Nobody has measured where it is: the angles are to the answer of a few looks all around.",
+    ]
+
+
+def as_json(searches: Searches, spec: str, photo: str) -> dict[str, Any]:
+    """The result for ``--json``; azimuths and elevations are those in the photograph."""
+    azimuth, elevation = np.degrees(azimuth_elevation(searches.around))
+    found = {}
+    for choice in searches.taken:
+        last, off = searches.taken[choice][-1], searches.off(choice)
+        found[choice] = {
+            "looks": searches.looks(choice),
+            "off_deg": None if off is None else round(off, 4),
+            "presence": round(last.estimate.presence, 6),
+        }
+    return {
+        "query": searches.query,
+        "photo": photo,
+        "perception": spec,
+        "hfov_deg": searches.hfov,
+        "around": {"azimuth_deg": round(float(azimuth), 4), "elevation_deg": round(float(elevation), 4)},
+        "searches": found,
+        "summary": summary(searches),
+    }
+
+
+def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Path:
+    """Draw our looks into `folder` and write report.html there; returns its path. Raises `StorageError`."""
+    from eagor.drawing import Mosaic, draw_belief
+    from eagor.evaluation.page import Box, Pictures, Row, Section, Sheet, Text, document
+
+    mosaic, moments = Mosaic(), []
+    for number, (taken, picture) in enumerate(zip(searches.taken[OURS], searches.pictures, strict=True), 1):
+        title = f"Look {number}: {taken.estimate.status}"
+        drawn = draw_belief(picture, taken.estimate, title=title, width=900, grid=taken.grid, mosaic=mosaic)
+        keep_picture(drawn, folder / f"look-{number:02}.jpg")
+        moments.append((as_image(drawn, title), f"{title}, presence {taken.estimate.presence:.2f}"))
+    rows = []
+    for choice in searches.taken:
+        count, off = searches.looks(choice), searches.off(choice)
+        told = f"not in {MOST}" if count is None else str(count)
+        cells = (Box(told), Box("-" if off is None else f"{off:.0f}"), Box(CHOICES[choice][1]))
+        rows.append(Row(choice, cells, "ours" if choice == OURS else ""))
+    heads = ("where to look", "looks until sure", "off the looks all around (°)", "what it is")
+    sections = [
+        Section("looks", "What the camera saw, and what we believed", [Pictures(moments, "strip")]),
+        Section("searches", "Each search side by side", [Sheet("Looks until sure", heads, tuple(rows))]),
+    ]
+    lead = [Text(f"{photo}, seen by {short_name(spec)} through {searches.hfov:g} degrees. {summary(searches)[0]}")]
+    lead += map(Text, summary(searches)[1:])
+    return written(folder / "report.html", document(f"Where is the {searches.query}?", lead, sections))

@@ -1,0 +1,219 @@
+"""Look once, ask often: `eagor look` keeps what a detector saw, `eagor track LOOKS.jsonl` answers as on the footage."""
+
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from clips import clip
+
+from eagor.cli import look as look_command
+from eagor.cli import main
+from eagor.cli import track as track_command
+from eagor.evidence import DetectorModel
+from eagor.media.panorama import turn
+from eagor.perception.views import Views
+from eagor.sphere import world_R_body
+from eagor.worlds.painted import painted_room
+
+ROWS, COUNT, RATE = 192, 8, 4
+POSES = [world_R_body(0.3 * k, 0.2 * math.sin(k), 0.1 * math.cos(k)) for k in range(COUNT)]
+MODEL = DetectorModel(detection_probability=0.8, spread=0.03)
+
+
+class Paints:
+    """Finds the red and the blue ball of the painted room: classes "ball" and "marble"; notes whether it ran."""
+
+    classes = ("ball", "marble", "door")
+
+    def __init__(self):
+        self.looks = 0
+
+    def __call__(self, picture, query):
+        self.looks += 1
+        r, g, b = np.moveaxis(picture.astype(int), -1, 0)
+        boxes, labels = [], []
+        for label, mask in (("ball", (r > 120) & (g < 70) & (b < 80)), ("marble", (b > 120) & (r < 70) & (g < 110))):
+            rows, columns = np.nonzero(mask)
+            if len(rows) > 3:
+                boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+                labels.append(label)
+        return np.array(boxes, dtype=float).reshape(-1, 4), np.full(len(boxes), 0.712345678), labels
+
+
+@pytest.fixture
+def paints(monkeypatch):
+    """The perception "paints" of the commands."""
+    detect = Paints()
+    for command in (look_command, track_command):
+        monkeypatch.setattr(
+            command, "make_perception", lambda spec, busy=False: Views(detect, size=128, detector=MODEL)
+        )
+    return detect
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """A clip of a camera that turns, nods and rolls, with a tripod's black patch below it."""
+    folder = tmp_path_factory.mktemp("film")
+    room = painted_room(ROWS, 2 * ROWS)
+    pictures = [turn(room, pose.T) for pose in POSES]
+    for picture in pictures:
+        picture[-ROWS // 8 :] = 0
+    path = clip(folder / "clip.mp4", pictures, rate=RATE, options={"crf": "12"})
+    lines = ["stamp,qw,qx,qy,qz,x,y,z"]
+    from eagor.conventions import wxyz_from_rotation
+
+    for k, pose in enumerate(POSES):
+        lines.append(",".join(map(repr, [k / RATE, *wxyz_from_rotation(pose).tolist(), 0.05 * k, 0.0, 1.2])))
+    (folder / "poses.csv").write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.fixture
+def eagor(capsys):
+    """Run a command: (exit code, stdout, stderr)."""
+
+    def run(*words):
+        capsys.readouterr()
+        code = main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return run
+
+
+def numbers(found):
+    """All numbers in an answer, in their order; what is not known, and texts, as they are."""
+    if isinstance(found, dict):
+        return [each for key, value in found.items() for each in (key, *numbers(value))]
+    if isinstance(found, list):
+        return [each for value in found for each in numbers(value)]
+    return [found]
+
+
+@pytest.mark.parametrize("poses", ["auto", "csv"])
+def test_what_was_seen_once_answers_as_the_footage_does(paints, film, eagor, tmp_path, poses):
+    looks, csv = tmp_path / "looks.jsonl", film.with_name("poses.csv")
+    told = () if poses == "auto" else ("--poses", csv, "--rate", RATE)
+    code, out, err = eagor("look", film, "--out", looks, "--perception", "paints", *told)
+    assert code == 0, err
+    assert f'eagor track {looks} "marble"' in out
+    assert "black around a pole" in err
+    assert '"unseen"' in looks.read_text()
+    seen = paints.looks
+    answers = {}
+    for query in ("ball", "marbles", "door"):
+        code, out, err = eagor("track", looks, query, "--json")
+        assert code == 0, err
+        answers[query] = json.loads(out)
+    assert paints.looks == seen, "no detector runs"
+    for query, found in answers.items():
+        code, out, err = eagor("track", film, query, "--perception", "paints", "--json", *told)
+        assert code == 0, err
+        wanted = json.loads(out)
+        assert found["perception"] == "paints"
+        assert found["poses"] == wanted["poses"]
+        pairs = zip(numbers(found["frames"]), numbers(wanted["frames"]), strict=True)
+        assert all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)
+    on_pictures = eagor("track", film, "ball", "--perception", f"replay:{looks}", "--json", *told)
+    assert on_pictures[0] == 0
+
+
+def test_what_was_seen_is_listed_the_surest_first(paints, film, eagor, tmp_path):
+    looks = tmp_path / "looks.jsonl"
+    assert eagor("look", film, "--out", looks, "--perception", "paints", "--poses", "auto")[0] == 0
+    things = json.loads(eagor("track", looks, "--json")[1])["things"]
+    assert {each["query"] for each in things} == {"ball", "marble"}, "nobody has seen a door"
+    sure = [each["within_15_deg"] for each in things]
+    assert sure == sorted(sure, reverse=True)
+    assert min(sure) > 0.5
+    last = json.loads(eagor("track", looks, things[0]["query"], "--json")[1])["frames"][-1]
+    assert things[0]["azimuth_deg"] == pytest.approx(last["azimuth_deg"], abs=1e-6)
+    assert things[0]["presence"] == pytest.approx(last["presence"], abs=1e-6)
+    code, out, _ = eagor("track", looks)
+    assert code == 0
+    assert out.index(things[0]["query"]) < out.index(things[1]["query"])
+
+
+def test_questions_that_a_file_of_looks_cannot_answer_are_refused(paints, film, eagor, tmp_path):
+    looks, poseless = tmp_path / "looks.jsonl", tmp_path / "other.jsonl"
+    assert eagor("look", film, "--out", looks, "--perception", "paints", "--end", 0.6)[0] == 0
+    lines = [json.loads(line) for line in looks.read_text().splitlines()]
+    poseless.write_text("\n".join(json.dumps(line | {"pose": None}) for line in lines) + "\n")
+    headless = tmp_path / "headless.jsonl"
+    headless.write_text("\n".join(json.dumps(line) for line in lines[1:]) + "\n")
+    for words, says in (
+        ((looks, "sofa"), "the query 'sofa' names none of this detector's 3 classes"),
+        ((looks, "brown ball"), "names a colour, and .* holds boxes without pictures; ask for 'ball'"),
+        ((looks, "ball", "--video", tmp_path / "a.mp4"), "--video needs pictures.*--perception replay:"),
+        ((looks, "ball", "--poses", "level"), "--poses is for footage"),
+        ((looks, "--compare"), "--compare is for one question"),
+        ((poseless, "ball"), "has a look at 0 s without a pose"),
+        ((headless, "ball"), "does not begin with a line about its footage"),
+    ):
+        code, out, err = eagor("track", *words)
+        assert code == 2
+        assert out == ""
+        assert re.search(says, err), err
+    code, _, err = eagor("look", film, "--out", looks, "--perception", "paints", "--for", "ball")
+    assert code == 2
+    assert "sees all of its 3 classes at once" in err
+
+
+def test_a_detector_of_any_words_is_asked_once_and_knows_only_that(paints, film, eagor, tmp_path, monkeypatch):
+    monkeypatch.setattr(Paints, "classes", None)
+    looks = tmp_path / "looks.jsonl"
+    code, _, err = eagor("look", film, "--out", looks, "--perception", "paints", "--end", 0.6)
+    assert code == 2
+    assert "say what to look for: --for" in err
+    words = ("--end", 0.6, "--for", "ball", "marble")
+    assert eagor("look", film, "--out", looks, "--perception", "paints", *words)[0] == 0
+    code, out, _ = eagor("track", looks, "ball", "--json")
+    assert code == 0
+    assert json.loads(out)["frames"][-1]["azimuth_deg"] is not None
+    code, _, err = eagor("track", looks, "door")
+    assert code == 2
+    assert "That was never looked for, so nobody knows: eagor look" in err
+    assert len(json.loads(eagor("track", looks, "--json")[1])["things"]) == 2
+
+
+def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, eagor, tmp_path):
+    from PIL import Image
+
+    folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
+    folder.mkdir()
+    room = painted_room(64, 128)
+    for k in range(4):
+        Image.fromarray(room).save(folder / f"{k}.png")
+    (folder / "2.png").write_bytes(b"no picture")
+    code, _, err = eagor("look", folder, "--out", looks, "--perception", "paints")
+    assert code == 3
+    assert "2.png is left out" in err
+    code, out, err = eagor("track", looks, "ball", "--json")
+    assert code == 3
+    assert "2.png is left out" in err
+    assert [each["frame"] for each in json.loads(out)["frames"]] == ["0.png", "1.png", "2.png", "3.png"]
+
+
+def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path):
+    from PIL import Image
+
+    from eagor.grids import PerspectiveGrid
+    from eagor.media.cutting import cut
+
+    folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
+    folder.mkdir()
+    room = painted_room(256, 512)
+    for k in range(3):
+        view = PerspectiveGrid(240, 320, math.radians(90), world_R_body(-0.6 + 0.1 * k))
+        Image.fromarray(cut(room, view)[0]).save(folder / f"{k}.png")
+    told = ("--perception", "paints", "--hfov", 90)
+    code, _, err = eagor("look", folder, "--out", looks, *told)
+    assert code == 0, err
+    found, wanted = (eagor("track", *words, "ball", "--json") for words in ((looks,), (folder, *told)))
+    assert (found[0], wanted[0]) == (0, 0), found[2] + wanted[2]
+    pairs = zip(*(numbers(json.loads(each[1])["frames"]) for each in (found, wanted)), strict=True)
+    assert all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)
