@@ -206,6 +206,9 @@ def test_a_person_steers_with_the_arrow_keys_and_the_stick(studio: Studio) -> No
     page.until("window.firstTurn !== undefined")
     assert page.evaluate("window.firstTurn") < 0, "the right button turns right"
     page.kept("walk-steered")
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert [way.is_visible() for way in page.locator(".way").all()] == 4 * [True], "a phone has all four"
+    page.set_viewport_size({"width": 1440, "height": 900})
     page.get_by_role("radio", name="policy").check(force=True)
 
 
