@@ -177,6 +177,8 @@ def mean(values: Sequence[float]) -> str:
     """A mean with its interval."""
     if not values or math.isnan(values[0]):
         return "-"
+    if len(values) == 1:
+        return f"{values[0]:.2f}"
     span = bootstrap_interval(values, np.random.default_rng(0))
     return f"{np.mean(values):.2f} [{span.low:.2f}, {span.high:.2f}]"
 
