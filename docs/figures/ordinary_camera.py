@@ -1,6 +1,6 @@
 """An ordinary camera turns in a photograph: its picture, and what is believed all around.
 
-    python docs/figures/ordinary_camera.py PHOTOGRAPH [OUT.jpg] [--query bed] [--azimuths 180,120,30]
+    python docs/figures/ordinary_camera.py PHOTOGRAPH [OUT.jpg] [--query bed] [--azimuths 180,120,60]
 
 The camera looks with `coco` (``pip install '.[photos]'``, ``eagor models get coco``) at the azimuths, one a second, 90
 degrees wide and 20 degrees down. The docs' picture is Lythwood Room of Poly Haven (CC0), 1024 x 512 pixels.
@@ -32,7 +32,7 @@ def main() -> int:
     parser.add_argument("photograph", type=Path, help="a panorama, 2:1")
     parser.add_argument("out", nargs="?", type=Path, default=OUT)
     parser.add_argument("--query", default="bed")
-    parser.add_argument("--azimuths", default="180,120,30", help="degrees, positive to the left")
+    parser.add_argument("--azimuths", default="180,120,60", help="degrees, positive to the left")
     given = parser.parse_args()
     photograph, perception = read_panorama(given.photograph), from_text()
     tracker, mosaic, grid = DirectionTracker(), Mosaic(), PerspectiveGrid(480, 640, math.radians(90))

@@ -21,6 +21,7 @@ from eagor.errors import DeviceError, FormatError, ImageError, TimeError
 from eagor.media.camera_sources import Newest, open_camera
 from eagor.media.clocks import PROBATION, StreamClock
 from eagor.media.frames import Frame, check_camera
+from eagor.media.intrinsics import camera_of
 from eagor.media.live_camera import Feed, LiveCamera
 from eagor.media.rigs import dual_fisheye, write_rig
 from eagor.media.stitching import seen_by
@@ -116,6 +117,7 @@ def folder(tmp_path, pictures, names=None):
 def test_a_folder_keeps_the_contract(tmp_path):
     place = folder(tmp_path, clips.rolled(12))
     check_camera(open_camera(str(place)))
+    check_camera(open_camera(str(place), camera=camera_of(70.0, None), rows=50))
     frames = list(open_camera(str(place), rate=4, latency=0.5, rows=32))
     assert [frame.stamp for frame in frames] == [k / 4 - 0.5 for k in range(12)]
     assert [frame.name for frame in frames] == [f"{k}.png" for k in range(12)], "10 comes after 9"
@@ -140,6 +142,7 @@ def test_a_picture_of_a_folder_that_cannot_be_used_is_left_out_and_counted(tmp_p
 def test_a_video_keeps_the_contract(tmp_path):
     path = clips.clip(tmp_path / "a.mp4")
     check_camera(open_camera(str(path)))
+    check_camera(open_camera(str(path), camera=camera_of(70.0, None)))
     camera = open_camera(str(path), rate=10, rows=32, latency=0.25)
     frames = list(camera)
     assert [frame.stamp for frame in frames] == pytest.approx([k / 10 - 0.25 for k in range(10)], abs=1e-3)

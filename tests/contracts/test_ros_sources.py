@@ -16,6 +16,7 @@ from eagor.media.bags import messages as m
 from eagor.media.bags.reader import BagWriter
 from eagor.media.camera_sources import open_camera
 from eagor.media.frames import Pose, check_camera
+from eagor.media.intrinsics import camera_of
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros.graph import DdsGraph
 from eagor.robots.ros.sources import BagCamera, BagPoses, RosCamera, RosPoses
@@ -69,6 +70,7 @@ def test_a_camera_on_a_topic_keeps_the_contract_of_cameras():
         camera = open_camera(f"ros:/image?domain={domain}&interface=lo", rows=16)
         assert camera.grid.shape == (16, 32)
         check_camera(camera)
+        check_camera(open_camera(f"ros:/image?domain={domain}&interface=lo", camera=camera_of(70.0, None)))
 
 
 def test_stamps_are_those_of_the_headers_and_topics_are_guessed():

@@ -213,7 +213,7 @@ def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path):
     told = ("--perception", "paints", "--hfov", 90)
     code, _, err = eagor("look", folder, "--out", looks, *told)
     assert code == 0, err
-    found, wanted = (eagor("track", *words, "ball", "--json") for words in ((looks,), (folder, *told)))
+    found, wanted = (eagor("track", *words, "--json") for words in ((looks, "ball"), (folder, "ball", *told)))
     assert (found[0], wanted[0]) == (0, 0), found[2] + wanted[2]
     pairs = zip(*(numbers(json.loads(each[1])["frames"]) for each in (found, wanted)), strict=True)
     assert all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)

@@ -154,7 +154,9 @@ class Patch(Nodes):
 
     def cells(self, grid: ErpGrid) -> np.ndarray:
         """The flat indices ``(m,)`` of the cells of a grid whose middles lie inside."""
-        return _cells(grid, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
+        directions = grid.directions.reshape(-1, 3)
+        near = (directions @ self.frame[0] > self.least_ahead).nonzero()[0]
+        return near[self.places(directions.take(near, axis=0))[1]]
 
     def around(self, u: float, v: float) -> np.ndarray:
         """Values ``(3, 3)`` at coordinates as `places` gives them and a node to each side of them, as `at`."""
@@ -171,32 +173,10 @@ class Patch(Nodes):
         table = _refining(len(self.values), FINER)
         return table @ self.values @ table.T
 
-    def fine_nodes(self, grid: ErpGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Directions ``(m m, 3)`` and solid angles ``(m m,)`` of these nodes, and the cell of a grid around each."""
-        count = (len(self.values) - 1) * FINER + 1
-        return _fine_nodes(grid, count, self.frame.tobytes(), self.half.tobytes(), self.bend.tobytes())
-
     @property
     def least_ahead(self) -> float:
         """The cosine of the angle from the middle to a corner."""
         return 1 / math.sqrt(1 + float(self.half @ self.half)) - 1e-12
-
-
-@lru_cache(maxsize=64)  # more than a belief has patches: each is used again after every look
-def _cells(grid: ErpGrid, frame: bytes, half: bytes, bend: bytes) -> np.ndarray:
-    patch = Patch(np.frombuffer(frame).reshape(3, 3), np.frombuffer(half), np.zeros((1, 1)), np.frombuffer(bend))
-    directions = grid.directions.reshape(-1, 3)
-    near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
-    return near[patch.places(directions.take(near, axis=0))[1]]
-
-
-@lru_cache(maxsize=16)
-def _fine_nodes(
-    grid: ErpGrid, count: int, frame: bytes, half: bytes, bend: bytes
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    plane = np.frombuffer(half), np.frombuffer(bend)
-    directions = plane_directions(count, np.frombuffer(frame).reshape(3, 3), *plane).reshape(-1, 3)
-    return directions, plane_weights(count, *plane).reshape(-1), cells_of(grid, directions)
 
 
 @lru_cache(maxsize=16)
@@ -348,8 +328,7 @@ class SphereField:
         """
         found = np.exp(np.minimum(self.values - level, LARGEST)).reshape(-1)
         weights = self.grid.weights.reshape(-1)
-        for patch, shares in zip(self.patches, self.layout.shares, strict=True):
-            inside = patch.cells(self.grid)
+        for patch, shares, inside in zip(self.patches, self.layout.shares, self.layout.inside, strict=True):
             mass = float(np.sum(np.exp(np.minimum(patch.values - level, LARGEST)) * shares))
             cells = float(found[inside] @ weights[inside])
             if cells > 0:
@@ -381,9 +360,14 @@ class Layout:
     def outside(self) -> np.ndarray:
         """Mask ``(H, W)`` of the cells outside of all patches."""
         free = np.ones(self.grid.shape, dtype=bool)
-        for patch in self.patches:
-            free.reshape(-1)[patch.cells(self.grid)] = False
+        for cells in self.inside:
+            free.reshape(-1)[cells] = False
         return free
+
+    @lazy
+    def inside(self) -> list[np.ndarray]:
+        """The flat indices ``(m,)`` of the cells whose middles lie in each patch."""
+        return [patch.cells(self.grid) for patch in self.patches]
 
     @lazy
     def free(self) -> np.ndarray:
@@ -432,10 +416,12 @@ class Layout:
         """
         found = []
         for index, patch in enumerate(self.patches):
-            directions, weights, cells = patch.fine_nodes(self.grid)
-            shares = self._owned(index, directions, weights)
+            count = (len(patch.values) - 1) * FINER + 1
+            directions = plane_directions(count, patch.frame, patch.half, patch.bend).reshape(-1, 3)
+            shares = self._owned(index, directions, plane_weights(count, patch.half, patch.bend).reshape(-1))
             counts = shares.nonzero()[0]
-            found.append((counts, shares[counts], directions.take(counts, axis=0), cells[counts]))
+            directions = directions.take(counts, axis=0)
+            found.append((counts, shares[counts], directions, cells_of(self.grid, directions)))
         return found
 
 

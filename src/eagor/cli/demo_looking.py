@@ -68,14 +68,14 @@ def play(
     Raises `RunError` if looks all around do not see the thing.
     """
     whole = DirectionTracker()
-    for stamp, azimuth in enumerate(AROUND):
-        pose = world_R_body(math.radians(azimuth))
+    poses = [world_R_body(math.radians(azimuth)) for azimuth in AROUND]
+    for stamp, pose in enumerate(poses):
         whole.add_pose(stamp, pose)
         whole.observe(look(perception, turn(image, pose.T), query, stamp=stamp, world_R_body=pose))
     around = whole.estimate(len(AROUND) - 1).direction
-    around = None if around is None else pose @ around
     if around is None:
         raise RunError(f"{spec} sees no {query!r} in this photograph, all around; ask for something else with --query")
+    around = poses[-1] @ around
     view = PerspectiveGrid(round(WIDTH / RATIO), WIDTH, math.radians(hfov))
     taken, pictures = {}, []
     for choice in SHOWN:

@@ -16,11 +16,12 @@ from eagor.cli.checks import (
     checked_queries,
     checked_record,
     checked_seconds,
+    ordinary,
     perception_for_all,
     rows_for,
     tracker_config,
 )
-from eagor.cli.options import Common, Detector, Flag, Floor, Force, Whole, bare
+from eagor.cli.options import Common, Detector, Flag, Floor, Force, Hfov, Whole, bare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +69,9 @@ class Ros(Common):
     """Take the time from /clock, as nodes do in a simulation, or beside `ros2 bag play --clock`."""
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
     """The lenses, if the pictures are those of fisheye or ordinary lenses."""
+    hfov: Hfov = None
+    intrinsics: Annotated[Path | None, bare("FILE")] = None
+    """An ordinary camera: its calibration, such as `ros2 topic echo --once /camera_info`; --camera is its frame."""
     perception: Annotated[str | None, bare("NAME")] = None
     """The detector: colour, coco, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
     patience: Annotated[float, arg(metavar="SECONDS")] = 60.0
@@ -136,6 +140,7 @@ def ros(options: Ros) -> int:
         rows=rows_for(spec),
         patience=options.patience,
         rig=rig,
+        lens=ordinary(options.hfov, options.intrinsics, options.rig),
         record=options.record,
         cmd_vel=options.cmd_vel,
         walking=WalkSettings(speed=options.speed, distance=options.distance),

@@ -76,9 +76,15 @@ def lines_in_view(lines: Sequence[np.ndarray], grid: PerspectiveGrid) -> list[np
 
 
 def heat_in_view(heat: Heat, grid: PerspectiveGrid, height: int, width: int) -> np.ndarray:
-    """The part of a belief's heat ``(height, width, 4)`` uint8 that is in view."""
-    row, column = _cells(view_key(grid), grid.body_R_view.tobytes(), height, width, *heat.rgba.shape[:2])
-    return heat.rgba[row, column]
+    """The part of a belief's heat ``(height, width, 4)`` uint8 that is in view, linear between its cells."""
+    rows, columns = heat.rgba.shape[:2]
+    x, y = _looked_at(view_key(grid), grid.body_R_view.tobytes(), height, width, rows, columns)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int).clip(0, rows - 2)
+    u, v = (x - left)[..., None], (y - top).clip(0, 1)[..., None]
+    left, right = left % columns, (left + 1) % columns
+    upper = (1 - u) * heat.rgba[top, left] + u * heat.rgba[top, right]
+    lower = (1 - u) * heat.rgba[top + 1, left] + u * heat.rgba[top + 1, right]
+    return np.rint((1 - v) * upper + v * lower).astype(np.uint8)
 
 
 def outline_of(grid: PerspectiveGrid) -> list[np.ndarray]:
@@ -118,15 +124,15 @@ def edge(where: np.ndarray, grid: PerspectiveGrid, width: float, height: float) 
 
 
 @lru_cache(maxsize=4)
-def _cells(
+def _looked_at(
     lens: ViewKey, pose: bytes, height: int, width: int, rows: int, columns: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The cell of a panorama, row and column ``(height, width)``, that each pixel of a view looks at."""
+    """Where each pixel of a view looks on a panorama: column and row ``(height, width)``, the first cell's being 0."""
     grid = forward_view(lens)
     assert isinstance(grid, PerspectiveGrid)
     turned = grid.resized(height, width).directions @ np.frombuffer(pose).reshape(3, 3).T
     x, y, _ = ErpGrid(rows, columns).project(turned)
-    return y.astype(int).clip(0, rows - 1), x.astype(int) % columns
+    return x - 0.5, y - 0.5
 
 
 # --- the scene --------------------------------------------------------------------------------------------------------
@@ -153,7 +159,8 @@ class ViewScene:
         big: dict[str, Any] = {"color": WORDS, "family": family(), "va": "top", "linespacing": 1.35}
         self._words = figure.text(0, 0, "", fontsize=15, weight="bold", **big)
         self._sure = figure.text(0, 0, "", fontsize=30, weight="bold", **big)
-        self._looked = figure.text(0, 0, "", fontsize=10, **(big | {"color": FAINT, "va": "bottom"}))
+        quiet: dict[str, Any] = big | {"color": FAINT, "va": "bottom"}
+        self._looked = figure.text(0, 0, "", fontsize=10, **quiet)
         self._grid: PerspectiveGrid | None = None
 
     def clear(self) -> None:
@@ -251,7 +258,7 @@ class ViewScene:
     ) -> None:  # fmt: skip
         """What is drawn on the picture: the border of the region and the marks in view, or an arrow at the edge."""
         axes, answer = self._view, estimate.direction
-        pointed = worth_an_arrow(estimate) or estimate.status == "tracking"
+        pointed = worth_an_arrow(estimate) or estimate.status != "searching"
         if heat is not None and not heat.missing:
             border(axes, lines_in_view(heat.border, grid))
         if answer is None:
@@ -280,8 +287,8 @@ class ViewScene:
         ha = "center" if abs(arrow.way[0]) < 0.5 else "right" if arrow.way[0] > 0 else "left"
         va = "center" if abs(arrow.way[1]) < 0.5 else "bottom" if arrow.way[1] > 0 else "top"
         axes.text(
-            *at, f"{arrow.angle:.0f}°\n{sureness(estimate)}", fontsize=17, weight="bold", color=OURS, ha=ha, va=va,
-            path_effects=outline(3.5), zorder=8, linespacing=1.15,
+            at[0], at[1], f"{arrow.angle:.0f}°\n{sureness(estimate)}", fontsize=17, weight="bold", color=OURS, ha=ha,
+            va=va, path_effects=outline(3.5), zorder=8, linespacing=1.15,
         )  # fmt: skip
 
     def _say(self, estimate: Estimate, around: tuple[int, int, int, int]) -> None:

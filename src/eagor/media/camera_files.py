@@ -203,7 +203,7 @@ def _colmap(name: str) -> Rig:
             f"{where}: {model} has {' '.join(numbers)}; wanted width, height, {', '.join(wanted)}"
         ) from None
     found = dict(zip(wanted, values, strict=True))
-    focal = tuple(found["f"] if "f" in found else found[key] for key in ("fx", "fy"))
+    focal = (found["f"], found["f"]) if "f" in found else (found["fx"], found["fy"])
     centre = found["cx"], found["cy"]
     fisheye = model.endswith("FISHEYE")
     factors = [found.get(key, 0.0) for key in (("k1", "k2", "k3", "k4") if fisheye else PLAIN)]

@@ -141,7 +141,7 @@ class Video:
         self.duration, self.frame_rate = first.duration, first.rate
         self.level_R_body = projection.level_R_body if projection.pitch or projection.roll else None
         self.motion = said.motion
-        self.told = told_by_video(first.tags, self.shape[::-1], first.turns)
+        self.told = told_by_video(first.tags, (self.shape[1], self.shape[0]), first.turns)
         self.facts = tuple(_facts(said, first, lenses))
         self.count = self._count()
 

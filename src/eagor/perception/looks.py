@@ -24,7 +24,7 @@ from eagor.grids import ErpGrid
 from eagor.media.footage import ShapeError
 from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame
-from eagor.perception.footage import HiddenParts
+from eagor.perception.footage import UNSURE, HiddenParts
 from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.views import Seen, Views
@@ -58,7 +58,7 @@ def looked_at(
     """
     hidden, first = hidden or HiddenParts(), True
     for frame in frames:
-        at = {"stamp": float(frame.pose.stamp), "pose": _pose(frame.pose)}
+        at = {"stamp": float(frame.pose.stamp), "pose": _pose(frame.pose, frame.spread)}
         if frame.frame is None or not frame.looked or frame.read is None:
             yield frame, [json.dumps(at)]
             continue
@@ -87,11 +87,10 @@ def looked_at(
         yield frame, [json.dumps(each) for each in lines]
 
 
-def _pose(pose: FramePose) -> dict[str, float]:
+def _pose(pose: FramePose, spread: float) -> dict[str, float]:
     place = () if pose.position is None else pose.position.tolist()
-    return _quaternion(pose.world_R_body) | {
-        key: round(value, METRES) for key, value in zip("xyz", place, strict=False)
-    }
+    found = _quaternion(pose.world_R_body) | dict(zip("xyz", (round(value, METRES) for value in place), strict=False))
+    return found | ({"spread_deg": round(math.degrees(spread), TURNS)} if spread else {})
 
 
 def _quaternion(turn: np.ndarray) -> dict[str, float]:
@@ -144,12 +143,12 @@ def recorded_frames(replay: ReplayPerception) -> list[PosedFrame]:
         pose = pose._replace(stamp=record.stamp)
         if record.problem is not None:
             name = record.frame or f"the frame at {record.stamp:g} s"
-            found.append(PosedFrame(pose, name, partial(_refuse, record.problem), lost=record.lost))
+            found.append(PosedFrame(pose, name, partial(_refuse, record.problem), True, record.lost, record.spread))
         elif record.kind == "pose":
             found.append(PosedFrame(pose))
         else:
             name = record.frame or f"{record.stamp:.2f} s"
-            found.append(PosedFrame(pose._replace(frame=name), name, None, lost=record.lost))
+            found.append(PosedFrame(pose._replace(frame=name), name, None, True, record.lost, record.spread))
     return found
 
 
@@ -223,7 +222,10 @@ def _thing(
         tracker.add_pose(pose.stamp, pose.world_R_body, None if config.ranges is None else pose.position)
         if frame.frame is None or frame.read is not None:
             continue
+        if frame.spread >= UNSURE:
+            continue
         evidence = hidden.covered(replay.looks_near(query, pose.stamp), None)
+        evidence = tuple(each.widened(frame.spread) for each in evidence)
         among += 1
         for each in evidence:
             tracker.observe(each)

@@ -114,6 +114,7 @@ class _Pose(msgspec.Struct, forbid_unknown_fields=True):
     x: _Metres | None = None
     y: _Metres | None = None
     z: _Metres | None = None
+    spread_deg: Annotated[float, Meta(ge=0, description="degrees, 0 or more")] = 0.0
 
 
 class _Unseen(msgspec.Struct, forbid_unknown_fields=True):
@@ -167,9 +168,9 @@ class Record:
     `query`: None for any query. `grid`: of the image or of the response; None for points anywhere. `values`: boxes
     ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
     response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response. `look`: which views are one look; None:
-    those of the same stamp. `views`: of one camera, with their boxes. `pose` of the camera; `frame`: the name of what
-    was looked at; `lost`: nothing tells how the camera turned since the frame before; `problem`: why the frame could
-    not be used; `unseen`: what the camera never sees.
+    those of the same stamp. `views`: of one camera, with their boxes. `pose` of the camera, and the `spread` of its
+    error (radians per axis); `frame`: the name of what was looked at; `lost`: nothing tells how the camera turned since
+    the frame before; `problem`: why the frame could not be used; `unseen`: what the camera never sees.
     """
 
     stamp: float
@@ -182,6 +183,7 @@ class Record:
     look: str | None = None
     views: tuple[Seen, ...] = ()
     pose: FramePose | None = None
+    spread: float = 0.0
     frame: str | None = None
     lost: bool = False
     problem: str | None = None
@@ -293,8 +295,8 @@ def _record(found: dict[str, Any]) -> Record:
     entry = checked(found, _Line, "a line", noted=True, hints=HINTS)
     about = {
         "pose": None if entry.pose is None else _pose(entry.pose, entry.stamp, entry.frame), "frame": entry.frame,
-        "lost": entry.lost, "problem": entry.problem,
-        "unseen": None if entry.unseen is None else _mask(entry.unseen),
+        "spread": 0.0 if entry.pose is None else math.radians(entry.pose.spread_deg), "lost": entry.lost,
+        "problem": entry.problem, "unseen": None if entry.unseen is None else _mask(entry.unseen),
     }  # fmt: skip
     return replace(_looked(entry), **about)
 

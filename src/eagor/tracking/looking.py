@@ -220,7 +220,7 @@ def _tree(count: int) -> KDTree:
 
 def _nearest(directions: np.ndarray, count: int = CELLS) -> np.ndarray:
     """Which of so many cells each of the directions ``(n, 3)`` is in ``(n,)``."""
-    return _tree(count).query(directions)[1]
+    return np.asarray(_tree(count).query(directions)[1])
 
 
 @lru_cache(maxsize=4)

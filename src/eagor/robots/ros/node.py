@@ -24,6 +24,7 @@ from eagor.live.events import Answer, Fault, FaultLog, Part
 from eagor.live.loop import RATE, LiveLoop, Watcher
 from eagor.live.sources import LoopClock, already_open
 from eagor.media.bags.messages import CLOCK, TEXT, seconds
+from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.perception import Perception
 from eagor.robots.ros.driving import TwistGate
@@ -126,8 +127,8 @@ class NodeSettings:
     pictures), "level" (the same for a camera that stays level), "still". `body`: the frame of the answers; `camera`:
     the camera's (None: as the pictures name it); `world`: of the poses, for transforms. `rate`: answers per second;
     `belief_rate`: pictures of the belief per second, 0 for none. `cmd_vel`: a topic of velocities that walk the base to
-    the first thing, as `walking` says, by odometry with places; None: the node drives nothing. Others as for `LiveLoop`
-    and `RosCamera`. `use_sim_time`: the time is what ``/clock`` says.
+    the first thing, as `walking` says, by odometry with places; None: the node drives nothing. `lens`: of an
+    ordinary camera. Others as for `LiveLoop` and `RosCamera`. `use_sim_time`: the time is what ``/clock`` says.
     """
 
     image_topic: str | None = None
@@ -143,6 +144,7 @@ class NodeSettings:
     rows: int | None = None
     patience: float = 60.0
     rig: Rig | None = None
+    lens: Camera | None = None
     record: Path | None = None
     cmd_vel: str | None = None
     walking: WalkSettings = field(default_factory=WalkSettings)
@@ -339,7 +341,7 @@ class Node:
     def _camera(self) -> RosCamera:
         s = self.settings
         return RosCamera(
-            s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig,
+            s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig, camera=s.lens,
             now=None if self._sim is None else self._sim.now, ended=self._ended,
         )  # fmt: skip
 
