@@ -94,7 +94,7 @@ def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(serve
         left = start.T @ np.array(turned["world_R_camera"]).reshape(3, 3)[:, 0]
         assert left[1] > 0  # a positive turn is to the left
         assert turned["position"][:2] == pytest.approx(told["position"][:2])
-        page.say(type="drive", by="person", forward=0.5, seconds=0.5)
+        page.say(type="drive", by="person", forward=-0.5, seconds=0.5)  # ahead is a wall
         page.until(lambda header: math.dist(header["position"][:2], told["position"][:2]) > 0.1)
         page.say(type="methods", names=["vmf", "nonsense"])
         answered = page.until(lambda header: header["rivals"])
