@@ -12,6 +12,7 @@ from eagor.sphere import world_R_body
 READ = {
     "/image": m.IMAGE,
     "/image/compressed": m.COMPRESSED,
+    "/camera_info": m.CAMERA_INFO,
     "/imu": m.IMU,
     "/odom": m.ODOMETRY,
     "/pose": m.POSE,
@@ -26,6 +27,22 @@ def cdr(kind, message):
     return bytes(store().serialize_cdr(message, kind))
 
 
+def camera_info(
+    size, k, d=(), model="plumb_bob", *, p=None, stamp=0.0, frame="camera_optical_frame", binning=1, roi=None
+):
+    """A sensor_msgs/CameraInfo: `k` is fx, fy, cx, cy; `p` those of rectified pictures; `roi` x, y, width, height."""
+    (fx, fy, cx, cy), (rfx, rfy, rcx, rcy) = k, k if p is None else p
+    left, top, wide, high = roi or (0, 0, 0, 0)
+    region = m.message(
+        "sensor_msgs/msg/RegionOfInterest", x_offset=left, y_offset=top, height=high, width=wide, do_rectify=False
+    )
+    return m.message(
+        m.CAMERA_INFO, header=m.header(stamp, frame), height=size[1], width=size[0], distortion_model=model,
+        d=np.array(d, dtype=float), k=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]), r=np.eye(3).reshape(-1),
+        p=np.array([rfx, 0, rcx, 0, 0, rfy, rcy, 0, 0, 0, 1.0, 0]), binning_x=binning, binning_y=binning, roi=region,
+    )  # fmt: skip
+
+
 def random_message(kind, rng, stamp):
     """A message of one of the types that we read, every field set at random."""
     pose = Pose(stamp, world_R_body(*rng.uniform(-3, 3, 3)), rng.normal(size=3))
@@ -35,6 +52,10 @@ def random_message(kind, rng, stamp):
         return m.image_message(picture, stamp, frame, str(rng.choice(["rgb8", "bgr8", "rgba8", "bgra8", "mono8"])))
     if kind == m.COMPRESSED:
         return m.compressed_message(picture, stamp, frame, kind=str(rng.choice(["jpeg", "png"])))
+    if kind == m.CAMERA_INFO:
+        return camera_info(
+            (8, 4), rng.normal(size=4), rng.normal(size=5), p=rng.normal(size=4), stamp=stamp, frame=frame
+        )
     if kind == m.IMU:
         found = m.imu_message(pose, frame, turning=rng.normal(size=3), felt=rng.normal(size=3))
         found.orientation_covariance = rng.normal(size=9)

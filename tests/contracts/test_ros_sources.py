@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from rosmaking import camera_info
 
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
 from eagor.media.bags import messages as m
@@ -116,6 +117,24 @@ def test_a_slow_reader_gets_the_newest_picture():
         assert next(frames).stamp >= first.stamp + 10
         camera.close()
         assert list(frames) == []
+
+
+def test_an_ordinary_camera_s_lens_is_told_beside_its_pictures():
+    domain = free_domain()
+    narrow = np.zeros((30, 40, 3), np.uint8)
+
+    def speak(publish, n):
+        publish("/front/camera_info", m.CAMERA_INFO, camera_info((40, 30), (30, 30, 19.5, 14.5), frame="lens"))
+        publish("/front/image_raw", m.IMAGE, m.image_message(narrow, time.time(), ""))
+
+    with speaking(domain, speak), DdsGraph(domain, "lo") as graph:
+        for info in (None, "/front/camera_info"):
+            camera = RosCamera(graph=graph, info=info)
+            assert (camera.frame, camera.grid.shape) == ("lens", (30, 40))
+            assert camera.grid.hfov == pytest.approx(2 * math.atan(20 / 30))
+            camera.close()
+        with pytest.raises(DeviceError, match="has no topic /else; it has /front/camera_info"):
+            RosCamera(graph=graph, info="/else")
 
 
 @pytest.mark.parametrize(

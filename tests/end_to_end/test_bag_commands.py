@@ -8,11 +8,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from rosmaking import camera_info
 
 from eagor.cli import main
+from eagor.conventions import OPTICAL_R_BODY
+from eagor.grids import PerspectiveGrid
+from eagor.lenses import PinholeLens
 from eagor.media.bags import messages as m
 from eagor.media.bags.reader import BagWriter
 from eagor.media.frames import Pose
+from eagor.media.panorama import view
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
 
@@ -147,6 +152,56 @@ def test_a_bag_without_odometry_turns_by_its_pictures(tmp_path, capsys):
     assert found["poses"] == "orientations from the pictures themselves"
 
 
+SENSOR, K, D = (160, 120), (130.0, 131.0, 78.0, 61.0), (-0.2, 0.05, 0.001, -0.001, 0.0)
+
+
+@pytest.fixture(scope="module")
+def narrow(tmp_path_factory):
+    """A bag of an ordinary camera that turns past the red ball, with its camera_info; rectified pictures as well."""
+    lens = PinholeLens("camera", SENSOR, K[:2], (K[2] + 0.5, K[3] + 0.5), D)
+    plain = PinholeLens("camera", SENSOR, (110.0, 110.0), (80.5, 60.5))
+    grids = {"image_raw": PerspectiveGrid.of_lens(lens), "image_rect": PerspectiveGrid.of_lens(plain)}
+    place, path = np.array([-0.5, 0.2, 1.0]), tmp_path_factory.mktemp("narrow") / "bag"
+    ahead = math.atan2(*bearing(ROOM.balls[0], place, np.eye(3))[0][[1, 0]])
+    with BagWriter(path) as bag:
+        for k in range(5):
+            stamp, turn = START + 0.5 * k, world_R_body(ahead + 0.3 - 0.15 * k, 0, 0)
+            seen = paint(ROOM, tuple(place), turn, 256, 512)
+            frame = "lens_optical_frame"
+            fixed = m.transform_message(stamp, "base_link", frame, OPTICAL_R_BODY.T)
+            if k == 0:
+                bag.write("/tf_static", m.TRANSFORMS, m.transforms_message(fixed), stamp)
+            bag.write("/odom", m.ODOMETRY, m.odometry_message(Pose(stamp, turn, place)), stamp)
+            info = camera_info(SENSOR, K, D, p=(110, 110, 80, 60), stamp=stamp, frame=frame)
+            bag.write("/front/camera_info", m.CAMERA_INFO, info, stamp)
+            for name, grid in grids.items():
+                bag.write(f"/front/{name}", m.IMAGE, m.image_message(view(seen, grid), stamp, frame), stamp)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--image-topic", "/front/image_raw"], "an ordinary camera, 67.5 x 53.3 degrees, says /front/camera_info"),
+        (["--image-topic", "/front/image_rect", "--camera-info", "front/camera_info"], "72.1 x 57.2 degrees"),
+        (["--image-topic", "/front/image_rect", "--hfov", "72.05"], "72.0 x 57.2 degrees, says --hfov 72.05"),
+    ],
+)
+def test_an_ordinary_camera_of_a_bag_has_the_lens_that_is_told(narrow, capsys, words, said):
+    code, found, err = track(capsys, narrow, "red", "--rate", "4", *words)
+    assert code == 0
+    assert said in err
+    for k, frame in enumerate(found["frames"]):
+        assert frame["azimuth_deg"] == pytest.approx(math.degrees(0.15 * k - 0.3), abs=1)
+
+
+def test_a_lens_is_told_once(narrow, capsys):
+    words = ["--image-topic", "/front/image_raw", "--camera-info", "/front/camera_info", "--hfov", "60"]
+    code, _, err = track(capsys, narrow, "red", *words)
+    assert code == 2
+    assert "--camera-info /front/camera_info and 60.0: both tell the lens of the pictures; wanted one of them" in err
+
+
 def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
     code, found, err = track(capsys, recorded(tmp_path / "bag", lost=(13, 20)), "red", "--rate", "4")
     assert code == 0
@@ -195,7 +250,7 @@ def test_what_is_no_bag(tmp_path, capsys):
     (tmp_path / "a.png").write_bytes(b"")
     code, _, err = track(capsys, tmp_path / "a.png", "red", "--odom-topic", "/odom")
     assert code == 2
-    assert "--image-topic and --odom-topic are for a ROS 2 bag" in err
+    assert "--image-topic, --odom-topic and --camera-info are for a ROS 2 bag" in err
 
 
 def test_clocks_that_have_nothing_in_common(tmp_path, capsys):

@@ -5,11 +5,12 @@ import math
 import cv2
 import numpy as np
 import pytest
+from rosmaking import camera_info
 
 from eagor.errors import FormatError
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
-from eagor.media.camera_files import read_camera
+from eagor.media.camera_files import read_camera, rig_of_info
 
 SIZE = 640, 480
 FX, FY, CX, CY = 512.5, 515.0, 321.5, 236.25
@@ -92,6 +93,46 @@ def test_a_fisheye_is_opencv_s(tmp_path, text, model):
     camera = np.array([[lens.focal, 0, CX], [0, lens.focal, CY], [0, 0, 1]])  # one focal length: the mean
     wanted = cv2.fisheye.projectPoints(theirs[:, None], np.zeros(3), np.zeros(3), camera, np.array(ROUND))[0][:, 0]
     np.testing.assert_allclose(np.stack(lens.project(own)[:2], axis=-1), wanted + 0.5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("model", "values"),
+    [("plumb_bob", PLUMB), ("rational_polynomial", RATIONAL), ("equidistant", ROUND), ("plumb_bob", ())],
+)
+def test_a_camera_info_is_the_file_s(tmp_path, model, values):
+    """Of the whole sensor; and of a part of it, with two by two pixels in one, where each sees what it did."""
+    told = read(tmp_path, ROS, model=model, values=list(values), count=len(values))
+    k = FX, FY, CX, CY
+    (lens,) = rig_of_info(camera_info(SIZE, k, values, model), False, "/camera_info").lenses
+    x, y = np.random.default_rng(0).uniform(150, 400, (2, 50))
+    np.testing.assert_allclose(lens.unproject(x, y), told.unproject(x, y), atol=1e-12)
+    part = camera_info(SIZE, k, values, model, binning=2, roi=(100, 40, 400, 440))
+    rig = rig_of_info(part, False, "/camera_info")
+    assert rig.sizes == ((200, 220),)
+    np.testing.assert_allclose(rig.lenses[0].unproject((x - 100) / 2, (y - 40) / 2), told.unproject(x, y), atol=1e-9)
+
+
+def test_rectified_pictures_have_the_lens_of_p():
+    info = camera_info(SIZE, (FX, FY, CX, CY), PLUMB, p=(400, 410, 300, 250))
+    (lens,) = rig_of_info(info, True, "/camera_info").lenses
+    assert (lens.focal, lens.centre, lens.distortion) == ((400, 410), (300.5, 250.5), ())
+
+
+@pytest.mark.parametrize(
+    ("values", "model", "said"),
+    [
+        ((0, 0, 0, 0), "", "/camera_info has the focal lengths 0 and 0 in K; .* not calibrated"),
+        ((500, 500, 320, 240), "fov", "/camera_info belongs to the distortion model 'fov'; wanted one of plumb_bob"),
+        (
+            (500, 700, 320, 240),
+            "equidistant",
+            "/camera_info tells no lens: the fisheye's focal lengths are 500 and 700",
+        ),
+    ],
+)
+def test_a_camera_info_without_a_lens_is_refused(values, model, said):
+    with pytest.raises(FormatError, match=said):
+        rig_of_info(camera_info(SIZE, values, (0.1, 0.1), model), False, "/camera_info")
 
 
 def test_colmap_counts_from_the_corner(tmp_path):

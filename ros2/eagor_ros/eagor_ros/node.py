@@ -10,6 +10,7 @@ from typing import Any
 DEFAULTS: dict[str, Any] = {
     "queries": [""],
     "image_topic": "",
+    "camera_info": "",
     "odom_topic": "",
     "poses": "odom",
     "body": "base_link",
@@ -83,7 +84,10 @@ def made(ros_node: Any) -> Any:
     names = ("poses", "body", "rate", "belief_rate", "belief_encoding", "latency", "patience", SIM_TIME)
     settings = NodeSettings(
         **{name: told[name] for name in names},
-        **{name: told[name] or None for name in ("image_topic", "odom_topic", "camera", "world", "cmd_vel")},
+        **{
+            name: told[name] or None
+            for name in ("image_topic", "camera_info", "odom_topic", "camera", "world", "cmd_vel")
+        },
         walking=WalkSettings(speed=told["speed"], distance=told["distance"]),
         config=tracker_config(told["degree"], perception or "colour"),
     )

@@ -76,6 +76,13 @@ CameraFile = Annotated[
     Path | None,
     bare("FILE", "An ordinary camera: its calibration by ROS, OpenCV, Kalibr or COLMAP, or a rig with one lens."),
 ]
+CameraInfo = Annotated[
+    str | None,
+    bare(
+        "TOPIC",
+        "An ordinary camera: the CameraInfo of its pictures (default: camera_info beside them, if they are not 2:1).",
+    ),
+]
 Mask = Annotated[
     Path | None,
     bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),

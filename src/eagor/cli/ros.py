@@ -21,7 +21,7 @@ from eagor.cli.checks import (
     rows_for,
     tracker_config,
 )
-from eagor.cli.options import Common, Detector, Flag, Floor, Force, Hfov, Whole, bare
+from eagor.cli.options import CameraInfo, Common, Detector, Flag, Floor, Force, Hfov, Whole, bare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,8 @@ class Ros(Common):
     queries: Annotated[tuple[str, ...], Positional, arg(metavar="[QUERY ...]", help_behavior_hint="")] = ()
     """What to look for, each in quotes; more, or others, come on ~/query."""
     image_topic: Annotated[str | None, bare("TOPIC")] = None
-    """The panoramas: Image or CompressedImage (default: the only such topic)."""
+    """The pictures: Image or CompressedImage (default: the only such topic)."""
+    camera_info: CameraInfo = None
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """Odometry, PoseStamped, Imu, or /tf (default: the only topic of the first of these kinds)."""
     poses: Literal["odom", "auto", "level", "still"] = "odom"
@@ -71,7 +72,7 @@ class Ros(Common):
     """The lenses, if the pictures are those of fisheye or ordinary lenses."""
     hfov: Hfov = None
     intrinsics: Annotated[Path | None, bare("FILE")] = None
-    """An ordinary camera: its calibration, such as `ros2 topic echo --once /camera_info`; --camera is its frame."""
+    """An ordinary camera without camera_info: its calibration in a file; --camera is its frame."""
     perception: Annotated[str | None, bare("NAME")] = None
     """The detector: colour, coco, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
     patience: Annotated[float, arg(metavar="SECONDS")] = 60.0
@@ -140,7 +141,8 @@ def ros(options: Ros) -> int:
         rows=rows_for(spec),
         patience=options.patience,
         rig=rig,
-        lens=ordinary(options.hfov, options.intrinsics, options.rig),
+        lens=ordinary(options.hfov, options.intrinsics, options.rig, options.camera_info),
+        camera_info=options.camera_info,
         record=options.record,
         cmd_vel=options.cmd_vel,
         walking=WalkSettings(speed=options.speed, distance=options.distance),

@@ -40,6 +40,7 @@ from eagor.cli.checks import (
 )
 from eagor.cli.options import (
     CameraFile,
+    CameraInfo,
     Common,
     Detector,
     Flag,
@@ -96,6 +97,7 @@ class Track(Common):
     """Where to stop in a video or bag (default: at its end)."""
     image_topic: Annotated[str | None, bare("TOPIC")] = None
     """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
+    camera_info: CameraInfo = None
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
     video: Annotated[Path | None, bare("FILE.mp4")] = None
@@ -232,8 +234,9 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
     rows = max(rows_of(perception), LEAST_ROWS)
     if len(places) == 1 and is_bag(places[0]):
         return _of_bag(options, places[0], poses, rows)
-    if given(options, ("image_topic", "odom_topic")):
-        raise terminal.UsageError(f"--image-topic and --odom-topic are for a ROS 2 bag; {places[0]} is none")
+    if given(options, ("image_topic", "odom_topic", "camera_info")):
+        topics = "--image-topic, --odom-topic and --camera-info"
+        raise terminal.UsageError(f"{topics} are for a ROS 2 bag; {places[0]} is none")
     if is_video(places, options.rig):
         return _of_video(options, places, poses, rows)
     return _of_images(options, places, poses)
@@ -328,23 +331,25 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
     from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
     from eagor.media.footage import BagFrames, FrameCheck
+    from eagor.media.intrinsics import in_words
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
-    if wrong := given(options, ("hfov", "camera")):
-        raise terminal.UsageError(
-            f"--{wrong[0]} is for videos and pictures, and {place} is a bag: give its lens as a rig (--rig)"
-        )
+    lens = ordinary(options.hfov, options.camera, options.rig, options.camera_info)
     bag, (looks, shown), rig = Bag(place), _rates(options), None
     if options.rig is not None:
         from eagor.media.rigs import read_rig
 
         rig = read_rig(options.rig)
-    camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig)
-    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
+    camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info)
+    if camera.lens is not None:
+        terminal.log(f"{camera.topic}: {in_words(camera.lens.name, camera.view)}")
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)
+    if camera.view is not None and not poses and odometry is None:
+        shown = max(shown, BY_SIGHT)
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
     if odometry is not None:
         frames, told = posed_by_odometry(source, odometry, terminal.log), f"poses from {odometry.topic}"
     else:

@@ -1,6 +1,6 @@
 """Calibrations of one camera, as other programs write them: ROS, OpenCV, Kalibr, COLMAP, and our own rigs.
 
-`read_camera` knows them by what is in them:
+`rig_of_info` reads the message sensor_msgs/CameraInfo, `read_camera` files, which it knows by what is in them:
 
 - ROS ``camera_info`` (camera_calibration, or ``ros2 topic echo``): ``image_width``, ``image_height``,
   ``camera_matrix``, ``distortion_model``, ``distortion_coefficients``; or ``width``, ``height``, ``K``, ``D``.
@@ -20,7 +20,8 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from eagor.lenses import WIDEST, FisheyeLens, Lens, PinholeLens
 from eagor.media.rigs import Rig, read_rig
 from eagor.media.yaml_files import Place, read_yaml
 
-__all__ = ["read_camera"]
+__all__ = ["read_camera", "rig_of_info"]
 
 KIND = "a camera's calibration"
 WANTED = (
@@ -103,8 +104,8 @@ def _opencv(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int,
     values = () if place is None else _numbers(place, "up to 8 numbers", range(15))
     if fisheye and not model:
         model = "equidistant"
-    lens = _lens(place or matrix, model, (width, height), (fx, fy), (cx + 0.5, cy + 0.5), values)
-    return lens, (width, height)
+    wrong = (place or matrix).wrong
+    return _lens(wrong, model, (width, height), (fx, fy), (cx + 0.5, cy + 0.5), values), (width, height)
 
 
 def _first(entries: Mapping[str, Place], names: Sequence[str]) -> Place | None:
@@ -155,7 +156,7 @@ def _kalibr(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int,
     model = fields["distortion_model"].text().lower() if "distortion_model" in fields else "none"
     told = fields.get("distortion_coeffs")
     values = () if told is None else _numbers(told, "up to 4 numbers", range(5))
-    return _lens(told or place, model, size, (fx, fy), (cx + 0.5, cy + 0.5), values), size
+    return _lens((told or place).wrong, model, size, (fx, fy), (cx + 0.5, cy + 0.5), values), size
 
 
 # --- COLMAP ---
@@ -215,24 +216,64 @@ def _colmap(name: str) -> Rig:
         raise FormatError(f"{where}: {error}") from error
 
 
+# --- messages ---
+
+
+def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
+    """The one lens that a sensor_msgs/CameraInfo tells, called `name`, with the size of its pictures.
+
+    `rectified`: of the pictures without distortion (``image_rect``): the lens is that of P, otherwise of K and D. P and
+    K are those of the whole sensor; the pictures are the region `roi`, with `binning` pixels in one. R is not used: the
+    header's frame is taken for that of the pictures, as ``image_geometry`` takes it. Raises `FormatError`.
+    """
+
+    def wrong(text: str) -> FormatError:
+        return FormatError(f"{name} {text}")
+
+    roi = received.roi
+    whole = 0 in (roi.width, roi.height)
+    left, top, wide, high = (
+        (0, 0, received.width, received.height) if whole else (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    )
+    across, down = max(1, received.binning_x), max(1, received.binning_y)
+    size = wide // across, high // down
+    if min(size) < 1:
+        raise wrong(f"is for pictures of {wide} x {high} pixels; wanted the size that the camera has")
+    letter, values = ("P", [float(v) for v in received.p]) if rectified else ("K", [float(v) for v in received.k])
+    fx, fy, cx, cy = (values[at] for at in ((0, 5, 2, 6) if rectified else (0, 4, 2, 5)))
+    if not (np.isfinite(values).all() and min(fx, fy) > 0):
+        raise wrong(
+            f"has the focal lengths {fx:g} and {fy:g} in {letter}; wanted pixels above 0. The camera is not "
+            "calibrated: calibrate it (ros2 run camera_calibration cameracalibrator), or give --hfov"
+        )
+    focal = fx / across, fy / down
+    centre = (cx + 0.5 - left) / across, (cy + 0.5 - top) / down
+    model = "none" if rectified else received.distortion_model.strip().lower()
+    try:
+        lens = _lens(wrong, model, size, focal, centre, [] if rectified else [float(v) for v in received.d])
+    except EagorError as error:  # numbers that no lens has
+        raise error if str(error).startswith(name) else wrong(f"tells no lens: {error}") from error
+    return Rig((size,), (lens,))
+
+
 # --- lenses ---
 
 
 def _lens(
-    place: Place,
+    wrong: Callable[[str], FormatError],
     model: str,
     size: tuple[int, int],
     focal: tuple[float, float],
     centre: tuple[float, float],
     values: Sequence[float],
 ) -> Lens:
-    """The lens of a distortion `model` of ROS, OpenCV or Kalibr with these `values`."""
+    """The lens of a distortion `model` of ROS, OpenCV or Kalibr with these `values`; `wrong` makes the errors."""
     most = {**PLANE, **ROUND}.get(model)
     if most is None:
         known = ", ".join(filter(None, (*PLANE, *ROUND)))
-        raise place.wrong(f"belongs to the distortion model {model!r}; wanted one of {known}")
+        raise wrong(f"belongs to the distortion model {model!r}; wanted one of {known}")
     if any(values[most:]):
-        raise place.wrong(f"has {len(values)} numbers; wanted at most {most} that are not 0 ({model or 'OpenCV'})")
+        raise wrong(f"has {len(values)} numbers; wanted at most {most} that are not 0 ({model or 'OpenCV'})")
     if model in ROUND:
         return _fisheye(size, focal, centre, values[:most])
     return PinholeLens("camera", size, focal, centre, tuple(values[:most]))

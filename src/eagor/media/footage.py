@@ -19,7 +19,7 @@ import numpy as np
 
 from eagor.errors import ImageError
 from eagor.media.defects import fisheye_circles, problems
-from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid, told_by_photograph
+from eagor.media.intrinsics import ASK, Camera, Told, in_words, ordinary_grid, told_by_photograph
 from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
 
 if TYPE_CHECKING:
@@ -116,9 +116,7 @@ class FrameCheck:
             raise ShapeError(f"{what}{why}. {ASK}. A panorama all the same: --force (all columns for 360 degrees)")
         if "lens" not in self._said:
             self._said.add("lens")
-            high = 2 * math.degrees(math.atan(math.tan(grid.hfov / 2) * height / width))
-            source = self.camera.name or told.source
-            self.say(f"{name}: an ordinary camera, {math.degrees(grid.hfov):.1f} x {high:.1f} degrees, says {source}")
+            self.say(f"{name}: {in_words(self.camera.name or told.source, grid)}")
             for fact in (*frame.facts, *told.facts):
                 self.say(fact if fact.startswith("warning: ") else f"{name}: {fact}")
         return replace(frame, grid=grid)
@@ -131,7 +129,7 @@ class FrameCheck:
         size = (frame.picture.shape[1], frame.picture.shape[0])
         if size not in self._wide:
             self._wide[size] = Panoramas((size,), self.camera.rig, None, name)
-            self.say(f"{name}: a fisheye, as {self.camera.name} says: it is looked at as a part of a panorama")
+            self.say(f"{name}: {in_words(self.camera.name, None)}")
         panoramas = self._wide[size]
         return Picture(panoramas.make(frame.picture), panoramas.unseen)
 
@@ -231,6 +229,8 @@ class BagFrames:
             yield stamp, name, partial(self._checked, read, name)
 
     def _checked(self, read: Callable[[], np.ndarray], name: str) -> Picture:
+        if self.camera.view is not None:
+            return Picture(read(), grid=self.camera.view)
         return self.check(Picture(read(), self.camera.unseen), name)
 
 

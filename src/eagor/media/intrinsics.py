@@ -22,7 +22,7 @@ from eagor.lenses import PinholeLens
 from eagor.media.camera_files import read_camera
 from eagor.media.rigs import SHAPE, Rig
 
-__all__ = ["Camera", "Told", "camera_of", "ordinary_grid", "told_by_photograph", "told_by_video"]
+__all__ = ["Camera", "Told", "camera_of", "in_words", "ordinary_grid", "told_by_photograph", "told_by_video"]
 
 FULL_FRAME = math.hypot(36.0, 24.0)  # mm: the diagonal of the film that "35 mm equivalent" refers to (CIPA DCG-001)
 WIDEST = math.radians(140)  # beyond, a plane has hardly any pixels for what is ahead: such lenses are stitched
@@ -122,6 +122,15 @@ def ordinary_grid(camera: Camera, told: Told, size: tuple[int, int], name: str) 
     if told.focal is None:
         return None
     return PerspectiveGrid(height, width, 2 * math.atan(width / (2 * told.focal)))
+
+
+def in_words(source: str, grid: PerspectiveGrid | None) -> str:
+    """What `source` says of a lens: the field of its `grid`; without one it is a fisheye, which is stitched."""
+    if grid is None:
+        return f"a fisheye, as {source} says: it is looked at as a part of a panorama"
+    height, width = grid.shape
+    high = 2 * math.degrees(math.atan(math.tan(grid.hfov / 2) * height / width))
+    return f"an ordinary camera, {math.degrees(grid.hfov):.1f} x {high:.1f} degrees, says {source}"
 
 
 def _alike(one: tuple[int, int], other: tuple[int, int]) -> bool:

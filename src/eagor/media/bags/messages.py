@@ -21,16 +21,16 @@ from eagor.media.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
-    "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR", "compressed_message",
-    "header", "image_message", "imu_message", "message", "odometry_message", "panorama_of", "pose_message", "pose_of",
-    "quaternion", "seconds", "stamp_of", "text_message", "time_message", "transform_message", "transforms_message",
-    "vector", "vector_message",
+    "CAMERA_INFO", "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR",
+    "compressed_message", "header", "image_message", "imu_message", "message", "odometry_message", "panorama_of",
+    "pose_message", "pose_of", "quaternion", "seconds", "stamp_of", "text_message", "time_message",
+    "transform_message", "transforms_message", "vector", "vector_message",
 ]  # fmt: skip
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
-CLOCK = "rosgraph_msgs/msg/Clock"
+CLOCK, CAMERA_INFO = "rosgraph_msgs/msg/Clock", "sensor_msgs/msg/CameraInfo"
 
 NANO = 10**9
 LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32

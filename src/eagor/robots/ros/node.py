@@ -127,8 +127,9 @@ class NodeSettings:
     pictures), "level" (the same for a camera that stays level), "still". `body`: the frame of the answers; `camera`:
     the camera's (None: as the pictures name it); `world`: of the poses, for transforms. `rate`: answers per second;
     `belief_rate`: pictures of the belief per second, 0 for none. `cmd_vel`: a topic of velocities that walk the base to
-    the first thing, as `walking` says, by odometry with places; None: the node drives nothing. `lens`: of an
-    ordinary camera. Others as for `LiveLoop` and `RosCamera`. `use_sim_time`: the time is what ``/clock`` says.
+    the first thing, as `walking` says, by odometry with places; None: the node drives nothing. `lens`: of an ordinary
+    camera; `camera_info`: the topic that tells it. Others as for `LiveLoop` and `RosCamera`. `use_sim_time`: the time
+    is what ``/clock`` says.
     """
 
     image_topic: str | None = None
@@ -145,6 +146,7 @@ class NodeSettings:
     patience: float = 60.0
     rig: Rig | None = None
     lens: Camera | None = None
+    camera_info: str | None = None
     record: Path | None = None
     cmd_vel: str | None = None
     walking: WalkSettings = field(default_factory=WalkSettings)
@@ -342,7 +344,7 @@ class Node:
         s = self.settings
         return RosCamera(
             s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig, camera=s.lens,
-            now=None if self._sim is None else self._sim.now, ended=self._ended,
+            info=s.camera_info, now=None if self._sim is None else self._sim.now, ended=self._ended,
         )  # fmt: skip
 
     def _record(self) -> Path | None:

@@ -20,6 +20,7 @@ from eagor.media.frames import Frame, Pose
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.media.stitching import Panoramas
+from eagor.robots.ros.camera_info import lacks_lens, told_in_bag, told_on_graph
 from eagor.robots.ros.graph import MOTION, PICTURES, TF, TF_STATIC, DdsGraph, Graph, GraphReader, find_topic, pick
 from eagor.robots.ros.odometry import BACK, BODY, PoseReader
 
@@ -53,10 +54,11 @@ class RosCamera:
     kept, and decoded when it is asked for; `dropped` counts the others, and those that were damaged.
 
     `rows`: the most rows of a panorama; `rate`: the most pictures per second; `rig`: the lenses, if the topic has their
-    pictures. `domain`: None is that of the environment; `graph`: a graph to use instead of an own one; `now`: a clock
-    to use instead of this machine's; `ended` says whether nobody waits for a picture any more. `frame`: the frame that
-    the pictures name. `problem`: what is wrong now, or None. Raises `DeviceError` if there is no such topic or no
-    picture comes, `ImageError` for pictures that are no panoramas.
+    pictures; `camera`: of an ordinary one. `info`: the topic of its CameraInfo; None: where the pictures are not 2:1,
+    and nothing else tells their lens, ``camera_info`` beside them. `domain`: None is that of the environment; `graph`:
+    a graph to use instead of an own one; `now`: a clock to use instead of this machine's; `ended` says whether nobody
+    waits for a picture any more. `frame`: the frame that the pictures name. `problem`: what is wrong now, or None.
+    Raises `DeviceError` if there is no such topic or no picture comes, `ImageError` for pictures that are no panoramas.
     """
 
     live = True
@@ -72,6 +74,7 @@ class RosCamera:
         rows: int | None = None,
         rig: Rig | None = None,
         camera: Camera | None = None,
+        info: str | None = None,
         rate: float | None = None,
         graph: Graph | None = None,
         wait: float = FIRST,
@@ -96,6 +99,10 @@ class RosCamera:
             first = self._first(wait, ended)
             picture = panorama_of(first)
             self.frame: str = first.header.frame_id
+            if info is not None or lacks_lens(picture, rig, camera):
+                told = told_on_graph(self._graph, self.topic, info, wait, ended)
+                if told is not None:
+                    camera, self.frame = told.camera, self.frame or told.frame
             self._panoramas = Panoramas(((picture.shape[1], picture.shape[0]),), rig, rows, self.topic, camera)
             self._panoramas.check(picture)
         except BaseException:
@@ -347,8 +354,9 @@ class BagCamera:
 
     `topic`: None is the only one with pictures; or `bag` is the text ``BAG?topic=/image``. Stamps are those of the
     headers less the `latency`; where a header has none, the time of recording. `rate`: the most pictures per second.
-    `count`: how many pictures there are; `frame`: the frame that they name; otherwise as
-    `RosCamera`. Raises `FormatError` for the bag or topic, `ImageError` for the pictures.
+    `count`: how many pictures there are; `frame`: the frame that they name; `lens`: the ordinary camera, if it is one;
+    `view`: the grid of its pictures, None where they become panoramas. Otherwise as `RosCamera`. Raises `FormatError`
+    for the bag or topic, `ImageError` for the pictures.
     """
 
     live = False
@@ -362,6 +370,7 @@ class BagCamera:
         rows: int | None = None,
         rig: Rig | None = None,
         camera: Camera | None = None,
+        info: str | None = None,
         rate: float | None = None,
     ) -> None:
         self._apart = apart(rate)
@@ -379,11 +388,16 @@ class BagCamera:
         self.frame: str = first[3].header.frame_id
         picture = panorama_of(first[3])
         self._size = picture.shape
+        if info is not None or lacks_lens(picture, rig, camera):
+            told = told_in_bag(self.bag, self.topic, info)
+            if told is not None:
+                camera, self.frame = told.camera, self.frame or told.frame
+        self.lens = camera if camera is not None and camera.known else None
         self._panoramas = Panoramas(
             ((picture.shape[1], picture.shape[0]),), rig, rows, f"{self.topic} of {bag}", camera
         )
         self._panoramas.check(picture)
-        self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
+        self.grid, self.unseen, self.view = self._panoramas.grid, self._panoramas.unseen, self._panoramas.view
 
     def __iter__(self) -> Iterator[Frame]:
         for stamp, read in self.pictures():
