@@ -7,17 +7,21 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from rosgraph import FakeGraph, clock_message
+from rosmaking import camera_info
 
 from eagor import Evidence
 from eagor.errors import DeviceError
+from eagor.grids import PerspectiveGrid
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media.bags import messages as m
 from eagor.media.frames import Pose
+from eagor.media.panorama import view
 from eagor.robots.ros.graph import find_topic
 from eagor.robots.ros.node import Node, NodeSettings, SimClock
 from eagor.robots.ros.odometry import PoseReader
@@ -36,11 +40,14 @@ YAWS = range(0, 360, 15)
 class Robot:
     """A robot that turns, in a process's own graph: `begins` is the stamp at its start, `speed` degrees per second.
 
-    `pace`: seconds of the robot per second of ours; 0: its time stands.
+    `pace`: seconds of the robot per second of ours; 0: its time stands. `grid`: of an ordinary camera.
     """
 
-    def __init__(self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4), frame="base_link"):
-        self.graph = FakeGraph({"/image": m.IMAGE, "/odom": m.ODOMETRY, "/clock": m.CLOCK})
+    def __init__(self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4), frame="base_link", grid=None):
+        self.graph = FakeGraph(
+            {"/image": m.IMAGE, "/camera_info": m.CAMERA_INFO, "/odom": m.ODOMETRY, "/clock": m.CLOCK}
+        )
+        self.grid = grid
         self.now, self.speed, self.pace, self.silent = begins, speed, pace, False
         self.frame = frame
         self.show(ball)
@@ -66,11 +73,16 @@ class Robot:
             if self.silent:
                 continue
             self.graph.feed("/odom", m.odometry_message(self.pose(self.now)))
+            if self.grid is not None:
+                (high, wide), focal = self.grid.shape, self.grid.shape[1] / 2 / math.tan(self.grid.hfov / 2)
+                k = focal, focal, wide / 2 - 0.5, high / 2 - 0.5
+                self.graph.feed("/camera_info", camera_info((wide, high), k, frame=self.frame))
             if (
                 number := int(self.speed * self.now // 15)
             ) != shown:  # the camera shows what it saw when it looked there
                 shown = number
                 seen = self._seen[number % len(YAWS)]
+                seen = seen if self.grid is None else view(seen, self.grid)
                 self.graph.feed("/image", m.image_message(seen, 15 * number / self.speed, self.frame))
 
     def __enter__(self):
@@ -131,6 +143,21 @@ def test_directions_are_stamped_with_the_poses_that_they_were_turned_with(begins
     poses, markers = robot.graph.of("~/direction_pose"), robot.graph.of("~/markers")
     assert {m.stamp_of(each) for each in poses} <= {*stamps}
     assert {m.stamp_of(each) for each in markers[-5].markers} <= {*stamps}
+
+
+def test_an_ordinary_camera_is_told_where_to_look_next():
+    """Its lens comes from camera_info. Where to look stays where it is in the world between two looks."""
+    grid = PerspectiveGrid(48, 64, math.radians(100))
+    with Robot(12.0, grid=grid) as robot, running(robot.graph):
+        told = lambda: robot.graph.of("~/next_look")  # noqa: E731
+        robot.graph.until(lambda: len(told()) > 20, "it is told where to look next")
+        directions = {m.stamp_of(each) for each in robot.graph.of("~/direction")}
+        looks = told()
+    assert {m.stamp_of(each) for each in looks} <= directions
+    assert {each.header.frame_id for each in looks} == {"base_link"}
+    found = [np.array([each.vector.x, each.vector.y, each.vector.z]) for each in looks]
+    world = [robot.pose(m.stamp_of(each)).world_R_body @ toward for each, toward in zip(looks, found, strict=True)]
+    assert any(angular_distance(a, b) < 1e-6 for a, b in pairwise(world))
 
 
 def test_a_simulation_at_half_speed_that_goes_back_begins_anew():

@@ -244,6 +244,7 @@ def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
     words = ["--hfov", "80", "--fast", "--json", "--record", str(tmp_path / "run"), "--pictures", "png"]
     assert main(["live", str(tmp_path / "film"), "the red ball", *words]) == 0
     last = lines(capsys)[-1]
+    assert last["next_look"]["azimuth_deg"] == pytest.approx(last["azimuth_deg"], abs=60), "it turns back to the ball"
     truth = bearing(Room().balls[0], EYE, world_R_body(0.63))[0]
     azimuth = math.degrees(math.atan2(truth[1], truth[0]))
     assert abs(last["azimuth_deg"] - azimuth) < 7, "it has left the picture, whose border cut it at the last looks"

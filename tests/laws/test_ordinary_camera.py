@@ -23,6 +23,7 @@ from eagor.perception.footage import follow
 from eagor.perception.views import ViewBox, things
 from eagor.sphere import angular_distance, world_R_body
 from eagor.tracking import TrackerConfig
+from eagor.tracking.checkpoint import packed, unpacked
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
@@ -191,3 +192,9 @@ def test_a_fisheye_s_calibration_makes_a_part_of_a_panorama(tmp_path):
     angle = np.hypot(np.arange(320)[:, None] - 159.5, np.arange(240) - 119.5) / 110
     assert share == pytest.approx(np.sinc(angle / math.pi).sum() / 110**2 / (4 * math.pi), rel=0.03)
     assert (found.picture[~found.unseen] > 100).mean() > 0.99
+
+
+def test_a_calibrated_grid_comes_back_from_its_bytes():
+    """As looks go from the detector's process to the live loop, and trackers into files."""
+    again = unpacked(packed(GRIDS[1]))
+    np.testing.assert_array_equal(again.directions, GRIDS[1].directions)

@@ -40,6 +40,7 @@ from eagor.cli.options import CameraFile, Common, Detector, Flag, Floor, Force, 
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer
+    from eagor.live.looking import NextLooks
     from eagor.live.loop import LiveLoop, Watcher
     from eagor.media.frames import CameraSource
 
@@ -116,14 +117,17 @@ def live(options: Live) -> int:
     """Run the command; returns its exit code."""
     if options.words[:1] == ("replay",):
         return _replay(options)
+    from eagor.live.looking import NextLooks
+
     source, queries = asked(options)
-    told, watchers = _Told(options, queries), []
+    looks = NextLooks()
+    told, watchers = _Told(options, queries, looks), []
     try:
         if options.rerun is not None:
             from eagor.live.rerun import LiveLog
 
             watchers.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
-        loop = loop_of(options, watchers)
+        loop = loop_of(options, [*watchers, looks])
     except BaseException:
         for watcher in watchers:
             watcher.close()
@@ -274,26 +278,48 @@ def _poses(options: Live, camera: CameraSource) -> Any:
 class _Told:
     """What is printed: lines of JSON, or a status line on a terminal; on stderr what goes wrong, once."""
 
-    def __init__(self, options: Live, queries: Sequence[str]) -> None:
+    def __init__(self, options: Live, queries: Sequence[str], looks: NextLooks | None = None) -> None:
         from eagor.live.events import FaultLog
 
         self._json, self._modes, self._queries = options.json, options.modes, queries
         self._line = not options.json and sys.stdout.isatty()
         self._newest: dict[str, Answer] = {}
         self._shown = -math.inf
-        self._news = FaultLog()
+        self._news, self._looks = FaultLog(), looks
+        self._next: tuple[float, float] | None = None  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
 
     def add(self, answer: Answer) -> None:
         """One answer."""
         self._newest[answer.query] = answer
-        if answer.query == self._queries[0]:
+        first = answer.query == self._queries[0]
+        if first:
             self._say(answer)
+            self._advise(answer)
         if self._json:
-            terminal.emit(answer.as_json(self._modes))
+            terminal.emit(answer.as_json(self._modes) | (self._next_look() if first else {}))
         elif self._line and answer.query == self._queries[-1] and time.monotonic() - self._shown >= SHOWN:
             self._shown = time.monotonic()
-            self._show(" | ".join(map(_in_line, self._newest.values())))
+            self._show(" | ".join([*map(_in_line, self._newest.values()), *self._next_in_words()]))
+
+    def _advise(self, answer: Answer) -> None:
+        """Keep where the camera should look next, if anything tells it."""
+        from eagor.sphere import azimuth_elevation
+
+        toward = None if self._looks is None else self._looks.of(answer)
+        self._next = None if toward is None else tuple(map(float, azimuth_elevation(toward)))
+
+    def _next_look(self) -> dict[str, Any]:
+        """The same for a line of JSON."""
+        if self._next is None:
+            return {}
+        azimuth, elevation = (round(math.degrees(angle), 6) for angle in self._next)
+        return {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
+
+    def _next_in_words(self) -> list[str]:
+        from eagor.drawing.words import in_words
+
+        return [] if self._next is None else [f"look next {in_words(*self._next)}"]
 
     def _say(self, answer: Answer) -> None:
         """What is wrong now and was not, and the other way round."""

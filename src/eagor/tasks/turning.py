@@ -81,7 +81,7 @@ def search(
     The first look is level and at the azimuth `start` (degrees). Raises what `look` raises, and `GridError` for a view
     that `TurningCamera` refuses.
     """
-    camera = TurningCamera(view.hfov, 2 * math.atan(math.tan(view.hfov / 2) * view.height / view.width))
+    camera = TurningCamera.of_view(view)
     tracker, heading = DirectionTracker(config), (start, 0.0)
     for turn in range(1, most + 1):
         stamp, pose = SECONDS * turn, world_R_body(math.radians(heading[0]))

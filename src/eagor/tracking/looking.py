@@ -84,6 +84,11 @@ class TurningCamera:
         }
         require(self, wanted, GridError)
 
+    @classmethod
+    def of_view(cls, view: PerspectiveGrid) -> TurningCamera:
+        """The camera that takes the pictures of a `view`; the other fields are the defaults."""
+        return cls(view.hfov, 2 * math.atan(math.tan(view.hfov / 2) * view.height / view.width))
+
     @property
     def grid(self) -> PerspectiveGrid:
         """A view of it that looks forward; without `vfov`, its picture is 4:3."""

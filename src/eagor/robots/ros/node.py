@@ -21,6 +21,7 @@ import numpy as np
 from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
 from eagor.live.events import Answer, Fault, FaultLog, Part
+from eagor.live.looking import NextLooks
 from eagor.live.loop import RATE, LiveLoop, Watcher
 from eagor.live.sources import LoopClock, already_open
 from eagor.media.bags.messages import CLOCK, TEXT, seconds
@@ -305,8 +306,8 @@ class Node:
         camera = self._camera()
         self._frame = s.camera or camera.frame
         loop: LiveLoop
-        stamps = Stamps()
-        watchers: list[Watcher] = [stamps]
+        stamps, looks = Stamps(), NextLooks()
+        watchers: list[Watcher] = [stamps, looks]
         gate: TwistGate | None = None
         steering: Steering | None = None
         try:
@@ -332,7 +333,7 @@ class Node:
                     loop.stop()
         try:
             with gate or nullcontext():
-                loop.run(lambda answer: self._answered(answer, loop, outbox, steering, stamps))
+                loop.run(lambda answer: self._answered(answer, loop, outbox, steering, stamps, looks))
         finally:
             with self._news:
                 self._loop = None
@@ -374,7 +375,13 @@ class Node:
             raise DeviceError(f"{error}. Without odometry: --poses auto takes turns from the pictures") from error
 
     def _answered(
-        self, answer: Answer, loop: LiveLoop, outbox: Outbox, steering: Steering | None, stamps: Stamps
+        self,
+        answer: Answer,
+        loop: LiveLoop,
+        outbox: Outbox,
+        steering: Steering | None,
+        stamps: Stamps,
+        looks: NextLooks,
     ) -> None:
         queries = loop.core.queries
         self.answers += 1
@@ -393,7 +400,7 @@ class Node:
             step = steering.step(answer, mount)
             told |= {"drive": step.wish.words, "gate": "; ".join((step.state.mode, *step.state.reasons))}
         camera = self._frame or self.settings.body
-        outbox.put(OutgoingAnswer(told_of, answer.stamp, number, len(queries), mount, camera, told))
+        outbox.put(OutgoingAnswer(told_of, answer.stamp, number, len(queries), mount, camera, told, looks))
 
     def _mount(self, stamp: float) -> np.ndarray:
         """body_R_camera."""

@@ -21,6 +21,7 @@ from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.live.core import deviation
 from eagor.live.events import Answer, Event, FrameCame, Part, PoseCame
+from eagor.live.looking import NextLooks
 from eagor.media.bags.messages import (
     IMAGE,
     POSE,
@@ -276,7 +277,10 @@ class Stamps:
 
 @dataclass(frozen=True, eq=False)
 class OutgoingAnswer:
-    """An `answer`, `given` then, to the query of this `number` of `count`; `told`: further values for diagnostics."""
+    """An `answer`, `given` then, to the query of this `number` of `count`; `told`: further values for diagnostics.
+
+    `looks`: who tells where the camera should look next.
+    """
 
     answer: Answer
     given: float
@@ -285,13 +289,15 @@ class OutgoingAnswer:
     body_R_camera: np.ndarray
     camera: str
     told: Mapping[str, str]
+    looks: NextLooks | None = None
 
 
 class Outbox:
     """Publishes the newest answers on a `graph`, as `settings` (`NodeSettings`) say; a context manager.
 
     It has a thread of its own, so that a reader that hangs holds up no answer.
-    ``~/direction``, ``~/direction_pose``, ``~/belief_image`` and ``~/belief`` are of the first query; every further one
+    ``~/direction``, ``~/direction_pose``, ``~/belief_image``, ``~/belief`` and ``~/next_look`` (of an ordinary camera)
+    are of the first query; every further one
     has ``~/NAME/direction`` and ``~/NAME/direction_pose``. ``~/markers`` and ``/diagnostics`` are of all. `now`: the
     time of the node, for what rests on no picture. `failed`: how many messages could not be sent.
     """
@@ -369,6 +375,9 @@ class Outbox:
             self._send(f"{space}/direction_pose", direction_pose(answer, turn, body))
         self._send("~/markers", markers(answer, turn, body, item.number))
         self._shown.add(answer.query)
+        toward = None if item.looks is None or item.number else item.looks.of(answer)
+        if toward is not None:
+            self._send("~/next_look", vector_message(turn @ toward, answer.stamp, body))
         rate = self._settings.belief_rate
         due = rate > 0 and _over(item.given - self._believed, 1 / rate)
         if item.number == 0 and due and answer.direction is not None:
@@ -406,7 +415,7 @@ class Outbox:
         if topic not in self._writers:
             kinds = {
                 "direction": VECTOR, "direction_pose": POSE, "markers": MARKERS, "belief_image": IMAGE,
-                "belief": NUMBERS, "diagnostics": DIAGNOSTICS,
+                "belief": NUMBERS, "diagnostics": DIAGNOSTICS, "next_look": VECTOR,
             }  # fmt: skip
             self._writers[topic] = self._graph.publish(topic, kinds[topic.rpartition("/")[2]], reliable=True, depth=10)
         return self._writers[topic]
