@@ -27,6 +27,7 @@ TRIED = 8  # key frames of an ordinary camera that a picture is compared with if
 BESIDE = 0.25  # seconds within which another lens of the rig tells how this one has turned
 SLACK = 0.3  # of a turn that is taken from another lens' pictures: the camera may not have turned on steadily
 PUSHED = 10.0  # radians per second squared: few cameras change their rate of turning faster
+FASTEST = 10.0  # radians per second: few cameras turn faster
 STEADY = math.radians(2)  # of a turn that is expected, whatever the time
 WAIT = 2.0  # seconds for which an ordinary picture that fits to none before it is waited out
 FOLLOWED = 0.4  # share of a frame's corners found again by optical flow; with fewer, features are matched anew
@@ -289,10 +290,14 @@ class VisualOdometer:
         return (every + every)[start : start + min(TRIED, len(every))]
 
     def _inertia(self, key: _Key, stamp: float) -> Inertia | None:
-        """What an ordinary camera's turn from a key frame can be, once its rate is known."""
-        if key.views.whole or not self._moving:
+        """What an ordinary camera's turn from a key frame can be: the less time since the last picture, the less.
+
+        Above all, lenses of one moment share its pose, whatever looks alike before and behind: corners of a room do.
+        """
+        if key.views.whole or self._previous is None:
             return None
-        most = STEADY + PUSHED * (stamp - self._stamp) ** 2 / 2
+        since = stamp - self._stamp
+        most = STEADY + (PUSHED * since**2 / 2 if self._moving else FASTEST * since)
         return Inertia(key.world_R_body.T @ self._expected(stamp), most)
 
     def _compared(self, key: _Key, views: Views, stamp: float) -> tuple[_Key, Turn] | None:
