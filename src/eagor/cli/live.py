@@ -307,7 +307,10 @@ class _Told:
         from eagor.sphere import azimuth_elevation
 
         toward = None if self._looks is None else self._looks.of(answer)
-        self._next = None if toward is None else tuple(map(float, azimuth_elevation(toward)))
+        self._next = None
+        if toward is not None:
+            azimuth, elevation = azimuth_elevation(toward)
+            self._next = float(azimuth), float(elevation)
 
     def _next_look(self) -> dict[str, Any]:
         """The same for a line of JSON."""

@@ -29,7 +29,7 @@ class Ros(Common):
     """A node of ROS 2, without ROS: pictures and odometry in, directions out, until Ctrl-C.
 
     It writes ~/direction, ~/direction_pose, ~/markers, ~/belief_image, ~/belief and /diagnostics, where ~ is --name,
-    and takes queries on ~/query.
+    of an ordinary camera ~/next_look, and takes queries on ~/query.
     """
 
     runs: ClassVar[str] = "ros"
