@@ -28,8 +28,8 @@ from eagor.cli.options import CameraInfo, Common, Detector, Flag, Floor, Force, 
 class Ros(Common):
     """A node of ROS 2, without ROS: pictures and odometry in, directions out, until Ctrl-C.
 
-    It writes ~/direction, ~/direction_pose, ~/markers, ~/belief_image, ~/belief and /diagnostics, where ~ is --name,
-    of an ordinary camera ~/next_look, and takes queries on ~/query.
+    It writes ~/direction, ~/direction_pose, ~/markers, ~/belief_image, ~/belief, /diagnostics, and for an ordinary
+    camera ~/next_look, where ~ is --name. It takes queries on ~/query.
     """
 
     runs: ClassVar[str] = "ros"
