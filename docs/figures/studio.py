@@ -199,14 +199,15 @@ def cost() -> None:
     tour = house_of(SEED, place).tour
     assert tour is not None
     for rows in (256, 384, 512, 1024, 1536):
-        took = []
+        took, size = [], 0
         for number in range(4):  # the first makes tables
             begun = time.process_time()
             eye = place.eye(tour.way[0] + 0.01 * number, 1.25)
             seen = place.renderer.panorama(eye, np.eye(3), rows, range=False, ids=False).rgb
             assert seen is not None
             took.append(time.process_time() - begun)
-        print(f"{rows} rows: {1e3 * min(took):.0f} ms, {len(jpeg(seen)) / 1e3:.0f} kB", flush=True)
+            size = len(jpeg(seen))
+        print(f"{rows} rows: {1e3 * min(took):.0f} ms, {size / 1e3:.0f} kB", flush=True)
 
 
 def main() -> int:

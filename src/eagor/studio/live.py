@@ -15,7 +15,7 @@ from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, scene_of, small_jpeg
+from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, scene_of, seen_jpeg
 
 __all__ = ["Shown", "watch"]
 
@@ -75,7 +75,7 @@ class Shown:
         """An event of the loop, and the answers to it."""
         with self._lock:
             self._tried(event)
-        if isinstance(event, FrameCame) and event.panorama is not None:
+        if isinstance(event, FrameCame) and event.picture is not None:
             self._picture = event
         elif isinstance(event, PoseCame):
             self._position = event.pose.position
@@ -113,12 +113,12 @@ class Shown:
             header["belief"], coefficients = belief_of(estimate, answer.stamp, estimate.config.degree)
             blobs["belief"] = Blob(FLOATS, coefficients)
         picture = self._picture
-        if picture is not None and picture.panorama is not None and answer.stamp - self._sent >= PICTURES:
+        if picture is not None and answer.stamp - self._sent >= PICTURES:
             self._picture, self._sent = None, answer.stamp
             pose = self.loop.core.orientation(picture.stamp)
             pose = estimate.world_R_body if pose is None else pose
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
-            blobs["panorama"] = Blob("image/jpeg", small_jpeg(picture.panorama, ROWS))
+            blobs["panorama"] = Blob("image/jpeg", seen_jpeg(picture, ROWS))
         self._say(Message(header, blobs))
 
     def _scene(self) -> None:

@@ -29,7 +29,7 @@ from eagor.live.recording import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.houses import plan_of
 from eagor.studio.messages import jpeg, rounded
-from eagor.studio.steps import belief_in_json, believed, calibration_of, scene_of, small_jpeg
+from eagor.studio.steps import belief_in_json, believed, calibration_of, scene_of, seen_jpeg
 from eagor.tasks.episodes import Episode
 from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
 from eagor.tasks.places import Place, load_place
@@ -201,7 +201,7 @@ def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda
     place: np.ndarray | None = None
     last = -math.inf
     for event in replay.events(pictures=True):
-        if isinstance(event, FrameCame) and event.panorama is not None:
+        if isinstance(event, FrameCame) and event.picture is not None:
             panorama = event
         elif isinstance(event, PoseCame) and event.pose.position is not None:
             place = event.pose.position
@@ -235,10 +235,7 @@ def _answered(answer: Any, panorama: FrameCame | None, place: np.ndarray | None,
     step["estimate"]["status_words"] = answer.status_words
     step["belief"] = belief_in_json(estimate, answer.stamp, core.config.degree)
     step["look"] = {"age": rounded(answer.look_age, 3), "fresh": False}
-    picture = None
-    if panorama is not None and panorama.panorama is not None:
-        picture = small_jpeg(panorama.panorama, ROWS)
-    return step, picture
+    return step, None if panorama is None else seen_jpeg(panorama, ROWS)
 
 
 def walked(folder: Path) -> Redrawn:

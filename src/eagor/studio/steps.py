@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from eagor.drawing.mosaic import Mosaic
 from eagor.drawing.words import STATUS, answer_in_words, far_in_words
 from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
+from eagor.live.events import FrameCame
 from eagor.sphere import angular_distance
 from eagor.studio.density import DEGREE, MASS, Density, density_of
 from eagor.studio.messages import Blob, jpeg, rounded
@@ -21,7 +23,7 @@ from eagor.worlds.photograph import Photograph
 
 __all__ = [
     "FLOATS", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg", "estimate_json", "evidence_of",
-    "scene_of", "small_jpeg",
+    "scene_of", "seen_jpeg", "small_jpeg",
 ]  # fmt: skip
 
 FLOATS = "float32"
@@ -136,6 +138,16 @@ def small_jpeg(panorama: np.ndarray, rows: int) -> bytes:
     small = Photograph(panorama).panorama((0.0, 0.0, 0.0), np.eye(3), min(rows, panorama.shape[0])).rgb
     assert small is not None
     return jpeg(small)
+
+
+def seen_jpeg(event: FrameCame, rows: int) -> bytes:
+    """What a camera saw, as a panorama in its own axes, JPEG; around an ordinary camera's picture nothing is seen."""
+    assert event.picture is not None
+    if event.grid is None:
+        return small_jpeg(event.picture, rows)
+    around = Mosaic(rows)
+    around.add(event.picture, event.grid, np.eye(3))
+    return jpeg(around.colours)
 
 
 def error_deg(direction: np.ndarray | None, truth: np.ndarray | None) -> float | None:

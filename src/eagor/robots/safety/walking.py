@@ -275,7 +275,7 @@ class Odometer:
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
         if isinstance(event, FrameCame):
-            self.panorama = event.panorama
+            self.panorama = event.picture
         elif isinstance(event, PoseCame):
             place = event.pose.position
             self.xy = None if place is None else (float(place[0]), float(place[1]))
