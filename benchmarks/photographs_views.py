@@ -42,7 +42,8 @@ from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
 from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco import CLASSES, coco_detector
-from eagor.perception.views import Thing, Views
+from eagor.perception.things import Thing
+from eagor.perception.views import Views
 from eagor.sphere import angular_distance, world_R_body
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import TrackerMethod, make_method

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from eagor.evidence.detector import DetectorModel
+from eagor.evidence.shapes import moments_of
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.blobs import blobs
 from eagor.perception.vlm.answers import Box
@@ -108,3 +109,17 @@ def test_a_part_is_as_wide_as_it_is():
     assert score == 1.0
     ((_, spread, _),) = blobs(np.ones(grid.shape), grid, 0.5, 0.0)
     assert spread[0, 0] > 1e6
+
+
+@pytest.mark.parametrize("azimuth", [20, 41, 45, 48])
+def test_a_region_that_the_border_cuts_goes_on_beyond_it(azimuth):
+    grid, whole = PerspectiveGrid(200, 200, math.radians(90)), direction(math.radians(azimuth), 0.0)
+    disc = angular_distance(grid.directions, whole) < math.radians(8)
+    ((centre, spread, _),) = blobs(disc.astype(float), grid, 0.5, 0.0)
+    shown, narrow = moments_of(grid.directions[disc], grid.weights[disc])
+    off, before = (math.degrees(float(angular_distance(each, whole))) for each in (centre, shown))
+    if azimuth == 20:
+        assert (off, spread[0, 0]) == pytest.approx((before, narrow[0, 0]))
+    else:
+        assert off < 0.75 * before
+        assert spread[0, 0] > narrow[0, 0]

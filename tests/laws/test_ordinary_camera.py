@@ -20,7 +20,7 @@ from eagor.media.posed_frames import PosedFrame
 from eagor.media.rigs import Rig
 from eagor.perception.colour import ColourPerception
 from eagor.perception.footage import follow
-from eagor.perception.views import ViewBox, things
+from eagor.perception.things import ViewBox, things
 from eagor.sphere import angular_distance, world_R_body
 from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lenses import PinholeLens
 from eagor.media.features import Views, corners_of, features_of, followed, match, steadied, warped
-from eagor.media.panorama import read_panorama, turn
+from eagor.media.panorama import read_panorama, turn, view
 from eagor.media.rotation import VisualOdometer
 from eagor.media.two_views import turn_between
 from eagor.sphere import angular_distance, world_R_body
@@ -378,6 +378,19 @@ def test_lenses_of_a_rig_share_their_key_frames():
             found.append(turned.matches > 0)
     assert np.mean(found[2:]) > 0.8
     assert gap(turned.world_R_body, pose) < 0.5, "after half a turn one lens sees what the other saw first"
+
+
+def test_lenses_of_one_moment_share_its_pose_whatever_looks_alike():
+    """A place that looks the same behind as before: no picture of the back lens is one that the front lens took."""
+    ahead = PerspectiveGrid(240, 320, math.radians(80))
+    behind = PerspectiveGrid(240, 320, math.radians(80), world_R_body(math.pi))
+    odometer, room = VisualOdometer(), PatternRoom(4, cells=10).panorama(np.eye(3), rows=512)
+    for k in range(4):
+        seen = view(room, replace(ahead, body_R_view=world_R_body(0.05 * k)))
+        for grid in (ahead, behind):
+            turned = odometer.add(seen, 0.1 * k, grid)
+            assert gap(turned.world_R_body, world_R_body(0.05 * k)) < 1
+            assert math.degrees(turned.spread) < 2
 
 
 def test_a_narrow_field_asks_for_more_than_being_near():

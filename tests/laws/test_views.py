@@ -13,7 +13,8 @@ from eagor.errors import EagorError, GridError, ImageError, QueryError
 from eagor.media.cutting import cut, tangent_views
 from eagor.media.panorama import turn
 from eagor.perception import check_perception, look
-from eagor.perception.views import ViewBox, Views, things
+from eagor.perception.things import ViewBox, things
+from eagor.perception.views import Views
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
 GREY = 90

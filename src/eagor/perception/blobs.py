@@ -10,8 +10,9 @@ import numpy as np
 from eagor.evidence import Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
-from eagor.evidence.shapes import moments_of
-from eagor.grids import ErpGrid, Grid, PatchGrid
+from eagor.evidence.shapes import box_samples, moments_of
+from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
+from eagor.perception.things import ViewBox, opened
 
 
 def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[tuple[np.ndarray, np.ndarray, float]]:
@@ -20,6 +21,9 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     Regions cross the seam of a panorama and its poles (the cells of the first row touch, and those of the last). Those
     whose integral of the response is below `least` (steradians) are left out. The covariance ``(2, 2)`` (radians^2) is
     about the mean direction; a region all around the sphere gets the widest possible.
+
+    The border of an ordinary picture cuts what it meets: as a box does (`eagor.perception.things`), a region goes on
+    there by an unknown length, as dense as in its box.
     """
     around = isinstance(grid, ErpGrid | PatchGrid)
     labels = connected(response >= level, around, poles=around).reshape(-1)
@@ -31,9 +35,32 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     for cells in np.split(order, ends[:-1]) if len(order) else ():
         weights = areas[cells] * values[cells]
         if weights.sum() >= least:
-            centre, spread = moments_of(directions[cells], weights)
+            beyond, more = _beyond(cells, float(weights.sum()), grid)
+            points, masses = np.concatenate([directions[cells], beyond]), np.concatenate([weights, more])
+            centre, spread = moments_of(points, masses)
             found.append((centre, spread, float(weights.sum() / areas[cells].sum())))
     return found
+
+
+def _beyond(cells: np.ndarray, mass: float, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Where a region of these `cells` may go on outside of its picture: directions ``(n, 3)``, their weights ``(n,)``.
+
+    `mass`: the integral of the response in it. None (n = 0) if no border cuts it.
+    """
+    nothing = np.zeros((0, 3)), np.zeros(0)
+    if not isinstance(grid, PerspectiveGrid):
+        return nothing
+    rows, columns = np.divmod(cells, grid.width)
+    left, top, right, bottom = columns.min(), rows.min(), columns.max(), rows.max()
+    box = np.array([left, top, right + 1, bottom + 1], dtype=np.float64)
+    piece = ViewBox(0, grid, box, 1.0, near=0.0)
+    if not piece.cut.any():
+        return nothing
+    at_side = np.array([columns == left, rows == top, columns == right, rows == bottom])
+    chords = at_side.sum(axis=1) / np.tile([bottom + 1 - top, right + 1 - left], 2)
+    points, areas = box_samples(opened(piece, [piece], chords), piece.plane)
+    outside = ~grid.project(points)[2]
+    return points[outside], areas[outside] * mass / piece.samples[1].sum()
 
 
 def spread_evidence(

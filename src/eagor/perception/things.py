@@ -1,0 +1,166 @@
+"""From boxes in ordinary pictures to things on the sphere: one for each, however many pictures show it.
+
+A box that touches the border of its picture may be only a part of the thing. Its direction is then that of the part,
+which for large furniture is tens of degrees off. Where another picture shows the whole thing, that box counts; where
+all pictures cut it, the parts are put together; where a cut side stays open, the thing goes on there by an unknown
+length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from eagor._lazy import lazy
+from eagor.evidence.shapes import box_samples, moments_of
+from eagor.grids import PerspectiveGrid
+from eagor.sphere import unit
+
+__all__ = ["Thing", "ViewBox", "opened", "things"]
+
+BORDER = 0.01  # of a view's side
+SAME = 0.5  # of the smaller box, where both views look: with more in common, two boxes are of one thing
+# The visible part of a thing that is cut at a random place is on average (in the median) half of it.
+HIDDEN = 1.0  # of the visible length: by how much a thing goes on behind an open side
+
+
+@dataclass(frozen=True, eq=False)
+class ViewBox:
+    """A box ``(4,)`` of a view, in its pixels, with its score; the view is number `view` of those that look.
+
+    `near`: a box that ends nearer to the border than this share of a side is cut; detectors are not exact there.
+    """
+
+    view: int
+    grid: PerspectiveGrid
+    box: np.ndarray
+    score: float
+    near: float = BORDER
+
+    @property
+    def cut(self) -> np.ndarray:
+        """Which sides ``(4,)`` touch the border of the view: left, top, right, bottom."""
+        size = np.array([self.grid.width, self.grid.height])
+        near = self.near * size
+        return np.concatenate([self.box[:2] <= near, self.box[2:] >= size - near])
+
+    @lazy
+    def plane(self) -> PerspectiveGrid:
+        """The view without distortion, in whose plane a thing may go on beyond the border; as it is if it has none."""
+        lens = self.grid.lens
+        return PerspectiveGrid.of_lens(replace(lens, distortion=())) if any(lens.distortion) else self.grid
+
+    def in_plane(self, box: np.ndarray) -> np.ndarray:
+        """A box ``(4,)`` of the view as one of `plane`: as far as the middles of its sides."""
+        if self.plane is self.grid:
+            return np.asarray(box, dtype=np.float64)
+        lens, (x0, y0, x1, y1) = self.grid.lens, box
+        middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
+        right, down = lens.plane(np.array([x0, middle_x, x1, middle_x]), np.array([middle_y, y0, middle_y, y1]))
+        x, y = lens.centre[0] + lens.focal[0] * right, lens.centre[1] + lens.focal[1] * down
+        return np.array([x[0], y[1], x[2], y[3]])
+
+    @lazy
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions ``(n, 3)`` in the body frame that fill the box, and their solid angles ``(n,)``."""
+        return box_samples(self.box, self.grid)
+
+    def holds(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the directions ``(n, 3)`` lie in the box, and which in the view."""
+        x, y, seen = self.grid.project(directions)
+        x0, y0, x1, y1 = self.box
+        return seen & (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1), seen
+
+    def is_of(self, other: ViewBox) -> bool:
+        """Whether it shows the same thing as a box of another view, judged by what both views see."""
+        shared, seen = [], []
+        for one, two in ((self, other), (other, self)):
+            directions, weights = one.samples
+            held, visible = two.holds(directions)
+            shared.append(float(weights[held].sum()))
+            seen.append(float(weights[visible].sum()))
+        # A sliver at a border may fall between the samples of the larger box: the smaller one decides then.
+        smaller = min((area for area in seen if area > 0), default=0.0)
+        return smaller > 0 and max(shared) > SAME * smaller
+
+
+class Thing(NamedTuple):
+    """A thing on the sphere: mean `direction` ``(3,)``, `covariance` ``(2, 2)`` about it (radians squared), score."""
+
+    direction: np.ndarray
+    covariance: np.ndarray
+    score: float
+
+
+def things(pieces: Sequence[ViewBox]) -> list[Thing]:
+    """One `Thing` for each group of pieces that show the same, the surest first."""
+    groups: list[list[ViewBox]] = []
+    for piece in sorted(pieces, key=lambda each: -each.score):
+        own = [
+            group
+            for group in groups
+            if all(other.view != piece.view for other in group) and any(piece.is_of(other) for other in group)
+        ]
+        if own:
+            own[0].append(piece)
+        else:
+            groups.append([piece])
+    return [_thing(group) for group in groups]
+
+
+def _thing(group: Sequence[ViewBox]) -> Thing:
+    """The thing that all pieces of a group show; the first is the surest."""
+    score = group[0].score
+    whole = next((piece for piece in group if not piece.cut.any()), None)
+    if whole is not None:
+        return Thing(*moments_of(*whole.samples), score)
+    directions, weights = [], []
+    for number, piece in enumerate(group):
+        found, areas = box_samples(opened(piece, group), piece.plane)
+        new = np.ones(len(found), dtype=bool)
+        for place, other in enumerate(group):
+            held, seen = other.holds(found)
+            if place < number:
+                new &= ~held  # counted already
+            elif place > number:
+                new &= held | ~seen  # where another view looks, its box says how far the thing goes
+        directions.append(found[new])
+        weights.append(areas[new])
+    if not sum(len(found) for found in directions):
+        return Thing(*moments_of(*group[0].samples), score)
+    return Thing(*moments_of(unit(np.concatenate(directions)), np.concatenate(weights)), score)
+
+
+def opened(piece: ViewBox, group: Sequence[ViewBox], chords: np.ndarray | None = None) -> np.ndarray:
+    """The box ``(4,)`` of a piece in its plane, longer at each cut side beyond which no other goes on.
+
+    `chords` ``(4,)``: on how much of its length the thing meets each side of the box, if that is known. One that
+    narrows towards the border is nearly whole; a sliver that does not is the edge of one as wide as long. With the
+    fourth power that is up to 0.39 of the radius too much for a disc that shows half or more.
+    """
+    x0, y0, x1, y1 = piece.box
+    middle_x, middle_y = (x0 + x1) / 2, (y0 + y1) / 2
+    found = piece.in_plane(piece.box).copy()
+    wide, high = found[2:] - found[:2]
+    grid, lens = piece.grid, piece.plane.lens
+    border = np.abs(piece.in_plane(np.array([0, 0, grid.width, grid.height])) - np.tile(lens.centre, 2))
+    beyond = np.array([[x0 - 1, middle_y], [middle_x, y0 - 1], [x1 + 1, middle_y], [middle_x, y1 + 1]])
+    for side in np.flatnonzero(piece.cut):
+        there = piece.grid.unproject(*beyond[side])[None]
+        if any(other is not piece and other.holds(there)[0].any() for other in group):
+            continue
+        length = HIDDEN * (wide, high)[side % 2]
+        if chords is not None:
+            length = chords[side] ** 4 * max(length, (high, wide)[side % 2] - (wide, high)[side % 2])
+        # A plane stretches without bound towards its horizon: go on by the angle, not by pixels.
+        centre, focal = lens.centre[side % 2], lens.focal[side % 2]
+        angle = math.atan(border[side] / focal) + min(length / focal, math.radians(60))
+        reach = focal * math.tan(min(angle, math.radians(80)))
+        found[side] = (
+            min(found[side] + length, centre + reach) if side >= 2 else max(found[side] - length, centre - reach)
+        )
+    return found
