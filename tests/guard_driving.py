@@ -164,9 +164,10 @@ def begun_by(trial: Trial, driver: Driver, robot: Any) -> float:
 
 def measured(robot: Any, begun: float) -> Time:
     """How long it took from `begun` until nothing was commanded and the body stood."""
-    until(lambda: robot.zero_since(begun) is not None and robot.still_since(begun) is not None)
-    time.sleep(0.15)  # and nothing comes after
-    zero, still = robot.zero_since(begun), robot.still_since(begun)
-    assert zero is not None
-    assert still is not None
-    return Time(zero - begun, still - begun)
+    while True:
+        until(lambda: robot.zero_since(begun) is not None and robot.still_since(begun) is not None)
+        time.sleep(0.15)  # and nothing comes after
+        zero, still = robot.zero_since(begun), robot.still_since(begun)
+        assert zero is not None
+        if still is not None:  # else it stood only because it had not felt the last command yet: wait again
+            return Time(zero - begun, still - begun)

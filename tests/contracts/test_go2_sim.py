@@ -51,7 +51,7 @@ def test_the_same_seed_gives_the_same_run_with_pictures_when_they_arrive():
     for a, b in zip(one, two, strict=True):
         assert (type(a), a.stamp) == (type(b), b.stamp)
         if isinstance(a, Frame):
-            np.testing.assert_array_equal(a.panorama, b.panorama)
+            np.testing.assert_array_equal(a.picture, b.picture)
         else:
             np.testing.assert_array_equal(a.position, b.position)
     frames = [each for each in one if isinstance(each, Frame)]

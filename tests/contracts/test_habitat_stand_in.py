@@ -25,6 +25,7 @@ from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
 from eagor.worlds.habitat import floors, simulator, world
 from eagor.worlds.habitat.options import parse
+from eagor.worlds.habitat.simulator import device_for  # itself: the stand-in puts another one into the module
 from eagor.worlds.habitat.surface import main_storey
 from eagor.worlds.habitat.view import Frames, euclidean
 from eagor.worlds.render import Renderer
@@ -280,7 +281,7 @@ def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.delitem(sys.modules, "habitat_sim")
     monkeypatch.setattr(simulator, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"needs Habitat-Sim .* aihabitat .* from the sources"):
-        simulator.device_for("scene.glb", "default")
+        device_for("scene.glb", "default")
 
 
 @pytest.mark.parametrize(
@@ -298,11 +299,11 @@ def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, devi
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delenv(simulator.PROBED, raising=False)
     with pytest.raises(EagorError, match=says) as raised:
-        simulator.device_for("scene.glb", "default", device)
+        device_for("scene.glb", "default", device)
     assert "\n" not in str(raised.value)
 
 
 def test_the_device_comes_from_the_environment(monkeypatch):
     monkeypatch.setenv("EAGOR_HABITAT_GPU", "first")
     with pytest.raises(WorldError, match="wanted the number of a GPU"):
-        simulator.device_for("scene.glb", "default")
+        device_for("scene.glb", "default")
