@@ -61,7 +61,8 @@ def picture(number, stamp=None):
 
 
 def odometry(number, yaw=0.1):
-    return m.odometry_message(Pose(time.time(), world_R_body(yaw * number, 0, 0), np.array([number, 0.0, 0.0])))
+    turn = world_R_body(math.remainder(yaw * number, math.tau), 0, 0)
+    return m.odometry_message(Pose(time.time(), turn, np.array([number, 0.0, 0.0])))
 
 
 def test_a_camera_on_a_topic_keeps_the_contract_of_cameras():

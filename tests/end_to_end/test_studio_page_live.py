@@ -169,7 +169,8 @@ def test_no_answer_is_shown_to_another_question(studio: Studio) -> None:
     assert page.evaluate("window.shown.map(String)[0]") == f"{name},scout"
     page.evaluate(
         "(() => { window.said = []; const line = document.querySelector('.sentence'); new MutationObserver(() =>"
-        "window.said.push(line.textContent)).observe(line, { childList: true, characterData: true, subtree: true }); })()"
+        "window.said.push(line.textContent)).observe(line, { childList: true, characterData: true, subtree: true });"
+        " })()"
     )
     page.get_by_label("Where is the").fill("unicorn")
     page.keyboard.press("Enter")
