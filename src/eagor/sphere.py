@@ -150,12 +150,12 @@ def world_R_body(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarra
     """The pose ``(3, 3)`` of a body turned by `yaw` (left), then `pitch` (nose DOWN), then `roll`, radians.
 
     A yaw may go on for many turns. Raises `RotationError` for a pitch or a roll of more than one, and warns of a yaw
-    that is beyond one turn and looks like degrees: a whole multiple of 15, such as 90.
+    that is beyond one turn and looks like degrees: a whole multiple of 45.
     """
     for name, angle in (("pitch", pitch), ("roll", roll)):
         if abs(angle) > _TURN:
             raise RotationError(f"{name} = {float(angle):g}; wanted radians: math.radians({float(angle):g}) of degrees")
-    if abs(yaw) > _TURN and yaw % 15 == 0:
+    if abs(yaw) > _TURN and yaw % 45 == 0:
         warnings.warn(
             f"yaw = {float(yaw):g} radians is {abs(float(yaw)) / math.tau:.1f} turns; of degrees pass "
             f"math.radians({float(yaw):g})",

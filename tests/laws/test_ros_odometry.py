@@ -46,7 +46,7 @@ def test_a_steady_turn_is_exact_however_fast_and_a_pause_changes_nothing():
     turning = Turning()
     for number in range(100):
         stamp = 0.5 * number + (20.0 if number > 50 else 0.0)
-        turning.add(Pose(stamp, world_R_body(1.5 * stamp)))
+        turning.add(Pose(stamp, world_R_body(math.remainder(1.5 * stamp, math.tau))))
     assert turning.midway < 1e-6
 
 

@@ -114,6 +114,7 @@ class ColourPerception:
         Raises `QueryError` if the query names no known colour, `ImageError` if the panorama is not such an array.
         """
         response = self.respond(panorama, query)
+        warn_unless_whole(np.asarray(panorama))
         grid = PatchGrid(*response.shape)
         return self._evidence(response, grid, grid, stamp)
 
@@ -138,7 +139,6 @@ class ColourPerception:
     def respond(self, panorama: np.ndarray, query: str) -> np.ndarray:
         """The likeness of each cell to the colour of `query`, in [0, 1]; at most ``(rows, 2 * rows)``."""
         colour, linear = parse_colour(query), _reduced(panorama, self.rows, 2 * self.rows)
-        warn_unless_whole(np.asarray(panorama))
         return _likeness(linear, colour)
 
 
