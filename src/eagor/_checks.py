@@ -65,10 +65,15 @@ def checked_stamp(stamp: float) -> float:
     return stamp
 
 
+def is_twice_as_wide(height: int, width: int) -> bool:
+    """Whether a picture of this size is 2:1, as a whole panorama is, up to the rounding of a resized one."""
+    return abs(width - 2 * height) <= ROUNDING
+
+
 def warn_unless_whole(picture: Any) -> None:
     """A `UserWarning` if a picture ``(H, W, ...)`` that came for a panorama is not 2:1."""
     height, width = picture.shape[:2]
-    if abs(width - 2 * height) > ROUNDING:
+    if not is_twice_as_wide(height, width):
         warnings.warn(
             f"a picture of {width} x {height} came for a panorama, which is 2:1: all columns are taken for 360 "
             "degrees, all rows for 180. For an ordinary picture, give its lens: perception.view(picture, "

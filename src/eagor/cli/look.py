@@ -79,18 +79,17 @@ def look(options: Look) -> int:
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, journey.told, journey.begins)]
         try:
-            for frame, lines in looked_at(ahead(journey.frames), views, queries, hidden):
-                file.add("".join(f"{line}\n" for line in [*head, *lines]))
+            for frame, entries in looked_at(ahead(journey.frames), views, queries, hidden):
+                file.add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
                 head.clear()
                 if frame.frame is None or not frame.looked:
                     continue
-                told = [json.loads(line) for line in lines]
-                looks, bad = looks + ("views" in told[0]), bad + ("problem" in told[0])
-                if "problem" in told[0]:
-                    terminal.warning(f"{frame.frame} is left out: {told[0]['problem']}")
-                for line in told:
-                    found = [box for view in line.get("views", ()) for box in view["boxes"]]
-                    labels.update(line.get("query") or box.get("label", "") for box in found)
+                looks, bad = looks + ("views" in entries[0]), bad + ("problem" in entries[0])
+                if "problem" in entries[0]:
+                    terminal.warning(f"{frame.frame} is left out: {entries[0]['problem']}")
+                for entry in entries:
+                    found = [box for view in entry.get("views", ()) for box in view["boxes"]]
+                    labels.update(entry.get("query") or box.get("label", "") for box in found)
                 advance()
         except (ImageError, PoseError) as error:
             if not looks:

@@ -287,27 +287,20 @@ def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose]
         return open_video(places, options.rig, **cut) if views is None else LensVideos(places, views, **cut)
 
     video = opened(shown)
+    check = None if views is not None else _check(options)
     sighted = not poses and (options.poses == "level" or video.motion is None)
-    if sighted and shown < BY_SIGHT and (views is not None or _is_ordinary(options, video.shape)):
+    ordinary_lens = check is None or (options.rig is None and check.takes_as_ordinary(*video.shape))
+    if sighted and shown < BY_SIGHT and ordinary_lens:
         shown = BY_SIGHT
         video = opened(shown)
     say_of_video(places[0].name, video.facts, video.duration)
-    source = VideoFrames(video, _check(options)) if views is None else video
+    source = video if check is None else VideoFrames(video, check)
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
     lenses = 1 if views is None else len(views.sizes)
     return Journey(thinned(frames, looks, lenses=lenses), source.count, told, poses, shown, span)
-
-
-def _is_ordinary(options: Track, shape: tuple[int, int]) -> bool:
-    """Whether a video of this shape (rows, columns) is an ordinary camera's."""
-    from eagor.media.panorama import ROUNDING
-
-    height, width = shape
-    told = options.hfov is not None or options.camera is not None
-    return options.rig is None and (told or not (options.force or abs(width - 2 * height) <= ROUNDING))
 
 
 def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:

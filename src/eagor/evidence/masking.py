@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._arrays import frozen
+from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
 from eagor.evidence.detections import Detections, View
 from eagor.evidence.shapes import canvas_of
@@ -19,7 +20,6 @@ from eagor.grids import ErpGrid, Grid
 __all__ = ["BodyMask"]
 
 ROWS = 512  # finer masks are sampled at so many rows: cells of a third of a degree
-ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 MOSTLY = 0.5  # share of a detection's own extent that has to be seen for it to count
 FINE = 3  # sample points along each side of a cell
 SIDE = 9  # the same of a detection
@@ -37,7 +37,7 @@ class BodyMask:
 
     def __post_init__(self) -> None:
         seen = np.asarray(self.seen)
-        if seen.ndim != 2 or not seen.size or abs(seen.shape[1] - 2 * seen.shape[0]) > ROUNDING:
+        if seen.ndim != 2 or not seen.size or not is_twice_as_wide(*seen.shape):
             shape = " x ".join(map(str, seen.shape[::-1])) if seen.ndim == 2 else f"of shape {seen.shape}"
             raise ImageError(
                 f"the mask is {shape}; wanted a panorama twice as wide as high, (H, W): white where the camera sees "

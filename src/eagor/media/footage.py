@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
 from eagor.media.defects import fisheye_circles, problems
 from eagor.media.intrinsics import ASK, Camera, Told, in_words, ordinary_grid, told_by_photograph
@@ -98,10 +99,12 @@ class FrameCheck:
             self.say(f"warning: {name}: {problem}")
         return frame
 
+    def takes_as_ordinary(self, height: int, width: int) -> bool:
+        """Whether pictures of this size, of which a file says nothing, are those of an ordinary camera."""
+        return self.camera is not None and (self.camera.known or not (self.force or is_twice_as_wide(height, width)))
+
     def _is_ordinary(self, frame: Picture) -> bool:
-        if self.camera is None or frame.unseen is not None:  # its file says where on the sphere it is
-            return False
-        return self.camera.known or not (self.force or is_whole(frame.picture))
+        return frame.unseen is None and self.takes_as_ordinary(*frame.picture.shape[:2])  # else its file says where
 
     def _ordinary(self, frame: Picture, name: str, told: Told) -> Picture:
         """An ordinary picture with its grid; that of a fisheye as a panorama, with what it does not see."""

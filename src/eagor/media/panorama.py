@@ -19,7 +19,7 @@ from typing import IO
 import numpy as np
 from PIL import Image, ImageOps
 
-from eagor._checks import ROUNDING
+from eagor._checks import is_twice_as_wide
 from eagor._extras import need
 from eagor._srgb import to_coded
 from eagor.errors import ImageError, MissingExtraError
@@ -337,8 +337,7 @@ def read_photograph(path: str | os.PathLike[str]) -> Picture:
 
 def is_whole(panorama: np.ndarray) -> bool:
     """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
-    height, width = panorama.shape[:2]
-    return abs(width - 2 * height) <= ROUNDING
+    return is_twice_as_wide(*panorama.shape[:2])
 
 
 def _placed(image: np.ndarray, found: Projection) -> Picture:

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eagor._checks import is_twice_as_wide
 from eagor._extras import need
 from eagor._lazy import lazy
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.defects import fisheye_circles
 from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
-from eagor.media.panorama import ROUNDING, checked_picture, resized
+from eagor.media.panorama import checked_picture, resized
 from eagor.media.rigs import Rig
 
 __all__ = ["Panoramas", "Stitcher", "seen_by"]
@@ -236,7 +237,7 @@ class Panoramas:
             self.grid = view.resized(max(1, round(height * by)), max(1, round(width * by)))
             self.wanted = (self.grid.shape,)
             return
-        if abs(width - 2 * height) > ROUNDING:
+        if not is_twice_as_wide(height, width):
             raise ImageError(
                 f"{name} gives pictures of {width} x {height}, not 2:1; wanted whole panoramas, twice as wide as high. "
                 f"Set the camera to 360-degree (equirectangular) pictures. If these are pictures of lenses: {MAKE}. An "

@@ -1,7 +1,7 @@
 """Look once, ask often: all that a detector saw in footage, with the poses, in one file that answers any query.
 
 The file is a replay file (docs/replay-format.md): a first line about the footage, then a line for each look, with the
-pose of the camera and all boxes of all views, and a line for each pose between the looks. `looked_at` makes the lines;
+pose of the camera and all boxes of all views, and a line for each pose between the looks. `looked_at` makes them;
 `recorded_frames` gives poses and looks back as footage without pictures, which `eagor.perception.footage.follow`
 follows as it follows any; `things_seen` lists what there is.
 """
@@ -16,8 +16,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, QueryError
 from eagor.evidence import BodyMask, model_as_json
 from eagor.grids import ErpGrid
@@ -50,17 +50,17 @@ def first_line(of: str, perception: str, views: Views, poses: str, begins: float
 
 def looked_at(
     frames: Iterable[PosedFrame], views: Views, queries: Sequence[str] = (), hidden: HiddenParts | None = None
-) -> Iterator[tuple[PosedFrame, list[str]]]:
-    """Each pose, and its lines: one for a look; of a detector without classes, one for each of `queries`.
+) -> Iterator[tuple[PosedFrame, list[dict[str, Any]]]]:
+    """Each pose, and its entries, one for each line: one for a look; without classes, one for each of `queries`.
 
-    A frame that cannot be used has a line with the reason. What is `hidden` is written as not seen. Raises `EagorError`
+    A frame that cannot be used has one with the reason. What is `hidden` is written as not seen. Raises `EagorError`
     as `eagor.perception.footage.follow` does.
     """
     hidden, first = hidden or HiddenParts(), True
     for frame in frames:
         at = {"stamp": float(frame.pose.stamp), "pose": _pose(frame.pose, frame.spread)}
         if frame.frame is None or not frame.looked or frame.read is None:
-            yield frame, [json.dumps(at)]
+            yield frame, [at]
             continue
         at |= {"frame": frame.frame} | ({"lost": True} if frame.lost else {})
         try:
@@ -74,7 +74,7 @@ def looked_at(
             if mask is not None:
                 at["unseen"] = _runs(mask)
             turn = frame.pose.world_R_body
-            lines = [
+            entries = [
                 at | ({} if query is None else {"query": query}) | {"views": [*map(_view, seen)]}
                 for query in (queries or (None,))
                 for seen in [views.seen(picture.picture, turn, query or "", picture.grid)]
@@ -82,9 +82,9 @@ def looked_at(
         except EagorError as error:
             if isinstance(error, QueryError) or (isinstance(error, ShapeError) and first):
                 raise
-            lines = [at | {"problem": str(error)}]
+            entries = [at | {"problem": str(error)}]
         first = False
-        yield frame, [json.dumps(each) for each in lines]
+        yield frame, entries
 
 
 def _pose(pose: FramePose, spread: float) -> dict[str, float]:
@@ -94,8 +94,9 @@ def _pose(pose: FramePose, spread: float) -> dict[str, float]:
 
 
 def _quaternion(turn: np.ndarray) -> dict[str, float]:
-    found = Rotation.from_matrix(np.asarray(turn, dtype=np.float64)).as_quat(canonical=True, scalar_first=True)
-    return {f"q{axis}": round(value, TURNS) for axis, value in zip("wxyz", found.tolist(), strict=True)}
+    return {
+        f"q{axis}": round(value, TURNS) for axis, value in zip("wxyz", wxyz_from_rotation(turn).tolist(), strict=True)
+    }
 
 
 def _view(seen: Seen) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from eagor._checks import is_twice_as_wide
 from eagor.errors import EagorError
 from eagor.studio.messages import PageError
 
@@ -193,6 +194,6 @@ def _video(path: Path, name: str) -> Upload:
         words = " ".join(str(error).replace(str(path), name).split())
         raise PageError(f"{name} cannot be used: {words}.", "Drop an equirectangular video (MP4, MKV).", 422) from error
     height, width = found.shape
-    if abs(width - 2 * height) > 2:
+    if not is_twice_as_wide(height, width):
         raise PageError(f"{name} is {width} x {height}, not 2:1.", "Wanted an equirectangular 360-degree video.", 422)
     return Upload(path.name, "video", path, name, height, width, found.count or 0)
