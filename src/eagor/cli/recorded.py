@@ -18,18 +18,9 @@ if TYPE_CHECKING:
 
 # What belongs to footage: a file of looks has its poses and times, and no pictures.
 _OF_FOOTAGE = (
-    "poses",
-    "rate",
-    "start",
-    "end",
-    "image_topic",
-    "odom_topic",
-    "perception",
-    "rig",
-    "hfov",
-    "camera",
+    "poses", "rate", "start", "end", "image_topic", "odom_topic", "camera_info", "perception", "rig", "hfov", "camera",
     "force",
-)
+)  # fmt: skip
 _OF_PICTURES = ("video", "fps", "page", "picture", "rerun")
 _OF_ONE = ("out", "compare")
 
