@@ -43,6 +43,7 @@ const player = new Player(store, shell, () => {
 const panels = new Panels(store, shell, stage);
 let state: ServerState | null = null;
 let view: ViewHandler | null = null;
+let drafted = false; // the box holds words that a person has typed and not asked yet: they stay, whatever is answered
 
 const session = new Session(store, {
   connection(how, seconds) {
@@ -59,7 +60,7 @@ const session = new Session(store, {
   scene() {
     if (store.waiting === null) {
       problems.clear("session");
-      if (store.scene && document.activeElement !== shell.query) shell.query.value = store.scene.query;
+      if (store.scene && !drafted && document.activeElement !== shell.query) shell.query.value = store.scene.query;
       stage.follows = store.scene?.drive === "tour";
     }
     shell.targets.replaceChildren(...(store.scene?.targets ?? []).map((value) => h("option", { value })));
@@ -121,9 +122,13 @@ shell.ask.addEventListener("submit", (event) => {
     shell.query.reportValidity();
     return;
   }
+  drafted = false;
   view?.ask?.(query);
 });
-shell.query.addEventListener("input", () => shell.query.setCustomValidity(""));
+shell.query.addEventListener("input", () => {
+  drafted = shell.query.value !== "";
+  shell.query.setCustomValidity("");
+});
 window.addEventListener("resize", () => {
   forgetStyle();
   store.emit("style");

@@ -179,8 +179,10 @@ def test_no_answer_is_shown_to_another_question(studio: Studio) -> None:
     page.until("window.eagorStudio.store.direction && window.eagorStudio.store.heat")
     assert page.evaluate("window.eagorStudio.store.scene.query") == name
     page.get_by_role("button", name="Close").click()
+    page.get_by_label("Where is the").fill("a draft")
     page.get_by_label("Perception").select_option("truth")
     page.until("window.eagorStudio.store.direction && window.eagorStudio.store.scene.perception === 'truth'")
+    assert page.get_by_label("Where is the").input_value() == "a draft", "what is typed waits until it is asked"
 
 
 def test_what_is_paused_is_drawn_with_all_pixels_and_a_fine_picture(studio: Studio) -> None:
