@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from eagor.conventions import from_gltf, to_gltf
-from eagor.tasks.episode_files import FileSlot, slot_of
+from eagor.tasks.episodes import FileSlot, slot_of
 from eagor.tasks.places import load_place
 
 CONFIG = "benchmark/nav/objectnav/objectnav_hm3d.yaml"
@@ -216,7 +216,7 @@ def judged(file, walks):
     where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
     stops 1 mm before it (``collisions``, how often that was).
     """
-    from eagor.tasks.episode_files import listed_slots, plan, way_to_goal
+    from eagor.tasks.episodes import listed_slots, plan_listed, way_to_goal
     from eagor.tasks.navigation import MapFreeNavigationEnv, score
     from eagor.tasks.rules import Camera, NavigationRules, as_dict, from_dict
 
@@ -227,7 +227,7 @@ def judged(file, walks):
     env = MapFreeNavigationEnv(rules, "discrete", panorama=None, instances=False, camera=Camera())
     for key, slot in slots.items():
         walk = by_slot[key]
-        episode = plan(slot, str(file), env.camera, rules)
+        episode = plan_listed(slot, str(file), env.camera, rules)
         _, info = env.reset(options={"episode": episode})
         for action in walk["actions"]:
             _, _, over, _, info = env.step(action)

@@ -12,7 +12,7 @@ from eagor.cli import main
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.evaluation import ledger, studies
-from eagor.tasks.episode_files import FileSlot, listed_slots, plan, slot_of, way_to_goal
+from eagor.tasks.episodes import FileSlot, listed_slots, plan_listed, slot_of, way_to_goal
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, NavigationRules
@@ -127,7 +127,7 @@ def planned(file, change=None, number=0):
     if change is not None:
         rewrite(file, change)
     slot = listed_slots("navigation", file, None, "apartment", None)[number]
-    return slot, plan(slot, str(file), Camera(), NavigationRules.objectnav())
+    return slot, plan_listed(slot, str(file), Camera(), NavigationRules.objectnav())
 
 
 def test_an_episode_looks_for_all_things_of_its_category_and_starts_as_the_file_says(file):

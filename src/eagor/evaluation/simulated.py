@@ -16,8 +16,7 @@ from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, orde
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
 from eagor.evaluation.tables import shown
-from eagor.tasks.episode_files import slot_of
-from eagor.tasks.episodes import PER_PLACE, Slot
+from eagor.tasks.episodes import PER_PLACE, Slot, slot_of
 from eagor.tasks.methods import TrackerMethod
 from eagor.tasks.play import Player, Seen
 from eagor.tasks.rules import Camera, from_dict

@@ -14,8 +14,7 @@ import numpy as np
 from eagor import metrics
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
-from eagor.tasks import episode_files
-from eagor.tasks.episodes import Episode, Slot, choose_target, heading_to
+from eagor.tasks.episodes import Episode, FileEpisode, Slot, choose_target, heading_to, plan_listed, way_to_goal
 from eagor.tasks.place_env import Actions, PlaceEnv, as_walk, walking_space
 from eagor.tasks.places import Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
@@ -170,11 +169,11 @@ class MapFreeNavigationEnv(PlaceEnv):
         # habitat-lab's DistanceToGoal measures anew only where the body has moved.
         if self._measured is None or not np.allclose(self._measured, self.body.xy, atol=MOVED):
             self._measured = self.body.xy
-            return float(episode_files.way_to_goal(self.place, self.episode).distance(self.body.xy))
+            return float(way_to_goal(self.place, self.episode).distance(self.body.xy))
         return self._left
 
     def _target(self) -> np.ndarray | None:
-        if not isinstance(self.episode, episode_files.FileEpisode):
+        if not isinstance(self.episode, FileEpisode):
             return super()._target()
         return min(self.episode.goals, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
 
@@ -218,5 +217,5 @@ NAVIGATION = Task(
     headline="sr",
     strata={"visible": "Target in sight at the start", "way": "Way to the target"},
     walked=True,
-    listed=episode_files.plan,
+    listed=plan_listed,
 )  # fmt: skip

@@ -19,8 +19,7 @@ from eagor.evidence import Evidence
 from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 from eagor.tasks import task
-from eagor.tasks.episode_files import FileSlot, slot_of
-from eagor.tasks.episodes import Episode, Slot
+from eagor.tasks.episodes import Episode, FileSlot, Slot, slot_of
 from eagor.tasks.methods import BASE, ORACLE, Method, Steers, answer_at, method_for
 from eagor.tasks.models import Delay, EpisodePerception, is_privileged, look_around, open_for_slot, shared
 from eagor.tasks.places import in_view, mask_of
