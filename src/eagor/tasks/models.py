@@ -12,7 +12,7 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Protocol
@@ -22,7 +22,7 @@ import numpy as np
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load, local_model, look, parse_options
-from eagor.perception.calibrated import Calibrated, from_json
+from eagor.perception.calibrated import from_json
 from eagor.perception.vlm.prompts import Chat, Message
 from eagor.queries import Named
 from eagor.tasks.episodes import Slot
@@ -154,9 +154,11 @@ def release() -> None:
         torch.cuda.empty_cache()
 
 
-def recalibration(settings: Mapping[str, Any]) -> Calibrated | None:
-    """The calibration in the settings of a run ("calibrated"); None: the perception's own."""
-    return from_json(settings["calibrated"], "the settings") if settings.get("calibrated") else None
+def recalibrator(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
+    """Gives looks the calibration in the settings of a run ("calibrated"); without one they keep their own."""
+    if not settings.get("calibrated"):
+        return lambda evidence: evidence
+    return from_json(settings["calibrated"], "the settings").reread
 
 
 def is_privileged(perception: Any) -> bool:

@@ -20,7 +20,6 @@ from eagor.sphere import world_R_body
 from eagor.tasks.hstar.camera import View, level_of
 from eagor.tasks.hstar.data import ANNOTATION, STARTS
 from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.published import save_panorama
 from eagor.tasks.rules import Camera
 
 ROWS = 128  # of the id image for the boxes: 1.4 degrees
@@ -70,7 +69,7 @@ def write_scene(spot: Spot, folder: Path, rows: int = 512) -> Path | None:
     target.mkdir(parents=True, exist_ok=True)
     picture = target / f"{spot.name}.png"
     if rows:
-        save_panorama(spot.place, spot.position, spot.yaw, rows, picture)
+        spot.place.save_panorama(spot.position, spot.yaw, rows, picture)
     else:
         Image.new("RGB", (16, 8), (128, 128, 128)).save(picture)
     (target / ANNOTATION).write_text(json.dumps(list(spot.items), indent=1) + "\n", encoding="utf-8")

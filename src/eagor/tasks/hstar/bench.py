@@ -10,7 +10,7 @@ from typing import Any
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record
+from eagor.tasks.benchmark import Case, Export, Figure, Option, PublishedBenchmark, Record, finished
 from eagor.tasks.hstar import data as files
 from eagor.tasks.hstar import lmms
 from eagor.tasks.hstar.camera import RESOLUTION
@@ -20,7 +20,6 @@ from eagor.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged
 from eagor.tasks.hstar.prompts import WINDOW
 from eagor.tasks.hstar.rules import FARTHEST_ANSWER, FORMS, MAX_TURNS, SCORINGS, checked_scoring, parse_action
 from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.published import Export, PublishedBenchmark, finished
 
 OPTIONS = {
     "scoring": Option("official", "what counts as success", SCORINGS),

@@ -14,17 +14,17 @@ from typing import Any
 
 from eagor._json import number, parsed
 from eagor.perception.vlm.prompts import IMAGE
+from eagor.tasks.benchmark import write_task
 from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind, read_episodes
 from eagor.tasks.hstar.prompts import WINDOW, Talk
 from eagor.tasks.hstar.rules import FORMS, MAX_TURNS, Action, submit_succeeds
-from eagor.tasks.published import write_task
 
 Doc = Mapping[str, Any]
 
 
 def write(kind: Kind, settings: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the task ``eagor_hstar_<kind>`` into `folder` (`eagor.tasks.published`); returns the files.
+    """Write the task ``eagor_hstar_<kind>`` into `folder` (`eagor.tasks.benchmark`); returns the files.
 
     The episodes hold the paths of their panoramas on this machine.
     """

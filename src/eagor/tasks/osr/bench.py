@@ -12,13 +12,12 @@ from eagor._csv import as_csv
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record
+from eagor.tasks.benchmark import Case, Export, Figure, Option, PublishedBenchmark, Record, finished, picture_size
 from eagor.tasks.osr import lmms
 from eagor.tasks.osr.data import SUFFIXES, Scene, load, load_kept
 from eagor.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
 from eagor.tasks.osr.sightings import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
-from eagor.tasks.published import Export, PublishedBenchmark, finished, picture_size
 
 OPTIONS = {
     "labels": Option(

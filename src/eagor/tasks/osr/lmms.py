@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from eagor.perception.vlm.prompts import IMAGE
+from eagor.tasks.benchmark import write_task
 from eagor.tasks.osr.data import Question, load
 from eagor.tasks.osr.play import plain_text
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, score
-from eagor.tasks.published import write_task
 
 TASK = "eagor_osr"
 METRICS = {DISTANCE: "distance", COUNTING: "counting", MAP: "map"}
@@ -19,7 +19,7 @@ BY_LABELS = ("direction_official", "direction_corrected")
 
 
 def write(settings: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the task ``eagor_osr`` into `folder` (`eagor.tasks.published`); returns the files.
+    """Write the task ``eagor_osr`` into `folder` (`eagor.tasks.benchmark`); returns the files.
 
     Each question is asked alone; in files with a map, the map's question is one of them. The questions hold the paths
     of their pictures on this machine. Raises `FormatError` if a picture is missing.

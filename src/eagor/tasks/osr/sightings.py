@@ -30,10 +30,9 @@ from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.perception import Perception
 from eagor.sphere import wrap
-from eagor.tasks.models import shared
+from eagor.tasks.models import recalibrator, shared
 from eagor.tasks.osr.data import Scene
 from eagor.tasks.osr.geometry import HANGING, FloorLine, Sighting
-from eagor.tasks.published import recalibrator
 
 FILE = "physical_truth.json"
 TRUTH = "truth"
