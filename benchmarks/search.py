@@ -46,10 +46,10 @@ from eagor.evidence.calibration import Calibration
 from eagor.perception.truth import Noise
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
 from eagor.tasks.hstar.apartments import spot, write_scene
-from eagor.tasks.hstar.camera import render_view
 from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
 from eagor.tasks.hstar.perception import CALIBRATION, TruthEye, annotated, open_eye
 from eagor.tasks.hstar.play import make_agent, play
+from eagor.tasks.hstar.rules import render_view
 from eagor.tasks.hstar.search import SearchRules
 
 FIRST = {"dev": 1200, "report": 8600}  # apartment

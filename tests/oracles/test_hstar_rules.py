@@ -20,8 +20,7 @@ from eagor.tasks.hstar import (
     submit_succeeds,
     window_of,
 )
-from eagor.tasks.hstar.camera import inside, visible_share, without_cross
-from eagor.tasks.hstar.rules import FORMS, read_action, turned
+from eagor.tasks.hstar.rules import FORMS, inside, read_action, turned, visible_share, without_cross
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 SUBMIT, PARSE = SHARED / "conformance_hstar_submit.json", SHARED / "conformance_hstar_parse.json"

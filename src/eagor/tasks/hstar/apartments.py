@@ -17,8 +17,8 @@ import numpy as np
 
 from eagor.grids import ErpGrid
 from eagor.sphere import world_R_body
-from eagor.tasks.hstar.camera import View, level_of
 from eagor.tasks.hstar.data import ANNOTATION, STARTS
+from eagor.tasks.hstar.rules import View, level_of
 from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.rules import Camera
 

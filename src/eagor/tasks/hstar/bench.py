@@ -12,12 +12,19 @@ from eagor._json import shown
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Export, Figure, Option, PublishedBenchmark, Record, finished
 from eagor.tasks.hstar import data as files
-from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind
 from eagor.tasks.hstar.perception import open_perception
 from eagor.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged
 from eagor.tasks.hstar.prompts import WINDOW, write_lmms
-from eagor.tasks.hstar.rules import FARTHEST_ANSWER, FORMS, MAX_TURNS, SCORINGS, checked_scoring, parse_action
+from eagor.tasks.hstar.rules import (
+    FARTHEST_ANSWER,
+    FORMS,
+    MAX_TURNS,
+    RESOLUTION,
+    SCORINGS,
+    checked_scoring,
+    parse_action,
+)
 from eagor.tasks.hstar.search import SearchRules
 
 OPTIONS = {

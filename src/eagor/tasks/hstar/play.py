@@ -23,11 +23,20 @@ from eagor.evidence.coverage import looked_at
 from eagor.perception.vlm.prompts import Chat
 from eagor.sphere import angular_distance
 from eagor.tasks.benchmark import case_seed
-from eagor.tasks.hstar.camera import View, visible_share
 from eagor.tasks.hstar.data import Episode
 from eagor.tasks.hstar.perception import Eye, ViewEvidence, head_of, open_eye, open_perception, tag_of
 from eagor.tasks.hstar.prompts import Talk
-from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Action, Scoring, checked_scoring, submit_succeeds, window_of
+from eagor.tasks.hstar.rules import (
+    MAX_TURNS,
+    SCORINGS,
+    Action,
+    Scoring,
+    View,
+    checked_scoring,
+    submit_succeeds,
+    visible_share,
+    window_of,
+)
 from eagor.tasks.hstar.search import Answer, Search, SearchRules
 from eagor.tasks.models import digest, recalibrator, shared_chat
 from eagor.tasks.searcher import Searcher

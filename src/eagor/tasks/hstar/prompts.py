@@ -22,9 +22,18 @@ import numpy as np
 from eagor._json import number, parsed
 from eagor.perception.vlm.prompts import IMAGE, Message
 from eagor.tasks.benchmark import write_task
-from eagor.tasks.hstar.camera import RESOLUTION, View, render_view
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind, open_panorama, read_episodes
-from eagor.tasks.hstar.rules import FORMS, MAX_TURNS, Action, Reply, parse_action, submit_succeeds
+from eagor.tasks.hstar.rules import (
+    FORMS,
+    MAX_TURNS,
+    RESOLUTION,
+    Action,
+    Reply,
+    View,
+    parse_action,
+    render_view,
+    submit_succeeds,
+)
 
 WINDOW = 5  # turns of conversation that the published runner keeps; its paper finds that two suffice
 
