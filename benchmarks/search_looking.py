@@ -2,9 +2,9 @@
 
     python benchmarks/search_looking.py [PANORAMAS] [--apartments 30] [--hfov 90] [--json FILE]
 
-A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows (`eagor.tasks.turning`). A thing
-is found once the answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24 looks the
-search ends; it then counts as 24. Who chooses where to look next: `next`, `Estimate.next_look` with the usual heights
+A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows (`eagor.cli.demo_looking`). A
+thing is found once the answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24
+looks the search ends; it then counts as 24. Who chooses where to look next: `next`, `Estimate.next_look` with the usual heights
 of things; `follow`, the direction of the estimate; `sweep`, ten views in a fixed order, as in H*Bench; `ring`, four
 views around the horizon.
 
@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eagor.cli.demo_looking import CHOICES, Look, search
 from eagor.evidence import DetectorModel, Evidence
 from eagor.evidence.detections import View
 from eagor.grids import PatchGrid, PerspectiveGrid
@@ -39,7 +40,6 @@ from eagor.perception.truth import TruthPerception
 from eagor.sphere import angular_distance, direction, unit
 from eagor.statistics import bootstrap_interval
 from eagor.tasks.hstar.apartments import Spot, spot
-from eagor.tasks.turning import CHOICES, Look, search
 
 NEAR, MOST = math.radians(15), 24
 STARTS = (0, 90, 180, 270)

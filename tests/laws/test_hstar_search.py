@@ -17,7 +17,7 @@ from eagor.sphere import direction
 from eagor.tasks.hstar.perception import LENS, TruthEye
 from eagor.tasks.hstar.rules import View, inside, submit_succeeds
 from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
-from eagor.tasks.searcher import Searcher
+from eagor.tasks.steering import Searcher
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 

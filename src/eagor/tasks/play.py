@@ -25,7 +25,7 @@ from eagor.tasks.models import Delay, EpisodePerception, is_privileged, look_aro
 from eagor.tasks.places import in_view, mask_of
 from eagor.tasks.rules import Camera, Disturbances, from_dict
 from eagor.tasks.search_space import Chance, SteeringInput, along_floor
-from eagor.tasks.searcher import seeking, steering_for
+from eagor.tasks.steering import seeking, steering_for
 from eagor.tasks.task import Played
 
 if TYPE_CHECKING:

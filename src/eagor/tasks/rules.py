@@ -123,9 +123,9 @@ class NavigationRules(_Rules):
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
       "call": the agent has to call stop there (Habitat's rule).
     - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
-    - `detour`: a blocked body feels its way around (`eagor.tasks.policy`), for every method alike; otherwise it pushes
-      on along the estimate, as published.
-    - `policy`: "search" while too little is believed, and walk by the floor that looks show (`eagor.tasks.searcher`),
+    - `detour`: a blocked body feels its way around (`eagor.tasks.steering`), for every method alike; otherwise it
+      pushes on along the estimate, as published.
+    - `policy`: "search" while too little is believed, and walk by the floor that looks show (`eagor.tasks.steering`),
       or "follow" the estimate always, as published; for every method alike. `handover`: a search ends while each
       metre along the estimate brings the body this many metres nearer, as the method believes. `appears`: with
       "search", the rate (per second) at which a thing that is hidden comes into sight, for a method that doubts that it

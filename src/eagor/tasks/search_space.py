@@ -3,7 +3,7 @@
 The thing is in one of many cells: directions around a camera that only turns (`eagor.tasks.hstar.search`), or patches
 of the ground about a body (`SearchedGround`). Either is a `Space`. A look is worth taking for what it shows: cells that
 no look has shown, and cells that were looked at but where the perception may have missed the thing. A search takes the
-look that tells most for what it costs (`eagor.tasks.searcher`).
+look that tells most for what it costs (`eagor.tasks.steering`).
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ from eagor.tasks.hstar.rules import (
 )
 from eagor.tasks.hstar.search import Answer, Search, SearchRules
 from eagor.tasks.models import digest, recalibrator, shared_chat
-from eagor.tasks.searcher import Searcher
+from eagor.tasks.steering import Searcher
 
 AGENTS = {
     "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
@@ -94,7 +94,7 @@ def _rotate(now: View, to: View) -> Action:
 
 
 class EagorAgent:
-    """Our agent: an `eagor.tasks.searcher.Searcher` over the views of `eagor.tasks.hstar.search`.
+    """Our agent: an `eagor.tasks.steering.Searcher` over the views of `eagor.tasks.hstar.search`.
 
     Every turn of the camera costs one of the episode's turns, whatever its angle.
     """

@@ -2,7 +2,7 @@
 
 Every look updates a `Belief`: directions that were looked at without a response lose belief, others keep theirs. A grid
 records which directions were looked at. What a view tells is the mutual information between the outcome of the look and
-the target's direction; `eagor.tasks.searcher` chooses by it. The submission is the window with the most belief.
+the target's direction; `eagor.tasks.steering` chooses by it. The submission is the window with the most belief.
 """
 
 from __future__ import annotations
