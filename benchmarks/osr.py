@@ -46,8 +46,10 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from osr_apartments import views
+
 from eagor.statistics import wilson_interval
-from eagor.tasks.osr.apartments import views
 from eagor.tasks.osr.data import Scene, load
 from eagor.tasks.osr.geometry import FloorLine, Placed, draw
 from eagor.tasks.osr.play import Around, Eagor, laid_out
