@@ -216,7 +216,7 @@ def judged(file, walks):
     where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
     stops 1 mm before it (``collisions``, how often that was).
     """
-    from eagor.tasks.episodes import listed_slots, plan_listed, way_to_goal
+    from eagor.tasks.episodes import listed_slots, plan_listed
     from eagor.tasks.navigation import MapFreeNavigationEnv, score
     from eagor.tasks.rules import Camera, NavigationRules, as_dict, from_dict
 
@@ -235,7 +235,7 @@ def judged(file, walks):
                 break
         scene = env.place.scene
         path = from_gltf(np.array(walk["path"])) - [0.0, 0.0, scene.zero]
-        distance = float(way_to_goal(env.place, episode).distance(path[-1, :2]))
+        distance = float(env.place.way_to_views(episode.view_points).distance(path[-1, :2]))
         length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         stopped = walk["actions"][-1:] == [STOP]
         apart = float(np.linalg.norm(env.body.xy - path[-1, :2]))

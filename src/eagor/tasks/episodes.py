@@ -32,7 +32,6 @@ from eagor.worlds.habitat_mesh import LAB_BODY
 from eagor.worlds.objectnav import Episode as ObjectNavEpisode
 from eagor.worlds.objectnav import Goal, SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.scene import Scene
-from eagor.worlds.walkable import Way
 
 PER_PLACE = 5
 UNRECORDED = ("slot", "route", "view_points", "goals")  # long parts of an episode, which its slot brings back
@@ -349,7 +348,7 @@ def plan_listed(slot: FileSlot, file: str, camera: Camera, rules: NavigationRule
         view_points=views - [0.0, 0.0, zero],
         listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
     )
-    way = way_to_goal(place, planned) if rules.goal == "view_points" else place.way_to(targets)
+    way = place.way_to_views(planned.view_points) if rules.goal == "view_points" else place.way_to(targets)
     shortest = float(way.distance(start))
     if not math.isfinite(shortest):
         raise WorldError(
@@ -366,11 +365,6 @@ def plan_listed(slot: FileSlot, file: str, camera: Camera, rules: NavigationRule
         "category": episode.category,
     }
     return FileEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
-
-
-def way_to_goal(place: Place, episode: FileEpisode) -> Way:
-    """Geodesic distance to the nearest view point of any goal."""
-    return place.way_to_views(episode.view_points)
 
 
 def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> np.ndarray:

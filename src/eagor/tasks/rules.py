@@ -8,6 +8,7 @@ Rules that make the task impossible raise a `WorldError` that names the rule.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, TypeVar, get_args
@@ -229,7 +230,7 @@ Rules = TypeVar("Rules")
 
 def as_dict(rules: Any) -> dict[str, Any]:
     """Rules as plain JSON."""
-    return {key: _plain(value) for key, value in asdict(rules).items()}
+    return json.loads(json.dumps(asdict(rules)))  # tuples become lists
 
 
 def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
@@ -238,10 +239,6 @@ def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
     if unknown := set(values) - known:
         raise WorldError(f"{kind.__name__} has no {sorted(unknown)}; it has {sorted(known)}")
     return kind(**{key: _tupled(value) for key, value in values.items()})
-
-
-def _plain(value: Any) -> Any:
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _tupled(value: Any) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
+from eagor.queries import Query
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.place_env import AnsweringEnv
@@ -30,14 +31,6 @@ _HOLD = (
     "targets"
 )
 SEEN_PIXELS = 6  # of a 64 x 128 panorama: the ball is in plain view at the start
-
-
-@dataclass(frozen=True)
-class BallLabel:
-    """The ball's entry among the labels of things."""
-
-    category: str
-    colour: str | None
 
 
 @dataclass(frozen=True)
@@ -231,7 +224,7 @@ class TargetTrackingEnv(AnsweringEnv):
 
     @property
     def labels(self) -> tuple[Any, ...]:
-        return (*super().labels, BallLabel("ball", self.episode.colour))
+        return (*super().labels, Query("ball", self.episode.colour))
 
     def _target(self) -> np.ndarray | None:
         ball = self._ball()
