@@ -40,12 +40,6 @@ run in the few where two things overlap.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import sys
@@ -55,6 +49,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 from ideal_filters import NEAR, Assigned, Contestant, StillOrKnown, Walked
 from ideal_floors import KindUnknown
@@ -62,7 +57,6 @@ from ideal_rivals import Core, RivalGrid, RivalParticles, Settings, Tracker, lea
 from ideal_worlds import STEP, WORLDS, Detector, Run, make
 
 from eagor import MotionModel, TrackerConfig
-from eagor.statistics import bootstrap_interval
 
 LEVELS = (0.5, 0.9, 0.99)
 FEW = 3  # looks whose claims are kept,
@@ -227,11 +221,7 @@ def measure(world: str, factories: Mapping[str, Factory], first: int, runs: int)
 
 def interval(values: np.ndarray) -> dict[str, float]:
     """Mean over runs with its interval."""
-    values = values[np.isfinite(values)]
-    if len(values) < 2:
-        return {"mean": float(np.mean(values)) if len(values) else math.nan, "low": math.nan, "high": math.nan}
-    found = bootstrap_interval(values, np.random.default_rng(0))
-    return {"mean": float(values.mean()), "low": found.low, "high": found.high}
+    return dict(zip(("mean", "low", "high"), common.mean_of(values[np.isfinite(values)]), strict=True))
 
 
 def summarise(rows: dict[str, dict[str, np.ndarray]], reference: str = IDEAL) -> dict[str, dict[str, Any]]:
@@ -415,7 +405,7 @@ def aims(report: dict[str, Any]) -> list[tuple[str, float, float]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--runs", type=int, default=100, help="per world (default 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="of the first run (default 0)")
     parser.add_argument("--worlds", nargs="+", choices=GROUPS, default=list(GROUPS), help="default: all")

@@ -15,18 +15,13 @@ times what the odometer says (0.03 for a Gaussian of three equal axes). "lost": 
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import common
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -182,7 +177,7 @@ def show(condition: str, field_: float, method: str, found: list[Answers]) -> No
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
     parser.add_argument("--fields", type=float, nargs="+", default=[60.0, 90.0, 120.0])
     parser.add_argument("--walks", type=int, default=4)

@@ -22,12 +22,6 @@ Brackets are 95 % bootstrap intervals over targets (four starts and all repetiti
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import sys
@@ -39,6 +33,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 from PIL import Image
 from scipy.optimize import minimize
@@ -69,7 +64,7 @@ MOST = 4  # targets per apartment
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--split", choices=FIRST, default="dev")
     parser.add_argument("--apartments", type=int, default=40)
     parser.add_argument("--looks", type=int, default=2, help="repetitions of every episode with other luck")
