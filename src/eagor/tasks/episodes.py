@@ -30,7 +30,7 @@ from eagor.worlds import FILES
 from eagor.worlds.ground import STOREY
 from eagor.worlds.habitat_mesh import LAB_BODY
 from eagor.worlds.objectnav import Episode as ObjectNavEpisode
-from eagor.worlds.objectnav import Goal, SceneEpisodes, check_scene, read_episodes
+from eagor.worlds.objectnav import SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.scene import Scene
 
 PER_PLACE = 5
@@ -133,7 +133,7 @@ class FileSlot(Slot):
     @property
     def id(self) -> str:
         """Stable name: the scene's, and the index of the episode among those of the scene."""
-        return f"{_stem(self.scene)}-{self.episode}"
+        return f"{PurePosixPath(self.scene).name.partition('.')[0]}-{self.episode}"
 
     def rng(self, purpose: str) -> np.random.Generator:
         """An independent generator for each purpose, wherever the folder of scenes is."""
@@ -269,10 +269,6 @@ def _file(world: str) -> str:
     return name if name != world or Path(name).suffix.lower() in FILES else ""
 
 
-def _stem(scene: str) -> str:
-    return PurePosixPath(scene).name.partition(".")[0]
-
-
 def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
     """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
     path = Path(file)
@@ -326,7 +322,8 @@ def plan_listed(slot: FileSlot, file: str, camera: Camera, rules: NavigationRule
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     start = _start(place, episode, name, zero)
     things = found.goals[episode.category]
-    near = _on_this_storey(things, float(episode.position[2]))
+    storey = float(episode.position[2])
+    near = [thing for thing in things if (np.abs(thing.view_positions[:, 2] - storey) <= STOREY).any()]
     views = np.concatenate([thing.view_positions for thing in things])
     targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
     if rules.goal == "view_points" and not near:
@@ -391,8 +388,3 @@ def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> n
             "does so by itself, habitat:SCENE?storey=HEIGHT by hand"
         )
     return found
-
-
-def _on_this_storey(things: Sequence[Goal], height: float) -> list[Goal]:
-    """The goals with view points on the storey of this height."""
-    return [thing for thing in things if (np.abs(thing.view_positions[:, 2] - height) <= STOREY).any()]

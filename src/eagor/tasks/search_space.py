@@ -138,21 +138,6 @@ class SteeringInput:
         return np.array([math.cos(self.bearing), math.sin(self.bearing)])
 
 
-class Steering(Protocol):
-    """Chooses steps for one episode.
-
-    `searching`: whether the last step was one of a search. `looks_down`: whether it wants to know the floor of each
-    look, and what is believed; without that, `SteeringInput.progress` and `presence` are 1.
-    """
-
-    searching: bool
-    looks_down: bool
-
-    def walk(self, now: SteeringInput) -> tuple[float, float]:
-        """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
-        ...
-
-
 def along_floor(distance: float | None, direction: np.ndarray) -> float | None:
     """Metres along the floor to what is `distance` metres away in a direction ``(3,)`` of a level frame."""
     return None if distance is None else distance * math.hypot(float(direction[0]), float(direction[1]))

@@ -27,7 +27,7 @@ import numpy as np
 
 from eagor.tasks.floor_map import BESIDE, CELL, CONTACT, FLOOR, NEAR, FloorMap, Ways
 from eagor.tasks.rules import Camera
-from eagor.tasks.search_space import SearchedGround, Space, Steering, SteeringInput, apart, turned
+from eagor.tasks.search_space import SearchedGround, Space, SteeringInput, apart, turned
 from eagor.tracking import TrackerConfig
 
 SPACING = 0.15  # metres between the nodes of the planning lattice
@@ -476,6 +476,11 @@ def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
     if getattr(rules, "policy", "follow") == "follow":
         return tracker
     return replace(tracker, target_motion=replace(tracker.target_motion, birth=rules.appears))
+
+
+# `searching`: whether the last step was one of a search. `looks_down`: whether it wants to know the floor of each look,
+# and what is believed; without that, `SteeringInput.progress` and `presence` are 1.
+Steering = Policy | Searcher[SearchedGround]
 
 
 def steering_for(rules: Any, camera: Camera) -> Steering:

@@ -92,7 +92,8 @@ def _drawn(
         return None
     still = np.tile([*xy, yaw], (rules.steps, 1))
     if scenario == "moving target":
-        return first, still, _stroll(place, first, radius, rules.speed * camera.seconds, rules.steps, rng)
+        rolling = islice(stroll(place.ground, first[:2], rules.speed * camera.seconds, rng), rules.steps)
+        return first, still, [_on_the_ground(place, spot, radius) for spot in rolling]
     if scenario == "moving camera":
         route = _walk(place, xy, yaw, camera, rules.steps, rng)
         return None if route is None else (first, route, [first] * rules.steps)
@@ -139,12 +140,6 @@ def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float)
 def _on_the_ground(place: Place, xy: np.ndarray, radius: float) -> np.ndarray:
     """The centre ``(3,)`` of a ball that lies on the ground at a point ``(2,)``."""
     return np.array([xy[0], xy[1], radius + place.ground.height(xy)])
-
-
-def _stroll(place: Place, start: np.ndarray, radius: float, step: float, steps: int, rng: np.random.Generator) -> list:
-    """One centre ``(3,)`` per step of a ball that rolls along paths to one random goal after another."""
-    points = islice(stroll(place.ground, start[:2], step, rng), steps)
-    return [_on_the_ground(place, xy, radius) for xy in points]
 
 
 def _walk(
