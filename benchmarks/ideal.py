@@ -12,9 +12,9 @@ of 8 degrees, among 0.2 false alarms a look), so that exact Bayes can be compute
 - `sharp`: as `turning`, with detections of 3 and of 1 degree;
 - `walking`: the camera walks past the target as well, 0.25 m a look;
 - `moving`: a constant turn, random walks, jumps, against filters that know the motion, 45 looks. "Bayes, kind of motion
-  unknown" is exact and has our prior (`ideal_floors.py`): no filter with it can be nearer. "told": `MotionModel` states
-  the motion; of a turn, whose axis and rate the ideal filter knows, the poses are given in axes that turn along, "told
-  that it turns" states neither;
+  unknown" is exact and has our prior (`ideal_filters.py`): no filter with it can be nearer. "told": `MotionModel`
+  states the motion; of a turn, whose axis and rate the ideal filter knows, the poses are given in axes that turn along,
+  "told that it turns" states neither;
 - `drift`: the camera yaws, and its odometry drifts by 1 degree a second; with detections of 8 and of 3 degrees;
 - `habits`: as `turning`, but the target and what is taken for it are each detected in a share of the looks of their
   own (beta distributions). The model stated is that of this world, the one that is learnt states only the spread,
@@ -51,8 +51,7 @@ from typing import Any
 
 import common
 import numpy as np
-from ideal_filters import NEAR, Assigned, Contestant, StillOrKnown, Walked
-from ideal_floors import KindUnknown
+from ideal_filters import NEAR, Assigned, Contestant, KindUnknown, StillOrKnown, Walked
 from ideal_rivals import Core, RivalGrid, RivalParticles, Settings, Tracker, learnt, stated, stated_habits
 from ideal_worlds import STEP, WORLDS, Detector, Run, make
 
