@@ -15,6 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from eagor.sphere import world_R_body
 from eagor.tasks.osr.geometry import FloorLine, layout_from
@@ -92,7 +93,9 @@ def write_scene(view: View, folder: Path, rows: int = 512, questions: int = 5, s
     target = folder / name
     target.mkdir(parents=True, exist_ok=True)
     if rows:
-        view.place.save_panorama(view.position, view.yaw, rows, target / "rgb.png")
+        shown = view.place.renderer.panorama(view.position, world_R_body(view.yaw), rows, range=False, ids=False).rgb
+        assert shown is not None
+        Image.fromarray(shown).save(target / "rgb.png")
     grid = grid_of(view.layout)
     whole = {"cognitive_map": grid, "class_count": view.counts}
     (target / "cognitive_map.json").write_text(json.dumps(whole), encoding="utf-8")

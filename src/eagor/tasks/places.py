@@ -11,12 +11,11 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from eagor import sphere, worlds
+from eagor import worlds
 from eagor._lazy import lazy
 from eagor.evidence import BodyMask
 from eagor.grids import ErpGrid, PerspectiveGrid
@@ -57,14 +56,6 @@ class Place:
         ids = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=False).ids
         assert ids is not None
         return ids
-
-    def save_panorama(self, position: np.ndarray, yaw: float, rows: int, path: Path) -> None:
-        """Save what a camera at `position` ``(3,)`` sees, as a panorama of `rows` rows; `yaw` in radians."""
-        from PIL import Image
-
-        rgb = self.renderer.panorama(position, sphere.world_R_body(yaw), rows, range=False, ids=False).rgb
-        assert rgb is not None
-        Image.fromarray(rgb).save(path)
 
     def floor_in(self, ids: np.ndarray, position: np.ndarray, world_R_body: np.ndarray) -> np.ndarray:
         """Which pixels of an image of `ids` ``(rows, 2 rows)``, taken from this pose, show what one walks on, bool.
