@@ -50,7 +50,7 @@ from eagor.worlds.habitat.semantics import Things
 from eagor.worlds.habitat.simulator import Source as SimSource
 from eagor.worlds.habitat.simulator import configured
 from eagor.worlds.habitat_dataset import Source, config_of, export_dataset, make_episodes, make_goals
-from eagor.worlds.habitat_mesh import LAB_BODY, ON_MESH
+from eagor.worlds.habitat_files import LAB_BODY, ON_MESH
 from eagor.worlds.objectnav import Episode, Goal, SceneEpisodes, write_episodes
 from eagor.worlds.render import Frame
 from eagor.worlds.scene import Scene

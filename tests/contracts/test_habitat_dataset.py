@@ -19,10 +19,10 @@ from eagor.errors import WorldError
 from eagor.worlds.glb import import_glb
 from eagor.worlds.ground import Ground
 from eagor.worlds.habitat_dataset import Source, export_dataset, make_goals
+from eagor.worlds.habitat_files import FIRST_ID, colours_of, semantic_glb, semantic_text
 from eagor.worlds.objectnav import read_episodes
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import Room
-from eagor.worlds.semantic_glb import FIRST_ID, colours_of, semantic_glb, semantic_text
 
 
 def furnished(source="room"):

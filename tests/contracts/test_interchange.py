@@ -18,7 +18,7 @@ from eagor.sphere import rotation
 from eagor.worlds.glb import FOOTING as GLB_FOOTING
 from eagor.worlds.glb import export_glb, import_glb, name_from_nodes
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat_mesh import FOOTING, ON_MESH, footing_of
+from eagor.worlds.habitat_files import FOOTING, ON_MESH, footing_of
 from eagor.worlds.objectnav import (
     Episode,
     Goal,

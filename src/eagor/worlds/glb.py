@@ -5,7 +5,7 @@ glTF has Y up: our (x, y, z) is its (x, z, -y), see `eagor.conventions.to_gltf`.
 - `<name>.semantic.json`: the instances of the triangles, and everything else that does not fit into GLB;
 - `<name>.stage_config.json`: for Habitat, which assumes Z up for any bare GLB;
 - `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`;
-- if `annotated`, the ids of all instances for Habitat, as in HM3D: see `eagor.worlds.semantic_glb`.
+- if `annotated`, the ids of all instances for Habitat, as in HM3D: see `eagor.worlds.habitat_files`.
 
 Textures in KTX2 and geometry in Draco are not supported: they are imported as plain colour, or not at all.
 """
@@ -32,14 +32,13 @@ from eagor.errors import WorldError
 from eagor.media.panorama import FORMATS, decoded_bytes
 from eagor.queries import COLOURS, SYNONYMS, singular
 from eagor.worlds.ground import floor_height, level_triangles
-from eagor.worlds.habitat_mesh import footing_of, voxel_for
+from eagor.worlds.habitat_files import FIRST_ID, footing_of, semantic_glb, semantic_text, voxel_for
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
-from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
 __all__ = ["export_glb", "import_glb"]
 
 FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
-FOOTING = "eagor_footing"  # the node of an exported GLB that is no thing: see `eagor.worlds.habitat_mesh`
+FOOTING = "eagor_footing"  # the node of an exported GLB that is no thing: see `eagor.worlds.habitat_files`
 
 # Words of node names without meaning: of modelling programs, and of places.
 _EMPTY_WORDS = {

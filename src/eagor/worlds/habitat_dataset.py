@@ -29,7 +29,7 @@ from eagor._files import written
 from eagor.errors import StorageError, WorldError
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat_mesh import ON_MESH, roomy_radius
+from eagor.worlds.habitat_files import FIRST_ID, ON_MESH, roomy_radius
 from eagor.worlds.objectnav import (
     HM3D_CATEGORIES,
     Episode,
@@ -43,7 +43,6 @@ from eagor.worlds.objectnav import (
 )
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import STRUCTURE, Scene
-from eagor.worlds.semantic_glb import FIRST_ID
 
 __all__ = [
     "Exported",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor.errors import WorldError
-from eagor.worlds.habitat_mesh import LAB_CLIMB, LAB_VOXEL
+from eagor.worlds.habitat_files import LAB_CLIMB, LAB_VOXEL
 
 __all__ = ["Options", "existing", "file_of", "is_bare", "parse", "scene_id_of"]
 

@@ -31,8 +31,8 @@ from eagor.queries import COLOURS, SYNONYMS
 from eagor.worlds.glb import FORMAT
 from eagor.worlds.habitat.simulator import Session
 from eagor.worlds.habitat.view import Frames, euclidean
+from eagor.worlds.habitat_files import FIRST_ID
 from eagor.worlds.scene import Instance, Room
-from eagor.worlds.semantic_glb import FIRST_ID
 
 __all__ = [
     "BOXES",
