@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import WorldError
-from eagor.worlds.geodesics import line_is_free
 from eagor.worlds.ground import Ground, touched
 from eagor.worlds.scene import Room
+from eagor.worlds.walkable import line_is_free
 
 CELL, RADIUS = 0.05, 0.18
 seeds = st.integers(0, 2**32 - 1)

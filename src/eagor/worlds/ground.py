@@ -19,8 +19,8 @@ from scipy import ndimage
 
 from eagor._lazy import lazy
 from eagor.errors import WorldError
-from eagor.worlds.geodesics import CellGraph, Field, Walls, cells_of, line_is_free, pulled
 from eagor.worlds.scene import STRUCTURE, Instance, Room, Scene
+from eagor.worlds.walkable import CellGraph, Field, Walls, cells_of, line_is_free, pulled
 
 _INWARD = 1e-3  # in cells: shift of a face to its back
 _TOUCH = 1e-4  # in cells: smaller overlaps do not count, to be safe from rounding
