@@ -13,8 +13,8 @@ from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
 from eagor.worlds.apartment.cells import carve, rooms_of
 from eagor.worlds.apartment.families import FAMILIES
-from eagor.worlds.apartment.furnisher import Furnisher, tell_apart
 from eagor.worlds.apartment.placement import (
+    Furnisher,
     corners,
     distances,
     empty_floor,
@@ -22,6 +22,7 @@ from eagor.worlds.apartment.placement import (
     from_rectangle,
     leaf_footprint,
     overlaps,
+    tell_apart,
 )
 from eagor.worlds.apartment.plans import LINING, OUTSIDE, draw_plan
 from eagor.worlds.ground import BESIDE, Ground

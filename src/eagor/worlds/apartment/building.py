@@ -16,7 +16,6 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.worlds.apartment.cells import NICHE, SOLID, Cells, rectangles_of, wall_faces
-from eagor.worlds.apartment.furnisher import Piece
 from eagor.worlds.apartment.mesh import (
     Mesh,
     Part,
@@ -31,7 +30,7 @@ from eagor.worlds.apartment.mesh import (
     quad_triangles,
     tube,
 )
-from eagor.worlds.apartment.placement import GAP, from_rectangle, overlaps
+from eagor.worlds.apartment.placement import GAP, Piece, from_rectangle, overlaps
 from eagor.worlds.apartment.plans import HALF_WALL, LINING, OUTSIDE, Boundary, Doorway, Opening, Plan
 from eagor.worlds.apartment.textures import REPEAT, material
 from eagor.worlds.light import mean_colour

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece, tell_apart
 from eagor.worlds.apartment.furniture import KINDS
 from eagor.worlds.apartment.groups import (
     dining,
@@ -20,6 +19,9 @@ from eagor.worlds.apartment.groups import (
 )
 from eagor.worlds.apartment.placement import (
     Floor,
+    Furnisher,
+    NoRoom,
+    Piece,
     Sites,
     advanced,
     along_walls,
@@ -30,6 +32,7 @@ from eagor.worlds.apartment.placement import (
     joined,
     on_face,
     relative,
+    tell_apart,
     untouched,
 )
 

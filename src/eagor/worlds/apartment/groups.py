@@ -11,10 +11,11 @@ from functools import partial
 import numpy as np
 
 from eagor.worlds.apartment.cells import WallFace
-from eagor.worlds.apartment.furnisher import Furnisher, Piece
 from eagor.worlds.apartment.furniture import Model
 from eagor.worlds.apartment.placement import (
     GAP,
+    Furnisher,
+    Piece,
     Sites,
     advanced,
     along_walls,
