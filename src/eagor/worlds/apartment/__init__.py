@@ -23,12 +23,11 @@ from eagor.worlds.apartment.building import (
     splashback,
     structure,
 )
-from eagor.worlds.apartment.cells import Cells, carve, rooms_of
 from eagor.worlds.apartment.furnish import REQUIRED, furnish
 from eagor.worlds.apartment.furniture import KINDS
 from eagor.worlds.apartment.mesh import merged, placed, turned_about_z
 from eagor.worlds.apartment.placement import NoRoom, Piece, empty_floor
-from eagor.worlds.apartment.plans import Plan, draw_plan
+from eagor.worlds.apartment.plans import Cells, Plan, carve, draw_plan, rooms_of
 from eagor.worlds.ground import BESIDE, Ground
 from eagor.worlds.scene import STRUCTURE, Instance, Lamp, Material, Room, Scene
 

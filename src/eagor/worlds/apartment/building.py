@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._srgb import to_coded, to_linear
-from eagor.worlds.apartment.cells import NICHE, SOLID, Cells, rectangles_of, wall_faces
 from eagor.worlds.apartment.mesh import (
     Mesh,
     Part,
@@ -31,7 +30,20 @@ from eagor.worlds.apartment.mesh import (
     tube,
 )
 from eagor.worlds.apartment.placement import GAP, Piece, from_rectangle, overlaps
-from eagor.worlds.apartment.plans import HALF_WALL, LINING, OUTSIDE, Boundary, Doorway, Opening, Plan
+from eagor.worlds.apartment.plans import (
+    HALF_WALL,
+    LINING,
+    NICHE,
+    OUTSIDE,
+    SOLID,
+    Boundary,
+    Cells,
+    Doorway,
+    Opening,
+    Plan,
+    rectangles_of,
+    wall_faces,
+)
 from eagor.worlds.apartment.textures import REPEAT, material
 from eagor.worlds.light import mean_colour
 from eagor.worlds.scene import Lamp, Material, Room

@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 
-from eagor.worlds.apartment.cells import WallFace
 from eagor.worlds.apartment.furniture import KINDS, Model
 from eagor.worlds.apartment.placement import (
     GAP,
@@ -33,6 +32,7 @@ from eagor.worlds.apartment.placement import (
     tell_apart,
     untouched,
 )
+from eagor.worlds.apartment.plans import WallFace
 
 _ROWS = (
     ("refrigerator", "cabinet", "sink", "cabinet", "stove"),

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import ndimage
 
-from eagor.worlds.apartment.cells import Cells, WallFace, wall_faces
 from eagor.worlds.apartment.furniture import KINDS, Model, build
-from eagor.worlds.apartment.plans import OUTSIDE, Doorway, Plan
+from eagor.worlds.apartment.plans import OUTSIDE, Cells, Doorway, Plan, WallFace, wall_faces
 from eagor.worlds.scene import Room
 
 CELL = 0.05
