@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.worlds.apartment.furniture import decor, fixtures, seating, storage, tables
+from eagor.worlds.apartment.furniture import decor, fixtures, joinery, seating
 from eagor.worlds.apartment.furniture.model import WOODS, Kind, Model, assembled
 from eagor.worlds.apartment.pictures import PICTURES
 
@@ -26,15 +26,15 @@ KINDS: dict[str, Kind] = {
     "armchair": Kind("corner", _COSY, seating.CLOTHS, seating.armchair),
     "sofa": Kind("wall", ("living room",), seating.CLOTHS, seating.sofa),
     "bed": Kind("wall", ("bedroom",), seating.COLOURS, seating.bed),
-    "table": Kind("free", ("dining room", "kitchen", "living room"), WOODS, tables.table),
-    "coffee table": Kind("free", ("living room",), (*WOODS, "grey"), tables.coffee_table),
-    "desk": Kind("wall", ("study", "bedroom"), (*WOODS, "grey"), tables.desk),
-    "nightstand": Kind("wall", ("bedroom",), _LACQUERED, tables.nightstand),
-    "dresser": Kind("wall", _STORING, _LACQUERED, storage.dresser),
-    "wardrobe": Kind("wall", _STORING, (*WOODS, "grey"), storage.wardrobe),
-    "bookshelf": Kind("wall", ("living room", "study", *_STORING), WOODS, storage.bookshelf),
-    "cabinet": Kind("wall", ("kitchen",), _UNITS, storage.cabinet),
-    "book": Kind("top", ("living room", "study", "bedroom"), _COVERS, storage.book),
+    "table": Kind("free", ("dining room", "kitchen", "living room"), WOODS, joinery.table),
+    "coffee table": Kind("free", ("living room",), (*WOODS, "grey"), joinery.coffee_table),
+    "desk": Kind("wall", ("study", "bedroom"), (*WOODS, "grey"), joinery.desk),
+    "nightstand": Kind("wall", ("bedroom",), _LACQUERED, joinery.nightstand),
+    "dresser": Kind("wall", _STORING, _LACQUERED, joinery.dresser),
+    "wardrobe": Kind("wall", _STORING, (*WOODS, "grey"), joinery.wardrobe),
+    "bookshelf": Kind("wall", ("living room", "study", *_STORING), WOODS, joinery.bookshelf),
+    "cabinet": Kind("wall", ("kitchen",), _UNITS, joinery.cabinet),
+    "book": Kind("top", ("living room", "study", "bedroom"), _COVERS, joinery.book),
     "refrigerator": Kind("wall", ("kitchen",), ("white", "grey", "black"), fixtures.refrigerator),
     "stove": Kind("wall", ("kitchen",), ("white", "black", "grey"), fixtures.stove),
     "sink": Kind("wall", ("bathroom", "kitchen"), ("white", "grey"), fixtures.sink),
@@ -46,7 +46,7 @@ KINDS: dict[str, Kind] = {
     "painting": Kind("hung", (*_ROOMS, "kitchen"), PICTURES["art"].colours, decor.painting),
     "ceiling lamp": Kind("ceiling", _ALL, ("white", "beige", "black", "grey"), decor.ceiling_lamp),
     "vase": Kind("top", _ROOMS, _GLAZED, decor.vase),
-    "tv": Kind("wall", ("living room", "bedroom"), (), tables.tv),
+    "tv": Kind("wall", ("living room", "bedroom"), (), joinery.tv),
 }
 
 
