@@ -25,9 +25,12 @@ from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
 from eagor.worlds.habitat import floors, simulator, world
 from eagor.worlds.habitat.options import parse
-from eagor.worlds.habitat.simulator import device_for  # itself: the stand-in puts another one into the module
+from eagor.worlds.habitat.simulator import (
+    Frames,
+    device_for,  # itself: the stand-in puts another one into the module
+    euclidean,
+)
 from eagor.worlds.habitat.surface import main_storey
-from eagor.worlds.habitat.view import Frames, euclidean
 from eagor.worlds.render import Renderer
 
 

@@ -18,8 +18,8 @@ from scipy import ndimage
 from eagor._lazy import lazy
 from eagor.errors import WorldError
 from eagor.worlds.ground import BESIDE, Ground
+from eagor.worlds.habitat.simulator import Frames
 from eagor.worlds.habitat.surface import CELL, Storey, Surface, rasterised, stepped, triangles_of
-from eagor.worlds.habitat.view import Frames
 from eagor.worlds.scene import Instance, Room
 from eagor.worlds.walkable import Field
 

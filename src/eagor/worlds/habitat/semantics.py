@@ -29,8 +29,7 @@ from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.queries import COLOURS, SYNONYMS
 from eagor.worlds.glb import FORMAT
-from eagor.worlds.habitat.simulator import Session
-from eagor.worlds.habitat.view import Frames, euclidean
+from eagor.worlds.habitat.simulator import Frames, Session, euclidean
 from eagor.worlds.habitat_files import FIRST_ID
 from eagor.worlds.scene import Instance, Room
 

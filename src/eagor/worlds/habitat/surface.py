@@ -15,8 +15,7 @@ import numpy as np
 
 from eagor.errors import WorldError
 from eagor.worlds.ground import STOREY
-from eagor.worlds.habitat.simulator import import_habitat
-from eagor.worlds.habitat.view import Frames
+from eagor.worlds.habitat.simulator import Frames, import_habitat
 
 __all__ = ["BAND", "CELL", "Storey", "Surface", "main_storey", "rasterised", "stepped", "triangles_of"]
 
