@@ -24,13 +24,13 @@ from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
 from eagor.worlds.habitat import floors, simulator, world
+from eagor.worlds.habitat.navmesh import main_storey
 from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.simulator import (
     Frames,
     device_for,  # itself: the stand-in puts another one into the module
     euclidean,
 )
-from eagor.worlds.habitat.surface import main_storey
 from eagor.worlds.render import Renderer
 
 

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.worlds.habitat.navmesh import NavMesh
+from eagor.worlds.habitat.navmesh import NavMesh, Storey
 from eagor.worlds.habitat.options import Options, existing, is_bare
 from eagor.worlds.habitat.simulator import Frames, HabitatView, import_habitat
-from eagor.worlds.habitat.surface import Storey
 from eagor.worlds.habitat_files import LAB_SLOPE, voxel_for
 
 __all__ = ["EYE", "ROWS", "mesh_for", "roofed", "settings_for", "true_floor"]

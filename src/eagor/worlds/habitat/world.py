@@ -30,11 +30,10 @@ import numpy as np
 from eagor._lazy import lazy
 from eagor.worlds import World, WorldOf
 from eagor.worlds.habitat.floors import EYE, ROWS, mesh_for, roofed, true_floor
-from eagor.worlds.habitat.navmesh import LEVEL, NavMesh
+from eagor.worlds.habitat.navmesh import LEVEL, NavMesh, Storey, main_storey
 from eagor.worlds.habitat.options import Options, existing, file_of, parse, scene_id_of
 from eagor.worlds.habitat.semantics import Box, Things, beside, seen_boxes, things_of
 from eagor.worlds.habitat.simulator import Frames, HabitatView, Session, Source, import_habitat
-from eagor.worlds.habitat.surface import Storey, main_storey
 from eagor.worlds.scene import Instance, Room
 
 __all__ = ["WORLD", "HabitatScene", "open_scene"]
