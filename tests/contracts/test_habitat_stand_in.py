@@ -23,14 +23,14 @@ from eagor.tasks.task import load as load_task
 from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import floors, simulator, world
+from eagor.worlds.habitat import simulator, world
 from eagor.worlds.habitat.navmesh import main_storey
-from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.simulator import (
     Frames,
     device_for,  # itself: the stand-in puts another one into the module
     euclidean,
 )
+from eagor.worlds.habitat.world import parse
 from eagor.worlds.render import Renderer
 
 
@@ -198,8 +198,8 @@ def test_the_mesh_for_a_body_is_habitat_labs(flat, monkeypatch):
         own = PathFinder()
         own.is_loaded, own.nav_mesh_settings = True, type(first)(**vars(first))
         own.nav_mesh_settings.agent_max_climb += change
-        monkeypatch.setattr(floors, "_beside", lambda *_, own=own: own)
-        found, _ = floors.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
+        monkeypatch.setattr(world, "_beside", lambda *_, own=own: own)
+        found, _ = world.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
         assert (found is own) == used
 
 

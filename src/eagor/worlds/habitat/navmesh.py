@@ -23,20 +23,6 @@ from eagor.worlds.habitat.simulator import Frames, import_habitat
 from eagor.worlds.scene import Instance, Room
 from eagor.worlds.walkable import Field
 
-__all__ = [
-    "BAND",
-    "CELL",
-    "LEVEL",
-    "NavMesh",
-    "NavWay",
-    "Storey",
-    "Surface",
-    "main_storey",
-    "rasterised",
-    "stepped",
-    "triangles_of",
-]
-
 BAND = STOREY  # metres above and below its floor that belong to a storey
 BIN = 0.1  # metres: heights within it count as one level
 SMALLEST = 1.0  # square metres: no smaller island is looked at

@@ -33,18 +33,6 @@ from eagor.worlds.habitat.simulator import Frames, Session, euclidean
 from eagor.worlds.habitat_files import FIRST_ID
 from eagor.worlds.scene import Instance, Room
 
-__all__ = [
-    "BOXES",
-    "BoxLabels",
-    "IdLabels",
-    "Things",
-    "beside",
-    "from_the_origin",
-    "repaired",
-    "seen_boxes",
-    "things_of",
-]
-
 LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
 _CHUNK = 1 << 22  # comparisons of a point with a box at a time
 

@@ -36,23 +36,6 @@ from eagor.grids import ErpGrid
 from eagor.sphere import check_rotation
 from eagor.worlds.render import Frame
 
-__all__ = [
-    "FIRST_ROWS",
-    "Frames",
-    "HOW_TO_GET",
-    "HabitatView",
-    "KINDS",
-    "Labels",
-    "Session",
-    "Source",
-    "close_all",
-    "configured",
-    "device_for",
-    "euclidean",
-    "import_habitat",
-    "sensor_of",
-]
-
 FIRST_ROWS = 64  # of the sensors with which a simulator is made; others are added when they are asked for
 KINDS = ("color", "depth", "semantic")
 

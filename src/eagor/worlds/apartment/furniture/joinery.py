@@ -1,4 +1,4 @@
-"""Wooden furniture: tables, desks, nightstands, televisions on their stands; dressers, wardrobes, bookshelves, cabinets."""
+"""Wooden furniture: tables, desks, nightstands, stands of televisions; dressers, wardrobes, bookshelves, cabinets."""
 
 from __future__ import annotations
 
