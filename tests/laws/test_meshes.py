@@ -8,7 +8,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from strategies import rotations
 
-from eagor.errors import WorldError
 from eagor.worlds.apartment import mesh as m
 from eagor.worlds.scene import Material
 
@@ -211,25 +210,6 @@ def test_a_part_measures_its_texture_in_repeats():
     face = m.quad([(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)])
     assert np.allclose(m.part(face, Material("plain"), 0.5).uv.reshape(-1, 2).max(axis=0), [4, 2])
     assert np.allclose(m.part(face, Material("whole"), (2.0, 1.0)).uv.reshape(-1, 2).max(axis=0), [1, 1])
-
-
-@pytest.mark.parametrize(
-    ("build", "wanted"),
-    [
-        (lambda: m.box((0, 0, 0), (1, 1, 0)), "low"),
-        (lambda: m.bevelled((0, 0, 0), (-1, 1, 1), 0.1), "low"),
-        (lambda: m.lathe([(-1, 0), (1, 1)]), "profile"),
-        (lambda: m.tube([(0, 0, 0), (0, 0, 0)], 0.1), "twice"),
-        (lambda: m.tube([(0, 0, 0), (0, 0, 1), (0, 0, 0)], 0.1), "doubles back"),
-        (lambda: m.tube([(0, 0, 0)], 0.1), "path"),
-        (lambda: m.sheet(np.zeros((1, 3, 3))), "sheet"),
-        (lambda: m.loft(np.zeros((1, 4, 3))), "rings"),
-        (lambda: m.merged(), "at least one"),
-    ],
-)
-def test_what_cannot_be_made_is_named(build, wanted):
-    with pytest.raises(WorldError, match=wanted):
-        build()
 
 
 test_a_tube_keeps_its_thickness_round_bends_and_does_not_twist = settings(max_examples=40)(

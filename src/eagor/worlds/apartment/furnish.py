@@ -349,7 +349,7 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
     for room in rng.permutation(len(kinds)):
         _further(f, int(room), kinds[room])
     _at_least(f, "plant", 2)
-    _at_least(f, "chair", int(rng.integers(4, 7)))
+    _at_least(f, "chair", int(rng.integers(4, 7)), front=0.2, nowhere=("hall", "bathroom"))
     missing = [category for category in REQUIRED if not f.of(category)]
     if missing:
         raise NoRoom(f"no place for {', '.join(missing)}")
@@ -402,14 +402,14 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
     return f.settle(made, room, sites, front=front) is not None
 
 
-def _at_least(f: Furnisher, category: str, count: int) -> None:
-    """Add pieces of a category to its usual rooms until there are `count`, as far as they fit."""
-    rooms = [i for i, space in enumerate(f.floor.plan.spaces) if space.kind in KINDS[category].rooms]
+def _at_least(f: Furnisher, category: str, count: int, front: float = 0.0, nowhere: tuple[str, ...] = ()) -> None:
+    """Add pieces of a category until there are `count`, as far as they fit; none to `nowhere`, kinds of rooms."""
+    rooms = [i for i, space in enumerate(f.floor.plan.spaces) if space.kind not in nowhere]
     for _ in range(3):
         for room in f.rng.permutation(rooms).tolist():
             if len(f.of(category)) >= count:
                 return
-            _one_more(f, room, category, 0.2 if category == "chair" else 0.0)
+            _one_more(f, room, category, front)
 
 
 def rug(f: Furnisher, room: int) -> Piece | None:

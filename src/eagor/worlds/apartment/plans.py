@@ -252,15 +252,9 @@ def _leaning(boundary: Boundary, space: Space, at: float, width: float, hinge: b
 
 def _apart(a: Doorway, b: Doorway) -> bool:
     """Whether two doorways, the floor before them and their leaves keep clear of each other."""
-    if _overlap(a.approach(0.1, 0.2), b.approach(0.1, 0.2)):
-        return False
-    for one, other in ((a, b), (b, a)):
-        if one.leaf_box is not None:
-            if _overlap(one.leaf_box, other.approach(0.75, 0.02)):
-                return False
-            if other.leaf_box is not None and _overlap(one.leaf_box, other.leaf_box):
-                return False
-    return True
+    pairs = [(a.approach(0.1, 0.2), b.approach(0.1, 0.2)), (a.leaf_box, b.leaf_box)]
+    pairs += [(one.leaf_box, other.approach(0.75, 0.02)) for one, other in ((a, b), (b, a))]
+    return not any(_overlap(one, other) for one, other in pairs if one and other)
 
 
 def _overlap(a: Rectangle, b: Rectangle) -> bool:
