@@ -157,7 +157,7 @@ def snapping(glb: Path, config: Path) -> Any:
 def drawing_nothing(blind: bool) -> Iterator[None]:
     """Open our scenes without a camera: no things, no pictures, and a floor just below the mesh, for `blind` runs."""
     from eagor.worlds.habitat import simulator, world
-    from eagor.worlds.habitat.semantics import BoxLabels
+    from eagor.worlds.habitat.semantics import box_labels
 
     def empty(self: Any, position: Any, world_R_body: Any, height: int, **_: Any) -> Frame:
         return Frame(None, None, np.full((height, 2 * height), -1, dtype=np.int32))
@@ -168,8 +168,8 @@ def drawing_nothing(blind: bool) -> Iterator[None]:
             (simulator, "device_for", lambda *_: -1),
             (simulator, "_made", lambda source, gpu, *_: opened(source, gpu, 8, ())),
             (simulator.HabitatView, "panorama", empty),
-            (world, "true_floor", lambda view, pathfinder, storey, name, options: storey.level - ON_MESH),
-            (world, "things_of", lambda *_: Things((), (), BoxLabels(()), "none")),
+            (world, "true_floor", lambda view, mesh, options: mesh.surface.storey.level - ON_MESH),
+            (world, "things_of", lambda *_: Things((), (), box_labels(()), "none")),
         ):
             if blind:
                 stack.enter_context(patch.object(place, name, value))

@@ -199,7 +199,7 @@ def test_the_mesh_for_a_body_is_habitat_labs(flat, monkeypatch):
         own.is_loaded, own.nav_mesh_settings = True, type(first)(**vars(first))
         own.nav_mesh_settings.agent_max_climb += change
         monkeypatch.setattr(world, "_beside", lambda *_, own=own: own)
-        found, _ = world.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
+        found = world.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
         assert (found is own) == used
 
 

@@ -32,7 +32,7 @@ from eagor.errors import WorldError
 from eagor.media.panorama import FORMATS, decoded_bytes
 from eagor.queries import COLOURS, SYNONYMS, singular
 from eagor.worlds.ground import floor_height, level_triangles
-from eagor.worlds.habitat_files import FIRST_ID, footing_of, semantic_glb, semantic_text, voxel_for
+from eagor.worlds.habitat_files import FIRST_ID, STAGE, footing_of, semantic_glb, semantic_text, voxel_for
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 
 __all__ = ["export_glb", "import_glb"]
@@ -170,10 +170,7 @@ def export_glb(
         target = target / (re.sub(r"\W+", "_", scene.source).strip("_").lower() + ".glb")
     blob, nodes = _blob(scene)
     written(target, blob)
-    stage = {
-        "render_asset": target.name, "collision_asset": target.name, "up": [0, 1, 0], "front": [0, 0, -1],
-        "units_to_meters": 1.0, "is_collidable": True, "shader_type": "flat",
-    }  # fmt: skip
+    stage: dict[str, Any] = {"render_asset": target.name, "collision_asset": target.name, **STAGE}
     if annotated:
         painted, listed = target.with_suffix(".semantic.glb"), target.with_suffix(".semantic.txt")
         written(painted, semantic_glb(scene))

@@ -29,7 +29,7 @@ from eagor._files import written
 from eagor.errors import StorageError, WorldError
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat_files import FIRST_ID, ON_MESH, roomy_radius
+from eagor.worlds.habitat_files import FIRST_ID, ON_MESH, STAGE, roomy_radius
 from eagor.worlds.objectnav import (
     HM3D_CATEGORIES,
     Episode,
@@ -272,22 +272,11 @@ def check_names(sources: Sequence[Source]) -> None:
 
 def config_of(files: Iterable[str]) -> dict:
     """The scene dataset configuration: every scene of it has its files beside it, under its own name."""
-    return {
-        "stages": {
-            "default_attributes": {
-                "up": [0, 1, 0],
-                "front": [0, 0, -1],
-                "units_to_meters": 1.0,
-                "is_collidable": True,
-                "shader_type": "flat",
-                "semantic_asset": f"{_TAG}.semantic.glb",
-                "semantic_descriptor_filename": f"{_TAG}.semantic.txt",
-                "has_semantic_textures": True,
-                "nav_asset": f"{_TAG}.navmesh",
-            },
-            "paths": {".glb": list(files)},
-        },
-    }
+    attributes = STAGE | {
+        "semantic_asset": f"{_TAG}.semantic.glb", "semantic_descriptor_filename": f"{_TAG}.semantic.txt",
+        "has_semantic_textures": True, "nav_asset": f"{_TAG}.navmesh",
+    }  # fmt: skip
+    return {"stages": {"default_attributes": attributes, "paths": {".glb": list(files)}}}
 
 
 @contextmanager

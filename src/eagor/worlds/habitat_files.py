@@ -33,6 +33,10 @@ from eagor.conventions import to_gltf
 from eagor.errors import WorldError
 from eagor.worlds.scene import Scene
 
+# What a stage configuration says of a scene of ours: a GLB has Y up, which Habitat does not assume.
+STAGE = {
+    "up": [0, 1, 0], "front": [0, 0, -1], "units_to_meters": 1.0, "is_collidable": True, "shader_type": "flat",
+}  # fmt: skip
 FIRST_ID = 1  # the id of the first instance: Habitat's 0 is "Unknown"
 MOST = 65535 - FIRST_ID  # instances: Habitat's ids have 16 bits
 HEADER = "HM3D Semantic Annotations"
@@ -159,7 +163,7 @@ WITHOUT = (
 LEVEL = 0.05  # metres: triangles this close to the height of the floor are part of it
 MARGIN = 1.6  # voxels: the 1.3 of straightened edges, and some for what is full; more closes passages that are open
 SHRUNK = 0.5  # side of the footing in those of the triangle above it: no corner of it shows at the edge of the floor
-PATIENCE = 300.0  # seconds for one mesh; an apartment takes less than one
+PATIENCE = 300.0  # seconds for one mesh, of which an apartment takes less than one, or for opening a scene
 _PROGRAM = """
 import json, os, sys, threading
 stage, target, settings, line = sys.argv[1:]
@@ -223,18 +227,33 @@ def _write(stage: Path) -> None:
     """Write the mesh with the settings beside the stage. Raises `WorldError` if Habitat-Sim makes none."""
     base = stage.with_name(stage.name.removesuffix(".stage_config.json"))
     target, settings = base.with_name(f"{base.name}.navmesh"), base.with_name(f"{base.name}.navmesh.json")
-    there, here = os.pipe()  # its end tells the other process that this one is gone
-    command = [sys.executable, "-c", _PROGRAM, str(stage), str(target), str(settings), str(there)]
+    code, _, said = run_apart(_PROGRAM, str(stage), str(target), str(settings))
+    if code is None:
+        raise WorldError(f"Habitat-Sim took longer than {PATIENCE:.0f} s for the mesh of {base.name}")
+    if code or not target.is_file():
+        last = (said.strip().splitlines() or ["it said nothing"])[-1]
+        raise WorldError(f"Habitat-Sim made no navigation mesh of {base.name} (exit code {code}): {last}")
+
+
+def run_apart(program: str, *arguments: str) -> tuple[int | None, str, str]:
+    """Run Python code in a process of its own, as Habitat-Sim may end the process that it runs in.
+
+    Its exit code (None: it was ended after `PATIENCE`), what it wrote to stdout, and to stderr. Its last argument is
+    the number of a pipe: when that ends, this process is gone, and so it should be, too.
+    """
+    there, here = os.pipe()
+    command = [sys.executable, "-c", program, *arguments, str(there)]
+    path = os.pathsep.join(filter(None, sys.path))
     try:
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=PATIENCE,
-            pass_fds=(there,),
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE, pass_fds=(there,),
+            env={**os.environ, "PYTHONPATH": path},
         )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        raise WorldError(f"Habitat-Sim took longer than {PATIENCE:.0f} s for the mesh of {base.name}") from None
+        code, said = done.returncode, (done.stdout, done.stderr)
+    except subprocess.TimeoutExpired as late:
+        code, said = None, (late.stdout or b"", late.stderr or b"")
     finally:
         os.close(there)
         os.close(here)
-    if done.returncode or not target.is_file():
-        last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-        raise WorldError(f"Habitat-Sim made no navigation mesh of {base.name} (exit code {done.returncode}): {last}")
+    out, err = (text.decode(errors="replace") for text in said)
+    return code, out, err

@@ -17,9 +17,9 @@ from PIL import Image
 
 from eagor._lazy import lazy
 from eagor._srgb import to_coded, to_linear
-from eagor.errors import GridError, ImageError, PoseError
+from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
-from eagor.media.panorama import turn
+from eagor.media.panorama import checked_picture, turn
 from eagor.sphere import check_rotation
 from eagor.worlds.lattice import Lattice, unseen
 from eagor.worlds.light import light_of, look_up, painted_sky
@@ -63,10 +63,7 @@ class Shader:
         self._tone = _tone_table()
         view = tone(_OUTDOORS * painted_sky(int(scene.hash[:8], 16)))
         self._outdoors = np.rint(255 * to_coded(view)).astype(np.uint8)
-        self._prepare(scene, lattice)
-
-    def _prepare(self, scene: Scene, lattice: Lattice) -> None:
-        """The tables of the triangles; an additional last row serves rays without a hit."""
+        # The tables of the triangles; an additional last row serves rays without a hit.
         _, e1, e2, _ = lattice.frame
         side = (1 << self._texels.log_side[scene.material * _LEVELS].astype(np.int64))[:, None].astype(np.float64)
         uv = np.take_along_axis(scene.uv, ((lattice.turned[:, None] + np.arange(3)) % 3)[..., None], axis=1)
@@ -191,8 +188,6 @@ def _pyramid(texture: np.ndarray | None) -> list[np.ndarray]:
     texture = texture[::-1, :, :3]
     side = 1 << min(int(np.ceil(np.log2(max(texture.shape[:2])))), _LEVELS - 1)
     if texture.shape[:2] != (side, side):
-        from PIL import Image
-
         texture = np.asarray(Image.fromarray(np.ascontiguousarray(texture)).resize((side, side)))
     levels = [texture.reshape(-1, 3)]
     decode = to_linear(np.arange(256) / 255).astype(np.float32)
@@ -436,12 +431,7 @@ class Photograph:
         The photograph is averaged to the size first. Raises `PoseError` for a position other than the origin,
         `GridError` for a height below 1, `RotationError`, and `ImageError` for an invalid photograph.
         """
-        image = np.asarray(self.image)
-        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
-            raise ImageError(
-                f"the photograph is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
-                "eagor.media.panorama.read_panorama"
-            )
+        image = checked_picture(self.image, "the photograph")
         if np.shape(position) != (3,) or np.any(np.asarray(position, dtype=float) != 0):
             raise PoseError(
                 f"the camera stands at {position}; a photograph shows what is seen from (0, 0, 0), where it was taken"

@@ -311,35 +311,6 @@ class CellGraph:
             way.append(here)
 
 
-def line_is_free(free: bytes, cols: int, start: tuple[float, float], end: tuple[float, float]) -> bool:
-    """Whether all cells that a straight line touches are free (Amanatides and Woo's walk, both cells at a corner).
-
-    `free`: one byte per cell in reading order, none free at the border; points (x, y) in cells, inside the grid.
-    """
-    (x, y), (x_end, y_end) = start, end
-    col, row, last_col, last_row = math.floor(x), math.floor(y), math.floor(x_end), math.floor(y_end)
-    dx, dy = x_end - x, y_end - y
-    right, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-    per_col = abs(1 / dx) if dx else math.inf
-    per_row = abs(1 / dy) if dy else math.inf
-    to_col = (col + 1 - x if dx > 0 else x - col) * per_col if dx else math.inf
-    to_row = (row + 1 - y if dy > 0 else y - row) * per_row if dy else math.inf
-    for _ in range(abs(last_col - col) + abs(last_row - row) + 1):
-        if not free[row * cols + col]:
-            return False
-        if col == last_col and row == last_row:
-            return True
-        if abs(to_col - to_row) < 1e-9:
-            if not (free[row * cols + col + right] and free[(row + up) * cols + col]):
-                return False
-            col, row, to_col, to_row = col + right, row + up, to_col + per_col, to_row + per_row
-        elif to_col < to_row:
-            col, to_col = col + right, to_col + per_col
-        else:
-            row, to_row = row + up, to_row + per_row
-    return bool(free[last_row * cols + last_col])
-
-
 def pulled(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
     """The taut polyline: corners are left out where the straight line between others is free.
 
@@ -351,7 +322,7 @@ def pulled(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], boo
         for a, b in itertools.pairwise(best):
             halved += [((a[0] + b[0]) / 2, (a[1] + b[1]) / 2), b]
         shorter = _shortcut(_shortcut(halved, sees)[::-1], sees)[::-1]
-        if length(shorter) > length(best) - 1e-3:
+        if length_of(np.array(shorter)) > length_of(np.array(best)) - 1e-3:
             break
         best = shorter
     return best
@@ -368,17 +339,40 @@ def _shortcut(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], 
     return kept
 
 
-def length(points: list[tuple[float, float]]) -> float:
-    """Length of a polyline."""
-    return sum(math.dist(a, b) for a, b in itertools.pairwise(points))
-
-
 class Walls(NamedTuple):
     """Cells in reading order, `cols` per row: `free`, one byte each, none free at the border; `clearance`."""
 
     free: bytes
     clearance: list[float]
     cols: int
+
+    def sees(self, start: tuple[float, float], end: tuple[float, float]) -> bool:
+        """Whether all cells that a straight line touches are free (Amanatides and Woo's walk, both cells at a corner).
+
+        Points (x, y) in cells, inside the grid.
+        """
+        (free, _, cols), (x, y), (x_end, y_end) = self, start, end
+        col, row, last_col, last_row = math.floor(x), math.floor(y), math.floor(x_end), math.floor(y_end)
+        dx, dy = x_end - x, y_end - y
+        right, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+        per_col = abs(1 / dx) if dx else math.inf
+        per_row = abs(1 / dy) if dy else math.inf
+        to_col = (col + 1 - x if dx > 0 else x - col) * per_col if dx else math.inf
+        to_row = (row + 1 - y if dy > 0 else y - row) * per_row if dy else math.inf
+        for _ in range(abs(last_col - col) + abs(last_row - row) + 1):
+            if not free[row * cols + col]:
+                return False
+            if col == last_col and row == last_row:
+                return True
+            if abs(to_col - to_row) < 1e-9:
+                if not (free[row * cols + col + right] and free[(row + up) * cols + col]):
+                    return False
+                col, row, to_col, to_row = col + right, row + up, to_col + per_col, to_row + per_row
+            elif to_col < to_row:
+                col, to_col = col + right, to_col + per_col
+            else:
+                row, to_row = row + up, to_row + per_row
+        return bool(free[last_row * cols + last_col])
 
     def move(self, x: float, y: float, dx: float, dy: float, slide: bool) -> tuple[float, float, bool]:
         """The end of a step (dx, dy) from a free point (x, y), and whether it collided; all in cells.

@@ -167,7 +167,7 @@ def hexahedron(corners: Triple | np.ndarray, grain: int | None = None) -> Mesh:
 
 def box(low: Triple, high: Triple, grain: int | None = None) -> Mesh:
     """A box between two corners ``(3,)``, 12 triangles; `grain` as in `planar_uv`."""
-    low, high = np.array([low, high], dtype=np.float64)
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     return hexahedron(low + CORNERS * (high - low), grain)
 
 
@@ -214,7 +214,7 @@ def _rounded(segments: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def bevelled(low: Triple, high: Triple, radius: float, segments: int = 1, grain: int | None = None) -> Mesh:
     """A box with edges rounded by `radius` (or half of the shortest side) in `segments` steps: 44 triangles for 1."""
-    low, high = np.array([low, high], dtype=np.float64)
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     half = (high - low) / 2
     radius = min(float(radius), 0.499 * 2 * float(half.min()))
     outward, signs, triangles = _rounded(segments)
@@ -308,7 +308,7 @@ def _soft(thin: int) -> tuple[np.ndarray, np.ndarray]:
 
 def cushion(low: Triple, high: Triple, puff: float = 0.03, radius: float = 0.05) -> Mesh:
     """A soft box within `low` and `high` ``(3,)``: rounded edges, faces that swell by `puff` metres; 128 triangles."""
-    low, high = np.array([low, high], dtype=np.float64)
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     middle, half = (low + high) / 2, (high - low) / 2
     steps, triangles = _soft(int(half.argmin()))
     puff = min(float(puff), 0.4 * float(half.min()))

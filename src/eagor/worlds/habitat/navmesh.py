@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from eagor._lazy import lazy
 from eagor.errors import WorldError
-from eagor.worlds.ground import BESIDE, STOREY, Ground
+from eagor.worlds.ground import BESIDE, STOREY, Ground, checked_goals, largest_area
 from eagor.worlds.habitat.simulator import Frames, import_habitat
 from eagor.worlds.scene import Instance, Room
 from eagor.worlds.walkable import Field
@@ -170,10 +170,6 @@ class Surface:
         if np.abs(snapped - found)[[0, 2]].max() < ON_MESH:
             found[1] = snapped[1]
         return found
-
-    def height(self, xy: np.ndarray) -> float:
-        """Habitat's y of the mesh at a point ``(2,)``; beside the mesh that of the cells around."""
-        return float(self.feet(xy)[1])
 
     def _near_height(self, x: float, y: float) -> float:
         """Habitat's y of the cell at a point, of the nearest cells around, or of the storey's floor."""
@@ -341,43 +337,15 @@ class NavMesh:
         self.radius, self.rooms, self.sees, self.source, self.level = radius, rooms, sees, source, level
         self._ways: dict[int, tuple[Instance, NavWay]] = {}
         origin, heights = rasterised(triangles_of(pathfinder, storey.island), storey, frames)
-        covered = np.isfinite(heights)
-        if not covered.any():
+        free = largest_area(np.isfinite(heights))
+        if not free.any():
             raise WorldError(f"nowhere in {source} can a body of radius {radius:g} m stand on this storey")
-        labels, _ = ndimage.label(covered)  # type: ignore[misc]
-        largest = labels == np.bincount(labels.ravel())[1:].argmax() + 1
-        clearance = np.asarray(ndimage.distance_transform_edt(largest)) * CELL + radius * largest
-        self.surface = Surface(pathfinder, storey, frames, origin, np.where(largest, heights, np.nan), source)
-        structure = np.zeros_like(largest)
-        self.plan = Ground(origin, CELL, radius, 0.0, largest, clearance, structure, rooms)
-
-    # The plan, as in `eagor.worlds.walkable`.
-    floor = 0.0
-
-    @property
-    def origin(self) -> np.ndarray:
-        return self.plan.origin
-
-    @property
-    def cell(self) -> float:
-        return self.plan.cell
-
-    @property
-    def free(self) -> np.ndarray:
-        return self.plan.free
-
-    @property
-    def structure(self) -> np.ndarray:
-        return self.plan.structure
-
-    @property
-    def clearance(self) -> np.ndarray:
-        return self.plan.clearance
-
-    @property
-    def points(self) -> np.ndarray:
-        """The centres ``(n, 2)`` of the free cells, in reading order."""
-        return self.plan.points
+        clearance = np.asarray(ndimage.distance_transform_edt(free)) * CELL + radius * free
+        self.surface = Surface(pathfinder, storey, frames, origin, np.where(free, heights, np.nan), source)
+        self.plan = Ground(origin, CELL, radius, 0.0, free, clearance, np.zeros_like(free), rooms)
+        # As in `eagor.worlds.walkable`.
+        self.origin, self.cell, self.floor = origin, CELL, 0.0
+        self.free, self.clearance, self.structure, self.points = free, clearance, self.plan.structure, self.plan.points
 
     # --- between the plane and the mesh ---
 
@@ -392,7 +360,7 @@ class NavMesh:
 
     def height(self, xy: np.ndarray) -> float:
         """Height of the ground under a point ``(2,)``: 0 on the floor of the storey, else that of the step or stair."""
-        above = self.surface.height(xy) - self.surface.storey.level
+        above = float(self.feet(xy)[1]) - self.surface.storey.level
         return above if abs(above) > self.level else 0.0
 
     # --- points ---
@@ -427,12 +395,7 @@ class NavMesh:
 
     def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> NavWay:
         """Distances to the nearest of points ``(n, 2)`` or ``(2,)``; those that are not free are ignored."""
-        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
-        starts = np.zeros(len(points)) if offsets is None else np.array(np.broadcast_to(offsets, len(points)))
-        if points.shape != (len(points), 2) or not (np.isfinite(starts) & (starts >= 0)).all():
-            raise WorldError(
-                f"points have shape {points.shape}, offsets {starts.tolist()}; wanted (n, 2) and finite metres >= 0"
-            )
+        points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         goals = np.array([self.feet(point) for point in points[stand]], dtype=np.float64).reshape(-1, 3)
         return NavWay(self.surface, self.plan, goals, starts[stand])
@@ -499,5 +462,5 @@ class NavMesh:
     # --- steps ---
 
     def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = True) -> tuple[np.ndarray, bool]:
-        """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: `steps.stepped`."""
+        """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: `stepped`."""
         return stepped(self.surface, xy, step, slide)

@@ -29,7 +29,7 @@ from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.queries import COLOURS, SYNONYMS
 from eagor.worlds.glb import FORMAT
-from eagor.worlds.habitat.simulator import Frames, Session, euclidean
+from eagor.worlds.habitat.simulator import Frames, Labels, Session, euclidean
 from eagor.worlds.habitat_files import FIRST_ID
 from eagor.worlds.scene import Instance, Room
 
@@ -37,45 +37,30 @@ LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
 _CHUNK = 1 << 22  # comparisons of a point with a box at a time
 
 
-class IdLabels:
+def id_labels(place: np.ndarray) -> Labels:
     """Labels by Habitat's semantic ids: `place` ``(n,)``, our index (or -1) of each id."""
-
-    raw = True
-
-    def __init__(self, place: np.ndarray) -> None:
-        self._place = np.append(place, -1).astype(np.int32)  # the last for ids beyond the table
-
-    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
-        """The ids ``(H, W)`` int32 of Habitat's `semantic` ``(H, W)``."""
-        assert semantic is not None
-        return self._place[np.minimum(semantic, len(self._place) - 1).astype(np.intp)]
+    table = np.append(place, -1).astype(np.int32)  # the last for ids beyond the table
+    return Labels(True, lambda semantic: table[np.minimum(semantic, len(table) - 1).astype(np.intp)])
 
 
-class BoxLabels:
+def box_labels(instances: Sequence[Instance]) -> Labels:
     """Labels by points: the smallest box that contains a point, -1 if none does."""
+    size = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
+    order = np.argsort(size, kind="stable")
+    low, high = (np.array([getattr(instances[k], end) for k in order]).reshape(-1, 3) for end in ("low", "high"))
 
-    raw = False
-
-    def __init__(self, instances: Sequence[Instance]) -> None:
-        size = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
-        self._order = np.argsort(size, kind="stable")
-        self._low = np.array([instances[k].low for k in self._order]).reshape(-1, 3) - LOOSE
-        self._high = np.array([instances[k].high for k in self._order]).reshape(-1, 3) + LOOSE
-
-    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
-        """The ids ``(H, W)`` int32 at `points` ``(H, W, 3)``, our world, NaN for no hit."""
-        assert points is not None
+    def ids(points: np.ndarray) -> np.ndarray:
         flat = points.reshape(-1, 3)
         found = np.full(len(flat), -1, dtype=np.int32)
-        if len(self._order) == 0:
-            return found.reshape(points.shape[:-1])
-        for start in range(0, len(flat), step := max(1, _CHUNK // len(self._order))):
+        for start in range(0, len(flat) if instances else 0, step := max(1, _CHUNK // max(len(order), 1))):
             part = flat[start : start + step, None]
-            inside = np.all((part >= self._low) & (part <= self._high), axis=-1)
+            inside = np.all((part >= low - LOOSE) & (part <= high + LOOSE), axis=-1)
             first = inside.argmax(axis=1)
             hit = inside[np.arange(len(first)), first]
-            found[start : start + step] = np.where(hit, self._order[first], -1)
+            found[start : start + step] = np.where(hit, order[first], -1)
         return found.reshape(points.shape[:-1])
+
+    return Labels(False, ids)
 
 
 # --- the boxes of things in Habitat's semantic scenes, repaired from what is seen -------------------------------------
@@ -132,7 +117,7 @@ class Things:
 
     instances: tuple[Instance, ...]
     rooms: tuple[Room, ...]
-    labels: IdLabels | BoxLabels
+    labels: Labels
     told: str
 
 
@@ -148,9 +133,9 @@ def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Fra
         instances, rooms = read_boxes(file, frames)
         place = _same_things(found, instances)
         if place is not None:
-            return Things(instances, rooms, IdLabels(place), f"ids of Habitat, names of {file.name}")
+            return Things(instances, rooms, id_labels(place), f"ids of Habitat, names of {file.name}")
         if boxes is not None or not found:
-            return Things(instances, rooms, BoxLabels(instances), f"boxes of {file.name}")
+            return Things(instances, rooms, box_labels(instances), f"boxes of {file.name}")
     if found:
         if from_the_origin([each.box for each in found]):
             seen = look()
@@ -158,11 +143,11 @@ def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Fra
         place = np.full(max(each.semantic_id for each in found) + 1, -1)
         place[[each.semantic_id for each in found]] = np.arange(len(found))
         instances = tuple(each.instance for each in found)
-        return Things(instances, _rooms(sim.semantic_scene, frames), IdLabels(place), "Habitat's semantic scene")
+        return Things(instances, _rooms(sim.semantic_scene, frames), id_labels(place), "Habitat's semantic scene")
     if scene_file is not None and scene_file.suffix.lower() in (".glb", ".gltf"):
         instances = _nodes(scene_file, frames)
         if instances:
-            return Things(instances, (), BoxLabels(instances), f"nodes of {scene_file.name}")
+            return Things(instances, (), box_labels(instances), f"nodes of {scene_file.name}")
     raise WorldError(
         f"{scene_file or 'the scene'} names no things: it has no semantic annotations, its nodes have no names, and no "
         "file of boxes lies beside it; give one: habitat:SCENE?boxes=FILE.json"

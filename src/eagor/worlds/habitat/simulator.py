@@ -18,15 +18,14 @@ from __future__ import annotations
 import atexit
 import json
 import os
-import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from eagor.conventions import from_gltf, pose_to_habitat, to_gltf, wxyz_from_rot
 from eagor.errors import GridError, MissingExtraError, PoseError, WorldError
 from eagor.grids import ErpGrid
 from eagor.sphere import check_rotation
+from eagor.worlds.habitat_files import PATIENCE, run_apart
 from eagor.worlds.render import Frame
 
 FIRST_ROWS = 64  # of the sensors with which a simulator is made; others are added when they are asked for
@@ -90,7 +90,6 @@ HOW_TO_GET = (
 )
 GPU = "EAGOR_HABITAT_GPU"  # environment: the device for all scenes, -1 for the CPU
 PROBED = "EAGOR_HABITAT_PROBED"  # environment of the processes that this one starts: what was found out
-PATIENCE = 300.0  # seconds until a scene that opens so slowly counts as one that cannot be opened
 CPU = -1
 _MARK = "eagor probe: "  # of our lines: libraries write to stdout, too
 _found: dict[str, int] = {}
@@ -158,39 +157,15 @@ def _quieten() -> None:
 
 def _try(scene_id: str, dataset: str, device: int, name: str) -> str | None:
     """Why the scene cannot be opened on this device, as a sentence; None if it can."""
-    there, here = os.pipe()  # its end tells the other process that this one is gone
-    code = f"from eagor.worlds.habitat.simulator import main; main({[scene_id, dataset, device]!r}, {there})"
-    try:
-        process = subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            pass_fds=(there,),
-            text=True,
-            errors="replace",
-        )
-    finally:
-        os.close(there)
-    late = False
-    try:
-        out, err = process.communicate(timeout=PATIENCE)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        out, err = process.communicate()
-        late = True
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.communicate()
-        os.close(here)
+    program = "import sys; from eagor.worlds.habitat.simulator import main; main(*sys.argv[1:])"
+    code, out, err = run_apart(program, scene_id, dataset, str(device))
     said = [line.removeprefix(_MARK) for line in out.splitlines() if line.startswith(_MARK)]
     stage = said[-1] if said else ""
     if stage == "done":
         return None
     words = [line.strip() for line in err.splitlines() if line.strip()]
-    last = f"it took longer than {PATIENCE:.0f} s" if late else words[-1][:300] if words else "it ended without a word"
+    last = words[-1][:300] if words else "it ended without a word"
+    last = f"it took longer than {PATIENCE:.0f} s" if code is None else last
     return _sentence(stage, name or scene_id, dataset, device, last)
 
 
@@ -223,21 +198,15 @@ def _broken(why: str) -> str:
     )
 
 
-def main(asked: list[Any], line: int) -> None:
+def main(scene_id: str, dataset: str, device: str, line: str) -> None:
     """Try to open a scene, and say before each stage which it is. Runs in a process of its own, until `line` ends."""
-
-    def leave() -> None:
-        os.read(line, 1)
-        os._exit(1)
-
-    threading.Thread(target=leave, daemon=True).start()
-    scene_id, dataset, device = asked
+    threading.Thread(target=lambda: (os.read(int(line), 1), os._exit(1)), daemon=True).start()
     _quieten()
     import habitat_sim  # pyright: ignore[reportMissingImports]
 
     _say("context")
     for stage, source in (("scene", Source("NONE")), ("done", Source(scene_id, dataset))):
-        habitat_sim.Simulator(configured(habitat_sim, source, device, 8, ("depth",))).close()
+        habitat_sim.Simulator(configured(habitat_sim, source, int(device), 8, ("depth",))).close()
         _say(stage)
     sys.stdout.flush()
     os._exit(0)  # libraries may fail while they are unloaded
@@ -377,17 +346,16 @@ class Frames:
 FAR = 999.0  # metres: the far plane is at 1000
 
 
-class Labels(Protocol):
-    """Finds the instance in each direction of a panorama."""
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """Finds the instance in each direction of a panorama: `ids` ``(H, W)`` int32, -1 for none.
 
-    raw: bool  # whether it reads Habitat's semantic ids; otherwise it needs points
+    If `raw`, of Habitat's semantic ids ``(H, W)``; otherwise of points ``(H, W, 3)``: what is seen, our world, NaN for
+    no hit.
+    """
 
-    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
-        """Ids ``(H, W)`` int32, -1 for none.
-
-        `semantic` ``(H, W)``: Habitat's ids; `points` ``(H, W, 3)``: what is seen, our world, NaN for no hit.
-        """
-        ...
+    raw: bool
+    ids: Callable[[np.ndarray], np.ndarray]
 
 
 class HabitatView:
@@ -412,26 +380,19 @@ class HabitatView:
         if place.shape != (3,) or not np.isfinite(place).all():
             raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
         labels = self.labels if ids else None
-        by_points = labels is not None and not labels.raw
-        kinds = [
-            kind
-            for kind, wanted in (
-                ("color", rgb),
-                ("depth", range or by_points),
-                ("semantic", labels is not None and labels.raw),
-            )
-            if wanted
-        ]
+        by_ids, by_points = (labels is not None and labels.raw is raw for raw in (True, False))
+        wanted = {"color": rgb, "depth": range or by_points, "semantic": by_ids}
+        kinds = [kind for kind in KINDS if wanted[kind]]
         seen = self.session.look(kinds, height, self.frames.to_habitat(place), self.frames.quaternion(rotation))
         metres = euclidean(seen["depth"]) if "depth" in seen else None
-        points = None
+        shown = seen.get("semantic")
         if by_points and metres is not None:
             finite = np.where(np.isfinite(metres), metres, np.nan)[..., None]
-            points = place + finite * (ErpGrid(height, 2 * height).directions @ rotation.T)
+            shown = place + finite * (ErpGrid(height, 2 * height).directions @ rotation.T)
         return Frame(
             np.ascontiguousarray(seen["color"][..., :3]) if rgb else None,
             metres if range else None,
-            labels.ids(seen.get("semantic"), points) if labels is not None else None,
+            None if labels is None or shown is None else labels.ids(shown),
         )
 
 

@@ -28,7 +28,7 @@ import math
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
@@ -176,26 +176,26 @@ TALL = 4.5  # metres from the floor to the ceiling, beyond which a scene may lie
 NARROW = 3.5  # metres: a scene that is narrower than this and than it is high may lie on its side, too
 
 
-def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> tuple[Any, str]:
-    """A PathFinder for a body of this radius, and where its mesh comes from. Raises `WorldError`."""
+def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> Any:
+    """A PathFinder for a body of this radius. Raises `WorldError`."""
     habitat_sim = import_habitat()
     given = existing(options.navmesh, "the navigation mesh")
     if given is not None:
         found = habitat_sim.PathFinder()
         if not found.load_nav_mesh(str(given)) or not found.is_loaded:
             raise WorldError(f"{given} is no navigation mesh that Habitat-Sim reads; wanted what save_nav_mesh writes")
-        return found, given.name
+        return found
     settings = settings_for(habitat_sim, options, file, radius)
     for own in (sim.pathfinder, _beside(habitat_sim, file)):
         if own is not None and own.is_loaded and _fits(own.nav_mesh_settings, settings, options):
-            return own, "the scene's"
+            return own
     found = habitat_sim.PathFinder()
     if not sim.recompute_navmesh(found, settings) or not found.is_loaded:
         raise WorldError(
             f"Habitat-Sim finds no ground for a body of radius {radius:g} m in {options.scene}; is it the right way up "
             "(habitat:SCENE?up=y or ?up=z), in metres, and complete?"
         )
-    return found, "computed"
+    return found
 
 
 def settings_for(habitat_sim: Any, options: Options, file: Path | None, radius: float) -> Any:
@@ -245,17 +245,13 @@ def _looks(view: HabitatView, feet: np.ndarray) -> np.ndarray:
     return np.array(found).reshape(-1, 2)
 
 
-def _extent(sim: Any) -> np.ndarray:
-    """Metres ``(3,)`` that the scene extends along x, y (up) and z of Habitat's world."""
-    box = sim.get_active_scene_graph().get_root_node().cumulative_bb
-    return np.array(box.max, dtype=np.float64) - np.array(box.min, dtype=np.float64)
-
-
-def _check_upright(name: str, height: float, extent: np.ndarray, up: str | None) -> None:
-    """Judge whether a scene with rooms of this height and this `extent` ``(3,)`` seems to lie on its side.
+def _check_upright(name: str, height: float, sim: Any, up: str | None) -> None:
+    """Judge whether the scene that `sim` has opened, with rooms of this height, seems to lie on its side.
 
     Raises `WorldError` if nobody has said which way is up; who has said it is warned.
     """
+    box = sim.get_active_scene_graph().get_root_node().cumulative_bb
+    extent = np.array(box.max, dtype=np.float64) - np.array(box.min, dtype=np.float64)  # x, y (up), z of its world
     narrow, upwards = float(extent[[0, 2]].min()), float(extent[1])
     if not (TALL < height < math.inf or (narrow < NARROW and narrow < upwards)):
         return
@@ -275,25 +271,25 @@ def roofed(view: HabitatView, feet: np.ndarray) -> float:
     return float(np.isfinite(_looks(view, feet)[:, 0]).mean()) if len(feet) else 0.0
 
 
-def true_floor(view: HabitatView, pathfinder: Any, storey: Storey, name: str, options: Options) -> float:
+def true_floor(view: HabitatView, mesh: NavMesh, options: Options) -> float:
     """The height of the true floor, Habitat's y: what lies below points of the mesh.
 
     Raises `WorldError` if the mesh does not lie on what is drawn, or if the scene seems to lie on its side and nothing
     says which way is up.
     """
-    mesh = NavMesh(pathfinder, storey, Frames(), 0.18, source=name)
-    level = np.abs(mesh.surface.heights[mesh.free] - storey.level) <= 0.1
+    level = np.abs(mesh.surface.heights[mesh.free] - mesh.surface.storey.level) <= 0.1
     spots = mesh.points[level][:: max(1, int(level.sum()) // 25)]
     feet = np.array([mesh.feet(xy) for xy in spots]).reshape(-1, 3)
     above, below = _looks(view, feet).T
     gap = below - EYE  # the mesh floats above the floor
     if not (np.abs(gap) < SUNK).mean() > 0.5:
         raise WorldError(
-            f"under most of the navigation mesh of {name} there is no floor within {SUNK:g} m: mesh and scene do not "
-            "have the same way up, or belong to different scenes; try habitat:SCENE?up=y or ?up=z, or leave out navmesh"
+            f"under most of the navigation mesh of {mesh.source} there is no floor within {SUNK:g} m: mesh and scene "
+            "do not have the same way up, or belong to different scenes; try habitat:SCENE?up=y or ?up=z, or leave out "
+            "navmesh"
         )
     if is_bare(options) or options.up is not None:
-        _check_upright(name, float(np.median(above)) + EYE, _extent(view.session.sim), options.up)
+        _check_upright(mesh.source, float(np.median(above)) + EYE, view.session.sim, options.up)
     floor = float(np.median(feet[:, 1] - gap))
     return 0.0 if abs(floor) < FLAT else floor
 
@@ -365,39 +361,43 @@ def open_scene(text: str) -> HabitatScene:
     session = Session(Source(scene_id, str(dataset) if dataset else "default", options.gpu, str(file or options.scene)))
     sim = session.sim
     name = file.name if file else options.scene
-    pathfinder, _ = mesh_for(options, file, sim, RADIUS)
     raw = HabitatView(session, Frames(), None)
-    storey = main_storey(pathfinder, lambda feet: roofed(raw, feet), options.storey, name)
-    frames = Frames(true_floor(raw, pathfinder, storey, name, options))
-    things = things_of(sim, file, boxes, frames, lambda: _seen(session, pathfinder, storey))
+    mesh = NavMesh(*_storey(options, file, raw, RADIUS, options.storey, name), Frames(), RADIUS, source=name)
+    frames = Frames(true_floor(raw, mesh, options))
+    things = things_of(sim, file, boxes, frames, lambda: _seen(session, mesh))
     files = [path for path in (file, dataset, boxes, beside(file), _stage_file(sim)) if path is not None]
     facts = {
         "simulator": f"Habitat-Sim {getattr(import_habitat(), '__version__', '')}".strip(),
         "things": things.told,
         "floor": f"{frames.floor:.3f} m (Habitat's y of our z = 0)",
-        "storey": f"{storey.level:.2f} m (Habitat's y of the navigation mesh)",
+        "storey": f"{mesh.surface.storey.level:.2f} m (Habitat's y of the navigation mesh)",
     }
-    made = HabitatScene(
-        options, session, file, frames, things, storey.level, f"habitat {name}", _digest(files, options, things), facts
-    )
-    return made
+    digest = _digest(files, options, things)
+    storey = mesh.surface.storey.level
+    return HabitatScene(options, session, file, frames, things, storey, f"habitat {name}", digest, facts)
 
 
-def _seen(session: Session, pathfinder: Any, storey: Storey) -> Mapping[int, Box]:
-    """What is seen of each semantic id from places all over the storey, Habitat's world."""
-    mesh = NavMesh(pathfinder, storey, Frames(), RADIUS)
+def _storey(
+    options: Options, file: Path | None, raw: HabitatView, radius: float, height: float | None, source: str
+) -> tuple[Any, Storey]:
+    """The navigation mesh for a body of this radius, and its storey at this `height`, or its main one."""
+    pathfinder = mesh_for(options, file, raw.session.sim, radius)
+    return pathfinder, main_storey(pathfinder, lambda feet: roofed(raw, feet), height, source)
+
+
+def _seen(session: Session, mesh: NavMesh) -> Mapping[int, Box]:
+    """What is seen of each semantic id from places all over a mesh, Habitat's world."""
     spots = mesh.points[:: max(1, len(mesh.points) // SPOTS)]
     return seen_boxes(session, np.array([mesh.feet(xy) for xy in spots], dtype=np.float64) + np.array([0.0, EYE, 0.0]))
 
 
 @lru_cache(maxsize=16)
 def _ground(scene: HabitatScene, radius: float) -> NavMesh:
-    pathfinder, _ = mesh_for(scene.options, scene.file, scene.session.sim, radius)
     raw = HabitatView(scene.session, Frames(), None)
-    storey = main_storey(pathfinder, lambda feet: roofed(raw, feet), scene.storey, scene.source)
+    on_storey = _storey(scene.options, scene.file, raw, radius, scene.storey, scene.source)
     # A body of habitat-lab stands on the mesh, and its path counts each difference of height.
     level = LEVEL if scene.options.body is None else 0.0
-    found = NavMesh(pathfinder, storey, scene.frames, radius, scene.rooms, None, scene.source, level)
+    found = NavMesh(*on_storey, scene.frames, radius, scene.rooms, None, scene.source, level)
     found.sees = lambda xy, thing: scene.sees(xy, thing, found.height(xy))
     return found
 
@@ -424,8 +424,7 @@ def _digest(files: list[Path], options: Options, things: Things) -> str:
 
 def _world(argument: str) -> World:
     parse(argument)  # complains at once
-    make: Callable[[int], HabitatScene] = lambda seed: open_scene(argument)  # noqa: E731
-    return make
+    return lambda seed: open_scene(argument)
 
 
 WORLD = WorldOf(_world, "SCENE, a scene's file or a name in ?dataset=FILE")
