@@ -27,6 +27,7 @@ from eagor.worlds.habitat import simulator, world
 from eagor.worlds.habitat.navmesh import main_storey
 from eagor.worlds.habitat.simulator import (
     Frames,
+    Source,
     device_for,  # itself: the stand-in puts another one into the module
     euclidean,
 )
@@ -284,7 +285,7 @@ def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.delitem(sys.modules, "habitat_sim")
     monkeypatch.setattr(simulator, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"needs Habitat-Sim .* aihabitat .* from the sources"):
-        device_for("scene.glb", "default")
+        device_for(Source("scene.glb"))
 
 
 @pytest.mark.parametrize(
@@ -302,11 +303,11 @@ def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, devi
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delenv(simulator.PROBED, raising=False)
     with pytest.raises(EagorError, match=says) as raised:
-        device_for("scene.glb", "default", device)
+        device_for(Source("scene.glb", gpu=device))
     assert "\n" not in str(raised.value)
 
 
 def test_the_device_comes_from_the_environment(monkeypatch):
     monkeypatch.setenv("EAGOR_HABITAT_GPU", "first")
     with pytest.raises(WorldError, match="wanted the number of a GPU"):
-        device_for("scene.glb", "default")
+        device_for(Source("scene.glb"))

@@ -237,7 +237,7 @@ def plan(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> F
     name = f"episode {slot.episode} of {slot.scene}"
     place = load_place(slot.world, slot.seed, camera.radius)
     if isinstance(place.scene, Scene):
-        check_scene([episode], place.scene, place.ground)
+        check_scene(episode, place.scene, place.ground)
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     start = _start(place, episode, name, zero)
     things = found.goals[episode.category]

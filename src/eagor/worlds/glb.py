@@ -18,6 +18,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -153,17 +154,14 @@ def split_at_seams(
     return distinct[:, :3], index.reshape(-1, 3), distinct[:, 3:]
 
 
-def export_glb(
-    scene: Scene, target: Path | str, *,
-    cell: float = 0.05, radius: float = 0.18, height: float = 1.5, climb: float = 0.12, annotated: bool = False,
-) -> Path:  # fmt: skip
+def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18, annotated: bool = False) -> Path:
     """Write a scene and its companions; returns the path of the GLB.
 
     `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
     of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has several.
-    `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`; its voxels
-    are of about the size of a cell and fit the radius. Existing files are overwritten. Raises `StorageError` if a file
-    cannot be written.
+    `<name>.navmesh.json` is for a body of this `radius` (metres) that is as high and climbs as `Ground.from_scene`
+    takes it for; its voxels are of about the size of a cell there and fit the radius. Existing files are overwritten.
+    Raises `StorageError` if a file cannot be written.
     """
     target = Path(target)
     if target.suffix.lower() != ".glb":
@@ -180,8 +178,8 @@ def export_glb(
             "nav_asset": target.with_suffix(".navmesh").name,
         }  # fmt: skip
     navmesh = {
-        "cell_size": voxel_for(radius, cell), "cell_height": 0.05, "agent_height": height, "agent_radius": radius,
-        "agent_max_climb": climb, "agent_max_slope": 45.0,
+        "cell_size": voxel_for(radius, 0.05), "cell_height": 0.05, "agent_height": 1.5, "agent_radius": radius,
+        "agent_max_climb": 0.12, "agent_max_slope": 45.0,
     }  # fmt: skip
     identity = {"glb": target.name, "glb_sha256": hashlib.sha256(blob).hexdigest()}
     semantic = {"format": FORMAT, "frame": FRAME} | identity | _companion(scene, nodes, annotated)
@@ -480,19 +478,14 @@ def _corners(primitive: Mapping[str, Any], counts: list[int]) -> int:
 
 
 def _check_nest(nodes: list[Any]) -> None:
-    parents, depth = [0] * len(nodes), [1] * len(nodes)
-    for child in (child for node in nodes for child in node.get("children", [])):
-        parents[child] += 1
-    ready, reached = [index for index, count in enumerate(parents) if count == 0], 0
-    while ready:
-        reached += 1
-        index = ready.pop()
-        for child in nodes[index].get("children", []):
-            depth[child] = max(depth[child], depth[index] + 1)
-            parents[child] -= 1
-            if parents[child] == 0:
-                ready.append(child)
-    if reached < len(nodes):
-        raise WorldError(f"{len(nodes) - reached} of its {len(nodes)} nodes are in a cycle; export it again")
-    if max(depth, default=0) > _DEEPEST:
-        raise WorldError(f"its nodes are nested {max(depth)} deep; wanted at most {_DEEPEST}")
+    children = {index: node.get("children", []) for index, node in enumerate(nodes)}
+    height: dict[int, int] = {}  # of the tree below each node, itself included
+    try:
+        for index in TopologicalSorter(children).static_order():  # children first
+            height[index] = 1 + max((height[child] for child in children[index]), default=0)
+    except CycleError as error:
+        raise WorldError(
+            f"{len(error.args[1]) - 1} of its {len(nodes)} nodes are in a cycle; export it again"
+        ) from None
+    if max(height.values(), default=0) > _DEEPEST:
+        raise WorldError(f"its nodes are nested {max(height.values())} deep; wanted at most {_DEEPEST}")

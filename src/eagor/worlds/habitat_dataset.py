@@ -44,17 +44,6 @@ from eagor.worlds.objectnav import (
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import STRUCTURE, Scene
 
-__all__ = [
-    "Exported",
-    "Source",
-    "all_or_nothing",
-    "check_names",
-    "config_of",
-    "export_dataset",
-    "make_episodes",
-    "make_goals",
-]
-
 SPACING = 0.1  # metres between view points: no place among them is farther than 0.1 m, the usual threshold, from one
 EYE = 0.88  # metres above the floor: height of the camera of the ObjectNav challenges
 ROWS = 64  # of the panoramas that decide whether a thing is in sight
@@ -120,19 +109,13 @@ def _in_sight(goal: Goal, index: int, renderer: Renderer, seen: dict[tuple[float
 
 
 def make_episodes(
-    scene: Scene,
-    ground: Ground,
-    goals: Mapping[str, Sequence[Goal]],
-    count: int,
-    file: str,
-    dataset_config: str,
-    seed: int = 0,
+    scene: Scene, ground: Ground, goals: Mapping[str, Sequence[Goal]], count: int, file: str, dataset_config: str
 ) -> tuple[Episode, ...]:
     """So many episodes, one category after the other; `file` is the scene_id. The same arguments give the same ones.
 
     Raises `WorldError` if no start is far enough from a category's view points.
     """
-    rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), seed])
+    rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), 0])
     points = roomy_ground(scene, ground).points
     starts, ways = {}, {}
     for category, things in goals.items():
@@ -201,26 +184,16 @@ class Exported:
     episodes: int
 
 
-Mesh = Callable[[Path], None]
-"""Writes the navigation mesh beside the stage configuration that it is given."""
-
-
 def export_dataset(
-    sources: Sequence[Source],
-    folder: Path | str,
-    *,
-    name: str = "eagor",
-    split: str = "val",
-    episodes: int = 10,
-    categories: Sequence[str] = (),
-    radius: float = 0.18,
-    mesh: Mesh | None = None,
-    on_done: Callable[[Exported], object] | None = None,
-) -> tuple[Path, list[Exported]]:
+    sources: Sequence[Source], folder: Path | str, *,
+    name: str = "eagor", split: str = "val", episodes: int = 10, categories: Sequence[str] = (), radius: float = 0.18,
+    mesh: Callable[[Path], None] | None = None, on_done: Callable[[Exported], object] | None = None,
+) -> tuple[Path, list[Exported]]:  # fmt: skip
     """Write the folder; returns the episodes' ``<split>.json.gz``, and what was written of each scene.
 
-    `episodes` of each scene, of these `categories` (`make_goals`), for a body of this `radius` (metres). The same call
-    gives the same bytes. The folder appears when all of it is written: nothing is left of an export that fails.
+    `episodes` of each scene, of these `categories` (`make_goals`), for a body of this `radius` (metres). `mesh` writes
+    the navigation mesh beside the stage configuration that it is given (`mesh_writer`). The same call gives the same
+    bytes. The folder appears when all of it is written: nothing is left of an export that fails.
 
     Raises `WorldError` if the folder holds something, for two scenes of one name, and as `make_goals` and
     `make_episodes`; `StorageError` if it cannot be written.

@@ -228,6 +228,21 @@ class Frame:
     ids: np.ndarray | None
 
 
+def checked_pose(
+    position: Position, world_R_body: np.ndarray, height: int = 1, name: str = "world_R_body"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position ``(3,)`` and pose ``(3, 3)`` of a camera whose pictures have so many rows, float64.
+
+    Raises `PoseError`, `RotationError`, `GridError`.
+    """
+    if height < 1:
+        raise GridError(f"a panorama of height {height}; wanted at least one row")
+    place = np.asarray(position, dtype=np.float64)
+    if place.shape != (3,) or not np.isfinite(place.astype(np.float32)).all():
+        raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
+    return place, np.asarray(check_rotation(np.asarray(world_R_body, dtype=np.float64), name))
+
+
 class Renderer:
     """Pictures of `scene`.
 
@@ -268,15 +283,13 @@ class Renderer:
         A rotation about the vertical is split into a whole number of columns and a remainder, so that turning by whole
         columns rolls the image exactly. Raises `PoseError`, `RotationError`, `GridError`, `WorldError`.
         """
-        if height < 1:
-            raise GridError(f"a panorama of height {height}; wanted at least one row")
-        rotation = np.asarray(check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body"))
+        place, rotation = checked_pose(position, world_R_body, height)
         yaw = _pure_yaw(rotation)
         if yaw is None:
             directions = _erp_directions(height) @ rotation.T.astype(np.float32)
         else:
             directions = _turned_directions(height, yaw)
-        parts = self._seen(position, directions, math.pi / height, rgb, range, ids)
+        parts = self._seen(place, directions, math.pi / height, rgb, range, ids)
         return _shaped(parts, (height, 2 * height))
 
     def view(
@@ -290,7 +303,7 @@ class Renderer:
         """
         if isinstance(grid, ErpGrid) and grid.width == 2 * grid.height:
             return self.panorama(position, world_R_view, grid.height, rgb=rgb, range=range, ids=ids)
-        rotation = np.asarray(check_rotation(np.asarray(world_R_view, dtype=np.float64), "world_R_view"))
+        place, rotation = checked_pose(position, world_R_view, name="world_R_view")
         weights = np.asarray(grid.weights)
         seen = weights.ravel() > 0
         directions = (grid.directions.reshape(-1, 3)[seen] @ rotation.T).astype(np.float32)
@@ -298,9 +311,7 @@ class Renderer:
         separable = isinstance(grid, ErpGrid | PatchGrid)
         pixel = math.pi / grid.shape[0] if separable else math.sqrt(float(np.median(weights[weights > 0])))
         whole = []
-        for part, nothing in zip(
-            self._seen(position, directions, pixel, rgb, range, ids), (0, np.inf, -1), strict=True
-        ):
+        for part, nothing in zip(self._seen(place, directions, pixel, rgb, range, ids), (0, np.inf, -1), strict=True):
             if part is not None and not seen.all():
                 spread = np.full((len(seen), *part.shape[1:]), nothing, dtype=part.dtype)
                 spread[seen] = part
@@ -309,13 +320,11 @@ class Renderer:
         return _shaped(whole, grid.shape)
 
     def _seen(
-        self, position: Position, directions: np.ndarray, pixel: float, rgb: bool, range: bool, ids: bool
+        self, place: np.ndarray, directions: np.ndarray, pixel: float, rgb: bool, range: bool, ids: bool
     ) -> tuple[np.ndarray | None, ...]:
         """What these rays ``(n, 3)`` hit, ``(n, ...)`` each; `pixel`: the angle between neighbours, radians."""
-        origin = np.asarray(position, dtype=np.float32)
-        if origin.shape != (3,) or not np.isfinite(origin).all():
-            raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
-        hits = self.raycaster.cast(np.broadcast_to(origin, directions.shape), directions)
+        origins = np.broadcast_to(place.astype(np.float32), directions.shape)
+        hits = self.raycaster.cast(origins, directions)
         return (
             self._shader.shade(hits, directions, pixel) if rgb else None,
             hits.distance if range else None,
@@ -432,13 +441,11 @@ class Photograph:
         `GridError` for a height below 1, `RotationError`, and `ImageError` for an invalid photograph.
         """
         image = checked_picture(self.image, "the photograph")
-        if np.shape(position) != (3,) or np.any(np.asarray(position, dtype=float) != 0):
+        place, pose = checked_pose(position, world_R_body, height)
+        if place.any():
             raise PoseError(
                 f"the camera stands at {position}; a photograph shows what is seen from (0, 0, 0), where it was taken"
             )
-        if height < 1:
-            raise GridError(f"a panorama of height {height}; wanted at least one row")
-        pose = check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body")
         if not rgb:
             return Frame(None, None, None)
         sized = Image.fromarray(np.ascontiguousarray(image)).resize((2 * height, height), Image.Resampling.BOX)

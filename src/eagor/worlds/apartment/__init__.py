@@ -21,7 +21,6 @@ from eagor.worlds.apartment.building import (
     lit,
     shell,
     splashback,
-    structure,
 )
 from eagor.worlds.apartment.furnish import REQUIRED, furnish
 from eagor.worlds.apartment.furniture import KINDS
@@ -103,7 +102,12 @@ def scene_of(apartment: Apartment, source: str) -> Scene:
         back = splashback(piece, plan, tiles) if tiles else None
         if back is not None:
             parts[piece.room]["wall"].append(back)
-    things = [*structure(plan, parts), *doors, *(_thing(piece, plan) for piece in apartment.pieces)]
+    things = [
+        Thing(category, None, space.name, tuple(surfaces))
+        for space, room in zip(plan.spaces, parts, strict=True)
+        for category, surfaces in room.items()
+    ]
+    things += [*doors, *(_thing(piece, plan) for piece in apartment.pieces)]
     return _made_of(things, apartment.rooms, source, {"family": plan.family})
 
 

@@ -130,7 +130,13 @@ def lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finis
         room: float(np.clip(_swallowed(rooms[room], finishes[room], height) / (_SURFACE * _ABSORPTION) / n, *_SHARES))
         for room, n in count.items()
     }
-    return [_dimmed(piece, shares[piece.room]) if piece.category == "ceiling lamp" else piece for piece in pieces]
+    found = []
+    for piece in pieces:
+        if piece.category == "ceiling lamp":
+            lamps = tuple(replace(lamp, power=shares[piece.room] * lamp.power) for lamp in piece.model.lamps)
+            piece = replace(piece, model=replace(piece.model, lamps=lamps))
+        found.append(piece)
+    return found
 
 
 def _swallowed(room: Room, finish: Finish, height: float) -> float:
@@ -143,11 +149,6 @@ def _swallowed(room: Room, finish: Finish, height: float) -> float:
     surfaces.append((tiled * walls, (finish.tiles or finish.wall)[1]))
     bare = sum(area * (1 - float(mean_colour(look).mean())) for area, look in surfaces)
     return (1 - _FURNISHED) * bare + _FURNISHED * _DARK * (walls + 2 * room.area)
-
-
-def _dimmed(piece: Piece, share: float) -> Piece:
-    lights = tuple(replace(light, power=share * light.power) for light in piece.model.lamps)
-    return replace(piece, model=replace(piece.model, lamps=lights))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,15 +194,6 @@ def shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[
             board, (kind, look) = box(*bounds, grain=face.axis), finish.skirting
             rooms[face.room]["wall"].append(part(board, look, REPEAT[kind]))
     return rooms
-
-
-def structure(plan: Plan, rooms: tuple[dict[str, list[Part]], ...]) -> list[Thing]:
-    """The walls, floors and ceilings as things."""
-    return [
-        Thing(category, None, space.name, tuple(parts))
-        for space, room in zip(plan.spaces, rooms, strict=True)
-        for category, parts in room.items()
-    ]
 
 
 def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:

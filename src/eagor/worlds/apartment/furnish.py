@@ -35,13 +35,9 @@ from eagor.worlds.apartment.placement import (
 from eagor.worlds.apartment.plans import WallFace
 
 _ROWS = (
-    ("refrigerator", "cabinet", "sink", "cabinet", "stove"),
-    ("refrigerator", "cabinet", "sink", "stove"),
-    ("cabinet", "sink", "cabinet", "stove"),
-    ("cabinet", "sink", "stove"),
-    ("sink", "stove"),
-    ("sink",),
-)
+    "refrigerator cabinet sink cabinet stove", "refrigerator cabinet sink stove", "cabinet sink cabinet stove",
+    "cabinet sink stove", "sink stove", "sink",
+)  # fmt: skip
 
 
 def lounge(f: Furnisher, room: int) -> bool:
@@ -71,7 +67,7 @@ def lounge(f: Furnisher, room: int) -> bool:
     return False
 
 
-def easy_seat(f: Furnisher, room: int) -> Piece | None:
+def easy_seat(f: Furnisher, room: int) -> bool:
     """An armchair beside the coffee table, turned to it, or one at a wall."""
     chair = f.make("armchair")
     size = chair.size
@@ -85,10 +81,10 @@ def easy_seat(f: Furnisher, room: int) -> Piece | None:
         boxes[:, 4] = np.remainder(boxes[:, 4], 2 * math.pi) - math.pi
         scores = 1.0 + f.rng.uniform(0, 0.5, 28) - 0.3 * np.abs(np.abs(turn) - 1.5)
         sites = joined(sites, Sites(boxes, scores))
-    return f.settle(chair, room, sites, front=0.2, reserve=False)
+    return f.settle(chair, room, sites, front=0.2, reserve=False) is not None
 
 
-def second_sofa(f: Furnisher, room: int) -> Piece | None:
+def second_sofa(f: Furnisher, room: int) -> None:
     """Another sofa, across the corner of the coffee table from the first, or at a wall."""
     sofa = f.make("sofa")
     sites = along_walls(f.floor, room, sofa.size, f.rng, middle=0.3)
@@ -100,7 +96,7 @@ def second_sofa(f: Furnisher, room: int) -> Piece | None:
             for side in (1, -1)
         ]
         sites = joined(sites, Sites(np.array(beside), 1.0 + f.rng.uniform(0, 0.5, len(beside))))
-    return f.settle(sofa, room, sites, front=0.3, reserve=False)
+    f.settle(sofa, room, sites, front=0.3, reserve=False)
 
 
 def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
@@ -210,9 +206,8 @@ def _facing_pairs(f: Furnisher, room: int, tv: np.ndarray, sofa: np.ndarray) -> 
 def _opposite(face: WallFace, other: WallFace) -> bool:
     """Whether two walls of a room face each other."""
     facing = face.room == other.room and face.axis == other.axis and face.side == -other.side
-    return (
-        facing and (other.line - face.line) * face.side > 0 and min(face.end, other.end) > max(face.start, other.start)
-    )
+    apart, shared = (other.line - face.line) * face.side, min(face.end, other.end) - max(face.start, other.start)
+    return facing and apart > 0 and shared > 0
 
 
 def fit_kitchen(f: Furnisher, room: int) -> bool:
@@ -226,7 +221,7 @@ def fit_kitchen(f: Furnisher, room: int) -> bool:
     units = {"sink": sink, "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
     first = f.make("cabinet")
     cabinets = sorted([first, *(f.make("cabinet", first.colour) for _ in range(2))], key=width)
-    for row in _ROWS:
+    for row in map(str.split, _ROWS):
         if row.count("cabinet") == 2:
             choices = [[made, made] for made in (cabinets[1], cabinets[0])]  # both with the same worktop
         else:
@@ -327,10 +322,8 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
     f = Furnisher(floor, rng)
     f.habits["chair"] = str(rng.choice(KINDS["chair"].colours))
     kinds = [space.kind for space in floor.plan.spaces]
-    for kind, rule in (
-        ("living room", lounge), ("kitchen", fit_kitchen), ("bathroom", fit_bathroom),
-        ("bedroom", sleeping),
-    ):  # fmt: skip
+    rules = {"living room": lounge, "kitchen": fit_kitchen, "bathroom": fit_bathroom, "bedroom": sleeping}
+    for kind, rule in rules.items():
         for room in _of(kinds, kind):
             if not any(rule(f, room) for _ in range(4)):
                 raise NoRoom(f"the {kind} is too small for what belongs there")
@@ -346,8 +339,11 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
             second_sofa(f, room)
         for _ in range(int(rng.integers(0, 3))):
             easy_seat(f, room)
-    for room in rng.permutation(len(kinds)):
-        _further(f, int(room), kinds[room])
+    for room in rng.permutation(len(kinds)).tolist():
+        for category, chance, each, front in _MORE[kinds[room]]:
+            for _ in range(max(1, int(floor.rooms[room].area / each))):
+                if rng.random() < chance:
+                    _one_more(f, room, category, front)
     _at_least(f, "plant", 2)
     _at_least(f, "chair", int(rng.integers(4, 7)), front=0.2, nowhere=("hall", "bathroom"))
     missing = [category for category in REQUIRED if not f.of(category)]
@@ -359,7 +355,7 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
             rug(f, room)
         for _ in range(int(rng.integers(_PAINTINGS[kind][0], _PAINTINGS[kind][1] + 1))):
             painting(f, room)
-    small_things(f, tuple(sorted(name for name, kind in KINDS.items() if kind.placement == "top")))
+    small_things(f)
     tell_apart(f)
     return f.pieces
 
@@ -381,20 +377,11 @@ def _meals(f: Furnisher, kinds: list[str]) -> None:
     raise NoRoom("no place for a table with chairs")
 
 
-def _further(f: Furnisher, room: int, kind: str) -> None:
-    """The pieces of `_MORE`."""
-    area = f.floor.rooms[room].area
-    for category, chance, each, front in _MORE[kind]:
-        for _ in range(max(1, int(area / each))):
-            if f.rng.random() < chance:
-                _one_more(f, room, category, front)
-
-
 def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
     if category == "desk":
         return workplace(f, room)
     if category == "armchair":
-        return easy_seat(f, room) is not None
+        return easy_seat(f, room)
     made = f.make(category, f.habits["chair"] if category == "chair" else None)
     corner = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3}.get(category, 0.0)
     gap = 0.06 if category in ("plant", "lamp") else 0.02
@@ -412,7 +399,7 @@ def _at_least(f: Furnisher, category: str, count: int, front: float = 0.0, nowhe
             _one_more(f, room, category, front)
 
 
-def rug(f: Furnisher, room: int) -> Piece | None:
+def rug(f: Furnisher, room: int) -> None:
     """A rug: under the coffee table or the dining table, beside the bed, or where the floor is free."""
     made = f.make("rug")
     size = made.size
@@ -432,11 +419,10 @@ def rug(f: Furnisher, room: int) -> Piece | None:
     others = [piece.box for piece in f.of("rug")]
     good = np.isfinite(sites.scores) & f.floor.inside(room, sites.boxes) & untouched(sites.boxes, doors + others)
     for place in sites.best(good, 1):
-        return f.record(made, room, sites.boxes[place], 0.0, solid=False)
-    return None
+        f.record(made, room, sites.boxes[place], 0.0, solid=False)
 
 
-def painting(f: Furnisher, room: int) -> Piece | None:
+def painting(f: Furnisher, room: int) -> None:
     """A picture on a free patch of wall, best over a sofa, a bed or a low piece."""
     made = f.make("painting")
     depth, width, height = (float(length) for length in made.size)
@@ -466,12 +452,11 @@ def painting(f: Furnisher, room: int) -> Piece | None:
         f.floor.solid.append(np.concatenate([box, (z - height / 2, z + height / 2)]))
         back = box[:2] - depth / 2 * np.array([math.cos(box[4]), math.sin(box[4])])
         f.pieces.append(Piece(room, made, box, np.array([*back, z]), solid=False))
-        return f.pieces[-1]
-    return None
 
 
-def small_things(f: Furnisher, categories: tuple[str, ...]) -> None:
+def small_things(f: Furnisher) -> None:
     """Vases, books and the like on tables and chests."""
+    categories = sorted(name for name, kind in KINDS.items() if kind.placement == "top")
     for piece in list(f.pieces):
         if f.rng.random() >= _TOPS.get(piece.category, 0.0):
             continue

@@ -67,11 +67,11 @@ def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) ->
     return Mesh(vertices.astype(np.float32), mesh.triangles, mesh.uv)
 
 
-def mirrored(mesh: Mesh, axis: int) -> Mesh:
-    """`mesh` mirrored in the plane where coordinate `axis` is zero; its outside stays the outside."""
-    sign = np.ones(3, dtype=np.float32)
-    sign[axis] = -1
-    return Mesh(mesh.vertices * sign, mesh.triangles[:, ::-1].copy(), mesh.uv[:, ::-1].copy())
+def mirrored(mesh: Mesh) -> Mesh:
+    """`mesh` with left and right exchanged; its outside stays the outside."""
+    return Mesh(
+        mesh.vertices * np.array([1, -1, 1], dtype=np.float32), mesh.triangles[:, ::-1].copy(), mesh.uv[:, ::-1].copy()
+    )
 
 
 def merged(*meshes: Mesh) -> Mesh:
@@ -221,16 +221,11 @@ def bevelled(low: Triple, high: Triple, radius: float, segments: int = 1, grain:
     return projected((low + high) / 2 + signs * (half - radius) + outward * radius, triangles, grain)
 
 
-def prism(outline: np.ndarray, low: float, high: float, axis: int = 2, grain: int | None = None) -> Mesh:
-    """A convex outline ``(n, 2)``, counter-clockwise, extruded from `low` to `high` along `axis`.
-
-    The outline's coordinates are (x, y) for axis 2, (y, z) for axis 0 and (z, x) for axis 1.
-    """
+def prism(outline: np.ndarray, low: float, high: float, grain: int | None = None) -> Mesh:
+    """A convex outline ``(n, 2)`` of x and y, counter-clockwise, from z = `low` to `high`."""
     outline = np.asarray(outline, dtype=np.float64)
     n = len(outline)
-    ends = np.empty((2, n, 3))
-    ends[..., (axis + 1) % 3], ends[..., (axis + 2) % 3] = outline.T[:, None]
-    ends[0, :, axis], ends[1, :, axis] = low, high
+    ends = np.stack([np.column_stack([outline, np.full(n, z)]) for z in (low, high)])
     fan = np.array([[0, k, k + 1] for k in range(1, n - 1)])
     step = (np.arange(n) + 1) % n
     walls = np.stack([ends[0], ends[0][step], ends[1][step], ends[1]], axis=1).reshape(-1, 3)
@@ -369,10 +364,9 @@ def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20) -> Mesh:
     return Mesh(vertices, triangles, uv)
 
 
-def cylinder(centre: Triple, radius: float, height: float, sides: int = 16, top_radius: float | None = None) -> Mesh:
-    """An upright cylinder or cone frustum with sharp rims on `centre` ``(3,)``, the middle of its base."""
-    top = radius if top_radius is None else top_radius
-    profile = [(0, 0), (radius, 0), (radius, 0), (top, height), (top, height), (0, height)]
+def cylinder(centre: Triple, radius: float, height: float, sides: int) -> Mesh:
+    """An upright cylinder with sharp rims on `centre` ``(3,)``, the middle of its base."""
+    profile = [(0, 0), (radius, 0), (radius, 0), (radius, height), (radius, height), (0, height)]
     return moved(lathe(profile, sides), centre)
 
 

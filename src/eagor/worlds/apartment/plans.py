@@ -1,11 +1,8 @@
 """Floor plans: a layout of one of the families, turned and mirrored, with doors and windows cut; and its cells.
 
 Wall lines are the centre lines of the inner walls. An outer wall has its inner face at the same distance from the line
-as an inner wall, and grows outwards. Frame: x, y of the world, metres.
-
-Cells are those of a grid whose widths follow the plan's lines. Each is air of a room, air outside, or solid. The rooms'
-rectangles and the free stretches of wall are read from it here, the surfaces of the building in
-`eagor.worlds.apartment.building`.
+as an inner wall, and grows outwards. Frame: x, y of the world, metres. Cells are those of a grid whose widths follow
+the plan's lines: air of a room, air outside, or solid.
 """
 
 from __future__ import annotations
@@ -43,10 +40,6 @@ class Space:
     name: str
     kind: str
     rectangles: tuple[Rectangle, ...]
-
-    def contains(self, x: float, y: float) -> bool:
-        """Whether the point lies between the centre lines."""
-        return any(x0 <= x <= x1 and y0 <= y <= y1 for x0, y0, x1, y1 in self.rectangles)
 
 
 @dataclass(frozen=True)
@@ -241,7 +234,8 @@ def _leaning(boundary: Boundary, space: Space, at: float, width: float, hinge: b
 
     def inside(along: float, across: float) -> bool:
         u, v = at + away * along, boundary.line + side * across
-        return space.contains(*((u, v) if boundary.axis == 0 else (v, u)))
+        x, y = (u, v) if boundary.axis == 0 else (v, u)
+        return any(x0 <= x <= x1 and y0 <= y <= y1 for x0, y0, x1, y1 in space.rectangles)
 
     if not inside(0.35, 0.1):  # a corner next to the hinge: the leaf leans against the other wall
         return 92.0 if inside(-0.1, width + 0.15) else None
@@ -379,10 +373,9 @@ class WallFace:
 
 def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
     """The cells of a plan, split at further `levels` of z where the look of a wall changes."""
-    width, depth = plan.extent
     holes: tuple[Opening, ...] = (*plan.doorways, *plan.windows)
     cuts: tuple[set[float], set[float]] = (set(), set())
-    for axis, end in ((0, width), (1, depth)):
+    for axis, end in enumerate(plan.extent):
         cuts[axis].update((-_OUTWARDS - 1.0, -_OUTWARDS, end + _OUTWARDS, end + _OUTWARDS + 1.0))
         for space in plan.spaces:
             for line in np.array(space.rectangles)[:, [axis, axis + 2]].ravel().tolist():
@@ -392,15 +385,11 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
         cuts[0].update((x0, x1))
         cuts[1].update((y0, y1))
     heights = {0.0, plan.height, *levels, *(h.sill for h in holes), *(h.head for h in holes)}
-    lines = tuple(np.unique(np.round(sorted(values), 4)) for values in (*cuts, heights))
-    xs, ys, zs = lines
+    xs, ys, zs = (np.unique(np.round(sorted(values), 4)) for values in (*cuts, heights))
 
     def window(rectangle: tuple[float, ...]) -> tuple[slice, slice]:
         x0, y0, x1, y1 = np.round(rectangle, 4)
-        return (
-            slice(int(np.searchsorted(xs, x0 - 1e-6)), int(np.searchsorted(xs, x1 - 1e-6))),
-            slice(int(np.searchsorted(ys, y0 - 1e-6)), int(np.searchsorted(ys, y1 - 1e-6))),
-        )
+        return _span(xs, x0, x1), _span(ys, y0, y1)
 
     room = np.full((len(xs) - 1, len(ys) - 1), OUTSIDE)
     for place, space in enumerate(plan.spaces):
@@ -423,11 +412,15 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
     air = np.where(solid, SOLID, room)[:, :, None].repeat(len(zs) - 1, axis=2)
     carved = np.zeros(air.shape, dtype=bool)
     for hole in holes:
-        where = window(_reach(hole))
-        levels_of = slice(int(np.searchsorted(zs, hole.sill - 1e-6)), int(np.searchsorted(zs, hole.head - 1e-6)))
-        air[(*where, levels_of)] = owner[where][:, :, None]
-        carved[(*where, levels_of)] = True
+        where, upright = window(_reach(hole)), _span(zs, hole.sill, hole.head)
+        air[(*where, upright)] = owner[where][:, :, None]
+        carved[(*where, upright)] = True
     return Cells((xs, ys, zs), air, carved, owner)
+
+
+def _span(lines: np.ndarray, low: float, high: float) -> slice:
+    """The cells between two of the lines."""
+    return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
 
 
 def rooms_of(plan: Plan, cells: Cells) -> tuple[Room, ...]:

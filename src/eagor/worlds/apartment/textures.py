@@ -18,9 +18,8 @@ from eagor.worlds.apartment.canvas import noise, sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.scene import Material
 
-# Metres that one repeat covers, in u and v. A `WHOLE` drawing is one thing from edge to edge, and its builders set uv
-# from 0 to 1.
-WHOLE = frozenset({"leaf", "rug", "art", "screen", "books", "lampshade"})
+# Metres that one repeat covers, in u and v. Leaves, lampshades, rugs, art, screens and books are drawn from edge to
+# edge; their builders set uv from 0 to 1.
 REPEAT: dict[str, float] = {
     "fabric": 0.4, "leather": 0.6, "wood": 1.0, "metal": 0.5, "plastic": 1.0, "ceramic": 1.0, "paint": 1.0,
     "wicker": 0.16, "glass": 1.0, "marble": 1.2, "tile": 0.6, "parquet": 1.6, "carpet": 0.6, "plaster": 2.0,

@@ -27,10 +27,11 @@ import numpy as np
 from eagor._json import number, parsed, shown
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
-from eagor.queries import COLOURS, SYNONYMS
+from eagor.queries import COLOURS
 from eagor.worlds.glb import FORMAT
 from eagor.worlds.habitat.simulator import Frames, Labels, Session, euclidean
 from eagor.worlds.habitat_files import FIRST_ID
+from eagor.worlds.objectnav import read_category
 from eagor.worlds.scene import Instance, Room
 
 LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
@@ -69,17 +70,6 @@ Box = tuple[np.ndarray, np.ndarray]
 ROWS = 128  # of the panoramas
 FEWEST = 12  # pixels that a thing has to show
 TRIM = 0.5  # per cent of the points at each end: edges of things mix near and far
-
-
-def from_the_origin(boxes: Sequence[Box]) -> bool:
-    """Whether all of several boxes, Habitat's world, contain the origin."""
-    return len(boxes) > 2 and all((low <= 0).all() and (high >= 0).all() for low, high in boxes)
-
-
-def repaired(box: Box, seen: Box) -> Box:
-    """A box, Habitat's world, with its sides at 0 replaced by those of what was seen."""
-    (low, high), (first, last) = box, seen
-    return np.where(low == 0, np.clip(first, low, high), low), np.where(high == 0, np.clip(last, low, high), high)
 
 
 def seen_boxes(session: Session, eyes: np.ndarray) -> Mapping[int, Box]:
@@ -137,8 +127,8 @@ def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Fra
         if boxes is not None or not found:
             return Things(instances, rooms, box_labels(instances), f"boxes of {file.name}")
     if found:
-        if from_the_origin([each.box for each in found]):
-            seen = look()
+        if len(found) > 2 and all((low <= 0).all() and (high >= 0).all() for low, high in (each.box for each in found)):
+            seen = look()  # boxes that all contain the origin are wrong
             found = [each.repaired(seen[each.semantic_id], frames) for each in found if each.semantic_id in seen]
         place = np.full(max(each.semantic_id for each in found) + 1, -1)
         place[[each.semantic_id for each in found]] = np.arange(len(found))
@@ -182,7 +172,7 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
             colour = entry.get("colour")
             if colour is not None and colour not in COLOURS:
                 raise ValueError(f"the colour {shown(colour)}, which is none of {', '.join(COLOURS)}")
-            instances.append(Instance(words_of(str(entry["category"])), colour, entry.get("room"), low, high))
+            instances.append(Instance(read_category(str(entry["category"])), colour, entry.get("room"), low, high))
         rooms = tuple(
             Room(str(room["name"]), str(room["kind"]), np.array(room["rectangles"], dtype=np.float64).reshape(-1, 4))
             for room in (known.get("rooms", []) if ours else [])
@@ -197,12 +187,6 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
     return tuple(instances), rooms
 
 
-def words_of(category: str) -> str:
-    """A category in lower-case words, in our spelling."""
-    words = " ".join(category.replace("_", " ").replace("/", " ").lower().split())
-    return SYNONYMS.get(words, words)
-
-
 @dataclass(frozen=True, eq=False)
 class _Object:
     """An object of Habitat's semantic scene."""
@@ -212,8 +196,10 @@ class _Object:
     box: Box  # in Habitat's world
 
     def repaired(self, seen: Box, frames: Frames) -> _Object:
-        """The same with a box whose wrong sides are those of what was seen."""
-        low, high = frames.box_from_habitat(*repaired(self.box, seen))
+        """The same with the sides of its box at 0 replaced by those of what was seen."""
+        (low, high), (first, last) = self.box, seen
+        sides = np.where(low == 0, np.clip(first, low, high), low), np.where(high == 0, np.clip(last, low, high), high)
+        low, high = frames.box_from_habitat(*sides)
         return replace(self, instance=replace(self.instance, low=low, high=high))
 
 
@@ -223,7 +209,7 @@ def _objects(semantic: Any, frames: Frames) -> list[_Object]:
     for thing in getattr(semantic, "objects", None) or []:
         if thing is None or thing.category is None:
             continue
-        category, box = words_of(str(thing.category.name())), thing.aabb
+        category, box = read_category(str(thing.category.name())), thing.aabb
         low, high = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
         if category in UNNAMED or not np.isfinite([low, high]).all() or not (high > low).any():
             continue
@@ -247,7 +233,7 @@ def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
         box = _box(region)
         if box is not None:
             low, high = frames.box_from_habitat(*box)
-            kind = words_of(str(region.category.name())) if region.category is not None else "room"
+            kind = read_category(str(region.category.name())) if region.category is not None else "room"
             found.append(Room(str(region.id), kind, np.array([[*low[:2], *high[:2]]])))
     return tuple(found)
 

@@ -30,11 +30,10 @@ from typing import Any
 import numpy as np
 
 from eagor.conventions import from_gltf, pose_to_habitat, to_gltf, wxyz_from_rotation
-from eagor.errors import GridError, MissingExtraError, PoseError, WorldError
+from eagor.errors import MissingExtraError, WorldError
 from eagor.grids import ErpGrid
-from eagor.sphere import check_rotation
 from eagor.worlds.habitat_files import PATIENCE, run_apart
-from eagor.worlds.render import Frame
+from eagor.worlds.render import Frame, checked_pose
 
 FIRST_ROWS = 64  # of the sensors with which a simulator is made; others are added when they are asked for
 KINDS = ("color", "depth", "semantic")
@@ -51,6 +50,11 @@ class Source:
     dataset: str = "default"
     gpu: int | None = None
     name: str = ""
+
+    @property
+    def title(self) -> str:
+        """Its name, or its id."""
+        return self.name or self.scene_id
 
 
 def configured(habitat_sim: Any, source: Source, gpu: int, rows: int = FIRST_ROWS, kinds: Sequence[str] = KINDS) -> Any:
@@ -106,21 +110,19 @@ def import_habitat() -> Any:
     return habitat_sim
 
 
-def device_for(scene_id: str, dataset: str, gpu: int | None = None, name: str = "") -> int:
-    """The device with which this scene opens: `gpu`, $EAGOR_HABITAT_GPU, an NVIDIA card if there is one, or the CPU.
+def device_for(source: Source) -> int:
+    """The device with which a scene opens: its GPU, $EAGOR_HABITAT_GPU, an NVIDIA card if there is one, or the CPU.
 
-    `name`: of the scene, if its id differs from process to process. Raises `MissingExtraError` without Habitat-Sim, and
-    `WorldError` if no simulator can be made, or not of this scene.
+    Raises `MissingExtraError` without Habitat-Sim, and `WorldError` if no simulator can be made, or not of this scene.
     """
     _need()
-    if gpu is None:
-        gpu = _from_environment()
-    key = json.dumps([name or scene_id, dataset, gpu])
+    gpu = _from_environment() if source.gpu is None else source.gpu
+    key = json.dumps([source.title, source.dataset, gpu])
     _found.update(json.loads(os.environ.get(PROBED, "{}")))
     if key not in _found:
         chosen, why = [gpu] if gpu is not None else [0, CPU] if _has_nvidia() else [CPU], None
         for device in chosen:
-            why = _try(scene_id, dataset, device, name)
+            why = _try(source, device)
             if why is None:
                 _found[key] = device
                 break
@@ -155,10 +157,10 @@ def _quieten() -> None:
         os.environ.setdefault(name, level)
 
 
-def _try(scene_id: str, dataset: str, device: int, name: str) -> str | None:
+def _try(source: Source, device: int) -> str | None:
     """Why the scene cannot be opened on this device, as a sentence; None if it can."""
     program = "import sys; from eagor.worlds.habitat.simulator import main; main(*sys.argv[1:])"
-    code, out, err = run_apart(program, scene_id, dataset, str(device))
+    code, out, err = run_apart(program, source.scene_id, source.dataset, str(device))
     said = [line.removeprefix(_MARK) for line in out.splitlines() if line.startswith(_MARK)]
     stage = said[-1] if said else ""
     if stage == "done":
@@ -166,10 +168,10 @@ def _try(scene_id: str, dataset: str, device: int, name: str) -> str | None:
     words = [line.strip() for line in err.splitlines() if line.strip()]
     last = words[-1][:300] if words else "it ended without a word"
     last = f"it took longer than {PATIENCE:.0f} s" if code is None else last
-    return _sentence(stage, name or scene_id, dataset, device, last)
+    return _sentence(stage, source, device, last)
 
 
-def _sentence(stage: str, scene_id: str, dataset: str, device: int, last: str) -> str:
+def _sentence(stage: str, source: Source, device: int, last: str) -> str:
     """What failed after `stage`, whose process last said `last`, and what to do."""
     if stage == "":
         return _broken(last)
@@ -185,10 +187,10 @@ def _sentence(stage: str, scene_id: str, dataset: str, device: int, last: str) -
         )
     if "No Stage Attributes exists" in last:
         return (
-            f"the scene dataset {dataset} has no scene {scene_id!r}; wanted one that its stages or scene instances "
-            "list, or the scene's own file"
+            f"the scene dataset {source.dataset} has no scene {source.title!r}; wanted one that its stages or scene "
+            "instances list, or the scene's own file"
         )
-    return f"Habitat-Sim cannot open the scene {scene_id!r} ({last}); is it complete, and does the dataset list it?"
+    return f"Habitat-Sim cannot open the scene {source.title!r} ({last}); is it complete, and does the dataset list it?"
 
 
 def _broken(why: str) -> str:
@@ -238,11 +240,10 @@ class Session:
         if self._sim is None:
             while len(_open) >= MOST:
                 _open[0].close()
-            asked = self.source
-            device = device_for(asked.scene_id, asked.dataset, asked.gpu, asked.name)
+            device = device_for(self.source)
             if not _keeper:
                 _keeper.append(_made(Source("NONE"), device, 8, ("depth",)))
-            self._sim = _made(asked, device)
+            self._sim = _made(self.source, device)
             self._sensors = {(kind, FIRST_ROWS): f"{kind} {FIRST_ROWS}" for kind in KINDS}
         else:
             _open.remove(self)
@@ -305,7 +306,7 @@ def _made(source: Source, gpu: int, rows: int = FIRST_ROWS, kinds: Sequence[str]
         return habitat_sim.Simulator(configured(habitat_sim, source, gpu, rows, kinds))
     except Exception as error:  # C++ errors come as RuntimeError, among others
         raise WorldError(
-            f"Habitat-Sim cannot open {source.name or source.scene_id!r} on device {gpu} ({type(error).__name__}: "
+            f"Habitat-Sim cannot open {source.title!r} on device {gpu} ({type(error).__name__}: "
             f"{str(error).strip()[:300]}); is the scene complete?"
         ) from error
 
@@ -373,12 +374,7 @@ class HabitatView:
         Cube maps of Habitat hold depth along the axis of each face; ranges here are metres along the ray. Raises
         `PoseError`, `RotationError`, `GridError`, and `WorldError` if the simulator cannot be opened.
         """
-        if height < 1:
-            raise GridError(f"a panorama of height {height}; wanted at least one row")
-        rotation = np.asarray(check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body"))
-        place = np.asarray(position, dtype=np.float64)
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
+        place, rotation = checked_pose(position, world_R_body, height)
         labels = self.labels if ids else None
         by_ids, by_points = (labels is not None and labels.raw is raw for raw in (True, False))
         wanted = {"color": rgb, "depth": range or by_points, "semantic": by_ids}

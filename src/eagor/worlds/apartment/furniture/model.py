@@ -118,9 +118,9 @@ def apron(inset: Rectangle, low: float, high: float, thickness: float = 0.02) ->
     )
 
 
-def panel(x: float, y0: float, y1: float, z0: float, z1: float, thickness: float = 0.018) -> Mesh:
+def panel(x: float, y0: float, y1: float, z0: float, z1: float) -> Mesh:
     """A drawer front or small door: its back at `x`, facing +x, the grain along its longer side."""
-    return bevelled((x, y0, z0), (x + thickness, y1, z1), 0.004, grain=1 if y1 - y0 > z1 - z0 else 2)
+    return bevelled((x, y0, z0), (x + 0.018, y1, z1), 0.004, grain=1 if y1 - y0 > z1 - z0 else 2)
 
 
 def facing(mesh: Mesh, at: tuple[float, float, float]) -> Mesh:
