@@ -398,14 +398,11 @@ def _annotated(path: Path, parts: list[_Part], materials: list[Material], known:
         for entry in known["materials"]
     ]
     looks = np.array([place[materials[part.material].name] for part in parts])
-    instances = []
-    for thing in known["instances"]:
-        low, high = np.array(_triple(thing["low"])), np.array(_triple(thing["high"]))
-        instances.append(Instance(str(thing["category"]), _words(thing["colour"]), _words(thing["room"]), low, high))
+    instances = [instance_in(entry) for entry in known["instances"]]
     facts = dict(known["facts"])
     if known["glb_sha256"] == hashlib.sha256(blob).hexdigest():
         facts["exported hash"] = known["scene_hash"]
-    rooms = tuple(Room(str(r["name"]), str(r["kind"]), _rectangles(r["rectangles"])) for r in known["rooms"])
+    rooms = tuple(room_in(entry) for entry in known["rooms"])
     lamps = tuple(Lamp(np.array(_triple(x["position"])), np.array(_triple(x["power"]))) for x in known["lamps"])
     more = {"rooms": rooms, "lamps": lamps, "daylight": _triple(known["daylight"]), "facts": facts}
     owners = np.array([owner[part.names[0]] for part in parts])
@@ -417,11 +414,18 @@ def _triple(values: Any) -> tuple[float, float, float]:
     return a, b, c
 
 
-def _rectangles(values: Any) -> np.ndarray:
-    sides = [[number(side) for side in rectangle] for rectangle in values]
+def instance_in(entry: dict[str, Any]) -> Instance:
+    """The instance in an entry of a semantic JSON; a malformed entry may raise anything."""
+    low, high = np.array(_triple(entry["low"])), np.array(_triple(entry["high"]))
+    return Instance(str(entry["category"]), _words(entry.get("colour")), _words(entry.get("room")), low, high)
+
+
+def room_in(entry: dict[str, Any]) -> Room:
+    """The room in an entry of a semantic JSON; a malformed entry may raise anything."""
+    sides = [[number(side) for side in rectangle] for rectangle in entry["rectangles"]]
     if any(len(rectangle) != 4 for rectangle in sides):
-        raise ValueError(f"the rectangles are {shown(values)}; wanted [x0, y0, x1, y1] each")
-    return np.array(sides).reshape(-1, 4)
+        raise ValueError(f"the rectangles are {shown(entry['rectangles'])}; wanted [x0, y0, x1, y1] each")
+    return Room(str(entry["name"]), str(entry["kind"]), np.array(sides).reshape(-1, 4))
 
 
 def _words(value: Any) -> str | None:

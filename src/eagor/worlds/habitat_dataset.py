@@ -158,7 +158,7 @@ def make_episodes(
     return tuple(episodes)
 
 
-# --- A folder of scenes and ObjectNav episodes as Habitat reads HM3D, made of scenes of ours --------------------------
+# --- the folder -------------------------------------------------------------------------------------------------------
 
 _TAG = "%%CONFIG_NAME_AS_ASSET_FILENAME%%"  # Habitat puts the name of the scene there
 

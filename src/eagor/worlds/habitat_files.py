@@ -147,7 +147,7 @@ def _packed(parts: list[tuple[np.ndarray, int | None]], positions: np.ndarray) -
     return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
-# --- navigation meshes of Habitat -------------------------------------------------------------------------------------
+# --- navigation meshes ------------------------------------------------------------------------------------------------
 
 LAB_BODY = 0.88  # metres: height of the body in habitat-lab's configurations of ObjectNav on HM3D and MP3D
 LAB_CLIMB, LAB_SLOPE = 0.2, 45.0  # metres and degrees: what habitat-lab's bodies climb by default

@@ -211,7 +211,7 @@ def _episode_from_json(entry: dict[str, Any], index: int) -> Episode:
     )
 
 
-# --- object-goal episodes in the file format of Habitat's ObjectNav (HM3D), reading and writing -----------------------
+# --- the episodes of a scene ------------------------------------------------------------------------------------------
 
 HM3D_CATEGORIES = ("chair", "bed", "plant", "toilet", "tv_monitor", "sofa")  # in the order of their ids
 

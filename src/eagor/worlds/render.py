@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from eagor._arrays import frozen
 from eagor._lazy import lazy
 from eagor._srgb import to_coded, to_linear
 from eagor.errors import GridError, PoseError
@@ -206,7 +207,7 @@ def _tinted(level: np.ndarray, tint: np.ndarray) -> np.ndarray:
     return r | g << 8 | b << 16
 
 
-# --- colour, range and instance ids of a scene, from any pose and for any grid ----------------------------------------
+# --- pictures ---------------------------------------------------------------------------------------------------------
 
 Position = np.ndarray | tuple[float, float, float]
 _QUANTA = 1 << 20  # steps of yaw per column: 1e-8 rad in a panorama of 512 columns, below the resolution of float32
@@ -345,7 +346,7 @@ def _pure_yaw(rotation: np.ndarray) -> float | None:
 @lru_cache(maxsize=4)
 def _erp_directions(height: int) -> np.ndarray:
     """Directions of a panorama's pixels, body frame, ``(n, 3)`` float32."""
-    return _frozen(ErpGrid(height, 2 * height).directions.reshape(-1, 3).astype(np.float32))
+    return frozen(ErpGrid(height, 2 * height).directions.reshape(-1, 3).astype(np.float32))
 
 
 def _turned_directions(height: int, yaw: float) -> np.ndarray:
@@ -372,13 +373,8 @@ def _columns(height: int, remainder: int) -> tuple[np.ndarray, np.ndarray, np.nd
     azimuth = grid.longitudes + remainder / _QUANTA * (math.pi / height)
     latitude = grid.latitudes[:, None]
     found = np.stack([np.cos(azimuth), np.sin(azimuth)]), np.cos(latitude), np.sin(latitude)
-    first, second, third = (_frozen(array.astype(np.float32)) for array in found)
+    first, second, third = (frozen(array.astype(np.float32)) for array in found)
     return first, second, third
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    array.setflags(write=False)
-    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,7 +415,7 @@ def with_ball(frame: Frame, position: np.ndarray, world_R_body: np.ndarray, ball
     return Frame(rgb=rgb, range=np.where(hit, distance, frame.range).astype(np.float32), ids=ids)
 
 
-# --- one photograph as a place to look around in ----------------------------------------------------------------------
+# --- a photograph -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

@@ -324,7 +324,7 @@ def reversed_(boxes: np.ndarray) -> np.ndarray:
     return back
 
 
-# --- placed pieces of furniture, and the `Furnisher` that places them -------------------------------------------------
+# --- pieces of furniture ----------------------------------------------------------------------------------------------
 
 _LEAST_UNIQUE = 3
 # Without a colour of their own: fixtures take the colour of their room, and all units of a kitchen share one.

@@ -335,7 +335,7 @@ def _sizes_fit(spaces: tuple[Space, ...]) -> bool:
     return _NET_AREA[0] <= net <= _NET_AREA[1]
 
 
-# --- A plan on a grid of cells whose widths follow its lines ----------------------------------------------------------
+# --- the cells of a plan ----------------------------------------------------------------------------------------------
 
 SOLID = -2
 _OUTWARDS = OUTER_WALL - HALF_WALL

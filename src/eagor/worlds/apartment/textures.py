@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor._srgb import to_coded, to_linear
 from eagor.worlds.apartment.canvas import noise, sRGB
 from eagor.worlds.apartment.pictures import PICTURES
@@ -82,9 +83,7 @@ def _surface(kind: str, variant: int) -> tuple[np.ndarray, np.ndarray]:
     if relative.ndim == 2:
         relative = relative[..., None] * np.ones(3)
     texture = _coded(relative / np.percentile(relative, 99))
-    mean = to_linear(texture / 255).mean(axis=(0, 1))
-    mean.setflags(write=False)
-    return texture, mean
+    return texture, frozen(to_linear(texture / 255).mean(axis=(0, 1)))
 
 
 @cache
@@ -98,9 +97,7 @@ def _generator(name: str, variant: int) -> np.random.Generator:
 
 
 def _coded(linear: np.ndarray) -> np.ndarray:
-    texture = np.rint(255 * to_coded(linear)).astype(np.uint8)
-    texture.setflags(write=False)
-    return texture
+    return frozen(np.rint(255 * to_coded(linear)).astype(np.uint8))
 
 
 def _carpet(rng: np.random.Generator, variant: int) -> np.ndarray:

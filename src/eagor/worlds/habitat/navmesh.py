@@ -259,7 +259,7 @@ def _off_the_edge(surface: Surface, start: np.ndarray, moved: np.ndarray) -> np.
     return start + moved * min(1.0, gone / length)
 
 
-# --- the ground of a scene in Habitat ---------------------------------------------------------------------------------
+# --- distances to goals -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,15 +326,16 @@ Sees = Callable[[np.ndarray, Instance], bool]  # whether a body that stands at a
 class NavMesh:
     """One storey of a navigation mesh.
 
-    `pathfinder`: Habitat's; `sees`: tells from which points beside it a thing can be seen, None: from all; `level`:
-    metres, heights within it are the floor itself. Raises `WorldError` if the storey has no ground.
+    `pathfinder`: Habitat's; `level`: metres, heights within it are the floor itself; `sees`: tells from which points
+    beside it a thing can be seen, None: from all; it may be set later. Raises `WorldError` if the storey has no ground.
     """
 
     def __init__(
         self, pathfinder: Any, storey: Storey, frames: Frames, radius: float, rooms: tuple[Room, ...] = (),
-        sees: Sees | None = None, source: str = "the scene", level: float = LEVEL,
+        source: str = "the scene", level: float = LEVEL,
     ) -> None:  # fmt: skip
-        self.radius, self.rooms, self.sees, self.source, self.level = radius, rooms, sees, source, level
+        self.radius, self.rooms, self.source, self.level = radius, rooms, source, level
+        self.sees: Sees | None = None
         self._ways: dict[int, tuple[Instance, NavWay]] = {}
         origin, heights = rasterised(triangles_of(pathfinder, storey.island), storey, frames)
         free = largest_area(np.isfinite(heights))

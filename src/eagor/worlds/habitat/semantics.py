@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from eagor._json import number, parsed, shown
+from eagor._json import parsed, shown
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.queries import COLOURS
-from eagor.worlds.glb import FORMAT
+from eagor.worlds.glb import FORMAT, instance_in, room_in
 from eagor.worlds.habitat.simulator import Frames, Labels, Session, euclidean
 from eagor.worlds.habitat_files import FIRST_ID
 from eagor.worlds.objectnav import read_category
@@ -64,7 +64,7 @@ def box_labels(instances: Sequence[Instance]) -> Labels:
     return Labels(False, ids)
 
 
-# --- the boxes of things in Habitat's semantic scenes, repaired from what is seen -------------------------------------
+# --- what is seen of things: it repairs their boxes -------------------------------------------------------------------
 
 Box = tuple[np.ndarray, np.ndarray]
 ROWS = 128  # of the panoramas
@@ -94,7 +94,7 @@ def seen_boxes(session: Session, eyes: np.ndarray) -> Mapping[int, Box]:
     }
 
 
-# --- the named things of a scene in Habitat, and how to tell which one a pixel shows ----------------------------------
+# --- things by their names --------------------------------------------------------------------------------------------
 
 BOXES = "eagor boxes 1"
 UNNAMED = {"", "unknown", "unlabeled", "unlabelled", "void", "misc", "undefined", "object", "objects", "other"}
@@ -162,21 +162,18 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
         ours = known["format"] == FORMAT
         instances = []
         for entry in known["instances" if ours else "boxes"]:
-            low, high = (np.array([number(value) for value in entry[end]]) for end in ("low", "high"))
-            if low.shape != (3,) or high.shape != (3,) or bool(np.any(low > high)):
+            thing = instance_in(entry)
+            low, high, colour = thing.low, thing.high, thing.colour
+            if bool(np.any(low > high)):
                 raise ValueError(f"a box from {low.tolist()} to {high.tolist()}")
             if ours:  # z up, but heights as in the file
                 low[2], high[2] = low[2] - frames.floor, high[2] - frames.floor
             else:
                 low, high = frames.box_from_habitat(low, high)
-            colour = entry.get("colour")
             if colour is not None and colour not in COLOURS:
                 raise ValueError(f"the colour {shown(colour)}, which is none of {', '.join(COLOURS)}")
-            instances.append(Instance(read_category(str(entry["category"])), colour, entry.get("room"), low, high))
-        rooms = tuple(
-            Room(str(room["name"]), str(room["kind"]), np.array(room["rectangles"], dtype=np.float64).reshape(-1, 4))
-            for room in (known.get("rooms", []) if ours else [])
-        )
+            instances.append(replace(thing, category=read_category(thing.category), low=low, high=high))
+        rooms = tuple(room_in(entry) for entry in (known.get("rooms", []) if ours else []))
     except OSError as error:
         raise WorldError(f"{file} cannot be read ({error.strerror}); wanted a file of boxes") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor.conventions import from_gltf, pose_to_habitat, to_gltf, wxyz_from_rotation
 from eagor.errors import MissingExtraError, WorldError
 from eagor.grids import ErpGrid
@@ -232,7 +233,7 @@ class Session:
     def __init__(self, source: Source) -> None:
         self.source = source
         self._sim: Any = None
-        self._sensors: dict[tuple[str, int], str] = {}
+        self._sensors: set[str] = set()
 
     @property
     def sim(self) -> Any:
@@ -244,7 +245,7 @@ class Session:
             if not _keeper:
                 _keeper.append(_made(Source("NONE"), device, 8, ("depth",)))
             self._sim = _made(self.source, device)
-            self._sensors = {(kind, FIRST_ROWS): f"{kind} {FIRST_ROWS}" for kind in KINDS}
+            self._sensors = {f"{kind} {FIRST_ROWS}" for kind in KINDS}
         else:
             _open.remove(self)
         _open.append(self)
@@ -259,18 +260,17 @@ class Session:
         """
         import magnum  # pyright: ignore[reportMissingImports]
 
-        sim = self.sim
-        for kind in kinds:
-            if (kind, rows) not in self._sensors:
-                habitat_sim = import_habitat()
-                sim.add_sensor(sensor_of(habitat_sim, kind, rows))
-                self._sensors[kind, rows] = f"{kind} {rows}"
+        sim, names = self.sim, {kind: f"{kind} {rows}" for kind in kinds}
+        for kind, name in names.items():
+            if name not in self._sensors:
+                sim.add_sensor(sensor_of(import_habitat(), kind, rows))
+                self._sensors.add(name)
         body = sim.agents[0].scene_node
         w, x, y, z = (float(value) for value in quaternion)
         body.translation = magnum.Vector3(*(float(value) for value in position))
         body.rotation = magnum.Quaternion(magnum.Vector3(x, y, z), w)
         registry = getattr(sim, "sensors", None) or sim._sensors  # 0.3.3 has no public name for it
-        sensors = {kind: registry[self._sensors[kind, rows]] for kind in kinds}
+        sensors = {kind: registry[name] for kind, name in names.items()}
         for sensor in sensors.values():
             sensor.draw_observation()
         return {kind: sensor.get_observation() for kind, sensor in sensors.items()}
@@ -279,7 +279,7 @@ class Session:
         """Close the simulator, if it is open."""
         if self._sim is not None:
             _open.remove(self)
-            sim, self._sim, self._sensors = self._sim, None, {}
+            sim, self._sim, self._sensors = self._sim, None, set()
             sim.close()
         if not _open:
             _close_keeper()
@@ -342,8 +342,6 @@ class Frames:
         return wxyz_from_rotation(pose_to_habitat(world_R_body))
 
 
-# --- panoramas from Habitat-Sim ---------------------------------------------------------------------------------------
-
 FAR = 999.0  # metres: the far plane is at 1000
 
 
@@ -405,6 +403,4 @@ def euclidean(depth: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=4)
 def _stretch(height: int) -> np.ndarray:
     """Range per depth ``(H, 2 H)`` float32: 1 at the middle of a face, sqrt(3) at the corners of the cube."""
-    found = (1 / np.abs(ErpGrid(height, 2 * height).directions).max(axis=-1)).astype(np.float32)
-    found.setflags(write=False)
-    return found
+    return frozen((1 / np.abs(ErpGrid(height, 2 * height).directions).max(axis=-1)).astype(np.float32))

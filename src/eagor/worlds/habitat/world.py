@@ -397,7 +397,7 @@ def _ground(scene: HabitatScene, radius: float) -> NavMesh:
     on_storey = _storey(scene.options, scene.file, raw, radius, scene.storey, scene.source)
     # A body of habitat-lab stands on the mesh, and its path counts each difference of height.
     level = LEVEL if scene.options.body is None else 0.0
-    found = NavMesh(*on_storey, scene.frames, radius, scene.rooms, None, scene.source, level)
+    found = NavMesh(*on_storey, scene.frames, radius, scene.rooms, scene.source, level)
     found.sees = lambda xy, thing: scene.sees(xy, thing, found.height(xy))
     return found
 
