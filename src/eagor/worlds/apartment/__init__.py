@@ -94,9 +94,7 @@ def scene_of(apartment: Apartment, source: str) -> Scene:
     """The triangles of an apartment: walls, floors and ceilings first, then doors and windows, then the furniture."""
     plan = apartment.plan
     parts = shell(plan, apartment.cells, apartment.finishes)
-    doors, trim = doors_and_windows(plan, apartment.style)
-    for place, more in trim.items():
-        parts[place]["wall"].extend(more)
+    doors = doors_and_windows(plan, apartment.style, parts)
     for piece in apartment.pieces:
         tiles = apartment.finishes[piece.room].tiles
         back = splashback(piece, plan, tiles) if tiles else None

@@ -260,25 +260,24 @@ def draw_style(rng: np.random.Generator) -> Style:
     return Style(kind, colour, door, frame, window, material("metal", None, rng), int(rng.choice([0, 2, 3])))
 
 
-def doors_and_windows(plan: Plan, style: Style) -> tuple[list[Thing], dict[int, list[Part]]]:
-    """Doors and windows as things; for each room the casings of its wall, where a doorway has no leaf."""
+def doors_and_windows(plan: Plan, style: Style, rooms: Sequence[dict[str, list[Part]]]) -> list[Thing]:
+    """Doors and windows as things; where a doorway has no leaf, its casings go to the walls of `rooms` (`shell`)."""
     things: list[Thing] = []
-    trim: dict[int, list[Part]] = {place: [] for place in range(len(plan.spaces))}
     for doorway in plan.doorways:
         home = max(doorway.side > 0, doorway.boundary.rooms[0] == OUTSIDE)
         room = doorway.boundary.rooms[int(home)]
         lining, casings = _frame(doorway, style)
         if doorway.leaf is None:
-            trim[room].append(lining)
+            rooms[room]["wall"].append(lining)
             for place, casing in casings.items():
-                trim[place].append(casing)
+                rooms[place]["wall"].append(casing)
         else:
             parts = (lining, *casings.values(), *_leaf(doorway, style))
             things.append(Thing("door", style.colour, plan.spaces[room].name, parts))
     for window in plan.windows:
         room = max(window.boundary.rooms)
         things.append(Thing("window", None, plan.spaces[room].name, _window(window, style)))
-    return things, trim
+    return things
 
 
 def _bars(boundary: Boundary, *bars: tuple[float, ...]) -> Mesh:

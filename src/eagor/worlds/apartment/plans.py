@@ -278,8 +278,8 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     """A floor plan of one of `FAMILIES`, mirrored and turned at random. Raises `WorldError` if none can be drawn."""
     family = list(FAMILIES)[rng.integers(len(FAMILIES))]
     for _ in range(400):
-        layout = _turned(FAMILIES[family](rng), rng)
-        spaces = _named(layout)
+        layout = FAMILIES[family](rng)
+        spaces = _spaces(layout, rng)
         if not _sizes_fit(spaces):
             continue
         open_to = frozenset((min(pair), max(pair)) for pair in layout.openings)
@@ -296,11 +296,10 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     raise WorldError(f"no floor plan of the family {family!r} came out in 400 tries; use another seed")
 
 
-def _turned(layout: Layout, rng: np.random.Generator) -> Layout:
-    """`layout` mirrored and with its axes exchanged at random."""
+def _spaces(layout: Layout, rng: np.random.Generator) -> tuple[Space, ...]:
+    """The rooms of a layout, mirrored and with its axes exchanged at random; several of one kind are numbered."""
     mirrored, exchanged = rng.random(2) < 0.5, rng.random() < 0.5
-    every = np.array([rectangle for _, rectangles in layout.rooms for rectangle in rectangles])
-    ends = np.stack([every[:, 2].max(), every[:, 3].max()])
+    ends = np.array([rectangle for _, rectangles in layout.rooms for rectangle in rectangles])[:, 2:].max(axis=0)
 
     def turn(rectangle: Rectangle) -> Rectangle:
         corners = np.array(rectangle).reshape(2, 2)
@@ -308,16 +307,11 @@ def _turned(layout: Layout, rng: np.random.Generator) -> Layout:
         x0, y0, x1, y1 = np.round((corners[:, ::-1] if exchanged else corners).reshape(4), 4).tolist()
         return x0, y0, x1, y1
 
-    rooms = tuple((kind, tuple(turn(rectangle) for rectangle in rectangles)) for kind, rectangles in layout.rooms)
-    return Layout(rooms, layout.doors, layout.openings, layout.entrance)
-
-
-def _named(layout: Layout) -> tuple[Space, ...]:
     kinds = [kind for kind, _ in layout.rooms]
     spaces = []
     for place, (kind, rectangles) in enumerate(layout.rooms):
         number = f" {kinds[: place + 1].count(kind)}" if kinds.count(kind) > 1 else ""
-        spaces.append(Space(kind + number, kind, rectangles))
+        spaces.append(Space(kind + number, kind, tuple(turn(rectangle) for rectangle in rectangles)))
     return tuple(spaces)
 
 

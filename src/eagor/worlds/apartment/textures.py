@@ -53,14 +53,14 @@ def material(kind: str, colour: str | None, rng: np.random.Generator) -> Materia
             colour = picture.colours[rng.integers(len(picture.colours))]
         texture = _picture(kind, colour, int(rng.integers(picture.variants)))
         return Material(name, (1.0, 1.0, 1.0), texture, picture.emission)
-    tone = np.array(_tone(kind, colour, rng))
+    tone = _tone(kind, colour, rng)
     # At full strength a coloured shade would saturate to a primary.
     emission = 0.0 if kind != "lampshade" else 1.5 if colour in (None, "white", "beige") else 0.9
     if kind not in SURFACES:
-        return Material(name, (float(tone[0]), float(tone[1]), float(tone[2])), None, emission)
+        return Material(name, tone, None, emission)
     variants, _ = SURFACES[kind]
     texture, mean = _surface(kind, int(rng.integers(variants)))
-    linear = to_linear(tone) / mean  # so that the mean of texture times colour is the tone
+    linear = to_linear(np.array(tone)) / mean  # so that the mean of texture times colour is the tone
     r, g, b = np.where(linear < 1, to_coded(linear), 1.0)
     return Material(name, (float(r), float(g), float(b)), texture, emission)
 

@@ -241,29 +241,25 @@ def _same_things(found: Sequence[_Object], instances: Sequence[Instance]) -> np.
     Ids are those that we export, if the categories agree. Otherwise an object is the thing of the same category whose
     box is nearest, at most 0.25 m off at any corner.
     """
-    exported = {each.semantic_id: each.semantic_id - FIRST_ID for each in found}
-    place = exported if all(_is(one, instances, exported[one.semantic_id]) for one in found) else {}
-    for each in () if place else found:
-        off = {
-            index: float(
-                max(np.abs(thing.low - each.instance.low).max(), np.abs(thing.high - each.instance.high).max())
-            )
-            for index, thing in enumerate(instances)
-            if thing.category == each.instance.category
-        }
-        nearest = min(off, key=lambda index: off[index], default=None)
-        if nearest is None or off[nearest] > 0.25:
-            return None
-        place[each.semantic_id] = nearest
+    place = {each.semantic_id: each.semantic_id - FIRST_ID for each in found}
+    categories = dict(enumerate(thing.category for thing in instances))
+    if any(categories.get(place[each.semantic_id]) != each.instance.category for each in found):
+        for each in found:
+            mine = each.instance
+            off = {
+                index: float(np.abs([thing.low - mine.low, thing.high - mine.high]).max())
+                for index, thing in enumerate(instances)
+                if thing.category == mine.category
+            }
+            nearest = min(off, key=lambda index: off[index], default=None)
+            if nearest is None or off[nearest] > 0.25:
+                return None
+            place[each.semantic_id] = nearest
     if not place:
         return None
     table = np.full(max(place) + 1, -1)
     table[list(place)] = list(place.values())
     return table
-
-
-def _is(one: _Object, instances: Sequence[Instance], index: int) -> bool:
-    return 0 <= index < len(instances) and instances[index].category == one.instance.category
 
 
 def _nodes(file: Path, frames: Frames) -> tuple[Instance, ...]:
