@@ -215,12 +215,11 @@ def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
     if axis == 2:
         surface = np.full(shows.shape, REVEAL)
         surface[0 if sign > 0 else -1] = FLOOR if sign > 0 else CEILING
-        surface[~inside] = FACADE
     else:
         level = np.broadcast_to(np.arange(tiled.shape[1]), shows.shape)
         surface = np.where(tiled[np.maximum(room, 0), level], TILES, WALL)
         surface[hole[before]] = REVEAL
-        surface[~inside] = FACADE
+    surface[~inside] = FACADE
     return np.where(shows & (room >= 0), room * 8 + surface + 1, 0)
 
 
