@@ -46,7 +46,7 @@ __all__ = ["Mosaic", "ViewScene", "edge", "heat_in_view", "lines_in_view", "outl
 
 ROWS = 240
 FINE = 1.5  # pixels of a picture per cell: a finer one is shrunk first, by areas
-SHARE = 0.66  # of the scene's width: the most that the picture takes
+LEAST = 0.17  # of the scene's width: what a small panorama needs at least
 GAP = 14 / DESIGN  # of the scene's width, around the small panorama
 SMALL = 0.6  # of markers and lines, on the small panorama
 ALONG = 24  # points along each side of the outline
@@ -269,20 +269,30 @@ class ViewScene:
         self.clear()
         self._mark_around(estimate, heat, grid, truth, others, modes)
         self._mark_view(estimate, heat, grid, view[2:], truth, others, modes)
-        self._say(estimate, around)
+        self._say(estimate, view, around)
         return self._view
 
     def _layout(self, grid: PerspectiveGrid) -> tuple[tuple[int, int, int, int], tuple[int, int, int, int]]:
-        """Left, top, width and height, pixels, of the picture and of the small panorama; moves the axes there."""
+        """Left, top, width and height, pixels, of the picture and of the small panorama; moves the axes there.
+
+        The picture is as large as leaves a place for the small panorama: beside it, or below one that is very wide.
+        """
         left, top, width, height = self._place
-        gap = round(GAP * width)
+        gap, least = round(GAP * width), round(LEAST * width)
         ratio = grid.width / grid.height
-        wide = min(round(SHARE * width), round(height * ratio))
+        beside = min(width - least - 2 * gap, round(height * ratio))
+        below = min(width, round((height - least // 2 - 2 * gap) * ratio))
+        wide = max(beside, below)
         high = min(height, round(wide / ratio))
-        view = left, top + (height - high) // 2, wide, high
-        free = width - wide - 2 * gap
-        small = min(free, height)  # leaves half of the height to the words
-        around = left + wide + gap + (free - small) // 2, max(top + gap, view[1]), small, small // 2
+        if beside >= below:
+            view = left, top, wide, high
+            free = width - wide - 2 * gap
+            small = min(free, height)  # leaves half of the height to the words
+            around = left + wide + gap + (free - small) // 2, top + gap, small, small // 2
+        else:
+            view = left + (width - wide) // 2, top, wide, high
+            small = 2 * (height - high - 2 * gap)
+            around = view[0], top + high + gap, small, small // 2
         for axes, (x, y, w, h) in ((self._view, view), (self._around, around)):
             axes.set_position(self._share(x, y, w, h))
         self._view.set_xlim(0, 1)
@@ -347,23 +357,33 @@ class ViewScene:
             va=va, path_effects=outline(3.5), zorder=8, linespacing=1.15,
         )  # fmt: skip
 
-    def _say(self, estimate: Estimate, around: tuple[int, int, int, int]) -> None:
-        """The answer in words, below the small panorama."""
+    def _say(self, estimate: Estimate, view: tuple[int, int, int, int], around: tuple[int, int, int, int]) -> None:
+        """The answer in words, below the small panorama, or right of one that is below the picture."""
         left, top, width, height = around
-        scale = self._place[2] / DESIGN
+        scale, foot = self._place[2] / DESIGN, self._place[1] + self._place[3] - 12 / DESIGN * self._place[2]
+        if top >= view[1] + view[3]:
+            left, width = left + width + round(GAP * self._place[2]), view[2] - width
+            downs, foot = (0, 48), top + height
+        else:
+            top, downs = top + height, (14, 66)
         said = answer_in_words(estimate) if estimate.direction is not None else "direction not known"
-        columns = max(12, int(width / (10.5 * scale)))
+        columns = max(12, int(width / (11.5 * scale)))
         if len(said) > columns:  # where the height begins
             said = "\n".join(textwrap.fill(part, columns) for part in said.rsplit(", ", 1))
         self._words.set_text(said)
         self._sure.set_text(sureness(estimate) if estimate.direction is not None else "")
         self._sure.set_color(COLOURS[estimate.status])
-        self._looked.set_text(f"looked at {100 * self.mosaic.share:.0f} % of all directions")
-        for text, down in ((self._sure, 14), (self._words, 66)):
-            x, y, _, _ = self._share(left, top + height + down * scale, 0, 0)
-            text.set_position((x, y))
-        x, y, _, _ = self._share(left, self._place[1] + self._place[3] - 12 * scale, 0, 0)
-        self._looked.set_position((x, y))
+        self._looked.set_text(
+            textwrap.fill(
+                f"looked at {100 * self.mosaic.share:.0f} % of all directions", max(12, int(width / (7 * scale)))
+            )
+        )
+        for text, y in (
+            (self._sure, top + downs[0] * scale),
+            (self._words, top + downs[1] * scale),
+            (self._looked, foot),
+        ):
+            text.set_position(self._share(left, y, 0, 0)[:2])
 
 
 def wipe(axes: Axes) -> None:
