@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.drawing.mosaic import Mosaic
+from eagor.drawing.view import Mosaic
 from eagor.drawing.words import STATUS, answer_in_words, far_in_words
 from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
