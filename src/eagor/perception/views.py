@@ -22,9 +22,8 @@ from eagor.grids import PerspectiveGrid
 from eagor.media.cutting import cut, tangent_views
 from eagor.media.panorama import checked_picture
 from eagor.perception.adapters import Boxes, boxes_of
-from eagor.perception.blobs import spread_evidence
 from eagor.perception.colour import colour_in, share_of
-from eagor.perception.things import Thing, ViewBox, things
+from eagor.perception.things import Thing, ViewBox, spread_evidence, things
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, world_R_body
 

@@ -28,8 +28,8 @@ from eagor._json import parsed
 from eagor._lazy import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
-from eagor.perception.blobs import blurred, connected
 from eagor.perception.json_files import checked, need
+from eagor.perception.things import blurred, connected
 from eagor.perception.transformers.inputs import Layout
 from eagor.sphere import angular_distance, unit
 
