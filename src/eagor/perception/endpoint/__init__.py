@@ -29,8 +29,7 @@ from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.cutting import check_fields, cut, tangent_views
 from eagor.media.panorama import checked_picture, resized
-from eagor.perception.endpoint.client import shown_address
-from eagor.perception.endpoint.messages import Answer, Picture, Request, question
+from eagor.perception.endpoint.client import Answer, Picture, Request, question, shown_address
 from eagor.perception.endpoint.server import Asker, Server, named
 from eagor.perception.vlm.answers import Box, Frame, Order, parse_boxes, parse_presence
 from eagor.perception.vlm.families import Served, exact_size, style_of

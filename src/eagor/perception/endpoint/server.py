@@ -25,7 +25,10 @@ from eagor._secrets import redacted
 from eagor.errors import AnswerError, EagorError, QueryError
 from eagor.perception.endpoint.client import (
     DEFAULT_SERVER,
+    Answer,
     Asked,
+    Picture,
+    Request,
     checked_address,
     client_of,
     explained,
@@ -36,7 +39,6 @@ from eagor.perception.endpoint.client import (
     shown_address,
     worth_retrying,
 )
-from eagor.perception.endpoint.messages import Answer, Picture, Request
 from eagor.perception.vlm.prompts import IMAGE, MAX_TOKENS, ChatReply, Message
 
 LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
