@@ -18,7 +18,7 @@ import osr_data
 import pytest
 
 from eagor.errors import EagorError, FormatError
-from eagor.perception.vlm.prompts import IMAGE, ChatReply, Message
+from eagor.perception.vlm import IMAGE, ChatReply, Message
 from eagor.tasks.benchmark import check_benchmark, load
 from eagor.tasks.osr.data import SUFFIXES
 from eagor.tasks.osr.data import load as load_scenes

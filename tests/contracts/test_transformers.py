@@ -36,10 +36,9 @@ from eagor.perception.transformers.attention import (
 from eagor.perception.transformers.chat import conversation
 from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
 from eagor.perception.transformers.inputs import Block, Layout
+from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message
 from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.families import FAMILIES, Account
 from eagor.perception.vlm.labelled import Labelled
-from eagor.perception.vlm.prompts import IMAGE, Message
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS

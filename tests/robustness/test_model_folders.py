@@ -17,7 +17,7 @@ from eagor.errors import EagorError
 from eagor.perception import load
 from eagor.perception.transformers import inputs
 from eagor.perception.transformers.chat import conversation
-from eagor.perception.vlm.prompts import Message
+from eagor.perception.vlm import Message
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -23,7 +23,7 @@ from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load, local_model, look, parse_options
 from eagor.perception.calibrated import Calibrated, from_json
-from eagor.perception.vlm.prompts import Chat, Message
+from eagor.perception.vlm import Chat, Message
 from eagor.queries import Named
 from eagor.tasks.episodes import Slot
 

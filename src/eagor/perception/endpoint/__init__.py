@@ -31,10 +31,9 @@ from eagor.media.cutting import check_fields, cut, tangent_views
 from eagor.media.panorama import checked_picture, resized
 from eagor.perception.endpoint.client import Answer, Picture, Request, question, shown_address
 from eagor.perception.endpoint.server import Asker, Server, named
+from eagor.perception.vlm import Served, ask_boxes, ask_presence, boxes_schema, exact_size, phrase, style_of
 from eagor.perception.vlm.answers import Box, Frame, Order, parse_boxes, parse_presence
-from eagor.perception.vlm.families import Served, exact_size, style_of
 from eagor.perception.vlm.projection import Detection, detected, drawn, filled, framed, lift, merged, things, united
-from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema, phrase
 
 __all__ = ["EndpointPerception", "ServedLook", "from_text"]
 

@@ -20,9 +20,8 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.vlm.families import Account, Extractor, Family, LoadedModel, chosen, family_of
+from eagor.perception.vlm import Account, Extractor, Family, LoadedModel, chosen, family_of, phrase
 from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
-from eagor.perception.vlm.prompts import phrase
 
 if TYPE_CHECKING:
     from eagor.perception.transformers.attention import Heads

@@ -1,7 +1,7 @@
 """Conversations of several turns, with pictures, with a local vision-language model.
 
 The prompt follows the checkpoint's own template, otherwise the format that its family was trained on
-(`eagor.perception.vlm.families.Dialogue`). Decoding is greedy (temperature 0).
+(`eagor.perception.vlm.Dialogue`). Decoding is greedy (temperature 0).
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.media.panorama import checked_picture, resized
-from eagor.perception.vlm.families import Family
-from eagor.perception.vlm.prompts import MAX_TOKENS, ChatReply, Message
+from eagor.perception.vlm import MAX_TOKENS, ChatReply, Family, Message
 
 
 class LocalChat:
-    """A `eagor.perception.vlm.prompts.Chat` with a model on this machine. Thread-safe; calls run one at a time.
+    """A `eagor.perception.vlm.Chat` with a model on this machine. Thread-safe; calls run one at a time.
 
     Arguments as of `eagor.perception.transformers.TransformersPerception`, except `pixels`: the most pixels of a
     picture; None for the limit of the checkpoint's processor. Gemma 3, LLaVA and Janus-Pro always see one square of

@@ -24,7 +24,7 @@ from transformers.masking_utils import sdpa_mask
 
 from eagor.errors import EagorError
 from eagor.perception.transformers.inputs import Prompt, check_typed, typed
-from eagor.perception.vlm.families import Family
+from eagor.perception.vlm import Family
 
 
 @dataclass

@@ -20,7 +20,7 @@ import torch
 from eagor._lazy import lazy
 from eagor.errors import EagorError, ImageError
 from eagor.media.panorama import resized
-from eagor.perception.vlm.families import Family, exact_size, nearest_size
+from eagor.perception.vlm import Family, exact_size, nearest_size
 
 _MOST_TILES = 12
 _MOST_STEPS = 2_000_000  # lines that a chat template may run: a hundred turns with pictures take about ten thousand

@@ -25,11 +25,10 @@ from eagor.perception.transformers.attention import (
 )
 from eagor.perception.transformers.inference import Capture, Prefix, Running, chunks, full_layers, prepare, share
 from eagor.perception.transformers.inputs import InputPlan, Prompt, pictures, plan, prompt, template_of
+from eagor.perception.vlm import GENERAL, Account, Extractor, Family, ask_boxes, ask_presence
 from eagor.perception.vlm.answers import Box, parse_boxes
-from eagor.perception.vlm.families import Account, Extractor, Family
 from eagor.perception.vlm.labelled import Labelled
 from eagor.perception.vlm.projection import drawn
-from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
 
 
 @dataclass

@@ -14,7 +14,7 @@ from eagor._checks import within
 from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor._json import whole
 from eagor.errors import EagorError, MissingExtraError
-from eagor.perception.vlm.families import Family, LoadedModel, chosen, family_of
+from eagor.perception.vlm import Family, LoadedModel, chosen, family_of
 
 
 def load_model(

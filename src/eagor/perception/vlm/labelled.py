@@ -24,7 +24,7 @@ from eagor.errors import FormatError, ResponseError
 from eagor.evidence.shapes import moments
 from eagor.grids import ErpGrid
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
-from eagor.perception.vlm.prompts import phrase
+from eagor.perception.vlm import phrase
 from eagor.sphere import direction
 
 _CORNERS = msgspec.Meta(description="[x0, y0, x1, y1] in pixels")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor._json import number, parsed
-from eagor.perception.vlm.prompts import IMAGE
+from eagor.perception.vlm import IMAGE
 from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind, read_episodes
 from eagor.tasks.hstar.prompts import WINDOW, Talk

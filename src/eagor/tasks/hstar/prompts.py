@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.perception.vlm.prompts import IMAGE, Message
+from eagor.perception.vlm import IMAGE, Message
 from eagor.tasks.hstar.camera import View, render_view
 from eagor.tasks.hstar.data import Episode, open_panorama
 from eagor.tasks.hstar.rules import Reply, parse_action

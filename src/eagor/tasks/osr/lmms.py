@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from eagor.perception.vlm.prompts import IMAGE
+from eagor.perception.vlm import IMAGE
 from eagor.tasks.osr.data import Question, load
 from eagor.tasks.osr.play import plain_text
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, score
