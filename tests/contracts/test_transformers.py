@@ -22,7 +22,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
-from eagor.perception.transformers import TransformersPerception, family_of, inference, inputs
+from eagor.perception.transformers import TransformersPerception, conversation, family_of, inference, inputs
 from eagor.perception.transformers.attention import (
     Heads,
     densities,
@@ -33,7 +33,6 @@ from eagor.perception.transformers.attention import (
     saturated,
     spatial_entropy,
 )
-from eagor.perception.transformers.chat import conversation
 from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
 from eagor.perception.transformers.inputs import Block, Layout
 from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message

@@ -186,7 +186,7 @@ def load_chat(spec: str) -> Chat:
     place, _, written = spec.partition("?")
     here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
     if here or ("/" in place and "@" not in place and "://" not in place):
-        from eagor.perception.transformers.chat import LocalChat
+        from eagor.perception.transformers import LocalChat
 
         return local_model(LocalChat, place, parse_options(written))
     from eagor.perception.endpoint.server import chat_from_text
