@@ -23,7 +23,9 @@ from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.transformers import TransformersPerception, conversation, family_of, inference, inputs
-from eagor.perception.transformers.attention import (
+from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
+from eagor.perception.transformers.inputs import Block, Layout
+from eagor.perception.transformers.language import (
     Heads,
     densities,
     elbow,
@@ -33,8 +35,6 @@ from eagor.perception.transformers.attention import (
     saturated,
     spatial_entropy,
 )
-from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
-from eagor.perception.transformers.inputs import Block, Layout
 from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message
 from eagor.perception.vlm.answers import Box
 from eagor.perception.vlm.labelled import Labelled

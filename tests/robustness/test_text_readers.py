@@ -20,7 +20,7 @@ from eagor.media.pose_files import read_poses
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.onnx import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
-from eagor.perception.transformers.attention import read_heads
+from eagor.perception.transformers.language import read_heads
 from eagor.perception.vlm.labelled import labelled_lines, read_labelled
 from eagor.sphere import world_R_body
 

@@ -36,7 +36,7 @@ from eagor.perception.vlm import (
 from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
 
 if TYPE_CHECKING:
-    from eagor.perception.transformers.attention import Heads
+    from eagor.perception.transformers.language import Heads
     from eagor.perception.vlm.labelled import Labelled
 
 _VIEW_FIELD = math.radians(100)
@@ -169,7 +169,7 @@ class TransformersPerception:
         """
         if "attention" not in self.family.extractors:
             raise EagorError(f"{self.family.title} has no attention heads to find; wanted a vision-language model")
-        from eagor.perception.transformers.attention import fit_heads, judged
+        from eagor.perception.transformers.language import fit_heads, judged
 
         model: Any = self.loaded
         views = self._cut() if self.extractor == "views" else ()

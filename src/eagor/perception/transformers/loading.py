@@ -56,7 +56,7 @@ def load_model(
     if given := sorted(key for key, value in foreign.items() if value is not None):
         why = "has no attention to read" if family.localiser else "has none, only localisers do"
         raise EagorError(f"{', '.join(given)} cannot be used with {family.title}, which {why}")
-    from eagor.perception.transformers.attention import read_heads
+    from eagor.perception.transformers.language import read_heads
 
     settings["pixels"] = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
     if family.localiser:
