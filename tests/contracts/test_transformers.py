@@ -22,6 +22,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
+from eagor.perception.calibrated import Labelled
 from eagor.perception.transformers import TransformersPerception, conversation, family_of, inference, inputs
 from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
 from eagor.perception.transformers.inputs import Block, Layout
@@ -37,7 +38,6 @@ from eagor.perception.transformers.language import (
 )
 from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message
 from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.labelled import Labelled
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS

@@ -36,8 +36,8 @@ from eagor.perception.vlm import (
 from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
 
 if TYPE_CHECKING:
+    from eagor.perception.calibrated import Labelled
     from eagor.perception.transformers.language import Heads
-    from eagor.perception.vlm.labelled import Labelled
 
 _VIEW_FIELD = math.radians(100)
 
