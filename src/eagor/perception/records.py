@@ -21,9 +21,8 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.media.pose_files import FramePose
-from eagor.perception.adapters import Boxes
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
-from eagor.perception.views import Seen, combined
+from eagor.perception.views import Boxes, Seen, combined
 from eagor.perception.words import RELATIONS, meant
 from eagor.sphere import direction, rotation, world_R_body
 
