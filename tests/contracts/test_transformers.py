@@ -23,7 +23,7 @@ from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.calibrated import Labelled
-from eagor.perception.transformers import TransformersPerception, conversation, family_of, inference, inputs
+from eagor.perception.transformers import TransformersPerception, conversation, inference, inputs
 from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
 from eagor.perception.transformers.inputs import Block, Layout
 from eagor.perception.transformers.language import (
@@ -36,7 +36,7 @@ from eagor.perception.transformers.language import (
     saturated,
     spatial_entropy,
 )
-from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message
+from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message, family_of
 from eagor.perception.vlm.answers import Box
 from eagor.sphere import angular_distance, direction
 

@@ -261,13 +261,11 @@ def _with_next(items: Iterable[T]) -> Iterator[tuple[T, T | None]]:
         yield item, None
 
 
-# --- look once, ask often ---------------------------------------------------------------------------------------------
-
 PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
 NEAR = math.radians(15)  # the error that still leads a person to the thing
 
 
-# --- writing --------------------------------------------------------------------------------------------------------
+# --- a file of looks: writing -----------------------------------------------------------------------------------------
 
 
 def first_line(of: str, perception: str, views: Views, poses: str, begins: float = 0.0) -> str:
@@ -353,7 +351,7 @@ def _runs(mask: BodyMask) -> dict[str, Any]:
     return {"rows": rows, "runs": runs if seen[0] else [0, *runs]}
 
 
-# --- reading --------------------------------------------------------------------------------------------------------
+# --- a file of looks: reading -----------------------------------------------------------------------------------------
 
 
 def recorded_frames(replay: ReplayPerception) -> list[PosedFrame]:
@@ -398,7 +396,7 @@ def about(replay: ReplayPerception) -> Footage:
     return replay.footage
 
 
-# --- what there is --------------------------------------------------------------------------------------------------
+# --- what there is ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

