@@ -31,7 +31,7 @@ from eagor.evidence.shapes import moments
 from eagor.grids import ErpGrid
 from eagor.perception import short_name
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
-from eagor.perception.vlm import phrase
+from eagor.perception.vlm import Labelled, phrase
 from eagor.sphere import direction
 from eagor.tracking.config import MotionModel
 
@@ -127,16 +127,6 @@ def read_calibrated(file: Path) -> Calibrated:
 # --- labelled panoramas for calibration -------------------------------------------------------------------------------
 
 _CORNERS = msgspec.Meta(description="[x0, y0, x1, y1] in pixels")
-
-
-@dataclass(frozen=True, eq=False)
-class Labelled:
-    """A panorama ``(H, W, 3)`` uint8, a query, and the direction ``(3,)`` and angular radius of its target."""
-
-    panorama: np.ndarray
-    query: str
-    direction: np.ndarray
-    radius: float
 
 
 class _Line(msgspec.Struct):

@@ -29,6 +29,7 @@ from eagor.perception.vlm import (
     ChatReply,
     Extractor,
     Family,
+    Labelled,
     LoadedModel,
     Message,
     chosen,
@@ -37,7 +38,6 @@ from eagor.perception.vlm import (
 from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
 
 if TYPE_CHECKING:
-    from eagor.perception.calibrated import Labelled
     from eagor.perception.transformers.language import Heads
 
 _VIEW_FIELD = math.radians(100)

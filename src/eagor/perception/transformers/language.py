@@ -31,12 +31,11 @@ from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.cutting import cut
 from eagor.media.panorama import resized
-from eagor.perception.calibrated import Labelled
 from eagor.perception.json_files import checked, need
 from eagor.perception.things import blurred, connected
 from eagor.perception.transformers.inference import Capture, Prefix, Running, chunks, full_layers, prepare, share
 from eagor.perception.transformers.inputs import InputPlan, Layout, Prompt, pictures, plan, prompt, template_of
-from eagor.perception.vlm import GENERAL, Account, Extractor, Family, ask_boxes, ask_presence
+from eagor.perception.vlm import GENERAL, Account, Extractor, Family, Labelled, ask_boxes, ask_presence
 from eagor.perception.vlm.answers import Box, parse_boxes
 from eagor.perception.vlm.projection import drawn
 from eagor.sphere import angular_distance, unit

@@ -259,6 +259,16 @@ class Account:
         return dict(vars(self))
 
 
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """A panorama ``(H, W, 3)`` uint8, a query, and the direction ``(3,)`` and angular radius of its target."""
+
+    panorama: np.ndarray
+    query: str
+    direction: np.ndarray
+    radius: float
+
+
 class LoadedModel(Protocol):
     """A loaded model that answers for images of one size; see `eagor.perception.transformers.language`."""
 
