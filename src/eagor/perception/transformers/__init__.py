@@ -30,7 +30,6 @@ from eagor.perception.vlm import (
     Extractor,
     Family,
     Labelled,
-    LoadedModel,
     Message,
     chosen,
     phrase,
@@ -38,7 +37,8 @@ from eagor.perception.vlm import (
 from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
 
 if TYPE_CHECKING:
-    from eagor.perception.transformers.language import Heads
+    from eagor.perception.transformers.language import Heads, LanguageModel
+    from eagor.perception.transformers.localisers import Localiser
 
 _VIEW_FIELD = math.radians(100)
 
@@ -73,7 +73,7 @@ class TransformersPerception:
 
     def __init__(
         self,
-        model: str | LoadedModel,
+        model: str | LanguageModel | Localiser,
         extractor: str | None = None,
         per_view: str | None = None,
         pixels: int | None = None,
@@ -203,7 +203,7 @@ class TransformersPerception:
 
     def _source(self, shots: _Shots, cost: Account, began: float) -> dict[str, object]:
         known = {"model": self.loaded.name, "revision": self.loaded.revision, "family": self.family.name}
-        return {**known, **shots.told, **cost.as_source(), "milliseconds": 1000 * (time.perf_counter() - began)}
+        return {**known, **shots.told, **vars(cost), "milliseconds": 1000 * (time.perf_counter() - began)}
 
     def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
         """The pictures of a look at a panorama, and the time it began."""

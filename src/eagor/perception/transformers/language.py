@@ -45,7 +45,7 @@ SATURATION = 2.0  # excess of the ratio over 1 at which the response is one half
 
 @dataclass
 class LanguageModel:
-    """A loaded checkpoint of one of the vision-language families, a `LoadedModel`.
+    """A loaded checkpoint of one of the vision-language families.
 
     `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder's configuration and weight files.
     `model`: with the capturing attention function in its language part. `heads`: None for relative attention, which

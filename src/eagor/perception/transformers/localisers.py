@@ -65,7 +65,7 @@ KINDS = {
 
 @dataclass
 class Localiser:
-    """A loaded localiser, a `LoadedModel`; drops boxes below `threshold` (None: the family's)."""
+    """A loaded localiser, asked as a `LanguageModel` is; drops boxes below `threshold` (None: the family's)."""
 
     name: str
     revision: str

@@ -3,8 +3,8 @@
 The differences between families are data (families.toml): no family has code of its own.
 
 `Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
-pictures both take unchanged; `LoadedModel` is the interface of a model in memory. This module imports neither torch nor
-transformers, so that ``eagor doctor`` can print which models could run.
+pictures both take unchanged. This module imports neither torch nor transformers, so that ``eagor doctor`` can print
+which models could run.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ import msgspec
 import numpy as np
 
 from eagor.errors import EagorError, ImageError, QueryError
-from eagor.grids import Grid
-from eagor.perception.vlm.answers import Box, Frame, Order
+from eagor.perception.vlm.answers import Frame, Order
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
 Extractor = Literal["attention", "boxes", "both", "mask", "views"]
@@ -254,10 +253,6 @@ class Account:
     prompt_tokens: int = 0
     answer_tokens: int = 0
 
-    def as_source(self) -> dict[str, int]:
-        """As entries of `Evidence.source`."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True, eq=False)
 class Labelled:
@@ -267,32 +262,6 @@ class Labelled:
     query: str
     direction: np.ndarray
     radius: float
-
-
-class LoadedModel(Protocol):
-    """A loaded model that answers for images of one size; see `eagor.perception.transformers.language`."""
-
-    name: str
-    revision: str
-    family: Family
-
-    def size(self, aspect: float) -> tuple[int, int]:
-        """(height, width) to resize images of this aspect ratio (width over height) to."""
-        ...
-
-    def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]:
-        """Rows and columns of the response."""
-        ...
-
-    def look(
-        self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
-    ) -> tuple[np.ndarray, Account]:
-        """Responses ``(B, Q, h, w)`` float32 in [0, 1] on `grids`, the cells of each image."""
-        ...
-
-    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
-        """Boxes per image and query."""
-        ...
 
 
 # --- questions --------------------------------------------------------------------------------------------------------
