@@ -35,8 +35,8 @@ from eagor.evidence.detections import View
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.media.cutting import cut
 from eagor.media.panorama import read_panorama
-from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco import from_text
+from eagor.perception.things import spread_evidence
 from eagor.perception.truth import TruthPerception
 from eagor.sphere import angular_distance, direction, unit
 from eagor.statistics import bootstrap_interval

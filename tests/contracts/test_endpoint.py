@@ -27,7 +27,7 @@ from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
 from eagor.perception.endpoint.client import retry_after
 from eagor.perception.endpoint.server import ServedChat, chat_from_text
-from eagor.perception.vlm.prompts import IMAGE, Message
+from eagor.perception.vlm import IMAGE, Message
 from eagor.sphere import angular_distance, direction, world_R_body
 
 openai = pytest.importorskip("openai")

@@ -20,7 +20,7 @@ from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.perception.endpoint.server import ServedChat
 from eagor.perception.partial import look_at_view
-from eagor.perception.vlm.prompts import IMAGE, Message
+from eagor.perception.vlm import IMAGE, Message
 from eagor.tasks import benchmark
 from eagor.tasks.hstar import data
 from eagor.tasks.hstar import perception as hstar_perception

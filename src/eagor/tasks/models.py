@@ -23,7 +23,7 @@ from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load, local_model, look, parse_options
 from eagor.perception.calibrated import from_json
-from eagor.perception.vlm.prompts import Chat, Message
+from eagor.perception.vlm import Chat, Message
 from eagor.queries import Named
 from eagor.tasks.episodes import Slot
 
@@ -151,7 +151,7 @@ def load_chat(spec: str) -> Chat:
     place, _, written = spec.partition("?")
     here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
     if here or ("/" in place and "@" not in place and "://" not in place):
-        from eagor.perception.transformers.chat import LocalChat
+        from eagor.perception.transformers import LocalChat
 
         return local_model(LocalChat, place, parse_options(written))
     from eagor.perception.endpoint.server import chat_from_text

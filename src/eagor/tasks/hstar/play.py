@@ -20,7 +20,7 @@ from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, Histogr
 from eagor.conventions import direction_from_hstar, hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import looked_at
-from eagor.perception.vlm.prompts import Chat
+from eagor.perception.vlm import Chat
 from eagor.sphere import angular_distance
 from eagor.tasks.benchmark import case_seed
 from eagor.tasks.hstar.data import Episode

@@ -12,7 +12,7 @@ from eagor._csv import as_csv
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.perception.vlm.prompts import IMAGE
+from eagor.perception.vlm import IMAGE
 from eagor.tasks.benchmark import (
     Case,
     Export,

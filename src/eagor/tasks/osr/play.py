@@ -21,7 +21,7 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.errors import EagorError
-from eagor.perception.vlm.prompts import IMAGE, Chat, Message
+from eagor.perception.vlm import IMAGE, Chat, Message
 from eagor.tasks.benchmark import case_seed
 from eagor.tasks.models import shared_chat
 from eagor.tasks.osr.data import Question, Scene, load
