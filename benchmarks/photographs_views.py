@@ -4,9 +4,10 @@ python benchmarks/photographs_views.py PANORAMAS [--looks views.jsonl] [--json f
 
 Views of 70, 90 and 110 degrees (4:3) are cut from the four photographs of `photographs`, by a camera that stays level
 and turns by 9 degrees a second: once around and half a turn more, one look a second. `coco` looks at each view, and at
-the panorama of the same frame. The tracker reads both with its default model of the detector. Poses are the true ones,
-for views of 70 degrees also those that the views alone tell (`eagor.media.rotation`). The rivals are told the looks at
-views. What was seen is kept in the file of --looks, so that a second run only plays it.
+the panorama of the same frame. The tracker reads both with its default model of the detector; "stands" is also told
+that targets never move (`MotionModel.still()`), which is so here. Poses are the true ones, for views of 70 degrees also
+those that the views alone tell (`eagor.media.rotation`). The rivals are told the looks at views. What was seen is kept
+in the file of --looks, so that a second run only plays it.
 
 - In view: the error while an instance is in the view; how much larger it is than from the same part of the panoramas,
   which is the way with a panorama in between, and than from whole panoramas, which see everything at any time.
@@ -33,6 +34,7 @@ import numpy as np
 from photographs import ANNOTATIONS, BOX, as_json, as_thing, entries, places
 from scipy.spatial.transform import Rotation
 
+from eagor import MotionModel, TrackerConfig
 from eagor.evidence import DetectorModel
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
@@ -54,7 +56,10 @@ ROWS, COLUMNS = 480, 640
 WHOLE = 0  # the field of a panorama
 SIGHTED = min(FIELDS)  # the camera whose poses are also told by its own pictures
 # Poses and method.
-METHODS = (("true", "eagor"), ("sight", "eagor"), ("true", "best_detection"), ("true", "last_detection"))
+STANDS = "eagor, stands"
+METHODS = (
+    ("true", "eagor"), ("sight", "eagor"), ("true", STANDS), ("true", "best_detection"), ("true", "last_detection")
+)  # fmt: skip
 
 
 def grid_of(field: int) -> PerspectiveGrid:
@@ -113,7 +118,8 @@ def play(
     name: str,
 ) -> Run:  # fmt: skip
     """One method, told these poses, on the looks of one camera."""
-    method = make_method(name, np.random.default_rng(0), "coco", detector=DetectorModel())
+    ours = TrackerConfig(target_motion=MotionModel.still()) if name == STANDS else None
+    method = make_method(name.split(",")[0], np.random.default_rng(0), "coco", ours=ours, detector=DetectorModel())
     view, errors, presence = View(WHOLE_SPHERE if field == WHOLE else grid_of(field)), [], []
     for frame, (things, pose) in enumerate(zip(seen, told, strict=True)):
         method.move(float(frame), pose, None)
@@ -132,12 +138,13 @@ def rows(seen: dict[tuple[str, int], list[dict[str, list[Thing]]]], folder: Path
         for query in sorted({each for thing in marked for each in thing["names"]}):
             targets, _ = places([thing for thing in marked if query in thing["names"]])
             around = seen[name, WHOLE]
-            whole = play(around, query, targets, WHOLE, POSES, "eagor")
+            whole = {each: play(around, query, targets, WHOLE, POSES, each) for each in ("eagor", STANDS)}
             for field in FIELDS:
                 visible = np.array([grid_of(field).project(targets @ pose)[2].any() for pose in POSES])
                 if not visible.any():  # it stands below the camera's view
                     continue
-                part = play(part_of(around, query, field), query, targets, field, POSES, "eagor")
+                parts = part_of(around, query, field)
+                part = {each: play(parts, query, targets, field, POSES, each) for each in ("eagor", STANDS)}
                 for poses, method in METHODS:
                     if poses == "sight" and field != SIGHTED:
                         continue
@@ -146,7 +153,8 @@ def rows(seen: dict[tuple[str, int], list[dict[str, list[Thing]]]], folder: Path
                     row: dict[str, Any] = {"photograph": name, "query": query, "field": field, "poses": poses}
                     row |= {"method": method, "error": run.errors[visible].mean()}
                     for rival, other in (("part", part), ("whole", whole)):
-                        row[rival] = (run.errors - other.errors)[visible].mean()
+                        told_alike = other[method] if method in other else other["eagor"]
+                        row[rival] = (run.errors - told_alike.errors)[visible].mean()
                     if (last := last_seen(visible)) is not None:
                         row["away"] = run.errors[last + AWAY] - run.errors[last] - slack[last + AWAY]
                         row["presence"] = run.presence[last + AWAY] - run.presence[last]
