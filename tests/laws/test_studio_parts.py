@@ -520,7 +520,7 @@ def test_a_live_source_goes_on_with_the_question_before_one_that_is_refused():
 def test_an_ordinary_lens_is_told_in_tangents_and_its_picture_is_sent_as_the_ideal_lens_sees_it() -> None:
     picture = np.zeros((200, 300, 3), np.uint8)
     picture[90:110, 240:260] = 255
-    bent = PinholeLens("bent", (300, 200), (150.0, 150.0), (150.0, 100.0), (-0.2, 0.0, 0.0, 0.0), np.eye(3))
+    bent = PinholeLens("bent", (300, 200), (150.0, 150.0), (150.0, 100.0), (-0.05, 0.0, 0.0, 0.0), np.eye(3))
     grid = PerspectiveGrid.of_lens(bent)
     told = lens_of(grid)
     assert told is not None
