@@ -259,7 +259,7 @@ def installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
     monkeypatch.setitem(sys.modules, "magnum", magnum())
     monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
-    monkeypatch.setattr(simulator, "device_for", lambda scene, dataset, gpu, name: -1)
+    monkeypatch.setattr(simulator, "device_for", lambda source: -1)
     yield
     simulator.close_all()
     world.open_scene.cache_clear()

@@ -16,7 +16,7 @@ from eagor.tasks.episode_files import FileSlot, listed_slots, plan, slot_of, way
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, NavigationRules
-from eagor.worlds.habitat_mesh import ON_MESH
+from eagor.worlds.habitat_files import ON_MESH
 from eagor.worlds.objectnav import read_episodes
 
 

@@ -25,7 +25,7 @@ from eagor.perception.views import Views
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
 from eagor.tasks.methods import NAMES, TrackerMethod, make_method
 from eagor.tracking.estimate import Estimate
-from eagor.worlds.photograph import Photograph
+from eagor.worlds.render import Photograph
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -25,7 +25,7 @@ from eagor.tasks.places import APARTMENT, SEEDS, Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.worlds import FILES
 from eagor.worlds.ground import STOREY
-from eagor.worlds.habitat_mesh import LAB_BODY
+from eagor.worlds.habitat_files import LAB_BODY
 from eagor.worlds.objectnav import Episode as ObjectNavEpisode
 from eagor.worlds.objectnav import Goal, SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.scene import Scene
@@ -237,7 +237,7 @@ def plan(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> F
     name = f"episode {slot.episode} of {slot.scene}"
     place = load_place(slot.world, slot.seed, camera.radius)
     if isinstance(place.scene, Scene):
-        check_scene([episode], place.scene, place.ground)
+        check_scene(episode, place.scene, place.ground)
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     start = _start(place, episode, name, zero)
     things = found.goals[episode.category]
