@@ -284,7 +284,7 @@ def _looked(job: See, shown: np.ndarray | None = None) -> tuple[Evidence, ...]:
 
 def _grid(picture: np.ndarray, hfov: float | None) -> PerspectiveGrid | None:
     """The pixels of an ordinary camera's picture, which looks ahead; None for a panorama."""
-    return None if hfov is None else PerspectiveGrid(*picture.shape[:2], hfov)
+    return None if hfov is None else PerspectiveGrid(picture.shape[0], picture.shape[1], hfov)
 
 
 def _jpeg(picture: np.ndarray, grid: PerspectiveGrid | None, rows: int) -> bytes:
