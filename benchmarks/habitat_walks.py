@@ -20,12 +20,6 @@ command goes on where it was stopped.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import sys
 from collections.abc import Iterator
@@ -35,6 +29,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import common
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -219,7 +214,7 @@ def said(name: str, found: list[dict[str, Any]]) -> tuple[list[str], bool]:
 
 
 def main() -> int:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = common.parser(__doc__)
     options.add_argument("--out", type=Path, required=True)
     options.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     options.add_argument("--seeds", nargs="+", type=int, default=list(range(10)), help="of the apartments")

@@ -18,7 +18,7 @@ from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.words import in_words
-from eagor.evaluation.published import OURS
+from eagor.evaluation.tables import OURS
 from eagor.media.cutting import cut
 from eagor.perception import Perception, look, rows_of, short_name
 from eagor.perception.views import Views
@@ -96,7 +96,7 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import draw_belief, draw_errors
     from eagor.evaluation.page import Box, Pictures, Row, Section, Sheet, Text, document
-    from eagor.evaluation.published import OURS
+    from eagor.evaluation.tables import OURS
     from eagor.tasks.methods import DESCRIPTIONS
 
     names = sorted(looks.directions, key=lambda name: name != OURS)  # ours first: it is drawn on top
