@@ -171,6 +171,7 @@ export function picture(page: Page): ViewHandler {
       if (!session.active || !session.ask(query)) open();
     },
     scene() {
+      dragging.hidden = store.scene?.lens !== undefined; // an ordinary picture is shown whole
       if (store.waiting === null && store.scene?.perception) perception.value = store.scene.perception;
     },
     turnsCamera: () => turns === "camera" && session.active && !store.scene?.lens,
