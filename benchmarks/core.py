@@ -12,17 +12,12 @@ batches, and the range of that ratio over five parts of the run.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import time
 from collections.abc import Callable
 
+import common
 import ducc0
 import numpy as np
 import torch
@@ -202,7 +197,7 @@ def accuracy() -> dict[str, float]:
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = common.parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=40, help="batches of each contestant (default 40)")
     arguments.add_argument("--json", metavar="FILE")
     options = arguments.parse_args()

@@ -19,12 +19,6 @@ where a thing meets the floor, could bring.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import multiprocessing
@@ -36,6 +30,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 from scipy.ndimage import maximum_filter
 
@@ -48,7 +43,6 @@ from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
-from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import NAMES, TrackerMethod
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player, Recording
@@ -298,10 +292,7 @@ def compared(
         return None
     both = [index for index in here if column in base[index]]
     gaps = [here[index] - base[index][column] for index in both]
-    if len({seeds[index] for index in both}) < 2:
-        return float(np.mean(list(here.values()))), float(np.mean(gaps or [math.nan])), math.nan, math.nan
-    interval = bootstrap_interval(gaps, np.random.default_rng(0), groups=[seeds[index] for index in both])
-    return float(np.mean(list(here.values()))), float(np.mean(gaps)), interval.low, interval.high
+    return float(np.mean(list(here.values()))), *common.mean_of(gaps, [seeds[index] for index in both])
 
 
 def show(group: str, names: Sequence[str], found: dict[str, dict[int, dict[str, float]]], seeds: Sequence[int]) -> Any:
@@ -324,7 +315,7 @@ def show(group: str, names: Sequence[str], found: dict[str, dict[int, dict[str, 
 
 
 def main() -> int:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = common.parser(__doc__)
     arguments.add_argument("--perception", default="scout")
     arguments.add_argument("--groups", nargs="+", default=list(GROUPS), choices=list(GROUPS))
     arguments.add_argument("--variants", nargs="+", default=[], help="further ones, as bench --methods takes them")

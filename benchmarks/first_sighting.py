@@ -11,22 +11,16 @@ the first sighting, less that of `frame`, paired by episode.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import math
 import sys
 from typing import Any
 
+import common
 import numpy as np
 
 from eagor.evaluation import traces
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
-from eagor.statistics import bootstrap_interval
 from eagor.tasks.episodes import Slot, slots
 from eagor.tasks.methods import answer_at
 from eagor.tasks.models import shared
@@ -69,14 +63,12 @@ def cell(values: np.ndarray, seeds: np.ndarray) -> str:
     known = ~np.isnan(values)
     if not known.any():
         return f"{'-':>22s}"
-    if len({*seeds[known]}) < 2:  # one apartment alone says nothing about the spread
-        return f"{values[known].mean():8.2f} {'':>13s}"
-    found = bootstrap_interval(values[known], np.random.default_rng(0), groups=seeds[known])
-    return f"{values[known].mean():8.2f} [{found.low:5.1f} {found.high:5.1f}]"
+    mean, low, high = common.mean_of(values[known], seeds[known])
+    return f"{mean:8.2f} {'':>13s}" if np.isnan(low) else f"{mean:8.2f} [{low:5.1f} {high:5.1f}]"
 
 
 def main() -> int:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = common.parser(__doc__)
     options.add_argument("--perception", default="scout")
     options.add_argument("--episodes", type=int, default=60)
     options.add_argument("--seed", type=int, default=1600)

@@ -14,12 +14,6 @@ what a user sees: to be right, and not to jump.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import multiprocessing
@@ -30,10 +24,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 
 from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
-from eagor.statistics import bootstrap_interval
 from eagor.tasks.play import Recording
 
 AIMS = (("waypoint", "mae"), ("waypoint", "tc"), ("tracking", "error"), ("tracking", "tc"))
@@ -132,17 +126,11 @@ def aim(scores: dict[str, list[tuple[int, dict[str, Any]]]]) -> float:
 def _mean(rows: list[tuple[int, dict[str, Any]]], column: str) -> tuple[float, float, float]:
     """Mean over the episodes that have a case, and its 95 % interval over apartments."""
     there = [(seed, row[column]) for seed, row in rows if row[column] is not None]
-    if not there:
-        return math.nan, math.nan, math.nan
-    seeds, values = zip(*there, strict=True)
-    if len(set(seeds)) < 2:
-        return float(np.mean(values)), math.nan, math.nan
-    interval = bootstrap_interval(values, np.random.default_rng(0), groups=seeds)
-    return float(np.mean(values)), interval.low, interval.high
+    return common.mean_of([value for _, value in there], [seed for seed, _ in there])
 
 
 def main() -> int:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = common.parser(__doc__)
     arguments.add_argument("--perception", default="scout")
     arguments.add_argument("--methods", nargs="+", default=list(SPACES), choices=list(SPACES))
     arguments.add_argument("--episodes", type=int, default=60)

@@ -15,12 +15,6 @@ Needs Habitat-Sim. Each apartment is exported to GLB with `export_glb(annotated=
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import multiprocessing
@@ -30,6 +24,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 from habitat_places import Both, free_in_both, need_habitat, opened
 
@@ -283,7 +278,7 @@ def _render(line: Any, world: str, seed: int, poses: list[tuple[np.ndarray, np.n
 
 
 def main() -> int:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = common.parser(__doc__)
     options.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     options.add_argument("--seeds", nargs="+", type=int, default=[3, 17])
     options.add_argument("--poses", type=int, default=20, help="of each apartment")

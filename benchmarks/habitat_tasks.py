@@ -10,12 +10,6 @@ difference, Habitat minus ours. `--table` prints what FILE.jsonl holds, and play
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import sys
 import tempfile
@@ -25,11 +19,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 from habitat_places import Both, need_habitat, opened
 
 from eagor.errors import EagorError
-from eagor.statistics import bootstrap_interval, paired_difference, wilson_interval
+from eagor.statistics import paired_difference, wilson_interval
 from eagor.tasks import place_env
 from eagor.tasks import task as tasks
 from eagor.tasks.episodes import Episode, Slot
@@ -179,17 +174,16 @@ def _mean(records: list[Record], world: str, method: str, name: str) -> str:
     if name == "success":
         ends = wilson_interval(round(sum(values) / 100), len(values))
         return _cell(float(np.mean(values)), 100 * ends.low, 100 * ends.high)
-    ends = bootstrap_interval(values, np.random.default_rng(0), groups=seeds)
-    return _cell(float(np.mean(values)), ends.low, ends.high)
+    return _cell(*common.mean_of(values, seeds))
 
 
 def _gap(records: list[Record], method: str, name: str) -> str:
     ours, habitat = (_values(records, world, method, name) for world in WORLDS)
-    common = [key for key in ours if key in habitat]
-    seeds = [key[2] for key in common]
-    theirs, mine = ([world[key] for key in common] for world in (habitat, ours))
+    both = [key for key in ours if key in habitat]
+    seeds = [key[2] for key in both]
+    theirs, mine = ([world[key] for key in both] for world in (habitat, ours))
     if len(set(seeds)) < 2:
-        return f"{np.mean(theirs) - np.mean(mine):.1f}" if common else "-"
+        return f"{np.mean(theirs) - np.mean(mine):.1f}" if both else "-"
     found = paired_difference(theirs, mine, np.random.default_rng(0), seeds)
     return _cell(found.difference, found.interval.low, found.interval.high)
 
@@ -214,7 +208,7 @@ def _visibility(records: list[Record]) -> Iterator[str]:
 
 
 def main() -> int:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = common.parser(__doc__)
     options.add_argument("--out", type=Path, required=True)
     options.add_argument("--seeds", nargs="+", type=int, default=list(range(8500, 8510)))
     options.add_argument("--each", type=int, default=1, help="episodes of each task in each apartment")

@@ -20,12 +20,6 @@ command goes on where it was stopped.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import sys
 from collections.abc import Iterator
@@ -35,6 +29,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import common
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -44,13 +39,12 @@ from eagor.conventions import from_gltf, to_gltf
 from eagor.worlds.apartment import generate
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat.floors import settings_for
-from eagor.worlds.habitat.options import parse
 from eagor.worlds.habitat.semantics import Things
 from eagor.worlds.habitat.simulator import Source as SimSource
 from eagor.worlds.habitat.simulator import configured
+from eagor.worlds.habitat.world import parse, settings_for
 from eagor.worlds.habitat_dataset import Source, config_of, export_dataset, make_episodes, make_goals
-from eagor.worlds.habitat_mesh import LAB_BODY, ON_MESH
+from eagor.worlds.habitat_files import LAB_BODY, ON_MESH
 from eagor.worlds.objectnav import Episode, Goal, SceneEpisodes, write_episodes
 from eagor.worlds.render import Frame
 from eagor.worlds.scene import Scene
@@ -157,8 +151,8 @@ def snapping(glb: Path, config: Path) -> Any:
 @contextmanager
 def drawing_nothing(blind: bool) -> Iterator[None]:
     """Open our scenes without a camera: no things, no pictures, and a floor just below the mesh, for `blind` runs."""
-    from eagor.worlds.habitat import simulator, view, world
-    from eagor.worlds.habitat.semantics import BoxLabels
+    from eagor.worlds.habitat import simulator, world
+    from eagor.worlds.habitat.semantics import box_labels
 
     def empty(self: Any, position: Any, world_R_body: Any, height: int, **_: Any) -> Frame:
         return Frame(None, None, np.full((height, 2 * height), -1, dtype=np.int32))
@@ -168,9 +162,9 @@ def drawing_nothing(blind: bool) -> Iterator[None]:
         for place, name, value in (
             (simulator, "device_for", lambda *_: -1),
             (simulator, "_made", lambda source, gpu, *_: opened(source, gpu, 8, ())),
-            (view.HabitatView, "panorama", empty),
-            (world, "true_floor", lambda view, pathfinder, storey, name, options: storey.level - ON_MESH),
-            (world, "things_of", lambda *_: Things((), (), BoxLabels(()), "none")),
+            (simulator.HabitatView, "panorama", empty),
+            (world, "true_floor", lambda view, mesh, options: mesh.surface.storey.level - ON_MESH),
+            (world, "things_of", lambda *_: Things((), (), box_labels(()), "none")),
         ):
             if blind:
                 stack.enter_context(patch.object(place, name, value))
@@ -220,7 +214,7 @@ def said(name: str, found: list[dict[str, Any]]) -> tuple[list[str], bool]:
 
 
 def main() -> int:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = common.parser(__doc__)
     options.add_argument("--out", type=Path, required=True)
     options.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     options.add_argument("--seeds", nargs="+", type=int, default=list(range(10)), help="of the apartments")

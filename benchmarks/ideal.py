@@ -12,9 +12,9 @@ of 8 degrees, among 0.2 false alarms a look), so that exact Bayes can be compute
 - `sharp`: as `turning`, with detections of 3 and of 1 degree;
 - `walking`: the camera walks past the target as well, 0.25 m a look;
 - `moving`: a constant turn, random walks, jumps, against filters that know the motion, 45 looks. "Bayes, kind of motion
-  unknown" is exact and has our prior (`ideal_floors.py`): no filter with it can be nearer. "told": `MotionModel` states
-  the motion; of a turn, whose axis and rate the ideal filter knows, the poses are given in axes that turn along, "told
-  that it turns" states neither;
+  unknown" is exact and has our prior (`ideal_filters.py`): no filter with it can be nearer. "told": `MotionModel`
+  states the motion; of a turn, whose axis and rate the ideal filter knows, the poses are given in axes that turn along,
+  "told that it turns" states neither;
 - `drift`: the camera yaws, and its odometry drifts by 1 degree a second; with detections of 8 and of 3 degrees;
 - `habits`: as `turning`, but the target and what is taken for it are each detected in a share of the looks of their
   own (beta distributions). The model stated is that of this world, the one that is learnt states only the spread,
@@ -40,12 +40,6 @@ run in the few where two things overlap.
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import sys
@@ -55,14 +49,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
-from ideal_filters import NEAR, Assigned, Contestant, StillOrKnown, Walked
-from ideal_floors import KindUnknown
+from ideal_filters import NEAR, Assigned, Contestant, KindUnknown, StillOrKnown, Walked
 from ideal_rivals import Core, RivalGrid, RivalParticles, Settings, Tracker, learnt, stated, stated_habits
 from ideal_worlds import STEP, WORLDS, Detector, Run, make
 
 from eagor import MotionModel, TrackerConfig
-from eagor.statistics import bootstrap_interval
 
 LEVELS = (0.5, 0.9, 0.99)
 FEW = 3  # looks whose claims are kept,
@@ -227,11 +220,7 @@ def measure(world: str, factories: Mapping[str, Factory], first: int, runs: int)
 
 def interval(values: np.ndarray) -> dict[str, float]:
     """Mean over runs with its interval."""
-    values = values[np.isfinite(values)]
-    if len(values) < 2:
-        return {"mean": float(np.mean(values)) if len(values) else math.nan, "low": math.nan, "high": math.nan}
-    found = bootstrap_interval(values, np.random.default_rng(0))
-    return {"mean": float(values.mean()), "low": found.low, "high": found.high}
+    return dict(zip(("mean", "low", "high"), common.mean_of(values[np.isfinite(values)]), strict=True))
 
 
 def summarise(rows: dict[str, dict[str, np.ndarray]], reference: str = IDEAL) -> dict[str, dict[str, Any]]:
@@ -415,7 +404,7 @@ def aims(report: dict[str, Any]) -> list[tuple[str, float, float]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--runs", type=int, default=100, help="per world (default 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="of the first run (default 0)")
     parser.add_argument("--worlds", nargs="+", choices=GROUPS, default=list(GROUPS), help="default: all")

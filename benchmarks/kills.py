@@ -13,12 +13,8 @@ and, where a worker was killed, the number of the attempt. Exit code 1 where som
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import argparse
+import os
 import random
 import shutil
 import signal
@@ -28,6 +24,8 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+import common
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -156,7 +154,7 @@ def main(options: argparse.Namespace, home: Path) -> None:
 
 def parsed() -> argparse.Namespace:
     """The options."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--engine", choices=["processes", "ray"], default="processes", help="who the workers are")

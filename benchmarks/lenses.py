@@ -12,17 +12,12 @@ calibration itself states (largest standard deviation).
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import math
 import sys
 import time
 from pathlib import Path
 
+import common
 import cv2
 import numpy as np
 
@@ -79,7 +74,7 @@ def calibration(photograph: np.ndarray, height: int, count: int, turned: bool) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[2] / "shared" / "panoramas")
     parser.add_argument("--height", type=int, default=512)
     parser.add_argument("--turns", type=int, default=8)

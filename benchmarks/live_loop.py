@@ -3,7 +3,6 @@
 python benchmarks/live_loop.py                    # CPU per simulated second, as fast as it goes
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
 python benchmarks/live_loop.py --in-turn          # a picture is searched for one of the targets
-python benchmarks/live_loop.py --real             # the whole loop with threads and a perception's process, in real time
 python benchmarks/live_loop.py --turning          # a camera that turns, in real time: do cones hold the truth?
 python benchmarks/live_loop.py --hours 8 --in-turn   # memory after hour 1 and at the end
 """
@@ -17,7 +16,6 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import argparse
 import resource
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -161,82 +159,6 @@ def memory(hours: float, positions: bool, in_turn: bool) -> None:
         print(f"{first:.1f} MiB after hour 1, {last:.1f} MiB after hour {hours:g}: grown by {last - first:+.1f} MiB")
 
 
-class Camera:
-    """10 pictures a second of nothing, with the noise of a sensor."""
-
-    def __init__(self) -> None:
-        from eagor import ErpGrid
-
-        self.grid, self.latency, self.dropped, self.live = ErpGrid(256, 512), 0.0, 0, True
-        self.over = False
-
-    def __iter__(self):
-        pictures = [np.full((256, 512, 3), grey, np.uint8) for grey in (90, 91)]
-        while not self.over:
-            time.sleep(1 / LOOKS)
-            pictures.reverse()
-            yield Frame(time.time(), pictures[0], "")
-
-    def close(self) -> None:
-        self.over = True
-
-
-class Odometry:
-    """200 poses a second."""
-
-    def __init__(self, positions: bool) -> None:
-        self.positions, self.over = positions, False
-
-    def __iter__(self):
-        began, number = time.time(), 0
-        while not self.over:
-            number += 1
-            time.sleep(max(0.0, began + number / POSES - time.time()))
-            now = time.time()
-            yield replace(pose(now - began, self.positions), stamp=now)
-
-    def close(self) -> None:
-        self.over = True
-
-
-class Seeing:
-    """Sees each thing where it is in the world, at once."""
-
-    takes_pose = True
-
-    def __call__(self, panorama, query, *, stamp=None, world_R_body=None):
-        angle = 2 * np.pi * QUERIES.index(query) / TARGETS
-        seen = np.array([[np.cos(angle), np.sin(angle), 0.0]]) @ (np.eye(3) if world_R_body is None else world_R_body)
-        return Evidence.from_points(seen, scores=np.array([0.9]), stamp=stamp)
-
-
-def real(positions: bool, seconds: float) -> None:
-    from eagor.live.loop import LiveLoop
-
-    loop = LiveLoop(Camera(), Seeing(), QUERIES, poses=Odometry(positions), rate=ANSWERS)
-    began = cpu = None
-    gaps, last = [], None
-    for answer in loop:
-        use(answer)
-        now = time.monotonic()
-        if began is None:
-            if loop.counts.looks > 10 * TARGETS:
-                began, cpu = now, time.process_time()
-            continue
-        if answer.query == QUERIES[0]:
-            gaps += [] if last is None else [now - last]
-            last = now
-        if now - began > seconds:
-            used = time.process_time() - cpu
-            loop.stop()
-    counts = loop.counts
-    print(
-        f"in real time: {100 * used / seconds:.1f} % of one core beside the perception; "
-        f"gaps between answers: median {1e3 * np.median(gaps):.1f} ms, 99 % {1e3 * np.quantile(gaps, 0.99):.1f} ms, "
-        f"longest {1e3 * max(gaps):.1f} ms; {counts.late} of {counts.answers // TARGETS} ticks late"
-    )
-
-
 class Turntable:
     """A camera that turns at `rate` (radians per second): ten pictures a second of a photograph, 480 x 240."""
 
@@ -349,7 +271,6 @@ def main() -> None:
     parser.add_argument("--hours", type=float)
     parser.add_argument("--positions", action="store_true")
     parser.add_argument("--in-turn", action="store_true")
-    parser.add_argument("--real", action="store_true")
     parser.add_argument("--turning", action="store_true")
     parser.add_argument("--runs", type=int, default=4, help="of each kind of turn, with other things and photographs")
     parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
@@ -358,8 +279,6 @@ def main() -> None:
         memory(given.hours, given.positions, given.in_turn)
     elif given.turning:
         turning(given.photographs, given.seconds, given.runs)
-    elif given.real:
-        real(given.positions, given.seconds)
     else:
         cost(given.positions, given.in_turn, given.seconds)
 

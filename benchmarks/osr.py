@@ -29,12 +29,6 @@ With --out each scene's counts are kept as they come, and scenes that are there 
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import itertools
 import json
 import sys
@@ -44,10 +38,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from osr_apartments import views
+
 from eagor.statistics import wilson_interval
-from eagor.tasks.osr.apartments import views
 from eagor.tasks.osr.data import Scene, load
 from eagor.tasks.osr.geometry import FloorLine, Placed, draw
 from eagor.tasks.osr.play import Around, Eagor, laid_out
@@ -61,7 +58,7 @@ SAMPLE_WALLS = FloorLine(np.array([[3.5, 3.0], [-3.5, 3.0], [-3.5, -3.0], [3.5, 
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=2000)
     parser.add_argument("--samples", type=Path)

@@ -48,9 +48,8 @@ from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import ErpGrid
 from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
-from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco import CLASSES
-from eagor.perception.things import Thing
+from eagor.perception.things import Thing, spread_evidence
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.tasks.methods import NAMES, Method, TrackerMethod, make_method
 from eagor.tracking import Estimate, TrackerConfig

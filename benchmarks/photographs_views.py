@@ -40,9 +40,8 @@ from eagor.grids import PerspectiveGrid
 from eagor.media.cutting import cut
 from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
-from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco import CLASSES, coco_detector
-from eagor.perception.things import Thing
+from eagor.perception.things import Thing, spread_evidence
 from eagor.perception.views import Views
 from eagor.sphere import angular_distance, world_R_body
 from eagor.statistics import bootstrap_interval

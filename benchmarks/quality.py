@@ -9,7 +9,7 @@ Two experiments, both synthetic, both with the odometry exact:
 - the walk: 30 steps of 0.25 m past a target at about 4 m, one noisy bearing per step, misses and false alarms.
 
 `--tune` sweeps the settings of every tunable method on the development seeds, the same number of trials each, and
-prints the winners; the defaults of `eagor.baselines` and `eagor.Calibration` come from there. `--split report` uses
+prints the winners; the defaults of `eagor.baselines` come from there. `--split report` uses
 other seeds. Brackets are 95 % bootstrap intervals of the mean over episodes.
 """
 
@@ -33,7 +33,6 @@ from eagor import (
     ErpGrid,
     Evidence,
     PatchGrid,
-    PerspectiveGrid,
     RangedBelief,
     RealHarmonics,
     angular_distance,
@@ -184,7 +183,6 @@ SCENARIOS = (
     Scenario("S7", "S2 for 50 frames", steps=50, clutter=2),
     Scenario("S8", "S2 for 30 frames, the target drifting 6 deg per frame", steps=30, clutter=2, drift=6.0),
 )
-ABSENT = Scenario("S0", "no target, 2 clutter blobs per frame", detection=0.0, clutter=2)
 
 
 @dataclass(frozen=True)
@@ -526,78 +524,6 @@ def tune(episodes: int) -> None:
         print(f"\n{sweep.name}: {len(tried)} settings; mean error (deg), {kind}")
         for error, log, chosen in tried[:5]:
             print(f"  {error:6.2f} {log:7.2f}   " + ", ".join(f"{k} = {v}" for k, v in chosen.items()), flush=True)
-    tune_calibration(episodes)
-
-
-def partial_views(seed: tuple[int, ...], looks: int = 6) -> tuple[list[tuple[np.ndarray, np.ndarray]], Any, np.ndarray]:
-    """A camera of 90 degrees looks in random directions: its turns and responses, its grid, the truth."""
-    rng, grid, pose, frames = np.random.default_rng(seed), PerspectiveGrid(32, 32, math.pi / 2), np.eye(3), []
-    target = _somewhere(rng)
-    for _ in range(looks):
-        before, pose = pose, world_R_body(rng.uniform(-math.pi, math.pi), *rng.normal(0, 0.05, 2))
-        response = rng.uniform(0, 0.02, grid.shape)
-        blobs = [(_jittered(pose.T @ target, 3.0, rng), rng.uniform(0.6, 1))] if rng.random() < 0.8 else []
-        if rng.random() < 0.4:
-            blobs.append((unit(np.array([1, *rng.uniform(-0.8, 0.8, 2)])), rng.uniform(0.2, 0.7)))
-        for centre, amplitude in blobs:
-            bump = amplitude * np.exp((grid.directions @ centre - 1) / math.radians(8) ** 2)
-            response = np.maximum(response, bump)
-        frames.append((pose.T @ before, response.astype(np.float32)))
-    return frames, grid, pose.T @ target
-
-
-def tune_calibration(episodes: int) -> None:
-    """Our calibration as a probability: log scores, coverage, presence, partial views."""
-    base, present, absent = SEEDS["dev"], SCENARIOS[1], ABSENT
-    standing = [(i, [episode(s, (base, i, n)) for n in range(episodes)]) for i, s in enumerate(SCENARIOS)]
-    others = [[episode(s, (base, 50 + k, n)) for n in range(episodes)] for k, s in enumerate((present, absent))]
-    views = [partial_views((base, 60, n)) for n in range(2 * episodes)]
-    print(
-        "\nCalibration of Belief (degree 15, nothing forgotten). Standing: log score, coverage of the 90 % region, and "
-        "without S8.\nPresence: log loss after 1, 3, 10 frames of S2 against clutter alone. Views: log score, coverage."
-        "\nTotal: standing + views - mean presence loss"
-    )
-    table = []
-    for floor, neutral, temperature in itertools.product((0.1, 0.2, 0.4, 1.0), (0.05, 0.1, 0.2), (1, 2, 3, 4)):
-        calibration = Calibration(floor, neutral, float(temperature))
-        ends = [
-            (i, *score(follow(Ours(Belief.uniform(15), calibration), run), run.truth)[1:])
-            for i, g in standing
-            for run in g
-        ]
-        log = np.mean([end[1] for end in ends])
-        cover, still = np.mean([end[2] for end in ends]), np.mean([end[2] for end in ends if end[0] != 7])
-        losses = []
-        for steps in (1, 3, 10):
-            p, q = ([_first(run, steps, calibration).presence() for run in group] for group in others)
-            losses.append(
-                -(np.mean(np.log(np.clip(p, 1e-9, 1))) + np.mean(np.log(np.clip(1 - np.array(q), 1e-9, 1)))) / 2
-            )
-        seen = []
-        for frames, grid, truth in views:
-            found = Ours(Belief.uniform(15))
-            for turn, response in frames:
-                found = found.predict(turn).update(Evidence.from_response(response, grid, calibration))
-            seen.append(score(found, truth)[1:])
-        view_log, view_cover = np.mean([v[0] for v in seen]), np.mean([v[1] for v in seen])
-        total = log + view_log - np.mean(losses)
-        table.append((total, calibration, cover))
-        print(
-            f"  floor {floor:<4} neutral {neutral:<5} temperature {temperature}:"
-            f" standing {log:5.2f} {cover:.2f} {still:.2f}"
-            f"   presence {losses[0]:.2f} {losses[1]:.2f} {losses[2]:.2f}   views {view_log:5.2f} {view_cover:.2f}"
-            f"   total {total:5.2f}",
-            flush=True,
-        )
-    honest = [row for row in table if 0.85 <= row[2] <= 0.95]
-    _, best, cover = max(honest or table, key=lambda row: row[0])
-    print(f"  best total with a coverage of 0.85 to 0.95: {best} ({cover:.2f})")
-
-
-def _first(run: Episode, steps: int, calibration: Calibration) -> Belief:
-    """The belief after the first `steps` frames."""
-    part = replace(run, evidence=run.evidence[:steps], turns=run.turns[:steps])
-    return follow(Ours(Belief.uniform(15), calibration), part).belief
 
 
 def main() -> int:

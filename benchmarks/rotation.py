@@ -12,16 +12,11 @@ camera turns by 4.5 degrees a picture (45 degrees a second at ten pictures).
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import common
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
@@ -34,7 +29,6 @@ from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
 from eagor.media.two_views import turn_between
 from eagor.sphere import world_R_body
-from eagor.statistics import bootstrap_interval
 
 BASIS, SMALL = RealHarmonics(15), ErpGrid(64, 128)
 Answers = list[np.ndarray | None]
@@ -101,7 +95,7 @@ def paths(frames: int, seed: int) -> Iterator[tuple[str, list[np.ndarray]]]:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
@@ -126,8 +120,7 @@ def main() -> None:
         good = [value for value in values if value < 1]
         text = "-"
         if len(good) > 1:
-            interval = bootstrap_interval(good, rng=np.random.default_rng(0))
-            text = f"{np.mean(good):.4f} [{interval.low:.4f}, {interval.high:.4f}]"
+            text = "{:.4f} [{:.4f}, {:.4f}]".format(*common.mean_of(good))
         cost = spent[method] / spent["odometer"]
         print(f"{path:28} {method:24} {text:26} fails {len(values) - len(good)} of {len(values)}   CPU {cost:4.2f} x")
     for rows in (240, 512, 2880):

@@ -10,23 +10,20 @@ without the model of a moving camera, chained), and OpenCV's five-point essentia
 
 "drift": degrees per minute on the way out, as the median over sequences of error / time; nothing was seen twice there.
 "end": the error after the way back, degrees, median, and the worst. "over": share of pictures whose error exceeds three
-times what the odometer says (0.03 for a Gaussian of three equal axes). "lost": sequences with a picture that was lost.
+times what the odometer says (0.03 for a Gaussian of three equal axes). "told": the deviation of the angle that it says
+of the end, degrees, median. "within": share of sequences whose error is within twice of that, on the way out and at the
+end. "lost": sequences with a picture that was lost.
 """
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import common
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -170,19 +167,24 @@ def show(condition: str, field_: float, method: str, found: list[Answers]) -> No
     drift = np.median([each.errors[middle] for each in found]) * 60 / (SECONDS / 2)
     ends = [each.errors[-1] for each in found]
     over = np.mean([np.array(each.errors[1:]) > 3 * np.array(each.spreads[1:]) for each in found])
-    told = f"{over:4.2f}" if method == "odometer" else "   -"
+    told = "over    -  told       -  within    -"
+    if method == "odometer":
+        sigmas = math.sqrt(3) * np.array([[each.spreads[at] for at in (middle, -1)] for each in found])
+        off = np.array([[each.errors[at] for at in (middle, -1)] for each in found])
+        within = np.mean(off <= 2 * sigmas)
+        told = f"over {over:4.2f}  told {np.median(sigmas[:, 1]):7.3f}  within {within:4.2f}"
     lost = sum(each.lost for each in found)
     seconds = np.mean([each.seconds for each in found])
     print(
         f"{condition:22} {field_:4.0f}  {method:23} drift {drift:7.3f}  end {np.median(ends):7.3f}  worst "
-        f"{max(ends):7.3f}  over {told}  lost {lost} of {len(found)}  CPU {seconds:.3f} s",
+        f"{max(ends):7.3f}  {told}  lost {lost} of {len(found)}  CPU {seconds:.3f} s",
         flush=True,
     )
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
     parser.add_argument("--fields", type=float, nargs="+", default=[60.0, 90.0, 120.0])
     parser.add_argument("--walks", type=int, default=4)

@@ -15,14 +15,10 @@ usual intervals are less than the half second that is always allowed, and the ga
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import argparse
 import json
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -33,6 +29,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+import common
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -218,7 +215,7 @@ def tried(rig: Rig, whom: str, frozen: float | None) -> Trial:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--speeds", type=float, nargs="+", default=[0.15, 0.5], help="metres per second")
     parser.add_argument("--seconds", type=float, nargs="*", default=[1.0, 3.0, 8.0], help="for which it is frozen")

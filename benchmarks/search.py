@@ -22,44 +22,49 @@ Brackets are 95 % bootstrap intervals over targets (four starts and all repetiti
 
 from __future__ import annotations
 
-import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
-import argparse
 import json
 import math
 import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
+from PIL import Image
 from scipy.optimize import minimize
 
 from eagor.evidence.calibration import Calibration
+from eagor.grids import ErpGrid
 from eagor.perception.truth import Noise
+from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
-from eagor.tasks.hstar.apartments import spot, write_scene
-from eagor.tasks.hstar.camera import render_view
-from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.tasks.hstar.data import ANNOTATION, STARTS, Episode, open_panorama, read_episodes
 from eagor.tasks.hstar.perception import CALIBRATION, TruthEye, annotated, open_eye
 from eagor.tasks.hstar.play import make_agent, play
+from eagor.tasks.hstar.rules import View, level_of, render_view
 from eagor.tasks.hstar.search import SearchRules
+from eagor.tasks.places import APARTMENT, Place, load_place
+from eagor.tasks.rules import Camera
 
 FIRST = {"dev": 1200, "report": 8600}  # apartment
 LUCK = {"dev": 0, "report": 2_000_000}
 AGENTS = ("eagor", "grid", "sweep", "centroid", "single")
 RESAMPLES = 2000
+ROWS = 128  # of the id image for the boxes: 1.4 degrees
+SMALLEST = 12  # pixels of that image
+HEIGHT = 1.25  # metres of the camera above the floor
+CLEARANCE = 0.4
+TRIES = 8
+MOST = 4  # targets per apartment
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--split", choices=FIRST, default="dev")
     parser.add_argument("--apartments", type=int, default=40)
     parser.add_argument("--looks", type=int, default=2, help="repetitions of every episode with other luck")
@@ -91,11 +96,75 @@ def main() -> int:
     return 0
 
 
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """A camera in an apartment, and the entries of its annotation.json."""
+
+    name: str
+    place: Place
+    position: np.ndarray
+    yaw: float
+    items: tuple[dict[str, Any], ...]
+
+
+def spot(seed: int) -> Spot:
+    """A camera in the apartment of this seed. Things in sight that a query names and that are large become targets."""
+    place = load_place(APARTMENT, seed, Camera().radius)
+    rng = np.random.default_rng([seed, 0x5EA])
+    best = Spot(f"apartment_{seed:04d}", place, np.zeros(3), 0.0, ())
+    for _ in range(TRIES):
+        position = np.array([*place.ground.sample(rng, CLEARANCE), HEIGHT])
+        yaw = float(rng.uniform(-math.pi, math.pi))
+        items = tuple(items_in_sight(place, position, yaw, rng))
+        if len(items) > len(best.items):
+            best = Spot(best.name, place, position, yaw, items)
+        if len(items) == MOST:
+            break
+    return best
+
+
+def write_scene(spot: Spot, folder: Path) -> None:
+    """Write a scene in the published layout, with a grey picture (`truth` reads none); nothing without targets."""
+    if spot.items:
+        target = folder / spot.name
+        target.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (16, 8), (128, 128, 128)).save(target / f"{spot.name}.png")
+        (target / ANNOTATION).write_text(json.dumps(list(spot.items), indent=1) + "\n", encoding="utf-8")
+
+
+def items_in_sight(
+    place: Place, position: np.ndarray, yaw: float, rng: np.random.Generator
+) -> Iterator[dict[str, Any]]:
+    names = place.nameable()
+    ids = place.ids(position, world_R_body(yaw), ROWS)
+    seen = np.bincount(ids[ids >= 0], minlength=len(place.scene.instances))
+    chosen = [index for index in names if seen[index] >= SMALLEST]
+    for index in sorted(rng.permutation(chosen)[:MOST].tolist()):
+        left, right, low, high = box_of(ids == index)
+        item = {"task": f"Find the {names[index]}", "yaw": [left, right], "pitch": [low, high]}
+        levels = [level_of(View(float(start), 0.0), (left, right), (low, high)) for start in STARTS]
+        yield item | {"initial yaw": list(STARTS), "level": levels}
+
+
+def box_of(mask: np.ndarray) -> tuple[float, float, float, float]:
+    """Yaw and pitch ranges, degrees, of the pixels ``(H, W)`` of one thing."""
+    height, width = mask.shape
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    gaps = np.diff(np.append(columns, columns[0] + width))
+    widest = int(gaps.argmax())
+    first, last = columns[(widest + 1) % len(columns)], columns[widest]
+    latitudes, degrees = ErpGrid(height, width).latitudes, 360.0 / width
+    left, right = ((edge * degrees + 180.0) % 360.0 for edge in (first, last + 1))
+    high = math.degrees(latitudes[rows[0]]) + 90.0 / height
+    low = math.degrees(latitudes[rows[-1]]) - 90.0 / height
+    return round(float(left), 2), round(float(right), 2), round(low, 2), round(high, 2)
+
+
 def apartments(folder: Path, first: int, count: int) -> list[Episode]:
     """The episodes of so many apartments."""
     for seed in range(first, first + count):
         if not (folder / "hos_bench" / f"apartment_{seed:04d}").exists():
-            write_scene(spot(seed), folder / "hos_bench", rows=0)
+            write_scene(spot(seed), folder / "hos_bench")
     wanted = {f"apartment_{seed:04d}" for seed in range(first, first + count)}
     return [episode for episode in read_episodes(folder, "hos") if episode.scene in wanted]
 

@@ -2,11 +2,11 @@
 
     python benchmarks/search_looking.py [PANORAMAS] [--apartments 30] [--hfov 90] [--json FILE]
 
-A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows (`eagor.tasks.turning`). A thing
-is found once the answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24 looks the
-search ends; it then counts as 24. Who chooses where to look next: `next`, `Estimate.next_look` with the usual heights
-of things; `follow`, the direction of the estimate; `sweep`, ten views in a fixed order, as in H*Bench; `ring`, four
-views around the horizon.
+A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows (`eagor.cli.demo_looking`). A
+thing is found once the answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24
+looks the search ends; it then counts as 24. Who chooses where to look next: `next`, `Estimate.next_look` with the
+usual heights of things; `follow`, the direction of the estimate; `sweep`, ten views in a fixed order, as in H*Bench;
+`ring`, four views around the horizon.
 
 In the built-in apartments (seeds from 1200 on, which are for development), things that a query names uniquely are
 looked for through `truth`, a detector with moderate noise: 30 % misses, a false alarm in every fifth look, both partly
@@ -27,19 +27,19 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from search import Spot, spot
 
+from eagor.cli.demo_looking import CHOICES, Look, search
 from eagor.evidence import DetectorModel, Evidence
 from eagor.evidence.detections import View
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.media.cutting import cut
 from eagor.media.panorama import read_panorama
-from eagor.perception.blobs import spread_evidence
 from eagor.perception.coco import from_text
+from eagor.perception.things import spread_evidence
 from eagor.perception.truth import TruthPerception
 from eagor.sphere import angular_distance, direction, unit
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.hstar.apartments import Spot, spot
-from eagor.tasks.turning import CHOICES, Look, search
 
 NEAR, MOST = math.radians(15), 24
 STARTS = (0, 90, 180, 270)

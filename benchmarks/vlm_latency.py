@@ -25,12 +25,10 @@ import torch
 import transformers
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 
-from eagor.perception.transformers.attention import Heads
 from eagor.perception.transformers.inference import capturing
 from eagor.perception.transformers.inputs import pictures, typed
-from eagor.perception.transformers.language import LanguageModel
-from eagor.perception.vlm.families import family_of
-from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence
+from eagor.perception.transformers.language import Heads, LanguageModel
+from eagor.perception.vlm import GENERAL, ask_boxes, ask_presence, family_of
 
 # Hidden size, layers, heads, key-value heads, intermediate size; and of the vision tower hidden size, layers, heads,
 # intermediate size. From the published configurations (Bai et al., arXiv 2502.13923, table 1).

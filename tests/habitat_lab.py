@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from eagor.conventions import from_gltf, to_gltf
-from eagor.tasks.episode_files import FileSlot, slot_of
+from eagor.tasks.episodes import FileSlot, slot_of
 from eagor.tasks.places import load_place
 
 CONFIG = "benchmark/nav/objectnav/objectnav_hm3d.yaml"
@@ -216,7 +216,7 @@ def judged(file, walks):
     where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
     stops 1 mm before it (``collisions``, how often that was).
     """
-    from eagor.tasks.episode_files import listed_slots, plan, way_to_goal
+    from eagor.tasks.episodes import listed_slots, plan_listed
     from eagor.tasks.navigation import MapFreeNavigationEnv, score
     from eagor.tasks.rules import Camera, NavigationRules, as_dict, from_dict
 
@@ -227,7 +227,7 @@ def judged(file, walks):
     env = MapFreeNavigationEnv(rules, "discrete", panorama=None, instances=False, camera=Camera())
     for key, slot in slots.items():
         walk = by_slot[key]
-        episode = plan(slot, str(file), env.camera, rules)
+        episode = plan_listed(slot, str(file), env.camera, rules)
         _, info = env.reset(options={"episode": episode})
         for action in walk["actions"]:
             _, _, over, _, info = env.step(action)
@@ -235,7 +235,7 @@ def judged(file, walks):
                 break
         scene = env.place.scene
         path = from_gltf(np.array(walk["path"])) - [0.0, 0.0, scene.zero]
-        distance = float(way_to_goal(env.place, episode).distance(path[-1, :2]))
+        distance = float(env.place.way_to_views(episode.view_points).distance(path[-1, :2]))
         length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         stopped = walk["actions"][-1:] == [STOP]
         apart = float(np.linalg.norm(env.body.xy - path[-1, :2]))

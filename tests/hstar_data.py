@@ -66,7 +66,7 @@ class Scripted:
         self.texts, self.seen = list(texts), []
 
     def __call__(self, messages):
-        from eagor.perception.vlm.prompts import ChatReply
+        from eagor.perception.vlm import ChatReply
 
         self.seen.append(list(messages))
         text = self.texts.pop(0)
@@ -79,7 +79,7 @@ def patient():
     """A model for the command line: turns right twice, then submits where it looks."""
 
     def reply(messages):
-        from eagor.perception.vlm.prompts import ChatReply
+        from eagor.perception.vlm import ChatReply
         from eagor.tasks.hstar.prompts import succeeded
 
         said = messages[-1].text

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+from osr_apartments import conversation
 from PIL import Image
 
-from eagor.tasks.osr.apartments import conversation
 from eagor.tasks.osr.geometry import FloorLine, layout_from
 from eagor.tasks.osr.scoring import grid_of
 from eagor.tasks.osr.sightings import Body, Room, write_room

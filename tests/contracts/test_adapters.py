@@ -8,7 +8,7 @@ import supervision
 import torch
 
 from eagor.errors import ResponseError
-from eagor.perception.adapters import Boxes, boxes_of
+from eagor.perception.views import Boxes, boxes_of
 
 BOXES = np.array([[10.0, 20.0, 30.0, 60.0], [50.0, 10.0, 80.0, 90.0]])
 SCORES = np.array([0.9, 0.25])

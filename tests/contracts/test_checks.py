@@ -25,8 +25,7 @@ from eagor.tasks.checking import check_task
 from eagor.tasks.task import load
 from eagor.worlds.checking import check_world
 from eagor.worlds.painted import EYE, Room, paint, painted_room
-from eagor.worlds.photograph import Photograph
-from eagor.worlds.render import Frame, Renderer
+from eagor.worlds.render import Frame, Photograph, Renderer
 
 sys.path.append(str(Path(__file__).parents[2] / "examples" / "plugin"))
 import eagor_example as example

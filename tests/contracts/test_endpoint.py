@@ -27,7 +27,7 @@ from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, from_text
 from eagor.perception.endpoint.client import retry_after
 from eagor.perception.endpoint.server import ServedChat, chat_from_text
-from eagor.perception.vlm.prompts import IMAGE, Message
+from eagor.perception.vlm import IMAGE, Message
 from eagor.sphere import angular_distance, direction, world_R_body
 
 openai = pytest.importorskip("openai")
@@ -711,6 +711,7 @@ def gemma(tmp_path_factory):
         yield url, str(folder)
 
 
+@pytest.mark.slow
 def test_transformers_serve_gemma3(gemma):
     """It ignores the schema and the wish for probabilities; the box that it writes arrives where it belongs."""
     url, name = gemma
@@ -728,6 +729,7 @@ def test_transformers_serve_gemma3(gemma):
     assert ahead == pytest.approx(math.sin(0.3 * math.pi) ** 2, abs=0.03)
 
 
+@pytest.mark.slow
 def test_transformers_serve_gemma3_is_not_understood_where_it_answers_something_else(gemma):
     url, name = gemma
     with pytest.raises(AnswerError, match=r"answered '\[\[250, 400, 350, 500\]\]'; wanted yes or no"):

@@ -233,7 +233,7 @@ def test_the_ball_goes_where_the_scenario_says():
 
 @pytest.mark.parametrize("task", ["navigation", "waypoint", "tracking"])
 def test_playing_the_same_slot_twice_gives_the_same_record(task):
-    rules = as_dict(SHORT_LEGS) if task == "waypoint" else {}
+    rules = {"waypoint": as_dict(SHORT_LEGS), "tracking": {"steps": 16}}.get(task, {})
     config = {"task": task, "perception": "truth", "camera": {}, "rules": rules, "rows": 32}
     config["disturbances"] = as_dict(Disturbances.walking(latency=2))
     names = ["centroid", "eagor_paper", "particle_filter", "eagor"][: 2 if task == "navigation" else 4]

@@ -135,7 +135,7 @@ def test_steps_stop_at_walls_or_slide(flat):
 
 
 def test_a_stopped_body_can_step_away_from_the_wall_where_habitats_cannot(flat):
-    """Why `steps.stepped` ends a millimetre before the edge. If Habitat's body can leave it one day, that can go."""
+    """Why `stepped` ends a millimetre before the edge. If Habitat's body can leave it one day, that can go."""
     ground, rng, trapped = load_place(f"habitat:{flat}", 0, 0.18).ground, np.random.default_rng(7), 0
 
     def habitats(start, step):

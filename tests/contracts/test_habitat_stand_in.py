@@ -23,11 +23,15 @@ from eagor.tasks.task import load as load_task
 from eagor.worlds.checking import check_world
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import floors, simulator, world
-from eagor.worlds.habitat.options import parse
-from eagor.worlds.habitat.simulator import device_for  # itself: the stand-in puts another one into the module
-from eagor.worlds.habitat.surface import main_storey
-from eagor.worlds.habitat.view import Frames, euclidean
+from eagor.worlds.habitat import simulator, world
+from eagor.worlds.habitat.navmesh import main_storey
+from eagor.worlds.habitat.simulator import (
+    Frames,
+    Source,
+    device_for,  # itself: the stand-in puts another one into the module
+    euclidean,
+)
+from eagor.worlds.habitat.world import parse
 from eagor.worlds.render import Renderer
 
 
@@ -195,8 +199,8 @@ def test_the_mesh_for_a_body_is_habitat_labs(flat, monkeypatch):
         own = PathFinder()
         own.is_loaded, own.nav_mesh_settings = True, type(first)(**vars(first))
         own.nav_mesh_settings.agent_max_climb += change
-        monkeypatch.setattr(floors, "_beside", lambda *_, own=own: own)
-        found, _ = floors.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
+        monkeypatch.setattr(world, "_beside", lambda *_, own=own: own)
+        found = world.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
         assert (found is own) == used
 
 
@@ -281,7 +285,7 @@ def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.delitem(sys.modules, "habitat_sim")
     monkeypatch.setattr(simulator, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"needs Habitat-Sim .* aihabitat .* from the sources"):
-        device_for("scene.glb", "default")
+        device_for(Source("scene.glb"))
 
 
 @pytest.mark.parametrize(
@@ -299,11 +303,11 @@ def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, devi
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delenv(simulator.PROBED, raising=False)
     with pytest.raises(EagorError, match=says) as raised:
-        device_for("scene.glb", "default", device)
+        device_for(Source("scene.glb", gpu=device))
     assert "\n" not in str(raised.value)
 
 
 def test_the_device_comes_from_the_environment(monkeypatch):
     monkeypatch.setenv("EAGOR_HABITAT_GPU", "first")
     with pytest.raises(WorldError, match="wanted the number of a GPU"):
-        device_for("scene.glb", "default")
+        device_for(Source("scene.glb"))

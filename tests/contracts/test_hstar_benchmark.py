@@ -20,18 +20,16 @@ from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.perception.endpoint.server import ServedChat
 from eagor.perception.partial import look_at_view
-from eagor.perception.vlm.prompts import IMAGE, Message
+from eagor.perception.vlm import IMAGE, Message
 from eagor.tasks import benchmark
 from eagor.tasks.hstar import data
 from eagor.tasks.hstar import perception as hstar_perception
 from eagor.tasks.hstar.bench import HOS, HPS
-from eagor.tasks.hstar.camera import View, render_view
 from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
-from eagor.tasks.hstar.lmms import process_results
 from eagor.tasks.hstar.perception import head_of, phrase_of, tag_of, thing_of
 from eagor.tasks.hstar.play import CAUSES, VlmAgent, cause_of, play, work
-from eagor.tasks.hstar.prompts import first_text, system_text
-from eagor.tasks.hstar.rules import window_of
+from eagor.tasks.hstar.prompts import first_text, process_results, system_text
+from eagor.tasks.hstar.rules import View, render_view, window_of
 from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.models import load_chat
 

@@ -18,14 +18,14 @@ from eagor.sphere import rotation
 from eagor.worlds.glb import FOOTING as GLB_FOOTING
 from eagor.worlds.glb import export_glb, import_glb, name_from_nodes
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat_mesh import FOOTING, ON_MESH, footing_of
+from eagor.worlds.habitat_files import FOOTING, ON_MESH, footing_of
 from eagor.worlds.objectnav import (
     Episode,
     Goal,
+    Origin,
     SceneEpisodes,
     check_scene,
     goal_of,
-    origin_of,
     read_episodes,
     write_episodes,
 )
@@ -133,7 +133,7 @@ def test_voxels_of_habitat_lab_end_a_centimetre_above_the_floor(deep):
 
 def test_others_find_named_nodes_with_y_up_beside_a_stage_and_the_settings_of_the_navmesh(tmp_path):
     scene = furnished()
-    path = export_glb(scene, tmp_path / "room.glb", radius=0.2, height=0.9)
+    path = export_glb(scene, tmp_path / "room.glb", radius=0.2)
     model = trimesh.load_scene(path)
     nodes = set(model.graph.nodes_geometry)
     assert {node.split("_m")[0] for node in nodes} >= {"coffee_table_5", "chair_6", "chair_7", "tv_8", "wall_1"}
@@ -150,7 +150,7 @@ def test_others_find_named_nodes_with_y_up_beside_a_stage_and_the_settings_of_th
     assert (stage["render_asset"], stage["up"], stage["front"]) == ("room.glb", [0, 1, 0], [0, 0, -1])
     assert stage["shader_type"] == "flat"
     navmesh = json.loads(path.with_suffix(".navmesh.json").read_text())
-    assert (navmesh["agent_radius"], navmesh["agent_height"]) == (0.2, 0.9)
+    assert (navmesh["agent_radius"], navmesh["agent_height"]) == (0.2, 1.5)
     assert navmesh["cell_size"] == pytest.approx(0.05, rel=1e-5)
     semantic = json.loads(path.with_suffix(".semantic.json").read_text())
     assert semantic["scene_hash"] == scene.hash
@@ -341,7 +341,7 @@ def search(scene, **more):
             euclidean=1.5,
             nearest=nearest,
             room="living room 1",
-            origin=origin_of(scene, ground),
+            origin=Origin(scene.hash, scene.source, ground.radius, ground.cell),
             info={"query": f"the {category}"},
         )
         for number, (category, nearest) in enumerate([("chair", 6), ("tv", 8)])
@@ -355,7 +355,7 @@ def test_episodes_come_back(tmp_path):
     path = write_episodes(tmp_path, "val", [written])
     assert path == tmp_path / "val" / "val.json.gz"
     for file in (path, tmp_path / "val" / "content" / "room.json.gz"):
-        (back,) = read_episodes(file, scene, Ground.from_scene(scene))
+        (back,) = read_episodes(file)
         assert set(back.goals) == {"chair", "tv", "coffee table"}
         for ours, theirs in zip(written.episodes, back.episodes, strict=True):
             mine, yours = dict(vars(ours)), dict(vars(theirs))
@@ -428,15 +428,17 @@ def test_an_episode_of_another_scene_or_body_is_caught(tmp_path):
     moved = scene.vertices.copy()
     moved[-1] += 0.01
     other = Scene(moved, scene.triangles, scene.instance, scene.material, scene.uv, scene.instances, scene.materials)
+    (back,) = read_episodes(path)
+    marked, ground = back.episodes[0], Ground.from_scene(scene)
     with pytest.raises(WorldError, match="made for the scene"):
-        read_episodes(path, other)
+        check_scene(marked, other, ground)
     with pytest.raises(WorldError, match=r"radius 0\.18"):
-        read_episodes(path, scene, Ground.from_scene(scene, radius=0.1))
+        check_scene(marked, scene, Ground.from_scene(scene, radius=0.1))
     imported = import_glb(export_glb(scene, tmp_path / "room.glb"))
     assert imported.hash != scene.hash
-    (back,) = read_episodes(path, imported)
-    check_scene([Episode("x.glb", "chair", np.zeros(3), np.eye(3))], other)  # those of others are not marked
-    assert back.episodes[0].origin.version == "apartment 1 seed 17"
+    check_scene(marked, imported, ground)
+    check_scene(Episode("x.glb", "chair", np.zeros(3), np.eye(3)), other, ground)  # those of others are not marked
+    assert marked.origin.version == "apartment 1 seed 17"
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):

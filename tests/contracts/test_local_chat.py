@@ -11,10 +11,8 @@ from transformers.models.qwen2_vl.image_processing_pil_qwen2_vl import smart_res
 
 from eagor.errors import EagorError, ImageError
 from eagor.media.panorama import resized
-from eagor.perception.transformers import inputs
-from eagor.perception.transformers.chat import LocalChat, conversation
-from eagor.perception.vlm.families import FAMILIES, nearest_size
-from eagor.perception.vlm.prompts import IMAGE, Message
+from eagor.perception.transformers import LocalChat, conversation, inputs
+from eagor.perception.vlm import FAMILIES, IMAGE, Message, nearest_size
 from eagor.tasks.models import load_chat, release, shared_chat
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -18,11 +18,11 @@ import osr_data
 import pytest
 
 from eagor.errors import EagorError, FormatError
-from eagor.perception.vlm.prompts import IMAGE, ChatReply, Message
+from eagor.perception.vlm import IMAGE, ChatReply, Message
 from eagor.tasks.benchmark import check_benchmark, load
+from eagor.tasks.osr.bench import doc_to_text, doc_to_visual, process_results
 from eagor.tasks.osr.data import SUFFIXES
 from eagor.tasks.osr.data import load as load_scenes
-from eagor.tasks.osr.lmms import doc_to_text, doc_to_visual, process_results
 from eagor.tasks.osr.play import Eagor, Majority, Vlm, work
 from eagor.tasks.osr.scoring import DIRECTION, MAP
 from eagor.tasks.osr.sightings import BeliefLooker

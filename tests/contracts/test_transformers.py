@@ -22,8 +22,11 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
-from eagor.perception.transformers import TransformersPerception, family_of, inference, inputs
-from eagor.perception.transformers.attention import (
+from eagor.perception.calibrated import Labelled
+from eagor.perception.transformers import TransformersPerception, conversation, inputs
+from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
+from eagor.perception.transformers.inputs import Block, Layout
+from eagor.perception.transformers.language import (
     Heads,
     densities,
     elbow,
@@ -33,13 +36,8 @@ from eagor.perception.transformers.attention import (
     saturated,
     spatial_entropy,
 )
-from eagor.perception.transformers.chat import conversation
-from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
-from eagor.perception.transformers.inputs import Block, Layout
+from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message
 from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.families import FAMILIES, Account
-from eagor.perception.vlm.labelled import Labelled
-from eagor.perception.vlm.prompts import IMAGE, Message
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS
@@ -269,24 +267,16 @@ def test_layers_that_cannot_be_read_are_refused(random_models):
 # --- inputs that must not be forgotten -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", [one for one in LANGUAGE if family_of({"model_type": one}, "").type_ids])
-def test_forgotten_type_ids_are_caught(random_models, monkeypatch, family):
+@pytest.mark.parametrize("family", ["qwen2_5_vl", "gemma3"])
+def test_forgotten_type_ids_would_give_another_answer(random_models, family):
+    """Of the families that need them, Qwen3-VL complains by itself."""
     language = random_models(family)
     feed, _, _ = whole_feed(language, [noise()], "Is there a red chair?")
-    name, image_token = language.family.type_ids, language.model.config.image_token_id
-    inputs.check_typed(language.family, feed, image_token)
-    bare = {key: value for key, value in feed.items() if key != name}
-    if family != "qwen3_vl":  # which complains by itself; the others give another answer without a word
-        language.model.model.rope_deltas = None
-        with torch.inference_mode():
-            bad, good = (language.model(**one).logits[:, -1] for one in (bare, feed))
-        assert float((bad - good).abs().max()) > 1e-4
-    for wrong in (bare, {**feed, name: torch.zeros_like(feed[name])}, {**feed, name: feed[name][:, 1:]}):
-        with pytest.raises(EagorError, match=rf"{name} (are missing|do not mark)"):
-            inputs.check_typed(language.family, wrong, image_token)
-    monkeypatch.setattr(inference, "typed", lambda *_: {})
-    with pytest.raises(EagorError, match=f"{name} are missing"):
-        perception_of(language).respond(noise(), ["red chair"])
+    bare = {key: value for key, value in feed.items() if key != language.family.type_ids}
+    language.model.model.rope_deltas = None
+    with torch.inference_mode():
+        bad, good = (language.model(**one).logits[:, -1] for one in (bare, feed))
+    assert float((bad - good).abs().max()) > 1e-4
 
 
 def test_the_families_that_need_type_ids_are_known():

@@ -760,7 +760,8 @@ def test_the_demo_tells_of_in_sight_and_hidden_what_is_so():
 
 
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
-    words = ("bench", "run", "tracking", "--episodes", "2", "--seed", "1", "--out", tmp_path / "run")
+    words = ("bench", "run", "tracking", "--episodes", "2", "--seed", "1", "--set", "steps=12")
+    words = (*words, "--out", tmp_path / "run")
     methods = ("--methods", "centroid,eagor_paper", "eagor:degree=7")
     first = answer(*words, *methods)
     assert set(first["methods"]) == {"centroid", "eagor_paper", "eagor:degree=7"}
@@ -792,7 +793,7 @@ def test_of_an_option_with_several_values_all_that_are_given_count():
 
 def test_a_calibration_is_fitted_written_and_taken(room, tmp_path):
     out = tmp_path / "made" / "truth.json"
-    words = ("calibrate", "--perception", "truth", "--episodes", "8", "--trials", "2", "--out", out)
+    words = ("calibrate", "--perception", "truth", "--episodes", "5", "--trials", "1", "--out", out)
     found = answer(*words)
     assert {"floor", "neutral", "temperature", "persistence", "spread"} == set(found["calibration"])
     assert {"wander", "start", "stop", "jump"} == set(found["forgetting"])

@@ -112,6 +112,7 @@ def test_the_checker_finds_what_a_perception_forgets(printed):
     assert numbers(found, " deg off")[0] < 2
 
 
+@pytest.mark.slow  # runs and reports are tried by their commands, too
 def test_a_benchmark_runs_goes_on_and_is_reported(printed):
     lines = printed("07")
     assert lines[0].startswith("3 episodes played; the second time 0, since 3 are recorded")
@@ -126,6 +127,7 @@ def test_a_benchmark_runs_goes_on_and_is_reported(printed):
     assert "Target Direction Estimation: 3 episodes" in page.read_text()
 
 
+@pytest.mark.slow
 def test_a_policy_is_trained_and_measured_against_random_actions(printed):
     pytest.importorskip("stable_baselines3")
     trained, random, gain = printed("08", "--steps", "1024", "--apartments", "2")

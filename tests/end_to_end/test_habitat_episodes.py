@@ -9,7 +9,7 @@ from listed_rooms import exported, rewrite
 
 from eagor.cli import main
 from eagor.evaluation import ledger
-from eagor.tasks.episode_files import listed_slots
+from eagor.tasks.episodes import listed_slots
 from eagor.worlds.habitat import world
 
 

@@ -12,11 +12,11 @@ from eagor.cli import main
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.evaluation import ledger, studies
-from eagor.tasks.episode_files import FileSlot, listed_slots, plan, slot_of, way_to_goal
+from eagor.tasks.episodes import FileSlot, listed_slots, plan_listed, slot_of
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, NavigationRules
-from eagor.worlds.habitat_mesh import ON_MESH
+from eagor.worlds.habitat_files import ON_MESH
 from eagor.worlds.objectnav import read_episodes
 
 
@@ -127,7 +127,7 @@ def planned(file, change=None, number=0):
     if change is not None:
         rewrite(file, change)
     slot = listed_slots("navigation", file, None, "apartment", None)[number]
-    return slot, plan(slot, str(file), Camera(), NavigationRules.objectnav())
+    return slot, plan_listed(slot, str(file), Camera(), NavigationRules.objectnav())
 
 
 def test_an_episode_looks_for_all_things_of_its_category_and_starts_as_the_file_says(file):
@@ -140,7 +140,7 @@ def test_an_episode_looks_for_all_things_of_its_category_and_starts_as_the_file_
     assert np.allclose(episode.start, listed.position[:2])
     assert np.cos(episode.yaw) == pytest.approx(listed.world_R_body[0, 0])
     assert np.sin(episode.yaw) == pytest.approx(listed.world_R_body[1, 0])
-    assert float(way_to_goal(place, episode).distance(episode.start)) == episode.shortest
+    assert float(place.way_to_views(episode.view_points).distance(episode.start)) == episode.shortest
     said = episode.as_json()
     assert said["listed"]["geodesic_distance"] == pytest.approx(episode.shortest, abs=1e-6)
     assert "view_points" not in said
@@ -162,7 +162,7 @@ def test_success_is_strict(file):
 
     left = play(1e-3)["metrics"]["distance_to_goal"]
     place = load_place(slot.world, slot.seed, 0.18)
-    exact = float(way_to_goal(place, planned(file)[1]).distance(np.array(play(1e-3)["path"][-1][:2])))
+    exact = float(place.way_to_views(planned(file)[1].view_points).distance(np.array(play(1e-3)["path"][-1][:2])))
     assert exact == pytest.approx(left, abs=1e-6)
     assert metrics.success([exact], [True], exact)[0] == 0
     assert play(exact - 1e-6)["metrics"]["success"] == 0
@@ -199,8 +199,8 @@ def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
     _, episode = planned(file, lifted)
     (goals,) = content(file)["goals_by_category"].values()
     away = episode.view_points[: len(goals[0]["view_points"]), :2]
-    assert way_to_goal(place, before).distance(away).max() < 0.1
-    assert way_to_goal(place, episode).distance(away).min() > 0.3
+    assert place.way_to_views(before.view_points).distance(away).max() < 0.1
+    assert place.way_to_views(episode.view_points).distance(away).min() > 0.3
     assert len(episode.goals) == 1
 
     def all_lifted(found):

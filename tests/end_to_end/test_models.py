@@ -22,11 +22,11 @@ from eagor.harmonics import RealHarmonics
 from eagor.media.cutting import cut
 from eagor.media.panorama import read_panorama
 from eagor.perception import is_model, load, rows_of, short_name
+from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
 from eagor.perception.partial import look_at_view
 from eagor.perception.transformers import TransformersPerception, loading
 from eagor.perception.transformers.language import LanguageModel
-from eagor.perception.vlm.families import FAMILIES, Checkpoint
-from eagor.perception.vlm.labelled import Labelled, cap_radius, read_labelled
+from eagor.perception.vlm import FAMILIES, Checkpoint
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.tasks.models import shared
 

@@ -13,9 +13,8 @@ import synthetic_runs as runs
 
 from eagor.errors import EagorError, FormatError, WorldError
 from eagor.evaluation.figures import half_width_deg, highest_sidelobe
-from eagor.evaluation.published import FIGURES
 from eagor.evaluation.studies import write_report
-from eagor.evaluation.tables import shown, summarise
+from eagor.evaluation.tables import FIGURES, shown, summarise
 from eagor.tasks.task import load
 from eagor.worlds.render import Frame
 

@@ -30,11 +30,11 @@ def answers(stamp: float, *faults: Fault) -> list[Answer]:
 
 
 def wait_until_drawn(log: LiveLog) -> None:
-    """Until the thread has taken what it was given: answers that come faster are left out, as they should be."""
+    """Until the thread has taken what it was given, or has ended: answers that come faster are left out."""
     done = threading.Event()
     for _ in range(1000):
         with log._turn:
-            if not log._answers:
+            if not log._answers or log.problem is not None:
                 return
         done.wait(0.02)
 

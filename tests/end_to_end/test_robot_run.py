@@ -69,7 +69,8 @@ def test_a_dry_run_moves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(("how", "everyone"), [
-    (signal.SIGINT, True), (signal.SIGKILL, False),
+    (signal.SIGKILL, False),
+    pytest.param(signal.SIGINT, True, marks=pytest.mark.slow),
     pytest.param(signal.SIGINT, False, marks=pytest.mark.slow),
     pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow),
 ])  # fmt: skip
@@ -123,6 +124,7 @@ def test_a_robot_that_is_simulated_elsewhere_is_walked_as_a_real_one(tmp_path):
         robot.stdout.close()
 
 
+@pytest.mark.slow  # the gate and the live loop are tried with looks that do not come, too
 def test_a_perception_that_hangs_stops_the_robot(tmp_path):
     words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "120", "--report", str(tmp_path / "walk"))
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from osr_apartments import LEAST, views, write_scene
 
 from eagor.tasks.benchmark import load
-from eagor.tasks.osr.apartments import LEAST, views, write_scene
 from eagor.tasks.osr.play import work
 
 SEED = 30

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from eagor.errors import WorldError
 from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
-from eagor.worlds.apartment.cells import carve, rooms_of
 from eagor.worlds.apartment.families import FAMILIES
-from eagor.worlds.apartment.furnisher import Furnisher, tell_apart
 from eagor.worlds.apartment.placement import (
+    Furnisher,
     corners,
     distances,
     empty_floor,
@@ -22,8 +21,9 @@ from eagor.worlds.apartment.placement import (
     from_rectangle,
     leaf_footprint,
     overlaps,
+    tell_apart,
 )
-from eagor.worlds.apartment.plans import LINING, OUTSIDE, draw_plan
+from eagor.worlds.apartment.plans import LINING, OUTSIDE, carve, draw_plan, rooms_of
 from eagor.worlds.ground import BESIDE, Ground
 from eagor.worlds.light import mean_colour
 from eagor.worlds.raycast import make_raycaster

@@ -5,16 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from eagor.drawing import charts
+from eagor.drawing import still
 from eagor.errors import EagorError
 
 
 def drawn(monkeypatch, stamps, errors, **how):
     """The matplotlib figure behind the picture, and what is written beside the axes, one text after the other."""
     sheets = []
-    paint = charts.image
-    monkeypatch.setattr(charts, "image", lambda sheet: sheets.append(sheet) or paint(sheet))
-    picture = charts.draw_errors(stamps, errors, width=600, **how)
+    paint = still.image
+    monkeypatch.setattr(still, "image", lambda sheet: sheets.append(sheet) or paint(sheet))
+    picture = still.draw_errors(stamps, errors, width=600, **how)
     assert picture.size == (600, 252)
     (sheet,) = sheets
     return sheet, [text.get_text() for text in sheet.texts]
@@ -43,12 +43,12 @@ def test_one_stamp_is_enough(monkeypatch, errors):
 def test_without_stamps_there_is_nothing_to_draw(stamps):
     for errors in ({}, {"ours": []}, {"ours": [1.0]}):
         with pytest.raises(EagorError, match="no stamps; wanted"):
-            charts.draw_errors(stamps, errors)
+            still.draw_errors(stamps, errors)
 
 
 def test_every_error_needs_its_stamp():
     with pytest.raises(EagorError, match="ours has 3 errors, but there are 2 stamps"):
-        charts.draw_errors([0.0, 0.5], {"ours": [1.0, 2.0, 3.0]})
+        still.draw_errors([0.0, 0.5], {"ours": [1.0, 2.0, 3.0]})
 
 
 def test_methods_that_are_nearly_right_can_be_told_apart_beside_one_that_is_lost(monkeypatch):
@@ -61,15 +61,15 @@ def test_methods_that_are_nearly_right_can_be_told_apart_beside_one_that_is_lost
           for line in axes.lines}  # fmt: skip
     assert at["close"][1, 1] - at["ours"][1, 1] > 0.15
     assert all(0 <= height <= 1 for places in at.values() for height in places[:, 1])
-    assert [line.get_ydata()[-1] for line in axes.lines if line.get_label() == "ours"] == [charts.LEAST]
+    assert [line.get_ydata()[-1] for line in axes.lines if line.get_label() == "ours"] == [still.LEAST]
 
 
 def test_each_way_has_a_map_of_its_own_with_the_first_to_compare(monkeypatch):
     sheets = []
-    paint = charts.image
-    monkeypatch.setattr(charts, "image", lambda sheet: sheets.append(sheet) or paint(sheet))
+    paint = still.image
+    monkeypatch.setattr(still, "image", lambda sheet: sheets.append(sheet) or paint(sheet))
     paths = {name: np.array([[1.0, 1.0], [2.0, 1.0 + k], [3.0, 2.0]]) for k, name in enumerate("abcde")}
-    picture = charts.draw_map(
+    picture = still.draw_map(
         np.zeros((80, 80), bool), np.ones((80, 80), bool), (0, 8, 0, 8), paths, np.array([4, 4, 1])
     )
     assert picture.width == 1200

@@ -62,7 +62,7 @@ def check_good(image):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_alarm_for_turned_photographs(name):
-    for seed in range(3):
+    for seed in range(2):
         turned = turn(room(name), Rotation.random(random_state=seed).as_matrix() if seed else np.eye(3))
         for image in (turned, jpeg(turned), turned[::2, ::2]):
             check_good(np.ascontiguousarray(image))
@@ -72,7 +72,7 @@ def test_no_alarm_for_turned_photographs(name):
 def test_no_alarm_wherever_the_seam_is(name):
     """Wherever the seam is put. Of 2050 places in the photographs and the painted room, none gave an alarm."""
     image = room(name)
-    alarms = [seam_of(np.roll(image, k, axis=1)).visible for k in range(0, 1024, 16)]
+    alarms = [seam_of(np.roll(image, k, axis=1)).visible for k in range(0, 1024, 32)]
     assert not any(alarms)
 
 

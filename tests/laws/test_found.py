@@ -9,7 +9,7 @@ import pytest
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import moments_of
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.perception.blobs import blobs
+from eagor.perception.things import blobs
 from eagor.perception.vlm.answers import Box
 from eagor.perception.vlm.projection import detected, things, united
 from eagor.sphere import angular_distance, direction, world_R_body

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import WorldError
-from eagor.worlds.geodesics import line_is_free
 from eagor.worlds.ground import Ground, touched
 from eagor.worlds.scene import Room
+from eagor.worlds.walkable import Walls
 
 CELL, RADIUS = 0.05, 0.18
 seeds = st.integers(0, 2**32 - 1)
@@ -194,9 +194,9 @@ def test_no_way_leads_through_a_closed_corner():
         end, collided = ground.move([0.56, 0.56], [0.08, 0.08], slide)
         assert collided
         assert (end < 0.6).all()
-    cells = ground.free.astype(np.uint8).tobytes()
-    assert not line_is_free(cells, 24, (11.5, 11.5), (12.5, 12.5))
-    assert line_is_free(cells, 24, (2.5, 2.5), (11.5, 11.5))
+    walls = Walls(ground.free.astype(np.uint8).tobytes(), [], 24)
+    assert not walls.sees((11.5, 11.5), (12.5, 12.5))
+    assert walls.sees((2.5, 2.5), (11.5, 11.5))
     # Open from one side, it is a way.
     ground.free[12, 11] = True
     opened = Ground(np.zeros(2), 0.05, 0.0, 0.0, ground.free, ground.clearance, ground.structure)

@@ -14,11 +14,10 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.perception.truth import Noise
 from eagor.sphere import direction
-from eagor.tasks.hstar.camera import View, inside
 from eagor.tasks.hstar.perception import LENS, TruthEye
-from eagor.tasks.hstar.rules import submit_succeeds
+from eagor.tasks.hstar.rules import View, inside, submit_succeeds
 from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
-from eagor.tasks.searcher import Searcher
+from eagor.tasks.steering import Searcher
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 

@@ -13,12 +13,12 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
-from eagor.tasks.hstar.camera import View
 from eagor.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
 from eagor.tasks.hstar.play import EagorAgent
+from eagor.tasks.hstar.rules import View
 from eagor.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
 from eagor.tasks.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
-from eagor.tasks.searcher import Searcher
+from eagor.tasks.steering import Searcher
 
 TURN = math.radians(30)
 ROWS, HEIGHT = 64, 1.25

@@ -8,7 +8,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from strategies import rotations
 
-from eagor.errors import WorldError
 from eagor.worlds.apartment import mesh as m
 from eagor.worlds.scene import Material
 
@@ -120,13 +119,13 @@ def test_a_pillow_is_closed_and_thickest_in_the_middle(width, height, thickness,
     assert made.high[0] <= thickness / 2 + 1e-6
 
 
-@given(PLACES, LENGTHS, LENGTHS, st.integers(3, 32), st.floats(0.2, 1.5))
-def test_a_cone_frustum_has_the_volume_of_its_polygon(centre, radius, height, sides, taper):
-    made = m.cylinder(centre, radius, height, sides, taper * radius)
+@given(PLACES, LENGTHS, LENGTHS, st.integers(3, 32))
+def test_a_cylinder_has_the_volume_of_its_polygon(centre, radius, height, sides):
+    made = m.cylinder(centre, radius, height, sides)
     polygon = sides / 2 * math.sin(2 * math.pi / sides) * radius**2
     assert is_sound(made)
     assert is_closed(made)
-    assert volume(made) == pytest.approx(polygon * height * (1 + taper + taper**2) / 3, rel=1e-3)
+    assert volume(made) == pytest.approx(polygon * height, rel=1e-3)
     assert made.low[2] == pytest.approx(centre[2], abs=1e-5)
 
 
@@ -159,17 +158,17 @@ def test_a_handle_bent_twice_by_right_angles_is_a_whole_tube():
     assert volume(made) == pytest.approx(4 * math.sin(math.pi / 4) * 1e-4 * 0.7, rel=1e-3)
 
 
-@given(LENGTHS, LENGTHS, st.floats(0.01, 0.5), st.integers(1, 6), st.sampled_from([0, 1, 2]))
-def test_a_prism_has_the_volume_of_its_outline(width, depth, radius, segments, axis):
+@given(LENGTHS, LENGTHS, st.floats(0.01, 0.5), st.integers(1, 6))
+def test_a_prism_has_the_volume_of_its_outline(width, depth, radius, segments):
     outline = m.rounded_rectangle(width, depth, radius, segments)
     x, y = outline.T
     area = 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-    made = m.prism(outline, 0.1, 0.4, axis)
+    made = m.prism(outline, 0.1, 0.4)
     assert 0.5 * width * depth <= area <= width * depth
     assert is_sound(made)
     assert is_closed(made)
     assert volume(made) == pytest.approx(0.3 * area, rel=1e-3)
-    assert (made.low[axis], made.high[axis]) == (pytest.approx(0.1), pytest.approx(0.4))
+    assert (made.low[2], made.high[2]) == (pytest.approx(0.1), pytest.approx(0.4))
 
 
 @given(st.booleans(), st.integers(3, 9), st.integers(2, 7))
@@ -196,12 +195,12 @@ def test_a_slab_is_closed_and_as_thick_as_asked(seed, rows, columns):
     assert made.low[2] < -0.03  # below the sheet, whose outside is where columns x rows points: up
 
 
-@given(rotations(), PLACES, st.sampled_from([0, 1, 2]))
-def test_moving_turning_and_mirroring_keep_volume_and_outside(R, offset, axis):
+@given(rotations(), PLACES)
+def test_moving_turning_and_mirroring_keep_volume_and_outside(R, offset):
     made = m.cushion((0, 0, 0), (0.5, 0.7, 0.2))
     want = volume(made)
     assert volume(m.turned(m.moved(made, offset), R, offset)) == pytest.approx(want, rel=1e-3)
-    assert volume(m.mirrored(m.moved(made, offset), axis)) == pytest.approx(want, rel=1e-3)
+    assert volume(m.mirrored(m.moved(made, offset))) == pytest.approx(want, rel=1e-3)
     both = m.merged(made, m.moved(made, (2, 0, 0)))
     assert is_sound(both)
     assert volume(both) == pytest.approx(2 * want, rel=1e-3)
@@ -211,25 +210,6 @@ def test_a_part_measures_its_texture_in_repeats():
     face = m.quad([(0, 0, 0), (2, 0, 0), (2, 0, 1), (0, 0, 1)])
     assert np.allclose(m.part(face, Material("plain"), 0.5).uv.reshape(-1, 2).max(axis=0), [4, 2])
     assert np.allclose(m.part(face, Material("whole"), (2.0, 1.0)).uv.reshape(-1, 2).max(axis=0), [1, 1])
-
-
-@pytest.mark.parametrize(
-    ("build", "wanted"),
-    [
-        (lambda: m.box((0, 0, 0), (1, 1, 0)), "low"),
-        (lambda: m.bevelled((0, 0, 0), (-1, 1, 1), 0.1), "low"),
-        (lambda: m.lathe([(-1, 0), (1, 1)]), "profile"),
-        (lambda: m.tube([(0, 0, 0), (0, 0, 0)], 0.1), "twice"),
-        (lambda: m.tube([(0, 0, 0), (0, 0, 1), (0, 0, 0)], 0.1), "doubles back"),
-        (lambda: m.tube([(0, 0, 0)], 0.1), "path"),
-        (lambda: m.sheet(np.zeros((1, 3, 3))), "sheet"),
-        (lambda: m.loft(np.zeros((1, 4, 3))), "rings"),
-        (lambda: m.merged(), "at least one"),
-    ],
-)
-def test_what_cannot_be_made_is_named(build, wanted):
-    with pytest.raises(WorldError, match=wanted):
-        build()
 
 
 test_a_tube_keeps_its_thickness_round_bends_and_does_not_twist = settings(max_examples=40)(

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
-from eagor.drawing.charts import CURVES
+from eagor.drawing.still import CURVES
 from eagor.errors import EagorError, TimeError
 from eagor.evaluation.charts import STYLES
 from eagor.evaluation.page import DARK, LIGHT

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from osr_apartments import counting, direction, distance, mapping
 
 from eagor.errors import DirectionError, FormatError
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.tasks.osr import direction_label, distance_label, lenient, score, score_map, swapped
-from eagor.tasks.osr.apartments import counting, direction, distance, mapping
 from eagor.tasks.osr.data import read
 from eagor.tasks.osr.geometry import (
     MARGIN,

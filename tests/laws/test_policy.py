@@ -8,7 +8,7 @@ from box_scenes import scene_of, shell, thing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.tasks.policy import Policy
+from eagor.tasks.steering import Policy
 from eagor.worlds.ground import Ground
 
 STEP = 0.25

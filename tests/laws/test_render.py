@@ -373,28 +373,6 @@ def test_a_folder_that_cannot_be_written_is_a_warning(tmp_path):
         assert renderer.panorama(EYE, np.eye(3), 4).rgb is not None
 
 
-def test_a_full_disk_is_a_warning_and_leaves_nothing(tmp_path, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(np, "savez_compressed", full)
-    with pytest.warns(UserWarning, match="No space left"):
-        light_of(bare(), Lattice.of(bare()), cache=tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_interrupt_leaves_nothing_behind(tmp_path, monkeypatch):
-    def interrupted(out, **_):
-        out.write(b"half of it")
-        assert [path.suffix for path in tmp_path.iterdir()] == [".part"]  # nothing that others would read
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(np, "savez_compressed", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        light_of(bare(), Lattice.of(bare()), cache=tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_workers_that_light_the_same_scene_at_once_do_not_disturb_each_other(tmp_path):
     together = threading.Barrier(4)
 

@@ -401,3 +401,24 @@ def test_a_narrow_field_asks_for_more_than_being_near():
         area = float(grid.weights.sum())
         old, new = (grid.unproject(*random.uniform(0, (40, 30), (60, 2)).T) for _ in range(2))
         assert turn_between(old, new, area=area) is None
+
+
+@pytest.mark.parametrize(("step", "moving"), [(0.0, 0.0), (0.3, 0.0), (0.0, 0.45)])
+def test_a_narrow_field_is_unsure_where_a_step_or_things_that_move_may_look_like_a_turn(step, moving):
+    errors, doubts = [], []
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        grid = PerspectiveGrid(36, 64, math.radians(60))
+        rays = grid.directions.reshape(-1, 3)[random.permutation(36 * 64)[:300]]
+        things = rays * random.uniform(2, 4, (300, 1))
+        truth = world_R_body(math.radians(5))
+        after = things - step * np.array([0.6, 0.8, 0.0])
+        along = rays[:, 1] > np.quantile(rays[:, 1], 1 - moving)
+        after[along] = after[along] @ world_R_body(math.radians(4)).T
+        new = noisy(random, after / np.linalg.norm(after, axis=1, keepdims=True), NOISE / 8) @ truth
+        found = turn_between(rays, new, area=float(grid.weights.sum()))
+        assert found is not None
+        errors.append(gap(found.old_R_new, truth))
+        doubts.append(math.degrees(math.hypot(found.doubt, math.sqrt(np.trace(found.covariance)))))
+    assert np.mean(np.array(errors) <= 2 * np.array(doubts)) >= 5 / 6
+    assert max(doubts) < 0.3 if not (step or moving) else np.median(doubts) > 1.0

@@ -12,10 +12,9 @@ from eagor.sphere import world_R_body
 from eagor.tasks.floor_map import CELL, CONTACT, FLOOR, UNKNOWN, FloorMap
 from eagor.tasks.navigation import undone
 from eagor.tasks.places import Place, in_view
-from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.tasks.search_space import LEAST, Chance, SearchedGround, SteeringInput
-from eagor.tasks.searcher import Approach, Searcher, seeking, steering_for
+from eagor.tasks.steering import Approach, Policy, Searcher, seeking, steering_for
 from eagor.tracking import TrackerConfig
 from eagor.worlds.ground import Ground
 from eagor.worlds.render import Renderer

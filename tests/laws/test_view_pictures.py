@@ -59,6 +59,22 @@ def test_the_mark_is_where_the_camera_sees_the_answer(grid):
     assert f"{100 * estimate.sureness:.0f} %" in [text.get_text() for text in scene._view.texts]
 
 
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (1280, 720), (1260, 540), (360, 640), (2000, 500)])
+def test_the_picture_fills_its_place_and_nothing_overlaps(width, height):
+    """It is at the top, as large as leaves a legible panorama beside or below it; both keep their shape."""
+    grid, painter = PerspectiveGrid(height, width, math.radians(80)), StepPainter(1280)
+    (left, top, wide, high), (x, y, small, low) = painter._scene.viewed()._layout(grid)
+    place = painter._scene.place
+    assert top == place[1]
+    assert wide / high == pytest.approx(width / height, rel=0.01)
+    assert wide > 0.9 * min(place[2], place[3] * width / height)
+    assert small // 2 == low
+    assert small >= 0.16 * place[2]
+    assert x >= left + wide or y >= top + high
+    assert x + small <= place[2]
+    assert max(y + low, top + high) <= place[1] + place[3]
+
+
 @given(st.floats(-math.pi, math.pi), st.floats(-1.4, 1.4))
 @settings(max_examples=60)
 def test_the_arrow_at_the_edge_leads_along_the_great_circle(azimuth, elevation):

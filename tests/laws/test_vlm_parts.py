@@ -16,10 +16,9 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.media.cutting import cut, tangent_views
 from eagor.media.panorama import resized
+from eagor.perception.vlm import GENERAL, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence, values
-from eagor.perception.vlm.families import exact_size, style_of
 from eagor.perception.vlm.projection import drawn, filled, framed, lift
-from eagor.perception.vlm.prompts import GENERAL, ask_boxes, ask_presence, boxes_schema
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 
 SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "unit": (1, 1)}  # across, down

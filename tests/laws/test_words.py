@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import QueryError
-from eagor.perception.synonyms import GROUPS, IRREGULAR, KIN, WIDER
-from eagor.perception.words import meant, plain, singular
+from eagor.perception.words import GROUPS, IRREGULAR, KIN, WIDER, meant, plain, singular
 from eagor.queries import SYNONYMS
 
 _COCO = """

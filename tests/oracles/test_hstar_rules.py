@@ -20,8 +20,7 @@ from eagor.tasks.hstar import (
     submit_succeeds,
     window_of,
 )
-from eagor.tasks.hstar.camera import inside, visible_share, without_cross
-from eagor.tasks.hstar.rules import FORMS, read_action, turned
+from eagor.tasks.hstar.rules import FORMS, inside, read_action, visible_share, without_cross
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 SUBMIT, PARSE = SHARED / "conformance_hstar_submit.json", SHARED / "conformance_hstar_parse.json"
@@ -145,8 +144,8 @@ def test_items_that_are_none_are_refused():
 
 
 def test_the_camera_turns_all_the_way_around_and_stops_at_the_poles():
-    assert turned(350, 80, Action("rotate", 30, 30)) == (20, 90)
-    assert turned(10, -80, Action("rotate", -30, -30)) == (340, -90)
+    assert View(350, 80).after(Action("rotate", 30, 30)) == View(20, 90)
+    assert View(10, -80).after(Action("rotate", -30, -30)) == View(340, -90)
 
 
 def reference(image, yaw, pitch, rows):

@@ -15,9 +15,8 @@ from vlm_models import language_model, make
 
 from eagor.errors import EagorError
 from eagor.perception import load
-from eagor.perception.transformers import inputs
-from eagor.perception.transformers.chat import conversation
-from eagor.perception.vlm.prompts import Message
+from eagor.perception.transformers import conversation, inputs
+from eagor.perception.vlm import Message
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

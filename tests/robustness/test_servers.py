@@ -32,8 +32,8 @@ from eagor.perception import load, short_name
 from eagor.perception.endpoint import EndpointPerception
 from eagor.perception.endpoint.client import place_of
 from eagor.perception.endpoint.server import ServedChat
+from eagor.perception.vlm import Message
 from eagor.perception.vlm.answers import parse_boxes, parse_presence
-from eagor.perception.vlm.prompts import Message
 
 pytest.importorskip("openai")
 
@@ -165,7 +165,7 @@ def test_ctrl_c_ends_a_silent_call(how):
         # What is started in the background of a shell ignores Ctrl-C.
         "import signal, sys, numpy as np\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from eagor.perception.endpoint import EndpointPerception\n"
-        "from eagor.perception.endpoint.server import ServedChat\nfrom eagor.perception.vlm.prompts import Message\n"
+        "from eagor.perception.endpoint.server import ServedChat\nfrom eagor.perception.vlm import Message\n"
         f"try:\n    {asked[how]}\nexcept KeyboardInterrupt:\n    sys.exit(130)\n"
     )
     came = threading.Event()

@@ -10,7 +10,7 @@ from PIL import Image
 
 from eagor._csv import as_csv
 from eagor.cli import main
-from eagor.drawing.charts import draw_errors
+from eagor.drawing.still import draw_errors
 from eagor.evaluation import export, ledger
 from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.worlds.painted import painted_room

@@ -17,11 +17,10 @@ from eagor.evaluation import ledger, predictions
 from eagor.evaluation.labelled_looks import read_truth
 from eagor.evidence import Evidence
 from eagor.media.pose_files import read_poses
-from eagor.perception.calibrated import Calibrated, read_calibrated
+from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
-from eagor.perception.transformers.attention import read_heads
-from eagor.perception.vlm.labelled import labelled_lines, read_labelled
+from eagor.perception.transformers.language import read_heads
 from eagor.sphere import world_R_body
 
 POSES = [

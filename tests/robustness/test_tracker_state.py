@@ -256,7 +256,7 @@ def test_a_look_before_all_poses_is_placed_by_the_first_and_stays_there():
 
 def test_looks_in_the_worst_order_are_bounded_too():
     tracker = DirectionTracker(LIGHT)
-    for number in range(4 * MOMENTS):
+    for number in range(2 * MOMENTS):
         stamp = 1 + number / 1000 if number % APART == 0 else 0.9 + number / 10000
         with contextlib.suppress(TimeError):  # too late by then
             tracker.observe(look(stamp))

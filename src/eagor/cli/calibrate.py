@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from eagor.evaluation.detector_fit import DetectorFit
     from eagor.evaluation.detector_unlabelled import UnlabelledFit
     from eagor.evaluation.labelled_looks import LabelledLook, Pose
-    from eagor.perception.calibrated import Calibrated
-    from eagor.perception.vlm.labelled import Labelled
+    from eagor.perception.calibrated import Calibrated, Labelled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -352,7 +351,7 @@ def heads(options: Calibrate) -> int:
     """``eagor calibrate heads``."""
     from eagor.media.panorama import read_panorama
     from eagor.perception import is_model, load, short_name
-    from eagor.perception.vlm.labelled import labelled_lines, read_labelled
+    from eagor.perception.calibrated import labelled_lines, read_labelled
 
     name = options.perception or "scout"
     if min(options.episodes, options.take) < 1:

@@ -22,7 +22,7 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
 from eagor.evaluation import traces
 from eagor.evaluation.page import rendered
-from eagor.evaluation.published import OURS
+from eagor.evaluation.tables import OURS
 from eagor.metrics import angular_error_deg
 from eagor.perception import load, rows_of
 from eagor.sphere import direction

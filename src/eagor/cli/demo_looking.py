@@ -1,9 +1,13 @@
-"""``eagor demo --photo --hfov``: an ordinary camera searches a photograph by turning, and so do two others."""
+"""``eagor demo --photo --hfov``: an ordinary camera searches a photograph by turning, and so do two others.
+
+The body stays level and turns its heading; the camera is tilted on it. A tracker follows all looks. Who chooses
+where it looks next is one of `CHOICES`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,13 +26,86 @@ from eagor.media.panorama import turn
 from eagor.perception import Perception, look, short_name
 from eagor.perception.partial import look_at_view
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
-from eagor.tasks.turning import CHOICES, PRESENT, LookTaken, search
-from eagor.tracking import DirectionTracker
+from eagor.tasks.hstar.play import SWEEP
+from eagor.tracking import DirectionTracker, Estimate, Heights, TurningCamera
 
 OURS, SHOWN = "next", ("next", "follow", "sweep")
 MOST = 16  # looks
 AROUND = (0, 20, 40, 60)  # degrees: headings of the looks all around, to which the answers are compared
 WIDTH, RATIO = 640, 4 / 3  # of the camera's pictures
+PRESENT = 0.9  # presence from which on a search is sure
+SECONDS = 1.0  # between looks
+
+Heading = tuple[float, float]  # azimuth, positive left, and elevation, degrees, world frame
+Look = Callable[[np.ndarray, PerspectiveGrid, float], Evidence]  # the body's pose, the view in the body, the time
+
+
+@dataclass(frozen=True, eq=False)
+class LookTaken:
+    """One look: the body's orientation ``(3, 3)``, the pixels of the camera, and the estimate after it."""
+
+    world_R_body: np.ndarray
+    grid: PerspectiveGrid
+    estimate: Estimate
+
+    @property
+    def sure(self) -> bool:
+        """Whether a direction is known and the thing is likely here."""
+        return self.estimate.direction is not None and self.estimate.presence > PRESENT
+
+
+Choice = Callable[[LookTaken, TurningCamera, int, float], Heading]
+
+
+def _next_look(last: LookTaken, camera: TurningCamera, number: int, start: float) -> Heading:
+    toward = last.estimate.next_look(camera, Heights(), last.grid.body_R_view).direction
+    return _heading(last, toward)
+
+
+def _follow(last: LookTaken, camera: TurningCamera, number: int, start: float) -> Heading:
+    known = last.estimate.direction
+    return _heading(last, last.grid.body_R_view[:, 0] if known is None else known)
+
+
+def _sweep(last: LookTaken, camera: TurningCamera, number: int, start: float) -> Heading:
+    yaw, pitch = SWEEP[number % len(SWEEP)]
+    return start - yaw, pitch
+
+
+def _ring(last: LookTaken, camera: TurningCamera, number: int, start: float) -> Heading:
+    return start - 90.0 * number, 0.0
+
+
+CHOICES: dict[str, tuple[Choice, str]] = {
+    "next": (_next_look, "looks where a look is expected to tell most"),
+    "follow": (_follow, "looks where the estimate points"),
+    "sweep": (_sweep, "ten views in a fixed order: around the horizon, below it, above it; then again"),
+    "ring": (_ring, "four views around the horizon, again and again"),
+}
+
+
+def search(look: Look, choice: str, view: PerspectiveGrid, most: int, start: float = 0.0) -> Iterator[LookTaken]:
+    """At most so many looks for one thing, one a second; `choice` is one of `CHOICES`, and `view` looks forward.
+
+    The first look is level and at the azimuth `start` (degrees). Raises what `look` raises, and `GridError` for a view
+    that `TurningCamera` refuses.
+    """
+    camera = TurningCamera.of_view(view)
+    tracker, heading = DirectionTracker(), (start, 0.0)
+    for number in range(1, most + 1):
+        stamp, pose = SECONDS * number, world_R_body(math.radians(heading[0]))
+        grid = replace(view, body_R_view=world_R_body(0.0, -math.radians(heading[1])))
+        tracker.add_pose(stamp, pose)
+        tracker.observe(look(pose, grid, stamp))
+        taken = LookTaken(pose, grid, tracker.estimate(stamp))
+        yield taken
+        heading = CHOICES[choice][0](taken, camera, number, start)
+
+
+def _heading(last: LookTaken, toward: np.ndarray) -> Heading:
+    """In the world, to whole degrees."""
+    azimuth, elevation = np.degrees(azimuth_elevation(last.world_R_body @ toward))
+    return float(round(float(azimuth))), float(round(float(elevation)))
 
 
 @dataclass(frozen=True, eq=False)

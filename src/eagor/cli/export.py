@@ -68,7 +68,7 @@ _SEEDS = re.compile(r"(\d+)(?:-(\d+))?")
 def habitat(options: ExportHabitat) -> int:
     """``eagor export habitat``."""
     from eagor.worlds.habitat_dataset import export_dataset
-    from eagor.worlds.habitat_mesh import WITHOUT, mesh_writer
+    from eagor.worlds.habitat_files import WITHOUT, mesh_writer
 
     sources, mesh = sources_of(options.scenes), mesh_writer()
     with terminal.progress("export", len(sources)) as advance:

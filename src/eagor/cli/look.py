@@ -58,8 +58,7 @@ def look(options: Look) -> int:
     """Run the command; returns its exit code."""
     from eagor._files import Lines
     from eagor.media.posed_frames import ahead
-    from eagor.perception.footage import HiddenParts
-    from eagor.perception.looks import first_line, looked_at
+    from eagor.perception.footage import HiddenParts, first_line, looked_at
 
     queries = checked_queries(options.queries)
     check_not_read(options.out, "--out", [*options.places, Path(options.poses)])

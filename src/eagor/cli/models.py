@@ -19,7 +19,7 @@ from eagor.perception.coco import CLASSES, COCO, MODELS, Model, install, model_n
 
 if TYPE_CHECKING:
     from eagor.perception.coco import Model
-    from eagor.perception.vlm.families import Checkpoint
+    from eagor.perception.vlm import Checkpoint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +176,7 @@ def this_machine() -> Machine:
 
 def report(here: Machine) -> dict[str, Any]:
     """For ``--json``: the machine, the families with their checkpoints and where they run, and what to install."""
-    from eagor.perception.vlm.families import FAMILIES
+    from eagor.perception.vlm import FAMILIES
 
     families = [
         {
@@ -197,7 +197,7 @@ def report(here: Machine) -> dict[str, Any]:
 
 def lines(here: Machine) -> list[tuple[str, str]]:
     """For the terminal: labels and texts."""
-    from eagor.perception.vlm.families import FAMILIES
+    from eagor.perception.vlm import FAMILIES
 
     gpus = ", ".join(f"{name} with {memory:.0f} GB" for name, memory in here.gpus) or "no GPU"
     memory = "memory unknown" if here.memory is None else f"{here.memory:.0f} GB"

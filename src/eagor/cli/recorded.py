@@ -11,8 +11,7 @@ from eagor.cli import terminal
 from eagor.cli.options import Common, given
 
 if TYPE_CHECKING:
-    from eagor.perception.footage import HiddenParts
-    from eagor.perception.looks import ThingSeen
+    from eagor.perception.footage import HiddenParts, ThingSeen
     from eagor.perception.replay import ReplayPerception
     from eagor.tracking.config import TrackerConfig
 
@@ -32,7 +31,7 @@ def recorded(options: Common, places: Sequence[Path]) -> ReplayPerception | None
     """
     if len(places) != 1 or places[0].suffix.lower() != ".jsonl":
         return None
-    from eagor.perception.looks import about
+    from eagor.perception.footage import about
     from eagor.perception.replay import ReplayPerception
 
     replay = ReplayPerception(places[0])
@@ -50,7 +49,7 @@ def recorded(options: Common, places: Sequence[Path]) -> ReplayPerception | None
 
 def list_seen(options: Common, replay: ReplayPerception, config: TrackerConfig, hidden: HiddenParts, modes: int) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
-    from eagor.perception.looks import about, asked_for, things_seen
+    from eagor.perception.footage import about, asked_for, things_seen
 
     if wrong := given(options, _OF_ONE):
         raise terminal.UsageError(f"--{wrong[0]} is for one question: eagor track {replay.name} QUERY --{wrong[0]}")
@@ -85,7 +84,7 @@ def _line(thing: ThingSeen, begins: float) -> str:
 
 
 def _entry(thing: ThingSeen, modes: int) -> dict[str, Any]:
-    from eagor.perception.looks import NEAR
+    from eagor.perception.footage import NEAR
 
     near = round(math.degrees(NEAR))
     about = {"query": thing.query, **thing.estimate.as_dict(modes, near)}

@@ -244,7 +244,7 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
 
 def _of_looks(replay: ReplayPerception) -> Journey:
     """The journey that a file of looks holds: no pictures, and the poses as they were when it was made."""
-    from eagor.perception.looks import about, recorded_frames
+    from eagor.perception.footage import about, recorded_frames
 
     frames, footage = recorded_frames(replay), about(replay)
     looks = [each for each in frames if each.frame is not None]
@@ -256,7 +256,7 @@ def _of_looks(replay: ReplayPerception) -> Journey:
 
 
 def _seen_by(replay: ReplayPerception) -> str:
-    from eagor.perception.looks import about
+    from eagor.perception.footage import about
 
     return about(replay).perception
 

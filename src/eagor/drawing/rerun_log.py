@@ -17,9 +17,8 @@ from typing import Any, Self
 import numpy as np
 
 from eagor._extras import need
-from eagor.drawing.mosaic import Mosaic
 from eagor.drawing.panorama import BEHIND, Heat, arrow, backdrop, heat_of, places, worth_an_arrow
-from eagor.drawing.view import edge, heat_in_view, lines_in_view, outline_of, place_in_view
+from eagor.drawing.view import Mosaic, edge, heat_in_view, lines_in_view, outline_of, place_in_view
 from eagor.drawing.words import answer_in_words, sureness
 from eagor.errors import EagorError, StorageError
 from eagor.grids import ErpGrid, PerspectiveGrid

@@ -1,4 +1,4 @@
-"""Still pictures of beliefs: one, or several in panels."""
+"""Still pictures: beliefs over panoramas, errors over time, paths on a map."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.posterior import Readable
-from eagor.drawing.mosaic import Mosaic
 from eagor.drawing.panorama import backdrop, heat_of, paint_marks
-from eagor.drawing.sheet import DESIGN, INK, WORDS, blank, figure, ground, image, over, plain
-from eagor.drawing.view import ViewScene
+from eagor.drawing.sheet import DESIGN, GRID_LINE, INK, QUIET, WORDS, blank, figure, ground, image, over, plain
+from eagor.drawing.view import Mosaic, ViewScene
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
@@ -172,3 +171,157 @@ def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
 
 def _degrees(angles: Sequence[int]) -> list[str]:
     return [f"{a:+d}°" if a else "0°" for a in angles]
+
+
+# --- errors over time, and paths on a map -----------------------------------------------------------------------------
+
+CURVES = (
+    "#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24", "#1565c0",
+)  # fmt: skip
+LEAST = 0.5  # degrees: less than the width of anything that is looked for
+TICKS = (0.5, 1, 2, 5, 10, 20, 50, 100, 180)
+AROUND = 1.2  # metres of the plan around all paths
+PANELS = 4  # maps in a row
+
+
+def draw_errors(
+    stamps: Sequence[float],
+    errors: Mapping[str, Sequence[float | None]],
+    shaded: Sequence[tuple[float, float, str]] = (),
+    title: str = "",
+    width: int = 1200,
+) -> Image:
+    """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
+
+    The axis is logarithmic, so that methods that are nearly right can be told apart beside one that is lost. Errors
+    below 0.5 degrees are drawn at 0.5. A method with fewer values than stamps ended earlier; one without values is
+    listed with a dash. None and NaN leave a gap in the curve. `shaded` marks intervals: begin, end, and label.
+
+    Raises `EagorError` without stamps, and for a method with more values than there are stamps.
+    """
+    if not len(stamps):
+        raise EagorError("there are no stamps; wanted the time of at least one step, and the errors of each method")
+    curves = {name: np.array(values, dtype=np.float64) for name, values in errors.items()}
+    for name, values in curves.items():
+        if len(values) > len(stamps):
+            raise EagorError(
+                f"{name} has {len(values)} errors, but there are {len(stamps)} stamps; wanted a stamp for each error"
+            )
+    known = {name: values[np.isfinite(values)] for name, values in curves.items()}
+    sheet = figure(width, round(width * 0.42))
+    axes = sheet.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
+    highest = max((float(values.max()) for values in known.values() if len(values)), default=180.0)
+    highest = next((tick for tick in TICKS[3:] if tick >= highest), TICKS[-1])
+    least = min((float(values.min()) for values in known.values() if len(values)), default=LEAST)
+    lowest = max(tick for tick in TICKS if tick <= max(min(least, highest / 10), LEAST))
+    for begin, end, what in shaded:
+        axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
+        middle, place = (begin + end) / 2, axes.get_xaxis_transform()
+        axes.text(middle, 0.975, what, ha="center", va="top", fontsize=9, color=QUIET, transform=place)
+    ends = []
+    for index, (name, values) in enumerate(curves.items()):
+        colour, first = CURVES[index % len(CURVES)], index == 0
+        axes.plot(
+            stamps[: len(values)],
+            np.maximum(values, LEAST),
+            color=colour,
+            linewidth=3 if first else 1.4,
+            zorder=5 if first else 3,
+            marker="o" if len(values) == 1 else None,  # a line needs two
+            label=name,
+        )
+        mean = float(known[name].mean()) if len(known[name]) else math.inf
+        ends.append((mean, name, colour, first))
+    if stamps[0] < stamps[-1]:
+        axes.set_xlim(stamps[0], stamps[-1])
+    axes.set_yscale("log")
+    axes.set_ylim(lowest, highest)
+    ticks = [tick for tick in TICKS if lowest <= tick <= highest]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_yticks([], minor=True)
+    axes.set_xlabel("time (s)", color=INK)
+    axes.set_ylabel("direction error (degrees, log scale)", color=INK)
+    axes.grid(color=GRID_LINE, linewidth=0.8)
+    plain(axes)
+    sheet.text(0.06, 0.935, title, fontsize=13, color=INK, weight="bold")
+    sheet.text(0.77, 0.925, "mean error over the run", fontsize=9.5, color=QUIET)
+    for row, (mean, name, colour, first) in enumerate(sorted(ends, key=lambda end: end[0])):
+        y = 0.86 - 0.07 * row
+        weight = "bold" if first else "normal"
+        sheet.text(0.77, y, "■", color=colour, fontsize=12, va="center")
+        sheet.text(0.79, y, name, color=INK, fontsize=10.5, va="center", weight=weight)
+        said = f"{mean:.1f}°" if mean < math.inf else "–"
+        sheet.text(0.985, y, said, color=INK, fontsize=10.5, va="center", ha="right", weight=weight)
+    return image(sheet)
+
+
+def draw_map(
+    walls: np.ndarray,
+    free: np.ndarray,
+    extent: tuple[float, float, float, float],
+    paths: Mapping[str, np.ndarray],
+    target: np.ndarray,
+    width: int = 1200,
+) -> Image:
+    """Paths on a floor plan from above, a panel for each: x to the right, y up, the part of the plan around all paths.
+
+    The first path is drawn into the other panels too, dashed, to compare with.
+
+    Args:
+        walls: ``(rows, cols)`` bool, row 0 at the lowest y: cells of the building.
+        free: ``(rows, cols)`` bool: walkable cells; cells that are neither are furniture, or out of reach.
+        extent: x0, x1, y0, y1 of the two rasters, metres.
+        paths: positions ``(n, 2)`` by name, all from the same start.
+        target: position of the target ``(2,)`` or ``(3,)``.
+        width: of the picture in pixels.
+    """
+    from matplotlib import patheffects
+
+    shade = np.full((*walls.shape, 3), 0.93)
+    shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
+    shade[~walls & ~free] = (0.87, 0.85, 0.81)
+    (left, right), (bottom, top) = _around([*(path[:, :2] for path in paths.values()), np.reshape(target[:2], (1, 2))])
+    columns = min(PANELS, len(paths))
+    rows = math.ceil(len(paths) / columns)
+    edge, gap, head, foot = 44, 14, 26, 66  # pixels beside, between, above and below the panels
+    wide = (width - edge - gap * columns) / columns
+    high = wide * (top - bottom) / (right - left)
+    height = round(rows * (head + high) + foot)
+    sheet = figure(width, height)
+    first, *_ = paths
+    halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
+    for index, (name, path) in enumerate(paths.items()):
+        row, column = divmod(index, columns)
+        x, y = edge + column * (wide + gap), height - (row + 1) * (head + high)
+        axes = sheet.add_axes((x / width, y / height, wide / width, high / height))
+        axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
+        axes.set_xlim(left, right)
+        axes.set_ylim(bottom, top)
+        colour = CURVES[index % len(CURVES)]
+        axes.set_title(name, loc="left", fontsize=11, color=INK, weight="bold" if name == first else "normal", pad=5)
+        axes.plot(*path[:, :2].T, color=colour, linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")
+        if name != first:
+            style = {"color": CURVES[0], "linewidth": 1.5, "zorder": 5, "linestyle": (0, (3, 2))}
+            axes.plot(*paths[first][:, :2].T, label=f"way of {first}", **style)
+        axes.plot(*path[0, :2], "o", color=INK, markersize=8, zorder=6, linestyle="none", label="start")
+        axes.plot(*path[-1, :2], "s", mfc=colour, mec="white", mew=1.2, markersize=9, zorder=7)
+        axes.plot([], [], "s", color=QUIET, markersize=8, linestyle="none", label="where it ended")
+        axes.plot(*target[:2], "*", color="#c8201f", markersize=17, mec="white", mew=1.2, zorder=6, linestyle="none",
+                  label="target")  # fmt: skip
+        plain(axes)
+        axes.tick_params(labelbottom=index + columns >= len(paths), labelleft=column == 0)
+        if column == 0:
+            axes.set_ylabel("y (m)", color=INK)
+        if index + columns >= len(paths):
+            axes.set_xlabel("x (m)", color=INK, labelpad=2)
+    found = dict(zip(*reversed(sheet.axes[-1].get_legend_handles_labels()), strict=True))
+    sheet.legend(found.values(), found.keys(), loc="lower center", ncols=len(found), frameon=False, fontsize=10)
+    return image(sheet)
+
+
+def _around(points: Sequence[np.ndarray]) -> np.ndarray:
+    """The part of the plan around these points ``(n, 2)``: lowest and highest x, then y; not too narrow for a panel."""
+    every = np.concatenate(points)
+    low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
+    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2
+    return np.stack([low - lacking, high + lacking], axis=1)

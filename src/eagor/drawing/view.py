@@ -2,7 +2,8 @@
 
 Where the answer is in view it is marked there, with the border of its region. Where it is not, an arrow at the edge
 points to it and says how far it is, and how sure. A small panorama beside it shows the whole belief over what was
-looked at so far, in the body's axes of now, with the outline of the view. One look tells "behind you, to the left".
+looked at so far (`Mosaic`), in the body's axes of now, with the outline of the view. One look tells "behind you, to the
+left".
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor.drawing.mosaic import Mosaic
 from eagor.drawing.panorama import (
     BEHIND,
     OURS,
@@ -29,7 +29,7 @@ from eagor.drawing.panorama import (
     outline,
     paint_marks,
     worth_an_arrow,
-)  # fmt: skip
+)
 from eagor.drawing.sheet import DESIGN, FAINT, WORDS, family
 from eagor.drawing.timeline import COLOURS, SIDES
 from eagor.drawing.words import answer_in_words, sureness
@@ -42,14 +42,70 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["ViewScene", "edge", "heat_in_view", "lines_in_view", "outline_of", "place_in_view"]
+__all__ = ["Mosaic", "ViewScene", "edge", "heat_in_view", "lines_in_view", "outline_of", "place_in_view"]
 
-SHARE = 0.66  # of the scene's width: the most that the picture takes
+ROWS = 240
+FINE = 1.5  # pixels of a picture per cell: a finer one is shrunk first, by areas
+LEAST = 0.17  # of the scene's width: what a small panorama needs at least
 GAP = 14 / DESIGN  # of the scene's width, around the small panorama
 SMALL = 0.6  # of markers and lines, on the small panorama
 ALONG = 24  # points along each side of the outline
 NO_SHRINK = {"shrinkA": 0, "shrinkB": 0}  # of an arrow, at its ends
 MARGIN = 0.035  # of the picture's smaller side, between an arrow at the edge and the edge
+
+
+# --- what a camera has shown so far -----------------------------------------------------------------------------------
+
+
+class Mosaic:
+    """The pictures of a camera that turns, in the axes of the world; a newer picture covers older ones.
+
+    `colours` ``(rows, 2 rows, 3)`` uint8; `seen` ``(rows, 2 rows)``: which of its cells any picture has shown.
+    """
+
+    def __init__(self, rows: int = ROWS) -> None:
+        self._grid = ErpGrid(rows, 2 * rows)
+        self.colours = np.zeros((*self._grid.shape, 3), dtype=np.uint8)
+        self.seen = np.zeros(self._grid.shape, dtype=bool)
+
+    @property
+    def share(self) -> float:
+        """The share of the sphere that was shown, 0 to 1."""
+        return float(np.sum(self.seen * self._grid.weights)) / (4 * math.pi)
+
+    def add(self, picture: np.ndarray, grid: PerspectiveGrid, world_R_body: np.ndarray) -> None:
+        """Paste a picture ``(h, w, 3)`` uint8, whose pixels `grid` describes, taken with this orientation."""
+        from PIL import Image
+
+        height = min(grid.height, math.ceil(FINE * self._grid.height / math.pi * grid.height / grid.focal))
+        width = max(1, round(grid.width * height / grid.height))
+        if (height, width) != picture.shape[:2]:
+            small = Image.fromarray(np.ascontiguousarray(picture)).resize((width, height), Image.Resampling.BOX)
+            picture = np.asarray(small)
+        # Only what is nearer to the axis than the farthest corner can be in the picture.
+        corners = grid.unproject(np.array([0.0, grid.width] * 2), np.array([0.0, 0.0, grid.height, grid.height]))
+        axis = grid.body_R_view[:, 0]
+        near = self._grid.directions @ (world_R_body @ axis) >= min(float((corners @ axis).min()) - 0.02, 1.0)
+        x, y, inside = grid.project(self._grid.directions[near] @ world_R_body)
+        column = (x[inside] * (width / grid.width)).astype(int).clip(0, width - 1)
+        row = (y[inside] * (height / grid.height)).astype(int).clip(0, height - 1)
+        rows, columns = (index[inside] for index in np.nonzero(near))
+        self.colours[rows, columns] = picture[row, column]
+        self.seen[rows, columns] = True
+
+    def seen_from(self, world_R_body: np.ndarray, unseen: tuple[int, int, int]) -> np.ndarray:
+        """The panorama ``(rows, 2 rows, 3)`` uint8 in the axes of a body with this orientation, with holes `unseen`."""
+        x, y, _ = self._grid.project(_directions(self._grid) @ world_R_body.T.astype(np.float32))
+        row = y.astype(int).clip(0, self._grid.height - 1)
+        column = x.astype(int) % self._grid.width
+        found = self.colours[row, column]
+        found[~self.seen[row, column]] = unseen
+        return found
+
+
+@lru_cache(maxsize=2)
+def _directions(grid: ErpGrid) -> np.ndarray:
+    return grid.directions.astype(np.float32)
 
 
 # --- where things are in the picture ----------------------------------------------------------------------------------
@@ -213,20 +269,30 @@ class ViewScene:
         self.clear()
         self._mark_around(estimate, heat, grid, truth, others, modes)
         self._mark_view(estimate, heat, grid, view[2:], truth, others, modes)
-        self._say(estimate, around)
+        self._say(estimate, view, around)
         return self._view
 
     def _layout(self, grid: PerspectiveGrid) -> tuple[tuple[int, int, int, int], tuple[int, int, int, int]]:
-        """Left, top, width and height, pixels, of the picture and of the small panorama; moves the axes there."""
+        """Left, top, width and height, pixels, of the picture and of the small panorama; moves the axes there.
+
+        The picture is as large as leaves a place for the small panorama: beside it, or below one that is very wide.
+        """
         left, top, width, height = self._place
-        gap = round(GAP * width)
+        gap, least = round(GAP * width), round(LEAST * width)
         ratio = grid.width / grid.height
-        wide = min(round(SHARE * width), round(height * ratio))
+        beside = min(width - least - 2 * gap, round(height * ratio))
+        below = min(width, round((height - least // 2 - 2 * gap) * ratio))
+        wide = max(beside, below)
         high = min(height, round(wide / ratio))
-        view = left, top + (height - high) // 2, wide, high
-        free = width - wide - 2 * gap
-        small = min(free, height)  # leaves half of the height to the words
-        around = left + wide + gap + (free - small) // 2, max(top + gap, view[1]), small, small // 2
+        if beside >= below:
+            view = left, top, wide, high
+            free = width - wide - 2 * gap
+            small = min(free, height)  # leaves half of the height to the words
+            around = left + wide + gap + (free - small) // 2, top + gap, small, small // 2
+        else:
+            view = left + (width - wide) // 2, top, wide, high
+            small = 2 * (height - high - 2 * gap)
+            around = view[0], top + high + gap, small, small // 2
         for axes, (x, y, w, h) in ((self._view, view), (self._around, around)):
             axes.set_position(self._share(x, y, w, h))
         self._view.set_xlim(0, 1)
@@ -291,23 +357,33 @@ class ViewScene:
             va=va, path_effects=outline(3.5), zorder=8, linespacing=1.15,
         )  # fmt: skip
 
-    def _say(self, estimate: Estimate, around: tuple[int, int, int, int]) -> None:
-        """The answer in words, below the small panorama."""
+    def _say(self, estimate: Estimate, view: tuple[int, int, int, int], around: tuple[int, int, int, int]) -> None:
+        """The answer in words, below the small panorama, or right of one that is below the picture."""
         left, top, width, height = around
-        scale = self._place[2] / DESIGN
+        scale, foot = self._place[2] / DESIGN, self._place[1] + self._place[3] - 12 / DESIGN * self._place[2]
+        if top >= view[1] + view[3]:
+            left, width = left + width + round(GAP * self._place[2]), view[2] - width
+            downs, foot = (0, 48), top + height
+        else:
+            top, downs = top + height, (14, 66)
         said = answer_in_words(estimate) if estimate.direction is not None else "direction not known"
-        columns = max(12, int(width / (10.5 * scale)))
+        columns = max(12, int(width / (11.5 * scale)))
         if len(said) > columns:  # where the height begins
             said = "\n".join(textwrap.fill(part, columns) for part in said.rsplit(", ", 1))
         self._words.set_text(said)
         self._sure.set_text(sureness(estimate) if estimate.direction is not None else "")
         self._sure.set_color(COLOURS[estimate.status])
-        self._looked.set_text(f"looked at {100 * self.mosaic.share:.0f} % of all directions")
-        for text, down in ((self._sure, 14), (self._words, 66)):
-            x, y, _, _ = self._share(left, top + height + down * scale, 0, 0)
-            text.set_position((x, y))
-        x, y, _, _ = self._share(left, self._place[1] + self._place[3] - 12 * scale, 0, 0)
-        self._looked.set_position((x, y))
+        self._looked.set_text(
+            textwrap.fill(
+                f"looked at {100 * self.mosaic.share:.0f} % of all directions", max(12, int(width / (7 * scale)))
+            )
+        )
+        for text, y in (
+            (self._sure, top + downs[0] * scale),
+            (self._words, top + downs[1] * scale),
+            (self._looked, foot),
+        ):
+            text.set_position(self._share(left, y, 0, 0)[:2])
 
 
 def wipe(axes: Axes) -> None:

@@ -15,8 +15,7 @@ from eagor.evaluation.workers import Outcome, Unit, carry_out
 from eagor.perception import rows_of
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks import task as tasks
-from eagor.tasks.episode_files import listed_slots, scene_files
-from eagor.tasks.episodes import Slot, slots
+from eagor.tasks.episodes import Slot, listed_slots, scene_files, slots
 from eagor.tasks.methods import NAMES, ORACLE, fitted, make_method
 from eagor.tasks.models import shared
 from eagor.tasks.places import APARTMENT, DEVELOPMENT
@@ -32,7 +31,7 @@ class Run:
 
     `rows` of the panoramas; None: what the perception works at. `calibrated`: how our tracker reads and forgets; None:
     as the perception and the tracker have it. `episodes_file`: play what this file lists
-    (`eagor.tasks.episode_files`), in scenes below the folder `scenes`; then `episodes` None means all of them, and
+    (`eagor.tasks.episodes`), in scenes below the folder `scenes`; then `episodes` None means all of them, and
     `seed` nothing.
     """
 

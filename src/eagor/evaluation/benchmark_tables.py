@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from eagor.evaluation.page import NOTHING, Box, Row, Sheet, box, number, span
-from eagor.evaluation.published import FAILURE_TAGS, FIGURES, OURS
 from eagor.evaluation.samples import Record, cause_of, clustered, failures, finished, mean_intervals, sample, wilson
-from eagor.evaluation.tables import headed
+from eagor.evaluation.tables import FAILURE_TAGS, FIGURES, OURS, headed
 from eagor.statistics import calibration_error, reliability
 from eagor.tasks.benchmark import Benchmark, Figure
 

@@ -13,8 +13,7 @@ from eagor.evaluation import benchmark_tables, export, ledger
 from eagor.evaluation.benchmark_tables import OURS, labels_of
 from eagor.evaluation.charts import Curve, Series, line_chart
 from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, lines_of
-from eagor.evaluation.record_shapes import checked, published
-from eagor.evaluation.samples import LEVEL, RESAMPLES, computing_time
+from eagor.evaluation.samples import LEVEL, RESAMPLES, checked, computing_time, published
 from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
 from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options

@@ -10,10 +10,9 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.evaluation.export import words
 from eagor.evaluation.page import in_columns, span
-from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import FEW, Measured, Record, case_of, gap, lowest_p, played_by, sample
 from eagor.evaluation.study import LoadedRun
-from eagor.evaluation.tables import headed, shown
+from eagor.evaluation.tables import OURS, headed, shown
 from eagor.statistics import mcnemar
 
 SAME = "scene_hash", "query", "targets", "stratum"  # of an episode: whether two runs have played the same one

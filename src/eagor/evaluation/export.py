@@ -13,8 +13,8 @@ from eagor._csv import as_csv
 from eagor._files import written
 from eagor._parquet import as_parquet
 from eagor.evaluation.page import Box, Sheet
-from eagor.evaluation.published import compared_with
 from eagor.evaluation.samples import Record, case_of, finished, group_of
+from eagor.evaluation.tables import compared_with
 from eagor.tasks.benchmark import Case
 from eagor.tasks.task import load
 

@@ -16,8 +16,8 @@ import numpy as np
 from eagor.evaluation import traces
 from eagor.evaluation.charts import Curve, Series, line_chart, look_of
 from eagor.evaluation.page import Folded, Heading, Part, Pictures, Row, Section, Sheet, Text, box
-from eagor.evaluation.published import OURS, PAPERS, RESOLUTION_DEG, RIVALS, degree_of, is_rival, ordered, varied_by
 from eagor.evaluation.samples import Record, method_names
+from eagor.evaluation.tables import OURS, PAPERS, RESOLUTION_DEG, RIVALS, degree_of, is_rival, ordered, varied_by
 from eagor.tasks.task import Task
 
 _ANGLES = np.linspace(0.0, math.pi, 36001)  # 0.005 degrees apart

@@ -24,10 +24,10 @@ from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections, bump_norms, tangent_frames
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid
+from eagor.perception.calibrated import Labelled, cap_radius
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.records import words_of
 from eagor.perception.replay import ReplayPerception
-from eagor.perception.vlm.labelled import Labelled, cap_radius
 from eagor.sphere import angular_distance, check_rotation, direction, unit, world_R_body
 from eagor.tasks.episodes import Slot
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, Place, load_place

@@ -18,8 +18,8 @@ from scipy import ndimage
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import WorldError
 from eagor.evaluation.charts import blank, colour_of, finished, look_of, style_of
-from eagor.evaluation.published import OURS, is_rival, ordered
 from eagor.evaluation.samples import Record, played_by
+from eagor.evaluation.tables import OURS, is_rival, ordered
 from eagor.tasks.floor_map import CELL, FLOOR, FloorMap
 from eagor.tasks.search_space import looked_along
 

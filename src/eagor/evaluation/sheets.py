@@ -9,9 +9,24 @@ from typing import Any
 from eagor.evaluation import traces
 from eagor.evaluation.figures import half_width_deg, highest_sidelobe
 from eagor.evaluation.page import Box, Row, Sheet, box, span
-from eagor.evaluation.published import FIGURES, OURS, PAPERS, RIVALS, degree_of, is_ablation, is_rival, varied_by
 from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, sample
-from eagor.evaluation.tables import SIGNIFICANT, best, corrected, headed, mark, shown, shown_columns
+from eagor.evaluation.tables import (
+    FIGURES,
+    OURS,
+    PAPERS,
+    RIVALS,
+    SIGNIFICANT,
+    best,
+    corrected,
+    degree_of,
+    headed,
+    is_ablation,
+    is_rival,
+    mark,
+    shown,
+    shown_columns,
+    varied_by,
+)
 from eagor.tasks.task import Column, load
 
 DAGGER = {"-": "†", "+": "‡", "": ""}

@@ -12,12 +12,10 @@ from eagor.errors import EagorError
 from eagor.evaluation import export, figures, scenes, sheets, tables
 from eagor.evaluation.charts import legend
 from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
-from eagor.evaluation.published import OURS, PAPERS, is_ablation, is_rival, ordered
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
-from eagor.evaluation.tables import shown
-from eagor.tasks.episode_files import slot_of
-from eagor.tasks.episodes import PER_PLACE, Slot
+from eagor.evaluation.tables import OURS, PAPERS, is_ablation, is_rival, ordered, shown
+from eagor.tasks.episodes import PER_PLACE, Slot, slot_of
 from eagor.tasks.methods import TrackerMethod
 from eagor.tasks.play import Player, Seen
 from eagor.tasks.rules import Camera, from_dict

@@ -1,7 +1,7 @@
 """The studies that there are, simulated tasks and benchmarks; a run as its folder tells it; the report of runs.
 
 A report is report.html (one file that needs nothing else), tables.md and tables.csv. Every number in them comes from
-the runs' records or from `eagor.evaluation.published`.
+the runs' records or from `eagor.evaluation.tables`.
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ def inputs_of(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _episodes(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     """Of the files that list episodes their content, of the scenes (gigabytes) names and sizes."""
-    from eagor.tasks.episode_files import listed_slots, scene_files
+    from eagor.tasks.episodes import listed_slots, scene_files
 
     scenes = Path(settings["scenes"]) if settings.get("scenes") else None
     slots = listed_slots(settings["task"], file, None, settings["world"], scenes)

@@ -58,11 +58,21 @@ class Turned:
 
 @dataclass(frozen=True, eq=False)
 class _Key:
-    """A frame to compare with: its views, its pose, the covariance ``(3, 3)`` of the pose (world axes)."""
+    """A frame to compare with: its views, its pose, the covariance ``(3, 3)`` of the pose (world axes).
+
+    `doubt`: deviation of the pose's angle because models may be wrong (`Turn.doubt`), radians. Those of the turns that
+    lead here are added, not their squares: a camera that walks is misled in the same way at each step.
+    """
 
     views: Views
     world_R_body: np.ndarray
     covariance: np.ndarray
+    doubt: float = 0.0
+
+    @lazy
+    def error(self) -> float:
+        """The expected square of the pose's angle of error, radians squared."""
+        return float(np.trace(self.covariance)) + self.doubt**2
 
     @lazy
     def corners(self) -> tuple[np.ndarray, ...]:
@@ -144,7 +154,7 @@ class VisualOdometer:
         """What is said of a picture that was found."""
         self._learn(now, stamp)
         self._previous, self._held = now, 0
-        return Turned(now.world_R_body, self._spread(now.covariance), False, int(turn.inliers.sum()))
+        return Turned(now.world_R_body, self._spread(now), False, int(turn.inliers.sum()))
 
     def _check_kind(self, grid: PerspectiveGrid | None) -> None:
         """Raise `ImageError` for a panorama among ordinary pictures, or the other way round."""
@@ -217,11 +227,11 @@ class VisualOdometer:
         assert self._previous is not None
         pose = self._expected(stamp)
         slack = SLACK * _angle(self._previous.world_R_body, pose)
-        now = _Key(views, pose, self._previous.covariance + slack**2 * np.eye(3))
+        now = _Key(views, pose, self._previous.covariance + slack**2 * np.eye(3), self._previous.doubt)
         if len(views.features) >= FEWEST and not self._overlapping(views, stamp):
             self._add_key(now)
             self._anchors[views.lens] = now
-        return Turned(pose, self._spread(now.covariance), False, 0)
+        return Turned(pose, self._spread(now), False, 0)
 
     def _hold(self) -> Turned:
         """The last known rotation; the camera may go on turning as fast as it did."""
@@ -230,7 +240,7 @@ class VisualOdometer:
         most = _UNKNOWN_YAW if self.level else _UNKNOWN
         axes = 1 if self.level else 3
         rate = math.sqrt(self._squares / self._steps / axes) if self._steps else most
-        spread = math.hypot(self._spread(self._previous.covariance), rate * self._held)
+        spread = math.hypot(self._spread(self._previous), rate * self._held)
         return Turned(self._previous.world_R_body, min(spread, most), False, 0)
 
     def _found(self, views: Views, stamp: float) -> tuple[_Key, Turn, float] | None:
@@ -239,7 +249,7 @@ class VisualOdometer:
         indices: dict[int, None] = {}
         if near:
             self._turn = (self._turn + 1) % len(near)
-            surest = min(near, key=lambda index: np.trace(self._keys[index].covariance))
+            surest = min(near, key=lambda index: self._keys[index].error)
             indices = dict.fromkeys((self._reference, near[0], surest, near[self._turn]))
         results = {index: self._compared(self._keys[index], views, stamp) for index in indices}
         agreed = {index: result for index, result in results.items() if result is not None}
@@ -248,7 +258,7 @@ class VisualOdometer:
             clearest = max(agreed.values(), key=lambda result: result[1].inliers.sum())
             most = _share(clearest[1], views.features)
             alike = [index for index, result in agreed.items() if _alike(clearest[0], result[0])]
-            self._reference = min(alike, key=lambda index: np.trace(agreed[index][0].covariance))
+            self._reference = min(alike, key=lambda index: agreed[index][0].error)
             best = agreed[self._reference]
         if best is None and self._previous is not None:
             best = self._compared(self._previous, views, stamp)
@@ -327,14 +337,15 @@ class VisualOdometer:
             self._squares += float(self._step @ self._step)
             self._steps += 1
 
-    def _spread(self, covariance: np.ndarray) -> float:
-        return math.sqrt(float(np.trace(covariance)) / (1 if self.level else 3))
+    def _spread(self, key: _Key) -> float:
+        most, axes = (_UNKNOWN_YAW, 1) if self.level else (_UNKNOWN, 3)
+        return min(math.sqrt(key.error / axes), most)
 
 
 def _placed(key: _Key, views: Views, turn: Turn) -> _Key:
     """A picture that has turned since a key frame."""
     covariance = key.covariance + key.world_R_body @ turn.covariance @ key.world_R_body.T
-    return _Key(views, key.world_R_body @ turn.old_R_new, covariance)
+    return _Key(views, key.world_R_body @ turn.old_R_new, covariance, key.doubt + turn.doubt)
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> float:
@@ -350,4 +361,5 @@ def _share(turn: Turn, features: Features) -> float:
 def _alike(a: _Key, b: _Key) -> bool:
     """Whether two poses differ by no more than their uncertainties explain."""
     gap = Rotation.from_matrix(a.world_R_body @ b.world_R_body.T).as_rotvec()
-    return float(gap @ np.linalg.pinv(a.covariance + b.covariance) @ gap) < _CONSISTENT
+    doubt = (a.doubt**2 + b.doubt**2) / 3 * np.eye(3)
+    return float(gap @ np.linalg.pinv(a.covariance + b.covariance + doubt) @ gap) < _CONSISTENT

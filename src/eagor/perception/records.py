@@ -14,18 +14,19 @@ from typing import Annotated, Any, Literal, TextIO
 import msgspec
 import numpy as np
 from msgspec import Meta
+from scipy.special import expit
 
+from eagor.conventions import rotation_from_wxyz
 from eagor.errors import FormatError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.media.pose_files import FramePose
-from eagor.perception.adapters import Boxes
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
-from eagor.perception.views import Seen, combined
+from eagor.perception.views import Boxes, Seen, combined
 from eagor.perception.words import RELATIONS, meant
-from eagor.sphere import direction, rotation, world_R_body
+from eagor.sphere import direction, world_R_body
 
 KINDS = ("boxes", "points", "response", "views")
 APART = 1.0  # seconds: lines of one look that lie farther apart are taken for a mistake
@@ -441,8 +442,7 @@ def _rotation(told: Mapping[str, float], name: str) -> np.ndarray:
     wxyz = np.array([told[key] for key in _TURN])
     length = float(np.linalg.norm(wxyz))
     need(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), f"1 (a rotation, {name})")
-    sine = float(np.linalg.norm(wxyz[1:]))
-    return rotation(wxyz[1:], 2 * math.atan2(sine, wxyz[0])) if sine > 0 else np.eye(3)
+    return rotation_from_wxyz(wxyz)
 
 
 def _box(box: tuple[float, float, float, float], height: int, width: int, panorama: bool) -> list[float]:
@@ -462,19 +462,14 @@ def _response(response: _Response, logits: bool) -> np.ndarray:
     wrong = [] if logits else [value for value in response.values if not 0 <= value <= 1]
     need(not wrong, "values", wrong[:3], _VALUES)
     table = np.array(response.values, dtype=np.float64).reshape(shape)
-    return (_squashed(table) if logits else table).astype(np.float32)
+    return (expit(table) if logits else table).astype(np.float32)
 
 
 def _probabilities(items: Sequence[_Box] | Sequence[_Point], logits: bool) -> np.ndarray:
     """The scores of boxes or points ``(n,)`` in [0, 1]; 1 where there is none."""
     for item in items:
         need(logits or item.score is None or 0 <= item.score <= 1, "score", item.score, _SCORE)
-    return np.array([1.0 if item.score is None else _squashed(item.score) if logits else item.score for item in items])
-
-
-def _squashed(logits: Any) -> Any:
-    """1 / (1 + exp(-x)), without overflow."""
-    return 1 / (1 + np.exp(-np.clip(logits, -500, 500)))
+    return np.array([1.0 if item.score is None else expit(item.score) if logits else item.score for item in items])
 
 
 def _plain(value: Any) -> Any:

@@ -1,35 +1,51 @@
 """Which classes of a detector a query means: articles, plurals, compounds, other names, wider words.
 
 A detector with a closed set of classes knows no colours and no relations: a query with one is refused, and the noun
-alone is suggested. `eagor.perception.views` takes colours, and weighs boxes by them. The tables are in
-`eagor.perception.synonyms`.
+alone is suggested. `eagor.perception.views` takes colours, and weighs boxes by them. The tables are in words.toml.
 """
 
 from __future__ import annotations
 
 import difflib
 import re
+import tomllib
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from importlib.util import find_spec
+from pathlib import Path
 
 from eagor._extras import how_to_install
 from eagor.errors import QueryError
 from eagor.perception.colour import COLOURS as SHADES
 from eagor.perception.colour import is_colour
-from eagor.perception.synonyms import (
-    DESCRIBING,
-    DRINKING,
-    GROUPS,
-    IRREGULAR,
-    KIN,
-    OPENERS,
-    OTHER_THINGS,
-    WIDER,
-)  # fmt: skip
 from eagor.queries import COLOURS
 
 __all__ = ["for_any_words", "meant", "plain", "singular"]
+
+_TABLES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+
+
+def _lines(table: str) -> list[str]:
+    return _TABLES[table].strip().splitlines()
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(","))
+
+
+GROUPS = tuple(map(_names, _lines("groups")))  # names of one thing
+OTHER_THINGS = frozenset(_lines("other_things"))  # not what their last word is
+OPENERS, DESCRIBING = frozenset(_TABLES["openers"].split()), frozenset(_TABLES["describing"].split())
+DRINKING: list[str] = _TABLES["drinking"].split()
+IRREGULAR: dict[str, str] = _TABLES["irregular"]
+# What the thing is among classes that are finer, or coarser, than the word.
+WIDER: dict[str, tuple[str, ...]] = {wide: _names(kinds) for wide, kinds in _TABLES["wider"].items()} | {
+    narrow: (wide,) for wide, words in _TABLES["narrower"].items() for narrow in words.split()
+}
+KIN: dict[str, tuple[str, ...]] = {}  # for errors: classes of the same kind, by words that no class may fit
+for _classes, _, _words in (line.partition(": ") for line in _lines("kin")):
+    for _word in _words.split():
+        KIN[_word] = (*KIN.get(_word, ()), *_names(_classes))
 
 _COLOURS = {*COLOURS, *SHADES}
 _PLACES = """

@@ -17,9 +17,8 @@ import numpy as np
 from eagor._files import written
 from eagor._version import __version__
 from eagor.drawing.page import as_address
-from eagor.drawing.robot_lines import MODES, Plan, Sample, map_of, time_lines
 from eagor.drawing.step import ScenePainter
-from eagor.drawing.timeline import Thinned
+from eagor.drawing.timeline import MODES, Plan, Sample, Thinned, map_of, time_lines
 from eagor.robots.safety.gate import Mode
 from eagor.tracking.estimate import Estimate
 

@@ -48,7 +48,7 @@ from eagor.studio.steps import calibration_of, small_jpeg
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking.config import TrackerConfig
-from eagor.worlds.photograph import Photograph
+from eagor.worlds.render import Photograph
 
 __all__ = ["ROWS", "Reel", "serve"]
 

@@ -16,8 +16,8 @@ from eagor.studio.messages import LATE, SEED, rounded
 from eagor.tasks import navigation
 from eagor.tasks.episodes import PER_PLACE, Slot
 from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.policy import Policy
 from eagor.tasks.rules import Camera, NavigationRules
+from eagor.tasks.steering import Policy
 from eagor.worlds.scene import STRUCTURE, Instance
 from eagor.worlds.walkable import Walkable
 

@@ -19,10 +19,10 @@ from eagor._json import parsed
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.simulated import player_of
 from eagor.evaluation.study import LoadedRun
+from eagor.evaluation.tables import OURS
 from eagor.live.core import LiveCore
 from eagor.live.events import FrameCame, PoseCame
 from eagor.live.recording import Replay

@@ -22,9 +22,9 @@ from eagor._files import written
 from eagor._json import parsed
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger, studies
-from eagor.evaluation.published import OURS
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import LoadedRun
+from eagor.evaluation.tables import OURS
 from eagor.live.recording import Replay
 from eagor.media.bags.reader import is_bag
 from eagor.studio.messages import rounded

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.drawing.mosaic import Mosaic
+from eagor.drawing.view import Mosaic
 from eagor.drawing.words import STATUS, answer_in_words, far_in_words
 from eagor.evidence import Calibration, Evidence
 from eagor.harmonics import RealHarmonics
@@ -19,7 +19,7 @@ from eagor.sphere import angular_distance
 from eagor.studio.density import DEGREE, MASS, Density, density_of
 from eagor.studio.messages import Blob, jpeg, rounded
 from eagor.tracking import Estimate, TrackerConfig
-from eagor.worlds.photograph import Photograph
+from eagor.worlds.render import Photograph
 
 __all__ = [
     "FLOATS", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg", "estimate_json", "evidence_of",

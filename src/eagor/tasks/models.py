@@ -12,53 +12,51 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Any, Protocol
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.perception import Perception, load, local_model, look, parse_options
-from eagor.perception.calibrated import Calibrated, from_json
-from eagor.perception.vlm.prompts import Chat, Message
+from eagor.perception.calibrated import from_json
+from eagor.perception.vlm import Chat, Message
 from eagor.queries import Named
 from eagor.tasks.episodes import Slot
 
 
-class EpisodePerception(Protocol):
-    """Looks once per step."""
+class EpisodePerception:
+    """A perception in the episode of a slot: it looks once per step.
 
-    privileged: bool  # whether it reads instance ids instead of the panorama
+    One that reads instance ids begins an episode among `things` (indexed by instance id). Its mistakes are the same
+    each time, and others for another `purpose`.
+    """
 
-    def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence | None:
-        """The evidence; None if a model's answer could not be read."""
-        ...
-
-    def account(self) -> dict[str, Any]:
-        """The perception's metadata and cost, for the record of the episode; empty if it gives none."""
-        ...
-
-
-class PixelPerception:
-    """A perception that sees panoramas."""
-
-    privileged = False
-
-    def __init__(self, perception: Perception) -> None:
-        self.perception = perception
+    def __init__(self, perception: Any, slot: Slot, things: Sequence[Named], purpose: str = "perception") -> None:
+        self._privileged = is_privileged(perception)
+        self._sees: Callable[..., Evidence] = partial(look, perception)
+        if self._privileged:
+            self._sees = perception.episode(things, int(slot.rng(purpose).integers(1 << 31)))
         self.source: dict[str, Any] = {}
         self.milliseconds: list[float] = []
         self.looks = 0
         self.unread: list[AnswerError] = []
 
-    def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence | None:
-        """The evidence; an unreadable answer among hundreds costs its step, not the episode."""
+    def look(
+        self, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
+    ) -> Evidence | None:
+        """The evidence in what an environment returned (`eagor.tasks.place_env`); `query`: another than its own.
+
+        None if a model's answer could not be read: one among hundreds costs its step, not the episode.
+        """
         self.looks += 1
+        image = info["instances"]["ids"] if self._privileged else observation["panorama"]
+        pose = info["truth"]["world_R_body"]
         try:
-            evidence = look(self.perception, image, query, stamp=stamp, world_R_body=world_R_body)
+            evidence = self._sees(image, query or info["query"], stamp=stamp, world_R_body=pose)
         except AnswerError as error:
             self.unread.append(error)
             return None
@@ -70,52 +68,17 @@ class PixelPerception:
     def account(self) -> dict[str, Any]:
         """Number of looks and of unreadable answers, the mean time of a look, and the source of the last one.
 
-        Raises `AnswerError` if more than half of the answers could not be read: that is no result.
+        Empty if the perception tells no source, or reads instance ids. Raises `AnswerError` if more than half of the
+        answers could not be read: that is no result.
         """
         if 2 * len(self.unread) > self.looks:
             raise AnswerError(
                 f"{len(self.unread)} of {self.looks} answers could not be read; the last: {self.unread[-1]}"
             )
-        if not (self.source or self.unread):
+        if self._privileged or not (self.source or self.unread):
             return {}
         mean = round(float(np.mean(self.milliseconds)), 1) if self.milliseconds else None
         return {"looks": self.looks, "unread": len(self.unread), "milliseconds": mean, "source": self.source}
-
-
-class PrivilegedPerception:
-    """A perception that gets instance ids."""
-
-    privileged = True
-
-    def __init__(self, episode: Any) -> None:
-        self.episode = episode
-
-    def look(self, image: np.ndarray, query: str, stamp: float, world_R_body: np.ndarray) -> Evidence:
-        return self.episode(image, query, stamp=stamp, world_R_body=world_R_body)
-
-    def account(self) -> dict[str, Any]:
-        return {}
-
-
-def open_for_slot(
-    perception: Any, slot: Slot, things: Sequence[Named], purpose: str = "perception"
-) -> EpisodePerception:
-    """`perception` for the episode of a slot among `things` (indexed by instance id).
-
-    Its mistakes are the same each time, and others for another `purpose`.
-    """
-    begin = getattr(perception, "episode", None)
-    if begin is None:
-        return PixelPerception(perception)
-    return PrivilegedPerception(begin(things, int(slot.rng(purpose).integers(1 << 31))))
-
-
-def look_around(
-    eye: EpisodePerception, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
-) -> Evidence | None:
-    """The evidence in what an environment returned (`eagor.tasks.place_env`); `query`: another than its own."""
-    image = info["instances"]["ids"] if eye.privileged else observation["panorama"]
-    return eye.look(image, query or info["query"], stamp, info["truth"]["world_R_body"])
 
 
 @dataclass
@@ -154,9 +117,11 @@ def release() -> None:
         torch.cuda.empty_cache()
 
 
-def recalibration(settings: Mapping[str, Any]) -> Calibrated | None:
-    """The calibration in the settings of a run ("calibrated"); None: the perception's own."""
-    return from_json(settings["calibrated"], "the settings") if settings.get("calibrated") else None
+def recalibrator(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
+    """Gives looks the calibration in the settings of a run ("calibrated"); without one they keep their own."""
+    if not settings.get("calibrated"):
+        return lambda evidence: evidence
+    return from_json(settings["calibrated"], "the settings").reread
 
 
 def is_privileged(perception: Any) -> bool:
@@ -186,7 +151,7 @@ def load_chat(spec: str) -> Chat:
     place, _, written = spec.partition("?")
     here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
     if here or ("/" in place and "@" not in place and "://" not in place):
-        from eagor.perception.transformers.chat import LocalChat
+        from eagor.perception.transformers import LocalChat
 
         return local_model(LocalChat, place, parse_options(written))
     from eagor.perception.endpoint.server import chat_from_text

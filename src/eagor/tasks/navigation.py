@@ -14,8 +14,7 @@ import numpy as np
 from eagor import metrics
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
-from eagor.tasks import episode_files
-from eagor.tasks.episodes import Episode, Slot, choose_target, heading_to
+from eagor.tasks.episodes import Episode, FileEpisode, Slot, choose_target, heading_to, plan_listed
 from eagor.tasks.place_env import Actions, PlaceEnv, as_walk, walking_space
 from eagor.tasks.places import Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
@@ -77,7 +76,8 @@ def _start(
     thing, visible, winding = place.scene.instances[target], *wanted
     points, way = place.ground.points, place.way_to((target,))
     geodesic = place.ground.at_points(way)
-    straight = distance_to_box(points, thing.low[:2], thing.high[:2])
+    outside = np.maximum(thing.low[:2] - points, points - thing.high[:2])
+    straight = np.linalg.norm(np.maximum(outside, 0.0), axis=-1)  # from the footprint
     ratio = geodesic / np.maximum(straight, 1e-6)
     fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
     fits &= (ratio > rules.winding_above) if winding else (ratio <= rules.winding_above)
@@ -88,11 +88,6 @@ def _start(
         if seen == visible:
             return points[choice], float(geodesic[choice]), float(ratio[choice])
     return None
-
-
-def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Straight distance (metres) of points ``(n, 2)`` on the floor from a footprint."""
-    return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
 
 
 def score(rules: NavigationRules, shortest: float, distance: float, path: float, stopped: bool) -> dict[str, float]:
@@ -170,11 +165,11 @@ class MapFreeNavigationEnv(PlaceEnv):
         # habitat-lab's DistanceToGoal measures anew only where the body has moved.
         if self._measured is None or not np.allclose(self._measured, self.body.xy, atol=MOVED):
             self._measured = self.body.xy
-            return float(episode_files.way_to_goal(self.place, self.episode).distance(self.body.xy))
+            return float(self.place.way_to_views(self.episode.view_points).distance(self.body.xy))
         return self._left
 
     def _target(self) -> np.ndarray | None:
-        if not isinstance(self.episode, episode_files.FileEpisode):
+        if not isinstance(self.episode, FileEpisode):
             return super()._target()
         return min(self.episode.goals, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
 
@@ -218,5 +213,5 @@ NAVIGATION = Task(
     headline="sr",
     strata={"visible": "Target in sight at the start", "way": "Way to the target"},
     walked=True,
-    listed=episode_files.plan,
+    listed=plan_listed,
 )  # fmt: skip

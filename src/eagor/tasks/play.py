@@ -19,14 +19,13 @@ from eagor.evidence import Evidence
 from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 from eagor.tasks import task
-from eagor.tasks.episode_files import FileSlot, slot_of
-from eagor.tasks.episodes import Episode, Slot
+from eagor.tasks.episodes import Episode, FileSlot, Slot, slot_of
 from eagor.tasks.methods import BASE, ORACLE, Method, Steers, answer_at, method_for
-from eagor.tasks.models import Delay, EpisodePerception, is_privileged, look_around, open_for_slot, shared
+from eagor.tasks.models import Delay, EpisodePerception, is_privileged, shared
 from eagor.tasks.places import in_view, mask_of
 from eagor.tasks.rules import Camera, Disturbances, from_dict
 from eagor.tasks.search_space import Chance, SteeringInput, along_floor
-from eagor.tasks.searcher import seeking, steering_for
+from eagor.tasks.steering import seeking, steering_for
 from eagor.tasks.task import Played
 
 if TYPE_CHECKING:
@@ -145,11 +144,11 @@ class Player:
 
     def _begin(self, episode: Episode) -> tuple[dict, dict, EpisodePerception]:
         observation, info = self.env.reset(options={"episode": episode})
-        return observation, info, open_for_slot(self.perception, episode.slot, info["instances"]["labels"])
+        return observation, info, EpisodePerception(self.perception, episode.slot, info["instances"]["labels"])
 
     def _look(self, eye: EpisodePerception, observation: dict, info: dict, query: str = "") -> Evidence | None:
         """The evidence of this step, stamped with the time of capture; None if an answer could not be read."""
-        found = look_around(eye, observation, info, info["num_steps"] * self.camera.seconds, query)
+        found = eye.look(observation, info, info["num_steps"] * self.camera.seconds, query)
         mask = mask_of(self.camera)
         return found if found is None or mask is None else found.covered(mask)
 
@@ -217,7 +216,7 @@ class Player:
     def record(self, episode: Episode, other: str = "", panoramas: bool = False) -> Recording:
         """An episode that is not walked, as every method gets it; `other`: a second query; with `panoramas` or not."""
         observation, info, eye = self._begin(episode)
-        second = open_for_slot(self.perception, episode.slot, info["instances"]["labels"], "other")
+        second = EpisodePerception(self.perception, episode.slot, info["instances"]["labels"], "other")
         truth: dict[str, list[Any]] = defaultdict(list)
         moments, directions, poses, places = [], [], [], []
         delay, over = Delay(self.disturbances.latency), False

@@ -8,6 +8,7 @@ Rules that make the task impossible raise a `WorldError` that names the rule.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, TypeVar, get_args
@@ -123,9 +124,9 @@ class NavigationRules(_Rules):
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
       "call": the agent has to call stop there (Habitat's rule).
     - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
-    - `detour`: a blocked body feels its way around (`eagor.tasks.policy`), for every method alike; otherwise it pushes
-      on along the estimate, as published.
-    - `policy`: "search" while too little is believed, and walk by the floor that looks show (`eagor.tasks.searcher`),
+    - `detour`: a blocked body feels its way around (`eagor.tasks.steering`), for every method alike; otherwise it
+      pushes on along the estimate, as published.
+    - `policy`: "search" while too little is believed, and walk by the floor that looks show (`eagor.tasks.steering`),
       or "follow" the estimate always, as published; for every method alike. `handover`: a search ends while each
       metre along the estimate brings the body this many metres nearer, as the method believes. `appears`: with
       "search", the rate (per second) at which a thing that is hidden comes into sight, for a method that doubts that it
@@ -229,7 +230,7 @@ Rules = TypeVar("Rules")
 
 def as_dict(rules: Any) -> dict[str, Any]:
     """Rules as plain JSON."""
-    return {key: _plain(value) for key, value in asdict(rules).items()}
+    return json.loads(json.dumps(asdict(rules)))  # tuples become lists
 
 
 def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
@@ -238,10 +239,6 @@ def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
     if unknown := set(values) - known:
         raise WorldError(f"{kind.__name__} has no {sorted(unknown)}; it has {sorted(known)}")
     return kind(**{key: _tupled(value) for key, value in values.items()})
-
-
-def _plain(value: Any) -> Any:
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _tupled(value: Any) -> Any:

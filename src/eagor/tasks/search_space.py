@@ -3,7 +3,7 @@
 The thing is in one of many cells: directions around a camera that only turns (`eagor.tasks.hstar.search`), or patches
 of the ground about a body (`SearchedGround`). Either is a `Space`. A look is worth taking for what it shows: cells that
 no look has shown, and cells that were looked at but where the perception may have missed the thing. A search takes the
-look that tells most for what it costs (`eagor.tasks.searcher`).
+look that tells most for what it costs (`eagor.tasks.steering`).
 """
 
 from __future__ import annotations
@@ -136,21 +136,6 @@ class SteeringInput:
     def ahead(self) -> np.ndarray:
         """A unit vector ``(2,)`` along the floor to the estimate, world frame."""
         return np.array([math.cos(self.bearing), math.sin(self.bearing)])
-
-
-class Steering(Protocol):
-    """Chooses steps for one episode.
-
-    `searching`: whether the last step was one of a search. `looks_down`: whether it wants to know the floor of each
-    look, and what is believed; without that, `SteeringInput.progress` and `presence` are 1.
-    """
-
-    searching: bool
-    looks_down: bool
-
-    def walk(self, now: SteeringInput) -> tuple[float, float]:
-        """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
-        ...
 
 
 def along_floor(distance: float | None, direction: np.ndarray) -> float | None:

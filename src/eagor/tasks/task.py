@@ -111,7 +111,7 @@ class Task:
     - `measure`: the figures of one method in one episode; None where one does not apply. `columns`: of the table;
       `headline`: the key of the most important one; `strata`: keys of `Episode.stratum` to report separately, and
       their titles.
-    - `listed`: makes the episode of a file (`eagor.tasks.episode_files`) of the slot, the file, the camera and the
+    - `listed`: makes the episode of a file (`eagor.tasks.episodes`) of the slot, the file, the camera and the
       rules; None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
     - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
       success, spl and mae are among its figures. Otherwise all methods get the same evidence.

@@ -11,6 +11,7 @@ import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
+from eagor.queries import Query
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot
 from eagor.tasks.place_env import AnsweringEnv
@@ -30,14 +31,6 @@ _HOLD = (
     "targets"
 )
 SEEN_PIXELS = 6  # of a 64 x 128 panorama: the ball is in plain view at the start
-
-
-@dataclass(frozen=True)
-class BallLabel:
-    """The ball's entry among the labels of things."""
-
-    category: str
-    colour: str | None
 
 
 @dataclass(frozen=True)
@@ -99,7 +92,8 @@ def _drawn(
         return None
     still = np.tile([*xy, yaw], (rules.steps, 1))
     if scenario == "moving target":
-        return first, still, _stroll(place, first, radius, rules.speed * camera.seconds, rules.steps, rng)
+        rolling = islice(stroll(place.ground, first[:2], rules.speed * camera.seconds, rng), rules.steps)
+        return first, still, [_on_the_ground(place, spot, radius) for spot in rolling]
     if scenario == "moving camera":
         route = _walk(place, xy, yaw, camera, rules.steps, rng)
         return None if route is None else (first, route, [first] * rules.steps)
@@ -146,12 +140,6 @@ def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float)
 def _on_the_ground(place: Place, xy: np.ndarray, radius: float) -> np.ndarray:
     """The centre ``(3,)`` of a ball that lies on the ground at a point ``(2,)``."""
     return np.array([xy[0], xy[1], radius + place.ground.height(xy)])
-
-
-def _stroll(place: Place, start: np.ndarray, radius: float, step: float, steps: int, rng: np.random.Generator) -> list:
-    """One centre ``(3,)`` per step of a ball that rolls along paths to one random goal after another."""
-    points = islice(stroll(place.ground, start[:2], step, rng), steps)
-    return [_on_the_ground(place, xy, radius) for xy in points]
 
 
 def _walk(
@@ -231,7 +219,7 @@ class TargetTrackingEnv(AnsweringEnv):
 
     @property
     def labels(self) -> tuple[Any, ...]:
-        return (*super().labels, BallLabel("ball", self.episode.colour))
+        return (*super().labels, Query("ball", self.episode.colour))
 
     def _target(self) -> np.ndarray | None:
         ball = self._ball()

@@ -17,7 +17,7 @@ from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import WorldError
 from eagor.queries import COLOURS
 from eagor.tasks.methods import answer_at, method_for
-from eagor.tasks.models import Delay, is_privileged, look_around, open_for_slot
+from eagor.tasks.models import Delay, EpisodePerception, is_privileged
 from eagor.tasks.place_env import PlaceEnv, gymnasium, spaces
 from eagor.tasks.places import UNTARGETED
 from eagor.worlds.apartment import CATEGORIES
@@ -64,7 +64,7 @@ class WithEstimate(_Wrapper, gymnasium.utils.RecordConstructorArgs):
         observation, info = self.env.reset(seed=seed, options=options)
         slot = self._place.episode.slot
         labels = info["instances"]["labels"] if self._place.instances else ()
-        self._eye = open_for_slot(self._perception, slot, labels)
+        self._eye = EpisodePerception(self._perception, slot, labels)
         self._method = method_for(self._method_name, self._perception, self._called, slot.rng("method"))
         self._delay = Delay(self._place.disturbances.latency)
         return self._told(observation, info), info
@@ -75,7 +75,7 @@ class WithEstimate(_Wrapper, gymnasium.utils.RecordConstructorArgs):
 
     def _told(self, observation: dict[str, np.ndarray], info: dict[str, Any]) -> dict[str, np.ndarray]:
         stamp = info["num_steps"] * self._place.camera.seconds
-        due = self._delay.due(look_around(self._eye, observation, info, stamp))
+        due = self._delay.due(self._eye.look(observation, info, stamp))
         estimate = answer_at(self._method, stamp, observation["pose"], due)
         return observation | {"estimate": np.clip(estimate, -1.0, 1.0).astype(np.float32)}
 

@@ -5,7 +5,7 @@ glTF has Y up: our (x, y, z) is its (x, z, -y), see `eagor.conventions.to_gltf`.
 - `<name>.semantic.json`: the instances of the triangles, and everything else that does not fit into GLB;
 - `<name>.stage_config.json`: for Habitat, which assumes Z up for any bare GLB;
 - `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`;
-- if `annotated`, the ids of all instances for Habitat, as in HM3D: see `eagor.worlds.semantic_glb`.
+- if `annotated`, the ids of all instances for Habitat, as in HM3D: see `eagor.worlds.habitat_files`.
 
 Textures in KTX2 and geometry in Draco are not supported: they are imported as plain colour, or not at all.
 """
@@ -18,6 +18,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +33,13 @@ from eagor.errors import WorldError
 from eagor.media.panorama import FORMATS, decoded_bytes
 from eagor.queries import COLOURS, SYNONYMS, singular
 from eagor.worlds.ground import floor_height, level_triangles
-from eagor.worlds.habitat_mesh import footing_of, voxel_for
+from eagor.worlds.habitat_files import FIRST_ID, STAGE, footing_of, semantic_glb, semantic_text, voxel_for
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
-from eagor.worlds.semantic_glb import FIRST_ID, semantic_glb, semantic_text
 
 __all__ = ["export_glb", "import_glb"]
 
 FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
-FOOTING = "eagor_footing"  # the node of an exported GLB that is no thing: see `eagor.worlds.habitat_mesh`
+FOOTING = "eagor_footing"  # the node of an exported GLB that is no thing: see `eagor.worlds.habitat_files`
 
 # Words of node names without meaning: of modelling programs, and of places.
 _EMPTY_WORDS = {
@@ -154,27 +154,21 @@ def split_at_seams(
     return distinct[:, :3], index.reshape(-1, 3), distinct[:, 3:]
 
 
-def export_glb(
-    scene: Scene, target: Path | str, *,
-    cell: float = 0.05, radius: float = 0.18, height: float = 1.5, climb: float = 0.12, annotated: bool = False,
-) -> Path:  # fmt: skip
+def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18, annotated: bool = False) -> Path:
     """Write a scene and its companions; returns the path of the GLB.
 
     `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
     of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has several.
-    `cell`, `radius`, `height` and `climb` (metres, as in `Ground.from_scene`) go into `<name>.navmesh.json`; its voxels
-    are of about the size of a cell and fit the radius. Existing files are overwritten. Raises `StorageError` if a file
-    cannot be written.
+    `<name>.navmesh.json` is for a body of this `radius` (metres) that is as high and climbs as `Ground.from_scene`
+    takes it for; its voxels are of about the size of a cell there and fit the radius. Existing files are overwritten.
+    Raises `StorageError` if a file cannot be written.
     """
     target = Path(target)
     if target.suffix.lower() != ".glb":
         target = target / (re.sub(r"\W+", "_", scene.source).strip("_").lower() + ".glb")
     blob, nodes = _blob(scene)
     written(target, blob)
-    stage = {
-        "render_asset": target.name, "collision_asset": target.name, "up": [0, 1, 0], "front": [0, 0, -1],
-        "units_to_meters": 1.0, "is_collidable": True, "shader_type": "flat",
-    }  # fmt: skip
+    stage: dict[str, Any] = {"render_asset": target.name, "collision_asset": target.name, **STAGE}
     if annotated:
         painted, listed = target.with_suffix(".semantic.glb"), target.with_suffix(".semantic.txt")
         written(painted, semantic_glb(scene))
@@ -184,8 +178,8 @@ def export_glb(
             "nav_asset": target.with_suffix(".navmesh").name,
         }  # fmt: skip
     navmesh = {
-        "cell_size": voxel_for(radius, cell), "cell_height": 0.05, "agent_height": height, "agent_radius": radius,
-        "agent_max_climb": climb, "agent_max_slope": 45.0,
+        "cell_size": voxel_for(radius, 0.05), "cell_height": 0.05, "agent_height": 1.5, "agent_radius": radius,
+        "agent_max_climb": 0.12, "agent_max_slope": 45.0,
     }  # fmt: skip
     identity = {"glb": target.name, "glb_sha256": hashlib.sha256(blob).hexdigest()}
     semantic = {"format": FORMAT, "frame": FRAME} | identity | _companion(scene, nodes, annotated)
@@ -404,14 +398,11 @@ def _annotated(path: Path, parts: list[_Part], materials: list[Material], known:
         for entry in known["materials"]
     ]
     looks = np.array([place[materials[part.material].name] for part in parts])
-    instances = []
-    for thing in known["instances"]:
-        low, high = np.array(_triple(thing["low"])), np.array(_triple(thing["high"]))
-        instances.append(Instance(str(thing["category"]), _words(thing["colour"]), _words(thing["room"]), low, high))
+    instances = [instance_in(entry) for entry in known["instances"]]
     facts = dict(known["facts"])
     if known["glb_sha256"] == hashlib.sha256(blob).hexdigest():
         facts["exported hash"] = known["scene_hash"]
-    rooms = tuple(Room(str(r["name"]), str(r["kind"]), _rectangles(r["rectangles"])) for r in known["rooms"])
+    rooms = tuple(room_in(entry) for entry in known["rooms"])
     lamps = tuple(Lamp(np.array(_triple(x["position"])), np.array(_triple(x["power"]))) for x in known["lamps"])
     more = {"rooms": rooms, "lamps": lamps, "daylight": _triple(known["daylight"]), "facts": facts}
     owners = np.array([owner[part.names[0]] for part in parts])
@@ -423,11 +414,18 @@ def _triple(values: Any) -> tuple[float, float, float]:
     return a, b, c
 
 
-def _rectangles(values: Any) -> np.ndarray:
-    sides = [[number(side) for side in rectangle] for rectangle in values]
+def instance_in(entry: dict[str, Any]) -> Instance:
+    """The instance in an entry of a semantic JSON; a malformed entry may raise anything."""
+    low, high = np.array(_triple(entry["low"])), np.array(_triple(entry["high"]))
+    return Instance(str(entry["category"]), _words(entry.get("colour")), _words(entry.get("room")), low, high)
+
+
+def room_in(entry: dict[str, Any]) -> Room:
+    """The room in an entry of a semantic JSON; a malformed entry may raise anything."""
+    sides = [[number(side) for side in rectangle] for rectangle in entry["rectangles"]]
     if any(len(rectangle) != 4 for rectangle in sides):
-        raise ValueError(f"the rectangles are {shown(values)}; wanted [x0, y0, x1, y1] each")
-    return np.array(sides).reshape(-1, 4)
+        raise ValueError(f"the rectangles are {shown(entry['rectangles'])}; wanted [x0, y0, x1, y1] each")
+    return Room(str(entry["name"]), str(entry["kind"]), np.array(sides).reshape(-1, 4))
 
 
 def _words(value: Any) -> str | None:
@@ -484,19 +482,14 @@ def _corners(primitive: Mapping[str, Any], counts: list[int]) -> int:
 
 
 def _check_nest(nodes: list[Any]) -> None:
-    parents, depth = [0] * len(nodes), [1] * len(nodes)
-    for child in (child for node in nodes for child in node.get("children", [])):
-        parents[child] += 1
-    ready, reached = [index for index, count in enumerate(parents) if count == 0], 0
-    while ready:
-        reached += 1
-        index = ready.pop()
-        for child in nodes[index].get("children", []):
-            depth[child] = max(depth[child], depth[index] + 1)
-            parents[child] -= 1
-            if parents[child] == 0:
-                ready.append(child)
-    if reached < len(nodes):
-        raise WorldError(f"{len(nodes) - reached} of its {len(nodes)} nodes are in a cycle; export it again")
-    if max(depth, default=0) > _DEEPEST:
-        raise WorldError(f"its nodes are nested {max(depth)} deep; wanted at most {_DEEPEST}")
+    children = {index: node.get("children", []) for index, node in enumerate(nodes)}
+    height: dict[int, int] = {}  # of the tree below each node, itself included
+    try:
+        for index in TopologicalSorter(children).static_order():  # children first
+            height[index] = 1 + max((height[child] for child in children[index]), default=0)
+    except CycleError as error:
+        raise WorldError(
+            f"{len(error.args[1]) - 1} of its {len(nodes)} nodes are in a cycle; export it again"
+        ) from None
+    if max(height.values(), default=0) > _DEEPEST:
+        raise WorldError(f"its nodes are nested {max(height.values())} deep; wanted at most {_DEEPEST}")

@@ -19,8 +19,8 @@ from scipy import ndimage
 
 from eagor._lazy import lazy
 from eagor.errors import WorldError
-from eagor.worlds.geodesics import CellGraph, Field, Walls, cells_of, line_is_free, pulled
 from eagor.worlds.scene import STRUCTURE, Instance, Room, Scene
+from eagor.worlds.walkable import CellGraph, Field, Walls, cells_of, pulled
 
 _INWARD = 1e-3  # in cells: shift of a face to its back
 _TOUCH = 1e-4  # in cells: smaller overlaps do not count, to be safe from rounding
@@ -219,7 +219,7 @@ class Ground:
         blocked = structure | touched(corners[~structural], *body, *grid) | ~has_floor
         blocked[[0, -1]] = blocked[:, [0, -1]] = True
         clearance = np.asarray(ndimage.distance_transform_edt(~blocked)) * cell
-        free = _largest_area((clearance >= radius) & ~blocked)
+        free = largest_area((clearance >= radius) & ~blocked)
         if not free.any():
             raise WorldError(
                 f"nowhere in {scene.source} can a body of radius {radius:g} m stand; wanted some floor at z = "
@@ -278,12 +278,7 @@ class Ground:
 
         Points that are not free are ignored: if none is free, every distance is inf.
         """
-        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
-        starts = np.zeros(len(points)) if offsets is None else np.broadcast_to(offsets, len(points))
-        if points.shape != (len(points), 2) or not (np.isfinite(starts) & (starts >= 0)).all():
-            raise WorldError(
-                f"points have shape {points.shape}, offsets {starts.tolist()}; wanted (n, 2) and finite metres >= 0"
-            )
+        points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         points, starts = points[stand], starts[stand]
         # The cells about each point start at their own distance from it.
@@ -320,11 +315,11 @@ class Ground:
         nearest of them; without rooms, those with a clear line.
         """
         places, away = self._beside(instance)
-        return self._centres[places], away
+        return self.points[places], away
 
     def _beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
         """Indices of the points `beside` an instance among the free cells, and their distances."""
-        points = self._centres
+        points = self.points
         nearest = np.clip(points, instance.low[:2], instance.high[:2])
         away = np.hypot(*(nearest - points).T)
         room = next((room for room in self.rooms if room.name == instance.room), None)
@@ -369,8 +364,8 @@ class Ground:
         return self.centres(self._graph.nodes)
 
     @lazy
-    def _bytes(self) -> bytes:
-        return self.free.astype(np.uint8).tobytes()
+    def _walls(self) -> Walls:
+        return Walls(self.free.astype(np.uint8).tobytes(), self.clearance.ravel().tolist(), self.free.shape[1])
 
     def path(self, start: np.ndarray, goal: np.ndarray | Field) -> np.ndarray:
         """The shortest path ``(n, 2)`` from a free point to another, or down a field to its goal.
@@ -390,8 +385,7 @@ class Ground:
         points = [((x - ox) / self.cell, (y - oy) / self.cell), *((c + 0.5, r + 0.5) for r, c in cells)]
         if not isinstance(goal, Field):
             points.append(((float(goal[0]) - ox) / self.cell, (float(goal[1]) - oy) / self.cell))
-        cols = self.free.shape[1]
-        taut = pulled(points, lambda a, b: line_is_free(self._bytes, cols, a, b))
+        taut = pulled(points, self._walls.sees)
         return self.origin + np.array(taut) * self.cell
 
     # --- steps ---
@@ -406,7 +400,7 @@ class Ground:
         if not math.isfinite(dx + dy):
             raise WorldError(f"step = ({dx}, {dy}); wanted two finite numbers, metres")
         self._cell_of(x, y)
-        ox, oy, cell = self._frame
+        (ox, oy), cell = self.origin.tolist(), self.cell
         x, y, collided = self._walls.move((x - ox) / cell, (y - oy) / cell, dx / cell, dy / cell, slide)
         # Away from the edges of the cell, where rounding would lead into its neighbours.
         x, y = (min(max(value, int(value) + 1e-9), int(value) + 1 - 1e-9) for value in (x, y))
@@ -420,16 +414,19 @@ class Ground:
             raise WorldError(f"({x:.3f}, {y:.3f}) is not free ground; start from a free point, such as snap() gives")
         return int(row), int(col)
 
-    @lazy
-    def _frame(self) -> tuple[float, float, float]:
-        return float(self.origin[0]), float(self.origin[1]), float(self.cell)
 
-    @lazy
-    def _walls(self) -> Walls:
-        return Walls(self._bytes, self.clearance.ravel().tolist(), self.free.shape[1])
+def checked_goals(points: np.ndarray, offsets: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Points ``(n, 2)`` and where distances to them start ``(n,)``, by default at 0. Raises `WorldError`."""
+    points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    starts = np.zeros(len(points)) if offsets is None else np.array(np.broadcast_to(offsets, len(points)))
+    if points.shape != (len(points), 2) or not (np.isfinite(starts) & (starts >= 0)).all():
+        raise WorldError(
+            f"points have shape {points.shape}, offsets {starts.tolist()}; wanted (n, 2) and finite metres >= 0"
+        )
+    return points, starts
 
 
-def _largest_area(free: np.ndarray) -> np.ndarray:
+def largest_area(free: np.ndarray) -> np.ndarray:
     """The largest set of cells connected along edges."""
     labels = np.zeros(free.shape, dtype=np.int32)
     ndimage.label(free, output=labels)

@@ -29,7 +29,7 @@ from eagor._files import written
 from eagor.errors import StorageError, WorldError
 from eagor.worlds.glb import export_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat_mesh import ON_MESH, roomy_radius
+from eagor.worlds.habitat_files import FIRST_ID, ON_MESH, STAGE, roomy_radius
 from eagor.worlds.objectnav import (
     HM3D_CATEGORIES,
     Episode,
@@ -43,18 +43,6 @@ from eagor.worlds.objectnav import (
 )
 from eagor.worlds.render import Renderer
 from eagor.worlds.scene import STRUCTURE, Scene
-from eagor.worlds.semantic_glb import FIRST_ID
-
-__all__ = [
-    "Exported",
-    "Source",
-    "all_or_nothing",
-    "check_names",
-    "config_of",
-    "export_dataset",
-    "make_episodes",
-    "make_goals",
-]
 
 SPACING = 0.1  # metres between view points: no place among them is farther than 0.1 m, the usual threshold, from one
 EYE = 0.88  # metres above the floor: height of the camera of the ObjectNav challenges
@@ -121,19 +109,13 @@ def _in_sight(goal: Goal, index: int, renderer: Renderer, seen: dict[tuple[float
 
 
 def make_episodes(
-    scene: Scene,
-    ground: Ground,
-    goals: Mapping[str, Sequence[Goal]],
-    count: int,
-    file: str,
-    dataset_config: str,
-    seed: int = 0,
+    scene: Scene, ground: Ground, goals: Mapping[str, Sequence[Goal]], count: int, file: str, dataset_config: str
 ) -> tuple[Episode, ...]:
     """So many episodes, one category after the other; `file` is the scene_id. The same arguments give the same ones.
 
     Raises `WorldError` if no start is far enough from a category's view points.
     """
-    rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), seed])
+    rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), 0])
     points = roomy_ground(scene, ground).points
     starts, ways = {}, {}
     for category, things in goals.items():
@@ -176,7 +158,7 @@ def make_episodes(
     return tuple(episodes)
 
 
-# --- A folder of scenes and ObjectNav episodes as Habitat reads HM3D, made of scenes of ours --------------------------
+# --- the folder -------------------------------------------------------------------------------------------------------
 
 _TAG = "%%CONFIG_NAME_AS_ASSET_FILENAME%%"  # Habitat puts the name of the scene there
 
@@ -202,26 +184,16 @@ class Exported:
     episodes: int
 
 
-Mesh = Callable[[Path], None]
-"""Writes the navigation mesh beside the stage configuration that it is given."""
-
-
 def export_dataset(
-    sources: Sequence[Source],
-    folder: Path | str,
-    *,
-    name: str = "eagor",
-    split: str = "val",
-    episodes: int = 10,
-    categories: Sequence[str] = (),
-    radius: float = 0.18,
-    mesh: Mesh | None = None,
-    on_done: Callable[[Exported], object] | None = None,
-) -> tuple[Path, list[Exported]]:
+    sources: Sequence[Source], folder: Path | str, *,
+    name: str = "eagor", split: str = "val", episodes: int = 10, categories: Sequence[str] = (), radius: float = 0.18,
+    mesh: Callable[[Path], None] | None = None, on_done: Callable[[Exported], object] | None = None,
+) -> tuple[Path, list[Exported]]:  # fmt: skip
     """Write the folder; returns the episodes' ``<split>.json.gz``, and what was written of each scene.
 
-    `episodes` of each scene, of these `categories` (`make_goals`), for a body of this `radius` (metres). The same call
-    gives the same bytes. The folder appears when all of it is written: nothing is left of an export that fails.
+    `episodes` of each scene, of these `categories` (`make_goals`), for a body of this `radius` (metres). `mesh` writes
+    the navigation mesh beside the stage configuration that it is given (`mesh_writer`). The same call gives the same
+    bytes. The folder appears when all of it is written: nothing is left of an export that fails.
 
     Raises `WorldError` if the folder holds something, for two scenes of one name, and as `make_goals` and
     `make_episodes`; `StorageError` if it cannot be written.
@@ -273,22 +245,11 @@ def check_names(sources: Sequence[Source]) -> None:
 
 def config_of(files: Iterable[str]) -> dict:
     """The scene dataset configuration: every scene of it has its files beside it, under its own name."""
-    return {
-        "stages": {
-            "default_attributes": {
-                "up": [0, 1, 0],
-                "front": [0, 0, -1],
-                "units_to_meters": 1.0,
-                "is_collidable": True,
-                "shader_type": "flat",
-                "semantic_asset": f"{_TAG}.semantic.glb",
-                "semantic_descriptor_filename": f"{_TAG}.semantic.txt",
-                "has_semantic_textures": True,
-                "nav_asset": f"{_TAG}.navmesh",
-            },
-            "paths": {".glb": list(files)},
-        },
-    }
+    attributes = STAGE | {
+        "semantic_asset": f"{_TAG}.semantic.glb", "semantic_descriptor_filename": f"{_TAG}.semantic.txt",
+        "has_semantic_textures": True, "nav_asset": f"{_TAG}.navmesh",
+    }  # fmt: skip
+    return {"stages": {"default_attributes": attributes, "paths": {".glb": list(files)}}}
 
 
 @contextmanager

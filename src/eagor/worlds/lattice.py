@@ -29,9 +29,8 @@ _INSET = 0.02  # metres from samples to the rim of their surface, where walls me
 class Lattice:
     """The samples of a scene, "slots", triangle by triangle.
 
-    `triangles` ``(T, 3)`` int32: those of the scene, each turned so that its longest edge is opposite corner 0, and
     `triangles` ``(T, 3)`` int32: those of the scene, each rotated so that its longest edge is opposite corner 0, and
-    `turned` ``(T,)``, by how many corners; `cells` ``(T, 2)`` int32, nu and nv; `base` ``(T,)`` int32, the first slot:
+    `turned` ``(T,)``, by how many corners; `cells` ``(T, 2)`` int32, nu and nv; `base` ``(T,)`` int32, the first slot.
     """
 
     scene: Scene

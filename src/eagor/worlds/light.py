@@ -12,9 +12,8 @@ when the light is smoothed over a surface; independent samples would leave blotc
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import uuid
+import io
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +21,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eagor._files import cache_folder
+from eagor._files import cache_folder, written
 from eagor._srgb import to_linear
+from eagor.errors import StorageError
 from eagor.worlds.lattice import Lattice
 from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Material, Scene
@@ -300,7 +300,17 @@ def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path |
     found = _read(file, lattice.size)
     if found is None:
         found = np.minimum(bake(scene, lattice, engine), _HIGHEST).astype(np.float16)
-        _write(file, found)
+        packed = io.BytesIO()
+        np.savez_compressed(packed, light=found)
+        try:
+            written(file, packed.getvalue())
+        except StorageError as error:
+            warnings.warn(
+                f"the light of the scene could not be kept and will be computed again next time: {error}, or set "
+                "EAGOR_CACHE to a folder that can be written",
+                UserWarning,
+                stacklevel=3,
+            )
     return found.astype(np.float32)
 
 
@@ -447,24 +457,3 @@ def _read(file: Path, size: int) -> np.ndarray | None:
     except Exception:  # missing, damaged, or not an archive: zipfile and NumPy may raise anything
         return None
     return light if light.shape == (size, 3) and light.dtype == np.float16 and np.isfinite(light).all() else None
-
-
-def _write(file: Path, light: np.ndarray) -> None:
-    """Write `file` atomically, so that nobody reads half of it; warn if that fails."""
-    # A unique name, so that workers with the same scene do not collide.
-    temporary = file.with_name(f"{file.stem}-{uuid.uuid4().hex}.part")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("xb") as out:
-            np.savez_compressed(out, light=light)
-        temporary.replace(file)
-    except OSError as error:
-        warnings.warn(
-            f"the light of the scene could not be kept in {file} ({error}); it will be computed again next time. Set "
-            "EAGOR_CACHE to a folder that can be written",
-            UserWarning,
-            stacklevel=4,
-        )
-    finally:  # also when interrupted
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)

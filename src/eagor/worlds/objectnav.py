@@ -15,7 +15,7 @@ import gzip
 import json
 import math
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -36,20 +36,6 @@ from eagor.errors import EagorError, FormatError, WorldError
 from eagor.queries import SYNONYMS
 from eagor.worlds.scene import Scene
 from eagor.worlds.walkable import Walkable
-
-__all__ = [
-    "HM3D_CATEGORIES",
-    "Episode",
-    "Goal",
-    "Origin",
-    "SceneEpisodes",
-    "check_scene",
-    "goal_of",
-    "origin_of",
-    "read_episodes",
-    "spelt",
-    "write_episodes",
-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +96,7 @@ def spelt(category: str) -> str:
     return "tv_monitor" if category == "tv" else category.replace(" ", "_")
 
 
-def goal_to_json(goal: Goal) -> dict[str, Any]:
+def _goal_to_json(goal: Goal) -> dict[str, Any]:
     """The entry of a goal in `goals_by_category`."""
     places = to_gltf(np.asarray(goal.view_positions, dtype=np.float64))
     turns = xyzw_from_rotation(pose_to_habitat(goal.view_rotations)) if len(places) else np.zeros((0, 4))
@@ -130,20 +116,17 @@ def goal_to_json(goal: Goal) -> dict[str, Any]:
     }
 
 
-def episode_to_json(episode: Episode, goals: dict[str, tuple[Goal, ...]]) -> dict[str, Any]:
+def _episode_to_json(episode: Episode, goals: dict[str, tuple[Goal, ...]]) -> dict[str, Any]:
     """The entry of an episode in `episodes`. Raises `WorldError` if its category is not among the goals."""
     if not goals.get(episode.category):
         raise WorldError(f"episode {episode.identifier!r} looks for a {episode.category!r}, but no such goal is given")
-    info = dict(episode.info)
-    for key, value in (
-        ("geodesic_distance", episode.geodesic),
-        ("euclidean_distance", episode.euclidean),
-        ("closest_goal_object_id", episode.nearest),
-    ):
-        if value is not None:
-            info[key] = value
-    if episode.origin is not None:
-        info["eagor"] = vars(episode.origin)
+    known = {
+        "geodesic_distance": episode.geodesic,
+        "euclidean_distance": episode.euclidean,
+        "closest_goal_object_id": episode.nearest,
+        "eagor": episode.origin and vars(episode.origin),
+    }
+    info = episode.info | {key: value for key, value in known.items() if value is not None}
     return {
         "episode_id": episode.identifier,
         "scene_id": episode.scene,
@@ -160,8 +143,8 @@ def episode_to_json(episode: Episode, goals: dict[str, tuple[Goal, ...]]) -> dic
 
 
 def read_category(category: str) -> str:
-    """A category of the files in our words."""
-    words = category.replace("_", " ")
+    """A category of Habitat's files and scenes in our words: lower case, our spelling."""
+    words = " ".join(category.replace("_", " ").replace("/", " ").lower().split())
     return SYNONYMS.get(words, words)
 
 
@@ -183,7 +166,7 @@ def _table(rows: list[Any], count: int) -> np.ndarray:
     return found.reshape(-1, count)
 
 
-def goal_from_json(entry: dict[str, Any]) -> Goal:
+def _goal_from_json(entry: dict[str, Any]) -> Goal:
     """The goal in an entry; a malformed entry may raise anything."""
     views = entry["view_points"]
     places = _table([view["agent_state"]["position"] for view in views], 3)
@@ -201,7 +184,7 @@ def goal_from_json(entry: dict[str, Any]) -> Goal:
     )
 
 
-def episode_from_json(entry: dict[str, Any], index: int) -> Episode:
+def _episode_from_json(entry: dict[str, Any], index: int) -> Episode:
     """The episode in an entry; a malformed entry may raise anything."""
     info = dict(entry.get("info") or {})
     ours = info.pop("eagor", None)
@@ -228,7 +211,7 @@ def episode_from_json(entry: dict[str, Any], index: int) -> Episode:
     )
 
 
-# --- object-goal episodes in the file format of Habitat's ObjectNav (HM3D), reading and writing -----------------------
+# --- the episodes of a scene ------------------------------------------------------------------------------------------
 
 HM3D_CATEGORIES = ("chair", "bed", "plant", "toilet", "tv_monitor", "sofa")  # in the order of their ids
 
@@ -239,11 +222,6 @@ class SceneEpisodes:
 
     episodes: tuple[Episode, ...]
     goals: dict[str, tuple[Goal, ...]]
-
-
-def origin_of(scene: Scene, ground: Walkable) -> Origin:
-    """The scene and body with which episodes are marked."""
-    return Origin(scene.facts.get("exported hash", scene.hash), scene.source, ground.radius, ground.cell)
 
 
 def goal_of(scene: Scene, ground: Walkable, index: int, spacing: float = 0.25) -> Goal:
@@ -272,24 +250,24 @@ def goal_of(scene: Scene, ground: Walkable, index: int, spacing: float = 0.25) -
     )
 
 
-def check_scene(episodes: Iterable[Episode], scene: Scene, ground: Walkable | None = None) -> None:
-    """Raise `WorldError` if one of the episodes was made for another scene than this one or an import of its export.
+def check_scene(episode: Episode, scene: Scene, ground: Walkable) -> None:
+    """Raise `WorldError` if the episode was made for another scene than this one or an import of its export.
 
-    With `ground`, also if it was made for a body of another radius, which takes other paths.
+    Also if it was made for a body of another radius, which takes other paths. Episodes of others are not marked.
     """
-    known = {scene.hash, scene.facts.get("exported hash")}
-    for episode in episodes:
-        origin = episode.origin
-        if origin is not None and origin.scene_hash not in known:
-            raise WorldError(
-                f"episode {episode.identifier!r} was made for the scene {origin.scene_hash} ({origin.version}), this "
-                f"one is {scene.hash} ({scene.source}); use the version that it was made with, or make episodes anew"
-            )
-        if origin is not None and ground is not None and abs(origin.radius - ground.radius) > 1e-6:
-            raise WorldError(
-                f"episode {episode.identifier!r} was made for a body of radius {origin.radius:g} m, but the "
-                f"ground plan for {ground.radius:g} m; its starts and goals may be out of reach: use the same radius"
-            )
+    origin = episode.origin
+    if origin is None:
+        return
+    if origin.scene_hash not in (scene.hash, scene.facts.get("exported hash")):
+        raise WorldError(
+            f"episode {episode.identifier!r} was made for the scene {origin.scene_hash} ({origin.version}), this one "
+            f"is {scene.hash} ({scene.source}); use the version that it was made with, or make episodes anew"
+        )
+    if abs(origin.radius - ground.radius) > 1e-6:
+        raise WorldError(
+            f"episode {episode.identifier!r} was made for a body of radius {origin.radius:g} m, but the ground plan "
+            f"for {ground.radius:g} m; its starts and goals may be out of reach: use the same radius"
+        )
 
 
 # --- writing ---
@@ -302,12 +280,10 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
     no goal, or numbers that are not finite; `StorageError` if a file cannot be written.
     """
     folder = Path(folder) / split
-    categories = sorted({spelt(category) for scene in scenes for category in scene.goals})
-    categories = [c for c in HM3D_CATEGORIES if c in categories] + [c for c in categories if c not in HM3D_CATEGORIES]
+    occur = {spelt(category) for scene in scenes for category in scene.goals}
     # The six of HM3D keep their numbers, even if not all of them occur.
-    others = (c for c in categories if c not in HM3D_CATEGORIES)
-    numbers = {c: HM3D_CATEGORIES.index(c) for c in categories if c in HM3D_CATEGORIES}
-    numbers |= {c: len(HM3D_CATEGORIES) + index for index, c in enumerate(others)}
+    every = (*HM3D_CATEGORIES, *sorted(occur.difference(HM3D_CATEGORIES)))
+    numbers = {category: number for number, category in enumerate(every) if category in occur}
     head = {"category_to_task_category_id": numbers, "category_to_scene_annotation_category_id": numbers}
     contents: dict[str, dict[str, Any]] = {}
     for scene in scenes:
@@ -319,9 +295,9 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
         if stem in contents:
             raise WorldError(f"two scenes have files of the name {stem!r}; one would replace the other: rename one")
         contents[stem] = {
-            "episodes": [episode_to_json(episode, scene.goals) for episode in scene.episodes],
+            "episodes": [_episode_to_json(episode, scene.goals) for episode in scene.episodes],
             "goals_by_category": {
-                _key(file, spelt(category)): [goal_to_json(goal) for goal in goals]
+                _key(file, spelt(category)): [_goal_to_json(goal) for goal in goals]
                 for category, goals in scene.goals.items()
             },
             **head,
@@ -344,13 +320,10 @@ def _write(path: Path, content: dict[str, Any]) -> Path:
 # --- reading ---
 
 
-def read_episodes(
-    path: Path | str, scene: Scene | None = None, ground: Walkable | None = None
-) -> tuple[SceneEpisodes, ...]:
+def read_episodes(path: Path | str) -> tuple[SceneEpisodes, ...]:
     """The episodes in `<split>.json.gz` and its content files, by scene, or in a content file alone.
 
-    With `scene` (and `ground`), all of them must be made for it: see `check_scene`. Raises `WorldError` if a file is
-    missing, truncated, not JSON, lacks a key, or holds numbers that are not finite.
+    Raises `WorldError` if a file is missing, truncated, not JSON, lacks a key, or holds numbers that are not finite.
     """
     path = Path(path)
     files = sorted((path.parent / "content").glob("*.json.gz"))
@@ -359,9 +332,6 @@ def read_episodes(
         found = [each for file in files for each in _scenes_from_json(file, _read(file))]
     if not found:
         raise WorldError(f"{path} has no episodes, nor has any file in {path.parent / 'content'}; wanted at least one")
-    if scene is not None:
-        for each in found:
-            check_scene(each.episodes, scene, ground)
     return tuple(found)
 
 
@@ -397,11 +367,11 @@ def _scenes_from_json(path: Path, content: dict[str, Any]) -> list[SceneEpisodes
         goals: dict[str, tuple[Goal, ...]] = {}
         for key, entries in listed.items():
             where = f"{path}, goals {shown(key)}"
-            goals[key] = tuple(goal_from_json(entry) for entry in entries)
+            goals[key] = tuple(_goal_from_json(entry) for entry in entries)
         by_scene: dict[str, list[Episode]] = {}
         for index, entry in enumerate(content["episodes"]):
             where = f"{path}, episode {index}"
-            episode = episode_from_json(entry, index)
+            episode = _episode_from_json(entry, index)
             by_scene.setdefault(episode.scene, []).append(episode)
         found = []
         for scene, episodes in by_scene.items():

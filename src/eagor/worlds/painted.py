@@ -23,6 +23,8 @@ BALL_COLOURS = {
     "black": (22, 22, 24),
 }  # fmt: skip
 EYE = (0.0, 0.0, 1.3)  # default position of the camera
+SIZE = np.array([7.0, 5.6, 2.7])  # metres: length of the room along x, width along y, height
+LAMP = SIZE * [0.06, 0.04, 0.88]  # position of the light, world frame
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class Room:
-    """A box of `size` (length along x, width along y, height), metres, and the balls in it."""
+    """The balls in the room."""
 
     balls: tuple[Ball, ...] = (
         Ball((2.3, -1.0, 0.35), 0.35, "red"),
@@ -57,12 +59,6 @@ class Room:
         Ball((-2.4, 1.0, 0.4), 0.4, "yellow"),
         Ball((-1.5, -1.8, 0.25), 0.25, "green"),
     )
-    size: tuple[float, float, float] = (7.0, 5.6, 2.7)
-
-    @property
-    def lamp(self) -> np.ndarray:
-        """The position of the light (3,), world frame."""
-        return np.array([0.06 * self.size[0], 0.04 * self.size[1], 0.88 * self.size[2]])
 
 
 def painted_room(height: int = 256, width: int = 512, balls: Sequence[Ball] | None = None) -> np.ndarray:
@@ -87,10 +83,12 @@ def paint(
     Each pixel is the mean of samples x samples rays. A ball around the camera is invisible. Raises `PoseError` if the
     camera is not in the room, `RotationError`, `GridError`.
     """
-    eye, half = np.asarray(position, dtype=float), np.asarray(room.size) / 2
-    inside = eye.shape == (3,) and (np.abs(eye[:2]) < half[:2]).all() and 0 < eye[2] < room.size[2]
+    eye, half = np.asarray(position, dtype=float), SIZE / 2
+    inside = eye.shape == (3,) and (np.abs(eye[:2]) < half[:2]).all() and 0 < eye[2] < SIZE[2]
     if not inside:
-        raise PoseError(f"the camera stands at {position}, outside the room of {room.size} m; move it inside")
+        raise PoseError(
+            f"the camera stands at {position}, outside the room of {tuple(SIZE.tolist())} m; move it inside"
+        )
     pose = check_rotation(np.asarray(np.eye(3) if world_R_body is None else world_R_body, dtype=float), "world_R_body")
     rays = ErpGrid(height * samples, width * samples).directions @ pose.T
     image = np.empty((height, width, 3), dtype=np.uint8)
@@ -104,7 +102,7 @@ def paint(
 
 def _shade(room: Room, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Linear light ``(n, 3)`` that arrives along `rays` ``(n, 3)``, unit vectors in the world frame."""
-    point, normal, colour = _hit_walls(room, eye, rays)
+    point, normal, colour = _hit_walls(eye, rays)
     gloss = np.zeros(len(rays))
     nearest = np.linalg.norm(point - eye, axis=-1)
     for ball in room.balls:
@@ -119,10 +117,10 @@ def _shade(room: Room, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return colour * light + highlight
 
 
-def _hit_walls(room: Room, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _hit_walls(eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where the rays leave the box: points, inward normals and the colours there (linear light), each ``(n, 3)``."""
-    low = np.array([-room.size[0] / 2, -room.size[1] / 2, 0.0])
-    high = low + room.size
+    low = np.array([-SIZE[0] / 2, -SIZE[1] / 2, 0.0])
+    high = low + SIZE
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.where(rays > 0, high - eye, low - eye) / rays
     axis = np.argmin(np.where(rays == 0, np.inf, reach), axis=-1)
@@ -134,7 +132,7 @@ def _hit_walls(room: Room, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarra
     colour = np.empty_like(rays)
     for face, texture in enumerate((_back, _front, _right, _left, _floor, _ceiling)):
         on = (axis == face // 2) & (positive == bool(face % 2))
-        colour[on] = texture(point[on], room)
+        colour[on] = texture(point[on])
     return point, normal, colour
 
 
@@ -151,14 +149,14 @@ def _light(
     room: Room, point: np.ndarray, normal: np.ndarray, rays: np.ndarray, gloss: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The factor of the colour, and the highlights added to it, each ``(n, 1)``: lamp, daylight, corners."""
-    to_lamp = room.lamp - point
+    to_lamp = LAMP - point
     distance = np.linalg.norm(to_lamp, axis=-1)
     to_lamp /= distance[:, None]
     facing = np.sum(normal * to_lamp, axis=-1)
     lamp = (0.7 * np.clip(facing, 0, None) + 0.3 * np.clip(0.5 + 0.5 * facing, 0, 1)) / (1 + 0.06 * distance**2)
     # Corners get less indirect light: a product over the three pairs of walls.
     bounce = 0.42 + 0.1 * normal[:, 2]
-    for axis, size in enumerate(room.size):
+    for axis, size in enumerate(SIZE):
         gap = size / 2 - np.abs(point[:, axis] - (size / 2 if axis == 2 else 0))
         bounce *= 0.72 + 0.28 * _smooth(np.where(np.abs(normal[:, axis]) > 0.99, 1.0, gap), 0.0, 0.9)
     for ball in room.balls:  # a soft shadow, and the part of the sky that the ball hides
@@ -170,13 +168,13 @@ def _light(
         lamp *= np.where(own, 1.0, 0.25 + 0.75 * _smooth(miss, 0.7, 1.4))
         hidden = np.clip(np.sum(normal * centre, axis=-1) / away, 0, 1) * np.minimum(ball.radius / away, 1) ** 2
         bounce *= np.where(own, 1.0, 1 - 0.85 * hidden)
-    daylight = 0.16 * np.clip(0.4 + 0.6 * normal[:, 1], 0, None) * (0.5 + point[:, 1] / room.size[1])
+    daylight = 0.16 * np.clip(0.4 + 0.6 * normal[:, 1], 0, None) * (0.5 + point[:, 1] / SIZE[1])
     mirrored = rays - 2 * np.sum(rays * normal, axis=-1)[:, None] * normal
     highlight = gloss * np.clip(np.sum(mirrored * to_lamp, axis=-1), 0, None) ** 40
     return (lamp + bounce + daylight)[:, None], highlight[:, None]
 
 
-def _floor(p: np.ndarray, room: Room) -> np.ndarray:
+def _floor(p: np.ndarray) -> np.ndarray:
     """Boards along x, and an oval rug with rings."""
     board = np.floor(p[:, 1] / 0.18)
     tone = 0.82 + 0.18 * _noise(board + 31 * np.floor((p[:, 0] + 0.7 * board) / 1.3))
@@ -186,24 +184,24 @@ def _floor(p: np.ndarray, room: Room) -> np.ndarray:
     return _over(colour, (ring < 1, rug))
 
 
-def _ceiling(p: np.ndarray, room: Room) -> np.ndarray:
+def _ceiling(p: np.ndarray) -> np.ndarray:
     """Plain, with a bright disc where the lamp hangs."""
-    glow = 1 - _smooth(np.hypot(p[:, 0] - room.lamp[0], p[:, 1] - room.lamp[1]), 0.22, 0.3)
+    glow = 1 - _smooth(np.hypot(p[:, 0] - LAMP[0], p[:, 1] - LAMP[1]), 0.22, 0.3)
     return _srgb(228, 226, 220) * (1 + 0.9 * glow[:, None])
 
 
-def _front(p: np.ndarray, room: Room) -> np.ndarray:
+def _front(p: np.ndarray) -> np.ndarray:
     """A sand-coloured wall with a framed landscape, left of the middle."""
-    y, z = p[:, 1] - 0.7, p[:, 2] - 0.57 * room.size[2]
+    y, z = p[:, 1] - 0.7, p[:, 2] - 0.57 * SIZE[2]
     near, far = z > 0.06 * np.sin(5 * y + 2) - 0.22, z > 0.1 * np.sin(3 * y) - 0.05
     hills = _over(_srgb(112, 116, 110), (near, _srgb(140, 146, 140)), (near & far, _srgb(205, 208, 210)))
     frame, mount = (_box(y, z, 0.72, 0.48), _srgb(74, 68, 64)), (_box(y, z, 0.66, 0.42), _srgb(232, 230, 224))
     return _over(_wall(p, (206, 197, 184)), frame, mount, (_box(y, z, 0.55, 0.32), hills))
 
 
-def _left(p: np.ndarray, room: Room) -> np.ndarray:
+def _left(p: np.ndarray) -> np.ndarray:
     """A grey-green wall with a window of two by three panes."""
-    x, z = p[:, 0] + 0.5, p[:, 2] - 0.58 * room.size[2]
+    x, z = p[:, 0] + 0.5, p[:, 2] - 0.58 * SIZE[2]
     sky = _srgb(226, 232, 238) * (1.5 - 0.35 * np.clip(z + 0.4, 0, 1))[:, None]
     outside = _over(_srgb(168, 176, 166), (z > -0.38 + 0.08 * np.sin(2.5 * x) + 0.03 * np.sin(9 * x), sky))
     panes = _box(x, z, 1.2, 0.65) & (_to_line(x + 0.4, 0.8) > 0.025) & (_to_line(z, 1.3) > 0.025)
@@ -211,7 +209,7 @@ def _left(p: np.ndarray, room: Room) -> np.ndarray:
     return _over(_wall(p, (184, 192, 182)), frame, (panes, outside))
 
 
-def _back(p: np.ndarray, room: Room) -> np.ndarray:
+def _back(p: np.ndarray) -> np.ndarray:
     """A grey wall with a panelled door, right of the middle as one faces it."""
     y, z = p[:, 1] - 1.1, p[:, 2]
     frame = _box(y, z - 1.0, 0.56, 1.12), _srgb(234, 232, 228)
@@ -221,7 +219,7 @@ def _back(p: np.ndarray, room: Room) -> np.ndarray:
     return _over(_wall(p, (190, 188, 196)), frame, door, *panels, handle)
 
 
-def _right(p: np.ndarray, room: Room) -> np.ndarray:
+def _right(p: np.ndarray) -> np.ndarray:
     """Broad upright stripes."""
     return _over(_wall(p, (170, 178, 188)), (np.floor(p[:, 0] / 0.35) % 2 == 0, _wall(p, (208, 206, 200))))
 

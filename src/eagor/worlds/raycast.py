@@ -138,24 +138,6 @@ class NumpyRaycaster:
     """The same results from a tree of boxes, except for rounding and the choice at a shared edge."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        self._tree = Tree(vertices, triangles)
-
-    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """See `Raycaster.cast`."""
-        origins, directions = _checked(origins, directions)
-        return Hits(*self._tree.trace(origins, directions, np.full(len(origins), np.inf)))
-
-    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """See `Raycaster.occluded`."""
-        origins, directions = _checked(origins, directions)
-        limits = np.broadcast_to(np.asarray(reach, dtype=np.float64), len(origins))
-        return self._tree.trace(origins, directions, limits)[1] >= 0
-
-
-class Tree:
-    """The tree over `triangles` ``(T, 3)`` of `vertices` ``(V, 3)``, metres."""
-
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         corners = vertices[triangles].astype(np.float64)
         self._origin = corners.reshape(-1, 3).mean(axis=0)  # near the middle, to balance rounding
         corners -= self._origin
@@ -171,14 +153,24 @@ class Tree:
         self._leaves = np.ascontiguousarray(owner[np.where(full, slots, len(order))].T)  # (_LEAF, leaves)
         self._boxes = _boxes(pieces[order], starts, self._levels)
 
-    def trace(self, origins: np.ndarray, directions: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Distance (inf: none), triangle (-1), u and v of the nearest hit on each ray ``(n, 3)`` within its limit."""
+    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """See `Raycaster.cast`."""
+        return self._within(np.inf, origins, directions)
+
+    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
+        """See `Raycaster.occluded`."""
+        return self._within(reach, origins, directions).triangle >= 0
+
+    def _within(self, reach: float | np.ndarray, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """The nearest hit on each ray that is not farther than `reach`, in lengths of its direction."""
+        origins, directions = _checked(origins, directions)
+        limits = np.broadcast_to(np.asarray(reach, dtype=np.float64), len(origins))
         starts = range(0, max(len(origins), 1), _BATCH)
         found = [self._walk(*(a[k : k + _BATCH] for a in (origins, directions, limits))) for k in starts]
         distance, triangle, u, v = (np.concatenate(parts) for parts in zip(*found, strict=True))
         distance = np.where(triangle >= 0, distance, np.inf)
         u, v = (np.clip(weight, 0.0, 1.0).astype(np.float32) for weight in (u, v))
-        return distance.astype(np.float32), triangle.astype(np.int32), u, v
+        return Hits(distance.astype(np.float32), triangle.astype(np.int32), u, v)
 
     def _walk(self, origins: np.ndarray, directions: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, ...]:
         """Distance, triangle (-1: none), u and v of one batch."""

@@ -1,4 +1,4 @@
-"""Colour, range and instance ids of a scene, from any pose and for any grid: one ray per pixel.
+"""Colour, range and instance ids of a scene, from any pose and for any grid: one ray per pixel; and photographs.
 
 Frames: positions and rotations are poses in the world frame; images are in the layout of `eagor.sphere`. A moving ball
 is not part of a scene, but drawn into rendered frames in closed form (`with_ball`).
@@ -13,11 +13,14 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
+from eagor._arrays import frozen
 from eagor._lazy import lazy
 from eagor._srgb import to_coded, to_linear
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
+from eagor.media.panorama import checked_picture, turn
 from eagor.sphere import check_rotation
 from eagor.worlds.lattice import Lattice, unseen
 from eagor.worlds.light import light_of, look_up, painted_sky
@@ -61,10 +64,7 @@ class Shader:
         self._tone = _tone_table()
         view = tone(_OUTDOORS * painted_sky(int(scene.hash[:8], 16)))
         self._outdoors = np.rint(255 * to_coded(view)).astype(np.uint8)
-        self._prepare(scene, lattice)
-
-    def _prepare(self, scene: Scene, lattice: Lattice) -> None:
-        """The tables of the triangles; an additional last row serves rays without a hit."""
+        # The tables of the triangles; an additional last row serves rays without a hit.
         _, e1, e2, _ = lattice.frame
         side = (1 << self._texels.log_side[scene.material * _LEVELS].astype(np.int64))[:, None].astype(np.float64)
         uv = np.take_along_axis(scene.uv, ((lattice.turned[:, None] + np.arange(3)) % 3)[..., None], axis=1)
@@ -189,8 +189,6 @@ def _pyramid(texture: np.ndarray | None) -> list[np.ndarray]:
     texture = texture[::-1, :, :3]
     side = 1 << min(int(np.ceil(np.log2(max(texture.shape[:2])))), _LEVELS - 1)
     if texture.shape[:2] != (side, side):
-        from PIL import Image
-
         texture = np.asarray(Image.fromarray(np.ascontiguousarray(texture)).resize((side, side)))
     levels = [texture.reshape(-1, 3)]
     decode = to_linear(np.arange(256) / 255).astype(np.float32)
@@ -209,7 +207,7 @@ def _tinted(level: np.ndarray, tint: np.ndarray) -> np.ndarray:
     return r | g << 8 | b << 16
 
 
-# --- colour, range and instance ids of a scene, from any pose and for any grid ----------------------------------------
+# --- pictures ---------------------------------------------------------------------------------------------------------
 
 Position = np.ndarray | tuple[float, float, float]
 _QUANTA = 1 << 20  # steps of yaw per column: 1e-8 rad in a panorama of 512 columns, below the resolution of float32
@@ -229,6 +227,21 @@ class Frame:
     rgb: np.ndarray | None
     range: np.ndarray | None
     ids: np.ndarray | None
+
+
+def checked_pose(
+    position: Position, world_R_body: np.ndarray, height: int = 1, name: str = "world_R_body"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position ``(3,)`` and pose ``(3, 3)`` of a camera whose pictures have so many rows, float64.
+
+    Raises `PoseError`, `RotationError`, `GridError`.
+    """
+    if height < 1:
+        raise GridError(f"a panorama of height {height}; wanted at least one row")
+    place = np.asarray(position, dtype=np.float64)
+    if place.shape != (3,) or not np.isfinite(place.astype(np.float32)).all():
+        raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
+    return place, np.asarray(check_rotation(np.asarray(world_R_body, dtype=np.float64), name))
 
 
 class Renderer:
@@ -271,15 +284,13 @@ class Renderer:
         A rotation about the vertical is split into a whole number of columns and a remainder, so that turning by whole
         columns rolls the image exactly. Raises `PoseError`, `RotationError`, `GridError`, `WorldError`.
         """
-        if height < 1:
-            raise GridError(f"a panorama of height {height}; wanted at least one row")
-        rotation = np.asarray(check_rotation(np.asarray(world_R_body, dtype=np.float64), "world_R_body"))
+        place, rotation = checked_pose(position, world_R_body, height)
         yaw = _pure_yaw(rotation)
         if yaw is None:
             directions = _erp_directions(height) @ rotation.T.astype(np.float32)
         else:
             directions = _turned_directions(height, yaw)
-        parts = self._seen(position, directions, math.pi / height, rgb, range, ids)
+        parts = self._seen(place, directions, math.pi / height, rgb, range, ids)
         return _shaped(parts, (height, 2 * height))
 
     def view(
@@ -293,7 +304,7 @@ class Renderer:
         """
         if isinstance(grid, ErpGrid) and grid.width == 2 * grid.height:
             return self.panorama(position, world_R_view, grid.height, rgb=rgb, range=range, ids=ids)
-        rotation = np.asarray(check_rotation(np.asarray(world_R_view, dtype=np.float64), "world_R_view"))
+        place, rotation = checked_pose(position, world_R_view, name="world_R_view")
         weights = np.asarray(grid.weights)
         seen = weights.ravel() > 0
         directions = (grid.directions.reshape(-1, 3)[seen] @ rotation.T).astype(np.float32)
@@ -301,9 +312,7 @@ class Renderer:
         separable = isinstance(grid, ErpGrid | PatchGrid)
         pixel = math.pi / grid.shape[0] if separable else math.sqrt(float(np.median(weights[weights > 0])))
         whole = []
-        for part, nothing in zip(
-            self._seen(position, directions, pixel, rgb, range, ids), (0, np.inf, -1), strict=True
-        ):
+        for part, nothing in zip(self._seen(place, directions, pixel, rgb, range, ids), (0, np.inf, -1), strict=True):
             if part is not None and not seen.all():
                 spread = np.full((len(seen), *part.shape[1:]), nothing, dtype=part.dtype)
                 spread[seen] = part
@@ -312,13 +321,11 @@ class Renderer:
         return _shaped(whole, grid.shape)
 
     def _seen(
-        self, position: Position, directions: np.ndarray, pixel: float, rgb: bool, range: bool, ids: bool
+        self, place: np.ndarray, directions: np.ndarray, pixel: float, rgb: bool, range: bool, ids: bool
     ) -> tuple[np.ndarray | None, ...]:
         """What these rays ``(n, 3)`` hit, ``(n, ...)`` each; `pixel`: the angle between neighbours, radians."""
-        origin = np.asarray(position, dtype=np.float32)
-        if origin.shape != (3,) or not np.isfinite(origin).all():
-            raise PoseError(f"the camera stands at {position}; wanted a position (x, y, z), finite, in metres")
-        hits = self.raycaster.cast(np.broadcast_to(origin, directions.shape), directions)
+        origins = np.broadcast_to(place.astype(np.float32), directions.shape)
+        hits = self.raycaster.cast(origins, directions)
         return (
             self._shader.shade(hits, directions, pixel) if rgb else None,
             hits.distance if range else None,
@@ -339,7 +346,7 @@ def _pure_yaw(rotation: np.ndarray) -> float | None:
 @lru_cache(maxsize=4)
 def _erp_directions(height: int) -> np.ndarray:
     """Directions of a panorama's pixels, body frame, ``(n, 3)`` float32."""
-    return _frozen(ErpGrid(height, 2 * height).directions.reshape(-1, 3).astype(np.float32))
+    return frozen(ErpGrid(height, 2 * height).directions.reshape(-1, 3).astype(np.float32))
 
 
 def _turned_directions(height: int, yaw: float) -> np.ndarray:
@@ -366,13 +373,8 @@ def _columns(height: int, remainder: int) -> tuple[np.ndarray, np.ndarray, np.nd
     azimuth = grid.longitudes + remainder / _QUANTA * (math.pi / height)
     latitude = grid.latitudes[:, None]
     found = np.stack([np.cos(azimuth), np.sin(azimuth)]), np.cos(latitude), np.sin(latitude)
-    first, second, third = (_frozen(array.astype(np.float32)) for array in found)
+    first, second, third = (frozen(array.astype(np.float32)) for array in found)
     return first, second, third
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    array.setflags(write=False)
-    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,3 +413,36 @@ def with_ball(frame: Frame, position: np.ndarray, world_R_body: np.ndarray, ball
     if frame.ids is not None:
         ids = np.where(hit, np.int32(id), frame.ids)
     return Frame(rgb=rgb, range=np.where(hit, distance, frame.range).astype(np.float32), ids=ids)
+
+
+# --- a photograph -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A panorama ``(H, W, 3)`` uint8, in the layout of `eagor.sphere`, taken in the identity pose at the origin.
+
+    The camera can turn but not move in it, since a photograph has no depth: there are no ranges and no ids.
+    """
+
+    image: np.ndarray
+
+    def panorama(
+        self, position: Position, world_R_body: np.ndarray, height: int, *,
+        rgb: bool = True, range: bool = True, ids: bool = True,
+    ) -> Frame:  # fmt: skip
+        """The view in the pose `world_R_body`, ``(height, 2 height, 3)``; range and ids are always None.
+
+        The photograph is averaged to the size first. Raises `PoseError` for a position other than the origin,
+        `GridError` for a height below 1, `RotationError`, and `ImageError` for an invalid photograph.
+        """
+        image = checked_picture(self.image, "the photograph")
+        place, pose = checked_pose(position, world_R_body, height)
+        if place.any():
+            raise PoseError(
+                f"the camera stands at {position}; a photograph shows what is seen from (0, 0, 0), where it was taken"
+            )
+        if not rgb:
+            return Frame(None, None, None)
+        sized = Image.fromarray(np.ascontiguousarray(image)).resize((2 * height, height), Image.Resampling.BOX)
+        return Frame(turn(np.asarray(sized), pose.T), None, None)

@@ -29,13 +29,11 @@ from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.cutting import check_fields, cut, tangent_views
 from eagor.media.panorama import checked_picture, resized
-from eagor.perception.endpoint.client import shown_address
-from eagor.perception.endpoint.messages import Answer, Picture, Request, question
+from eagor.perception.endpoint.client import Answer, Picture, Request, question, shown_address
 from eagor.perception.endpoint.server import Asker, Server, named
+from eagor.perception.vlm import Served, ask_boxes, ask_presence, boxes_schema, exact_size, phrase, style_of
 from eagor.perception.vlm.answers import Box, Frame, Order, parse_boxes, parse_presence
-from eagor.perception.vlm.families import Served, exact_size, style_of
 from eagor.perception.vlm.projection import Detection, detected, drawn, filled, framed, lift, merged, things, united
-from eagor.perception.vlm.prompts import ask_boxes, ask_presence, boxes_schema, phrase
 
 __all__ = ["EndpointPerception", "ServedLook", "from_text"]
 
@@ -165,11 +163,11 @@ class EndpointPerception(Asker):
         readings, again = [], []
         for (shot, asked), answer in zip(questions, answers, strict=True):
             try:
-                readings.append(plan.read(shot, answer))
+                readings.append((shot, plan.read(shot, answer)))
             except AnswerError:
                 (second,) = self._connected.ask([replace(asked, temperature=_SECOND_TRY)])
                 again.append(second)
-                readings.append(plan.read(shot, second))
+                readings.append((shot, plan.read(shot, second)))
         _warn_if_shrunk(plan, model, answers)
         responses, coverage = plan.response(readings, len(queries))
         source = self._source(plan, model, [*answers, *again], 1000 * (time.perf_counter() - started))
@@ -301,24 +299,7 @@ class Shot:
     roll: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """The parsed answer about a shot: its boxes, or the probability that the thing is there."""
-
-    shot: Shot
-    found: list[Box] | float
-
-    @property
-    def things(self) -> list[Detection]:
-        """The detections that the boxes stand for; none for a probability."""
-        return things(self.found, self.shot.grid, self.shot.roll) if isinstance(self.found, list) else []
-
-    @property
-    def response(self) -> np.ndarray:
-        """The response on the canvas; for a probability a single cell ``(1, 1)``."""
-        if isinstance(self.found, list):
-            return drawn(self.found, self.shot.grid, self.shot.canvas, roll=self.shot.roll)
-        return np.full((1, 1), self.found)
+Reading = list[Box] | float  # of the answer about a shot: its boxes, or the probability that the thing is there
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,20 +333,24 @@ class LookPlan:
     def read(self, shot: Shot, answer: Answer) -> Reading:
         """The parsed answer. Raises `AnswerError` if it cannot be read."""
         if self.asked == "presence":
-            return Reading(shot, parse_presence(answer.text, answer.verdict))
+            return parse_presence(answer.text, answer.verdict)
         style = self.style
-        return Reading(shot, parse_boxes(answer.text, style.frame, shot.picture.size, style.order, answer.tokens))
+        return parse_boxes(answer.text, style.frame, shot.picture.size, style.order, answer.tokens)
 
-    def response(self, readings: Sequence[Reading], queries: int) -> tuple[np.ndarray, np.ndarray]:
-        """The combined response and coverage of `readings` for this many queries."""
-        drawn = [one.response for one in readings]
-        return self.combine([np.stack(drawn[start : start + queries]) for start in range(0, len(drawn), queries)])
+    def response(self, readings: Sequence[tuple[Shot, Reading]], queries: int) -> tuple[np.ndarray, np.ndarray]:
+        """The combined response and coverage of `readings` for this many queries; a probability is a single cell."""
+        maps = [
+            drawn(found, shot.grid, shot.canvas, shot.roll) if isinstance(found, list) else np.full((1, 1), found)
+            for shot, found in readings
+        ]
+        return self.combine([np.stack(maps[start : start + queries]) for start in range(0, len(maps), queries)])
 
-    def things(self, readings: Sequence[Reading], queries: int) -> tuple[list[Detection], ...] | None:
+    def things(self, readings: Sequence[tuple[Shot, Reading]], queries: int) -> tuple[list[Detection], ...] | None:
         """The detections of all pictures together, one list per query; None where no boxes were asked for."""
         if self.asked == "presence":
             return None
-        return tuple(united(one.things for one in readings[query::queries]) for query in range(queries))
+        found = [things(boxes, shot.grid, shot.roll) for shot, boxes in readings if isinstance(boxes, list)]
+        return tuple(united(found[query::queries]) for query in range(queries))
 
 
 def boxes_plan(panorama: np.ndarray, style: Served, size: tuple[int, int], seam: bool, kind: Format) -> LookPlan:

@@ -25,7 +25,10 @@ from eagor._secrets import redacted
 from eagor.errors import AnswerError, EagorError, QueryError
 from eagor.perception.endpoint.client import (
     DEFAULT_SERVER,
+    Answer,
     Asked,
+    Picture,
+    Request,
     checked_address,
     client_of,
     explained,
@@ -36,8 +39,7 @@ from eagor.perception.endpoint.client import (
     shown_address,
     worth_retrying,
 )
-from eagor.perception.endpoint.messages import Answer, Picture, Request
-from eagor.perception.vlm.prompts import IMAGE, MAX_TOKENS, ChatReply, Message
+from eagor.perception.vlm import IMAGE, MAX_TOKENS, ChatReply, Message
 
 LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
 _LONGEST = 86400.0  # longest timeout, seconds: sockets store timeouts in few bits
@@ -279,7 +281,7 @@ _AT_ONCE = 1024  # requests at once: the number of workers is the limit
 
 @dataclass(frozen=True, repr=False)
 class ServedChat(Asker):
-    """A `eagor.perception.vlm.prompts.Chat` with a model on an OpenAI-compatible server.
+    """A `eagor.perception.vlm.Chat` with a model on an OpenAI-compatible server.
 
     Attributes, in addition to those of `eagor.perception.endpoint.server.Asker`:
         temperature, max_tokens: of a reply.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import expit
 
 from eagor.errors import ResponseError
 
@@ -48,18 +49,13 @@ class Frame:
 
 def probabilities(scores: np.ndarray, sigmoid: bool = False) -> np.ndarray:
     """`scores` as they are, or through the logistic function. Raises `ResponseError` unless all are in [0, 1]."""
-    scores = logistic(scores) if sigmoid else np.asarray(scores, dtype=np.float64)
+    scores = expit(np.asarray(scores, dtype=np.float64)) if sigmoid else np.asarray(scores, dtype=np.float64)
     if scores.size and not (scores.min() >= -_SLACK and scores.max() <= 1 + _SLACK):
         raise ResponseError(
             f"the network gives scores from {scores.min():.3g} to {scores.max():.3g}; wanted [0, 1]. If these are "
             "logits, say sigmoid=true; if not, name the right layout=..., or the values=... of the input"
         )
     return np.clip(scores, 0, 1)
-
-
-def logistic(values: np.ndarray) -> np.ndarray:
-    """1 / (1 + exp(-values)), without overflow."""
-    return 0.5 * (1 + np.tanh(0.5 * np.asarray(values, dtype=np.float64)))
 
 
 def corners(boxes: np.ndarray) -> np.ndarray:
@@ -194,7 +190,7 @@ def rtdetr(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
         table = outputs[0][0].astype(np.float64)
         return of_table(corners(table) * frame.sides, probabilities(table[:, 4:], frame.sigmoid), frame)
     boxes, logits = (each[0].astype(np.float64) for each in outputs)
-    return of_table(corners(boxes) * frame.sides, logistic(logits), frame)
+    return of_table(corners(boxes) * frame.sides, expit(logits), frame)
 
 
 def listed(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
@@ -216,7 +212,7 @@ def centernet(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
     """
     maps, distances = outputs[0][0], outputs[1][0].astype(np.float64)
     if frame.sigmoid:
-        maps = logistic(maps)
+        maps = expit(maps.astype(np.float64))
     # Few of a million scores reach the threshold: only these are read further, and the extremes are checked.
     probabilities(np.array([maps.min(), maps.max()]) if maps.size else maps)
     kind, row, column = np.unravel_index(np.flatnonzero(maps >= _in_kind(frame.threshold, maps.dtype)), maps.shape)

@@ -23,8 +23,8 @@ from transformers.integrations.sdpa_attention import sdpa_attention_forward
 from transformers.masking_utils import sdpa_mask
 
 from eagor.errors import EagorError
-from eagor.perception.transformers.inputs import Prompt, check_typed, typed
-from eagor.perception.vlm.families import Family
+from eagor.perception.transformers.inputs import Prompt, typed
+from eagor.perception.vlm import Family
 
 
 @dataclass
@@ -118,7 +118,6 @@ def share(
         feed["pixel_values"] = feed["pixel_values"].to(model.dtype)
     types = typed(family, ids, image_token)
     feed.update(input_ids=ids, **types)
-    check_typed(family, feed, image_token)
     position = None
     if family.type_ids == "mm_token_type_ids":
         places, _ = model.model.get_rope_index(

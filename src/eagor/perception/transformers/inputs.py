@@ -20,7 +20,7 @@ import torch
 from eagor._lazy import lazy
 from eagor.errors import EagorError, ImageError
 from eagor.media.panorama import resized
-from eagor.perception.vlm.families import Family, exact_size, nearest_size
+from eagor.perception.vlm import Family, exact_size, nearest_size
 
 _MOST_TILES = 12
 _MOST_STEPS = 2_000_000  # lines that a chat template may run: a hundred turns with pictures take about ten thousand
@@ -288,25 +288,11 @@ def templated(tokenizer: Any, turns: Sequence[Mapping[str, Any]]) -> str:
 
 
 def typed(family: Family, ids: torch.Tensor, image_token: int) -> dict[str, torch.Tensor]:
-    """The family's type ids ``(B, S)``: 1 at image tokens, 0 elsewhere; empty for a family without them."""
-    return {family.type_ids: (ids == image_token).long()} if family.type_ids else {}
-
-
-def check_typed(family: Family, feed: Mapping[str, Any], image_token: int) -> None:
-    """Raise `EagorError` unless the image tokens in `feed` are marked as the family needs it.
+    """The family's type ids ``(B, S)``: 1 at image tokens, 0 elsewhere; empty for a family without them.
 
     Without these ids some models run with wrong positions or a wrong mask, and answer wrongly without an error.
     """
-    if family.type_ids is None or feed.get("pixel_values") is None:
-        return
-    marked = feed.get(family.type_ids)
-    wanted = feed["input_ids"] == image_token
-    if marked is None or marked.shape != wanted.shape or not torch.equal(marked.bool(), wanted):
-        what = "are missing" if marked is None else "do not mark exactly the image tokens"
-        raise EagorError(
-            f"{family.type_ids} {what}; without them {family.title} takes the image for text. Pass "
-            f"{family.type_ids}=(input_ids == {image_token})"
-        )
+    return {family.type_ids: (ids == image_token).long()} if family.type_ids else {}
 
 
 class Endless(Exception):

@@ -8,13 +8,17 @@ import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eagor._checks import within
 from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor._json import whole
 from eagor.errors import EagorError, MissingExtraError
-from eagor.perception.vlm.families import Family, LoadedModel, chosen, family_of
+from eagor.perception.vlm import Family, chosen, family_of
+
+if TYPE_CHECKING:
+    from eagor.perception.transformers.language import LanguageModel
+    from eagor.perception.transformers.localisers import Localiser
 
 
 def load_model(
@@ -32,7 +36,7 @@ def load_model(
     max_tokens: int = 512,
     batch: int = 8,
     threshold: float | None = None,
-) -> LoadedModel:
+) -> LanguageModel | Localiser:
     """The model with this hub name or in this folder, in evaluation mode on its device; options as in the perception.
 
     Warns of weights that the checkpoint lacks. Raises `EagorError` if packages are missing, nothing can be loaded
@@ -56,7 +60,7 @@ def load_model(
     if given := sorted(key for key, value in foreign.items() if value is not None):
         why = "has no attention to read" if family.localiser else "has none, only localisers do"
         raise EagorError(f"{', '.join(given)} cannot be used with {family.title}, which {why}")
-    from eagor.perception.transformers.attention import read_heads
+    from eagor.perception.transformers.language import read_heads
 
     settings["pixels"] = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
     if family.localiser:

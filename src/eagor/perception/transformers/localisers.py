@@ -18,10 +18,9 @@ import torch
 from eagor.errors import ImageError
 from eagor.grids import Grid
 from eagor.perception.transformers.inference import chunks
+from eagor.perception.vlm import Account, Extractor, Family, phrase
 from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.families import Account, Extractor, Family
 from eagor.perception.vlm.projection import drawn
-from eagor.perception.vlm.prompts import phrase
 
 _FINEST = 180  # columns of the cells that boxes are drawn on, at most
 _MOST = 50  # boxes per picture and query
@@ -66,7 +65,7 @@ KINDS = {
 
 @dataclass
 class Localiser:
-    """A loaded localiser, a `LoadedModel`; drops boxes below `threshold` (None: the family's)."""
+    """A loaded localiser, asked as a `LanguageModel` is; drops boxes below `threshold` (None: the family's)."""
 
     name: str
     revision: str

@@ -1,6 +1,359 @@
-"""Shared by local and served vision-language models: families, prompts, answers, projection back to the sphere.
+"""How vision-language models are asked, local or served: their families, questions, conversations.
 
-It uses NumPy, Pillow and the core only, neither torch nor a server.
+The differences between families are data (families.toml): no family has code of its own.
+
+`Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
+pictures both take unchanged. This module imports neither torch nor transformers, so that ``eagor doctor`` can print
+which models could run.
 """
 
-__all__: list[str] = []  # the names are those of the modules
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal, Protocol, cast
+
+import msgspec
+import numpy as np
+
+from eagor.errors import EagorError, ImageError, QueryError
+from eagor.perception.vlm.answers import Frame, Order
+
+Fit = Literal["exact", "squash", "pad", "tiles"]
+Extractor = Literal["attention", "boxes", "both", "mask", "views"]
+PIXELS = 700 * 1400  # of a panorama, by default
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A published checkpoint: its name on the hub, and its size in billions of parameters."""
+
+    name: str
+    billions: float
+
+    @property
+    def gigabytes(self) -> float:
+        """Estimated memory (1e9 bytes) in 16 bits, plus a fifth (measure: `benchmarks/vlm_latency.py`)."""
+        return 2.4 * self.billions
+
+
+@dataclass(frozen=True)
+class Served:
+    """How a family is asked on a server, which reveals only the model's name.
+
+    - `pattern`: regular expression that finds the family in lower-case names such as ``qwen2.5vl:7b``.
+    - `cell`: side of an image token in pixels; pictures are sent in multiples of it. `view`: side of a square view.
+    - `aspect`: width / height of a panorama as sent. For processors that make everything square, some by cropping,
+      the panorama is squeezed beforehand: cells are then twice as wide as high.
+    - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes, in the frame
+      of its family; others are better asked yes or no.
+    - `family`: its name. `pixels`: of a panorama, by default.
+    """
+
+    pattern: str
+    cell: int
+    view: int
+    aspect: float = 2.0
+    frame: Frame = "thousand"
+    order: Order = "xyxy"
+    family: str = "other"
+    pixels: int = PIXELS
+    grounded: bool = True
+
+
+@dataclass(frozen=True)
+class Dialogue:
+    """The format of a conversation, for checkpoints without a template of their own.
+
+    - `user`, `assistant`, `system`: the form of such a message; ``{text}`` stands for its text (and pictures). With an
+      empty `system`, its text goes before that of the first user message.
+    - `begin`: before everything; `reply`: before the next reply; `picture`: around the family's placeholder.
+    - `helper`: default text of the system message; empty for no such message.
+    """
+
+    user: str
+    assistant: str
+    reply: str
+    picture: str
+    system: str = ""
+    begin: str = ""
+    helper: str = ""
+
+
+@dataclass(frozen=True)
+class Family:
+    """A family of models; `title` is its common name, `checkpoints` are some published ones.
+
+    - `model_types`: values of ``model_type`` in ``config.json`` that belong to it.
+    - `fit`: how an image becomes the model's input. ``exact``: resized to whole cells, any aspect; ``squash``: to the
+      model's square; ``pad``: into the square with background around it; ``tiles``: cut into squares, followed by the
+      whole image at a smaller scale. `pixels`: the most per image, if the family leaves a choice.
+    - `extractor`: how directions are read by default: ``attention``, ``boxes`` that it writes, ``both`` from one call,
+      its segmentation ``mask``, or ``views``: `per_view` in tangent views that cover the sphere.
+    - `frame`: coordinates of the boxes that it was trained to write; None if it was not.
+    - `type_ids`: the input that tells image tokens from text; without it the model runs and answers wrongly.
+    - `placeholder`: what the chat template writes for an image. It is replaced by the `expansion`, in which the
+      `image_token` is then repeated. `dialogue`: for checkpoints without a template.
+    - `depth`: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
+      and 14 of 32 for LLaVA-1.5-7B are published (Zhang et al., arXiv 2502.17422); the others are not measured.
+    - `localiser`: whether it has detection or segmentation heads and cannot talk.
+    - `served`: how it is asked on a server; None if chat servers do not run it.
+    """
+
+    name: str
+    model_types: tuple[str, ...]
+    title: str
+    fit: Fit
+    extractor: Extractor
+    checkpoints: tuple[Checkpoint, ...]
+    per_view: Extractor = "attention"
+    frame: Frame | None = None
+    type_ids: str | None = None
+    placeholder: str = ""
+    expansion: str = ""
+    image_token: str = ""
+    dialogue: Dialogue | None = None
+    depth: float = 0.6
+    pixels: int = PIXELS
+    localiser: bool = False
+    served: Served | None = None
+
+    @property
+    def template(self) -> str:
+        """The prompt about one picture, with ``{text}`` for the question; empty for a family without dialogue."""
+        if self.dialogue is None:
+            return ""
+        said = self.dialogue
+        helper = said.system.replace("{text}", said.helper) if said.helper else ""
+        return said.begin + helper + said.user.replace("{text}", said.picture + "{text}") + said.reply
+
+    @property
+    def view_pixels(self) -> int | None:
+        """The most pixels of a view by default; None if the family leaves no choice."""
+        return self.served.view**2 if self.served else None
+
+    def default(self, heads: str | None = None) -> Extractor:
+        """The default extractor; with a file of localisation heads one that uses them."""
+        return "attention" if heads and self.extractor == "boxes" and not self.localiser else self.extractor
+
+    @property
+    def extractors(self) -> tuple[Extractor, ...]:
+        """The extractors that the family supports."""
+        if self.localiser:
+            return (self.per_view, "views")
+        return ("attention", "boxes", "both", "views") if self.frame else ("attention", "views")
+
+
+def _family(entry: dict[str, Any]) -> Family:
+    """A family from its entry in families.toml."""
+    if "served" in entry:
+        own = {key: entry[key] for key in ("frame", "pixels") if key in entry}
+        entry["served"] |= own | {"family": entry["name"], "grounded": "frame" in entry}
+    entry["checkpoints"] = [{"name": name, "billions": size} for name, size in entry["checkpoints"].items()]
+    return msgspec.convert(entry, Family)
+
+
+_FILE = Path(__file__).with_name("families.toml")
+FAMILIES: tuple[Family, ...] = tuple(map(_family, tomllib.loads(_FILE.read_text(encoding="utf-8"))["family"]))
+
+
+def chosen(name: str, family: Family, option: str) -> Extractor:
+    """`name` as an extractor of the family; errors name `option`. Raises `EagorError`, which lists the extractors."""
+    if name not in family.extractors:
+        raise EagorError(f"{option} = {name!r}; for {family.title} it can be {', '.join(family.extractors)}")
+    return cast(Extractor, name)
+
+
+def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
+    """The family of a configuration (object or parsed ``config.json``). Raises `EagorError`, which names `source`."""
+    kind = config.get("model_type") if isinstance(config, Mapping) else getattr(config, "model_type", None)
+    for family in FAMILIES:
+        if kind in family.model_types:
+            return family
+    known = ", ".join(f"{family.title} ({', '.join(family.model_types)})" for family in FAMILIES)
+    raise EagorError(
+        f"{source} holds a model of type {kind!r}, which cannot be read here; known are {known}. Other models can be "
+        "served and reached as endpoint:MODEL@URL"
+    )
+
+
+# --- served models, by their names ------------------------------------------------------------------------------------
+
+
+OTHER = Served("", 28, 560)  # of a name of no known family
+# Qwen2-VL runs on servers only.
+_QWEN2_VL = Served(r"qwen[\W_]?2[\W_]?vl", 28, 560, family="qwen2_vl")
+
+
+def style_of(model: str) -> Served:
+    """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; else `OTHER`."""
+    known = [*(family.served for family in FAMILIES if family.served), _QWEN2_VL]
+    return next((served for served in known if re.search(served.pattern, model.lower())), OTHER)
+
+
+# --- exact sizes ------------------------------------------------------------------------------------------------------
+
+
+def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
+    """(height, width) of the largest picture of at most `pixels` pixels whose sides are multiples of `cell`.
+
+    width / height is exactly `aspect` if such a picture fits (2 for a panorama, 1 for a view; others are rounded to
+    the nearest ratio of whole numbers up to 16), otherwise as near to it as whole cells allow. Raises `ImageError` if
+    not even one cell fits.
+    """
+    cells = pixels // (cell * cell) if cell >= 1 else 0
+    if cells < 1 or not (math.isfinite(aspect) and aspect > 0):
+        raise ImageError(
+            f"no picture of {aspect:g}:1 with cells of {cell} pixels has at most {pixels} pixels; allow more pixels"
+        )
+    ratio = Fraction(aspect).limit_denominator(16) if aspect >= 1 else 1 / Fraction(1 / aspect).limit_denominator(16)
+    times = math.isqrt(cells // (ratio.numerator * ratio.denominator))
+    if times:
+        return cell * times * ratio.denominator, cell * times * ratio.numerator
+    rows = range(1, math.isqrt(cells) + 1) if aspect >= 1 else range(1, cells + 1)
+    shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in rows]
+    row, column = min(shapes, key=lambda shape: (abs(math.log(shape[1] / shape[0] / aspect)), -shape[0] * shape[1]))
+    return cell * row, cell * column
+
+
+def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tuple[int, int]:
+    """(height, width) nearest to `shape` in whole cells, with `least` to `most` pixels, as a processor would choose it.
+
+    The rounding is that of the Qwen families' image processors, so that a local conversation sees what a server would
+    show. Sides are rounded separately, which distorts the picture by up to half a cell each way: use `exact_size` where
+    directions are read. Raises `ImageError` if not even one cell fits.
+    """
+    height, width = shape
+    if most < cell * cell or min(shape) < 1:
+        raise ImageError(f"a picture of {width} x {height} cannot have cells of {cell} pixels and at most {most}")
+    sides = [round(side / cell) * cell for side in shape]
+    scale = math.sqrt(height * width / most)
+    if sides[0] * sides[1] > most:
+        sides = [max(cell, math.floor(side / scale / cell) * cell) for side in shape]
+    elif sides[0] * sides[1] < least:
+        scale = math.sqrt(least / (height * width))
+        sides = [math.ceil(side * scale / cell) * cell for side in shape]
+    return sides[0], sides[1]
+
+
+# --- models in memory -------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Account:
+    """Running totals of images, image tokens, and tokens of questions and answers."""
+
+    images: int = 0
+    image_tokens: int = 0
+    prompt_tokens: int = 0
+    answer_tokens: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """A panorama ``(H, W, 3)`` uint8, a query, and the direction ``(3,)`` and angular radius of its target."""
+
+    panorama: np.ndarray
+    query: str
+    direction: np.ndarray
+    radius: float
+
+
+# --- questions --------------------------------------------------------------------------------------------------------
+
+# The question without content in relative attention (Zhang et al., "MLLMs know where to look", ICLR 2025).
+GENERAL = "Write a general description of the image."
+
+_FRAMES = {
+    "pixels": ("in pixels of this image", "100, 150, 220, 310"),
+    "thousand": ("as whole numbers from 0 to 1000 of the image's width and height", "100, 150, 220, 310"),
+    "unit": ("as fractions from 0 to 1 of the image's width and height", "0.10, 0.15, 0.22, 0.31"),
+}
+_KEYS = {"xyxy": ("bbox_2d", "x1, y1, x2, y2"), "yxyx": ("box_2d", "y1, x1, y2, x2")}
+
+
+def phrase(query: str) -> str:
+    """`query` on one line. Raises `QueryError` if it is empty."""
+    words = " ".join(query.split()) if isinstance(query, str) else ""
+    if not words:
+        raise QueryError(f"the query is {query!r}; wanted words for what to look for, such as 'red chair'")
+    return words
+
+
+def ask_boxes(query: str, frame: Frame, order: Order = "xyxy") -> str:
+    """The request for all boxes of what `query` names, as JSON, in the model's own frame and order of coordinates."""
+    name = phrase(query)
+    key, corners = _KEYS[order]
+    where, numbers = _FRAMES[frame]
+    return (
+        f"Locate every instance of this in the image: {name}. Answer with a JSON list and nothing else, one entry per "
+        f'instance: [{{"{key}": [{corners}], "label": "{name.replace(chr(34), chr(39))}"}}], with the coordinates '
+        f"{where}, for example [{numbers}]. If there is none in the image, answer []."
+    )
+
+
+def boxes_schema(frame: Frame, order: Order = "xyxy") -> dict[str, Any]:
+    """The JSON schema of the answer to `ask_boxes`."""
+    number = {"type": "number"} if frame == "unit" else {"type": "integer"}
+    key = _KEYS[order][0]
+    entry = {
+        "type": "object",
+        "properties": {
+            key: {"type": "array", "items": number, "minItems": 4, "maxItems": 4},
+            "label": {"type": "string"},
+        },
+        "required": [key, "label"],
+        "additionalProperties": False,
+    }
+    return {"type": "array", "items": entry, "maxItems": 16}
+
+
+def ask_presence(query: str) -> str:
+    """The question whether the picture shows what `query` names, to be answered by yes or no."""
+    return f"Does this image show the following: {phrase(query)}? Answer with one word, yes or no."
+
+
+# --- conversations ----------------------------------------------------------------------------------------------------
+
+IMAGE = "<image>"  # in a message's text: the place of the next of its pictures
+MAX_TOKENS = 512  # default length of a reply
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """One message: `text` with an `IMAGE` for each of `images` ``(H, W, 3)`` uint8."""
+
+    role: Literal["system", "user", "assistant"]
+    text: str
+    images: tuple[np.ndarray, ...] = ()
+
+    def parts(self) -> list[str | np.ndarray]:
+        """Text and pictures in order; empty text is left out."""
+        texts = self.text.split(IMAGE, len(self.images))
+        found: list[str | np.ndarray] = []
+        for index, text in enumerate(texts):
+            found += [text] if text else []
+            found += [self.images[index]] if index < len(self.images) else []
+        return found
+
+
+@dataclass(frozen=True)
+class ChatReply:
+    """A model's reply, and its cost if known."""
+
+    text: str
+    prompt_tokens: int | None = None
+    completion_tokens: int | None = None
+
+
+class Chat(Protocol):
+    """A model that answers a conversation."""
+
+    def __call__(self, messages: Sequence[Message]) -> ChatReply:
+        """The reply to `messages`. Raises if there is none: that is a failed attempt, never a wrong answer."""
+        ...

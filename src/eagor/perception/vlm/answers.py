@@ -405,7 +405,7 @@ _WORDS = re.compile(r"[^\W\d_]+")
 
 
 def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
-    """The probability in [0, 1] that a model's answer to `prompts.ask_presence` means yes.
+    """The probability in [0, 1] that a model's answer to `eagor.perception.vlm.ask_presence` means yes.
 
     `first` holds the likeliest tokens at the place of the answer, with log probabilities. The result is then the share
     of yes among yes and no; if only one side is listed, the other gets the rest of the probability. Without `first` it

@@ -1,12 +1,11 @@
 """H*Bench: look around in a panorama through a perspective camera, and name the direction of the target.
 
-It has two halves, object search (HOS) and path search (HPS). `rules` and `camera` are the benchmark's own, quirks
+It has two halves, object search (HOS) and path search (HPS). `rules` (with the camera) are the benchmark's own, quirks
 included; `data` reads its files; `search` is our search; `bench` connects it to `eagor bench`.
 """
 
-from eagor.tasks.hstar.camera import View, render_view
 from eagor.tasks.hstar.data import Episode, read_episodes
-from eagor.tasks.hstar.rules import Action, Reply, Window, parse_action, submit_succeeds, window_of
+from eagor.tasks.hstar.rules import Action, Reply, View, Window, parse_action, render_view, submit_succeeds, window_of
 
 __all__ = [
     "Action",

@@ -10,17 +10,22 @@ from typing import Any
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record
+from eagor.tasks.benchmark import Case, Export, Figure, Option, PublishedBenchmark, Record, finished
 from eagor.tasks.hstar import data as files
-from eagor.tasks.hstar import lmms
-from eagor.tasks.hstar.camera import RESOLUTION
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind
 from eagor.tasks.hstar.perception import open_perception
 from eagor.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged
-from eagor.tasks.hstar.prompts import WINDOW
-from eagor.tasks.hstar.rules import FARTHEST_ANSWER, FORMS, MAX_TURNS, SCORINGS, checked_scoring, parse_action
+from eagor.tasks.hstar.prompts import WINDOW, write_lmms
+from eagor.tasks.hstar.rules import (
+    FARTHEST_ANSWER,
+    FORMS,
+    MAX_TURNS,
+    RESOLUTION,
+    SCORINGS,
+    checked_scoring,
+    parse_action,
+)
 from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.published import Export, PublishedBenchmark, finished
 
 OPTIONS = {
     "scoring": Option("official", "what counts as success", SCORINGS),
@@ -97,7 +102,7 @@ class HStar(PublishedBenchmark):
         return {
             "lmms-eval": Export(
                 "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
-                lambda records, settings, folder: lmms.write(self.kind, settings, folder),
+                lambda records, settings, folder: write_lmms(self.kind, settings, folder),
             ),
             "hstar-txt": Export(
                 "the published level file: level, successes, episodes; and at which step successes came",

@@ -25,9 +25,8 @@ from eagor._files import most_unpacked
 from eagor._json import number, parsed, shown
 from eagor._lazy import lazy
 from eagor.errors import EagorError, FormatError, ImageError
-from eagor.tasks.hstar.camera import View, level_of
-from eagor.tasks.hstar.rules import FARTHEST, window_of
-from eagor.tasks.published import picture_size
+from eagor.tasks.benchmark import picture_size
+from eagor.tasks.hstar.rules import FARTHEST, View, level_of, window_of
 
 Kind = Literal["hos", "hps"]
 Box = tuple[tuple[float, float], tuple[float, float] | None]  # yaw and pitch, from and to, degrees

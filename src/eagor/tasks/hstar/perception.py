@@ -24,10 +24,10 @@ from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Noise, Report, displaced, drawn
 from eagor.queries import singular
 from eagor.sphere import world_R_body
-from eagor.tasks.hstar.camera import HFOV_DEG, View, box_points, inside, render_view, without_cross
+from eagor.tasks.benchmark import case_seed
 from eagor.tasks.hstar.data import Episode, open_panorama
+from eagor.tasks.hstar.rules import HFOV_DEG, View, box_points, inside, render_view, without_cross
 from eagor.tasks.models import shared
-from eagor.tasks.published import case_seed
 
 FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
 # Things that any detector knows well: everyday nouns of homes, offices, shops and streets.

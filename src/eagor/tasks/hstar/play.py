@@ -20,17 +20,26 @@ from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, Histogr
 from eagor.conventions import direction_from_hstar, hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import looked_at
-from eagor.perception.vlm.prompts import Chat
+from eagor.perception.vlm import Chat
 from eagor.sphere import angular_distance
-from eagor.tasks.hstar.camera import View, visible_share
+from eagor.tasks.benchmark import case_seed
 from eagor.tasks.hstar.data import Episode
 from eagor.tasks.hstar.perception import Eye, ViewEvidence, head_of, open_eye, open_perception, tag_of
 from eagor.tasks.hstar.prompts import Talk
-from eagor.tasks.hstar.rules import MAX_TURNS, SCORINGS, Action, Scoring, checked_scoring, submit_succeeds, window_of
+from eagor.tasks.hstar.rules import (
+    MAX_TURNS,
+    SCORINGS,
+    Action,
+    Scoring,
+    View,
+    checked_scoring,
+    submit_succeeds,
+    visible_share,
+    window_of,
+)
 from eagor.tasks.hstar.search import Answer, Search, SearchRules
-from eagor.tasks.models import digest, shared_chat
-from eagor.tasks.published import case_seed, recalibrator
-from eagor.tasks.searcher import Searcher
+from eagor.tasks.models import digest, recalibrator, shared_chat
+from eagor.tasks.steering import Searcher
 
 AGENTS = {
     "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
@@ -85,7 +94,7 @@ def _rotate(now: View, to: View) -> Action:
 
 
 class EagorAgent:
-    """Our agent: an `eagor.tasks.searcher.Searcher` over the views of `eagor.tasks.hstar.search`.
+    """Our agent: an `eagor.tasks.steering.Searcher` over the views of `eagor.tasks.hstar.search`.
 
     Every turn of the camera costs one of the episode's turns, whatever its angle.
     """

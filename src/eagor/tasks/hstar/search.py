@@ -2,7 +2,7 @@
 
 Every look updates a `Belief`: directions that were looked at without a response lose belief, others keep theirs. A grid
 records which directions were looked at. What a view tells is the mutual information between the outcome of the look and
-the target's direction; `eagor.tasks.searcher` chooses by it. The submission is the window with the most belief.
+the target's direction; `eagor.tasks.steering` chooses by it. The submission is the window with the most belief.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
 from eagor.sphere import world_R_body
-from eagor.tasks.hstar.camera import HFOV_DEG, View, headings_of, size_of
-from eagor.tasks.hstar.rules import PITCH_TOLERANCE, YAW_TOLERANCE
+from eagor.tasks.hstar.rules import HFOV_DEG, PITCH_TOLERANCE, YAW_TOLERANCE, View, headings_of, size_of
 
 STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)

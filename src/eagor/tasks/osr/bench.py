@@ -12,13 +12,22 @@ from eagor._csv import as_csv
 from eagor._files import written
 from eagor._json import shown
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Figure, Option, Record
-from eagor.tasks.osr import lmms
-from eagor.tasks.osr.data import SUFFIXES, Scene, load, load_kept
-from eagor.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
+from eagor.perception.vlm import IMAGE
+from eagor.tasks.benchmark import (
+    Case,
+    Export,
+    Figure,
+    Option,
+    PublishedBenchmark,
+    Record,
+    finished,
+    picture_size,
+    write_task,
+)
+from eagor.tasks.osr.data import SUFFIXES, Question, Scene, load, load_kept
+from eagor.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged, plain_text
+from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS, score
 from eagor.tasks.osr.sightings import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
-from eagor.tasks.published import Export, PublishedBenchmark, finished, picture_size
 
 OPTIONS = {
     "labels": Option(
@@ -60,10 +69,6 @@ def _of(skill: str, read: Reader = _score) -> Reader:
     return lambda record: read(record) if record["skill"] == skill else None
 
 
-def _map_most(record: Record) -> float | None:
-    return record.get("map_range", {}).get("most")
-
-
 def _tagged(tag: str) -> Reader:
     return lambda record: record["score"] if tag in record["tags"] else None
 
@@ -91,7 +96,12 @@ class OsrBench(PublishedBenchmark):
         Figure("distance", "Distance", "which is the closest", _of(DISTANCE)),
         Figure("counting", "Counting", "how many, with the partial credit of the benchmark", _of(COUNTING)),
         Figure("map", "Map F1", "the map: the least that the published code gives", _of(MAP)),
-        Figure("map_most", "at most", "the most it gives: it depends on PYTHONHASHSEED", _map_most),
+        Figure(
+            "map_most",
+            "at most",
+            "the most it gives: it depends on PYTHONHASHSEED",
+            lambda r: r.get("map_range", {}).get("most"),
+        ),
     )
 
     def info(self, data: Path) -> dict[str, Any]:
@@ -153,7 +163,7 @@ class OsrBench(PublishedBenchmark):
             ),
             "lmms-eval": Export(
                 "a folder of task files for lmms_eval --include_path, with the questions and their pictures' paths",
-                lambda records, settings, folder: lmms.write(settings, folder),
+                lambda records, settings, folder: write_lmms(settings, folder),
             ),
         }
 
@@ -231,3 +241,65 @@ def _check_files(found: Mapping[str, Any]) -> None:
             f"{len(without)} of {len(scenes)} scenes have no {wanted}, which {why}, such as {without[0]}; "
             "give the folder of those that have it, or choose another setting"
         )
+
+
+# --- OSR-Bench as a task of lmms-eval ---------------------------------------------------------------------------------
+
+TASK = "eagor_osr"
+METRICS = {DISTANCE: "distance", COUNTING: "counting", MAP: "map"}
+BY_LABELS = ("direction_official", "direction_corrected")
+
+
+def write_lmms(settings: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write the task ``eagor_osr`` into `folder` (`write_task`); returns the files.
+
+    Each question is asked alone; in files with a map, the map's question is one of them. The questions hold the paths
+    of their pictures on this machine. Raises `FormatError` if a picture is missing.
+    """
+    pictures = {scene: str(scene.picture.resolve()) for scene in load(Path(settings["data"]), settings["suffix"])}
+    documents = (
+        {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
+        | {"question": question.text, "image": picture, "prompt": settings["prompt"]}
+        | {"answer": json.dumps(question.answer) if question.skill == MAP else question.answer}
+        for scene, picture in pictures.items()
+        for question in scene.questions
+        if settings["skill"] in ("all", question.skill)
+    )
+    return write_task(folder, TASK, __name__, documents, (*BY_LABELS, *METRICS.values()))
+
+
+def doc_to_visual(doc: Mapping[str, Any]) -> list[Any]:
+    """The panorama, as a PIL image."""
+    from PIL import Image
+
+    from eagor.media.panorama import FORMATS
+
+    with Image.open(doc["image"], formats=FORMATS) as file:
+        return [file.convert("RGB")]
+
+
+def doc_to_text(doc: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> str:
+    """The question with the instructions for the form of the answer."""
+    text = doc["question"] if doc["skill"] == MAP else plain_text(doc["question"], doc["prompt"])
+    return text.replace(IMAGE, "").strip()
+
+
+def doc_to_target(doc: Mapping[str, Any]) -> str:
+    """The published answer."""
+    return doc["answer"]
+
+
+def process_results(doc: Mapping[str, Any], results: Sequence[str]) -> dict[str, float]:
+    """The scores of one reply, by the names of its metrics."""
+    skill, think = doc["skill"], doc["prompt"] == "think"
+    truth = json.loads(doc["answer"]) if skill == MAP else doc["answer"]
+    if skill != DIRECTION:
+        return {METRICS[skill]: score(skill, truth, results[0], think)}
+    question = Question(doc["id"], doc["scene"], doc["turn"], skill, doc["question"], truth)
+    truths = zip(BY_LABELS, (truth, question.corrected), strict=True)
+    return {metric: score(skill, each, results[0], think) for metric, each in truths}
+
+
+def mean(values: Sequence[float]) -> float:
+    """The mean; 0 without values."""
+    return sum(values) / len(values) if values else 0.0

@@ -21,7 +21,8 @@ import numpy as np
 
 from eagor._lazy import lazy
 from eagor.errors import EagorError
-from eagor.perception.vlm.prompts import IMAGE, Chat, Message
+from eagor.perception.vlm import IMAGE, Chat, Message
+from eagor.tasks.benchmark import case_seed
 from eagor.tasks.models import shared_chat
 from eagor.tasks.osr.data import Question, Scene, load
 from eagor.tasks.osr.geometry import (
@@ -59,7 +60,6 @@ from eagor.tasks.osr.scoring import (
     swapped,
 )
 from eagor.tasks.osr.sightings import Looker, Seen, open_looker
-from eagor.tasks.published import case_seed
 
 FORMS = ("vanilla", "think")
 

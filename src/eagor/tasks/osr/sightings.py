@@ -1,7 +1,7 @@
 """Sightings of every category in a scene's picture, from a belief per category, or from the truth.
 
-The truth is the file physical_truth.json in the scene's folder. It is not part of the benchmark; our generated scenes
-have it, and others may have it, too::
+The truth is the file physical_truth.json in the scene's folder. It is not part of the benchmark; the scenes that
+are made for tests have it, and others may have it, too::
 
     {"frame": "x right, y forward (ERP centre), camera at origin, metres",
      "camera": 1.5,                                     height above the floor, optional
@@ -30,10 +30,9 @@ from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.perception import Perception
 from eagor.sphere import wrap
-from eagor.tasks.models import shared
+from eagor.tasks.models import recalibrator, shared
 from eagor.tasks.osr.data import Scene
 from eagor.tasks.osr.geometry import HANGING, FloorLine, Sighting
-from eagor.tasks.published import recalibrator
 
 FILE = "physical_truth.json"
 TRUTH = "truth"

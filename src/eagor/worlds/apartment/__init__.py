@@ -21,15 +21,12 @@ from eagor.worlds.apartment.building import (
     lit,
     shell,
     splashback,
-    structure,
 )
-from eagor.worlds.apartment.cells import Cells, carve, rooms_of
 from eagor.worlds.apartment.furnish import REQUIRED, furnish
-from eagor.worlds.apartment.furnisher import NoRoom, Piece
 from eagor.worlds.apartment.furniture import KINDS
 from eagor.worlds.apartment.mesh import merged, placed, turned_about_z
-from eagor.worlds.apartment.placement import empty_floor
-from eagor.worlds.apartment.plans import Plan, draw_plan
+from eagor.worlds.apartment.placement import NoRoom, Piece, empty_floor
+from eagor.worlds.apartment.plans import Cells, Plan, carve, draw_plan, rooms_of
 from eagor.worlds.ground import BESIDE, Ground
 from eagor.worlds.scene import STRUCTURE, Instance, Lamp, Material, Room, Scene
 
@@ -97,15 +94,18 @@ def scene_of(apartment: Apartment, source: str) -> Scene:
     """The triangles of an apartment: walls, floors and ceilings first, then doors and windows, then the furniture."""
     plan = apartment.plan
     parts = shell(plan, apartment.cells, apartment.finishes)
-    doors, trim = doors_and_windows(plan, apartment.style)
-    for place, more in trim.items():
-        parts[place]["wall"].extend(more)
+    doors = doors_and_windows(plan, apartment.style, parts)
     for piece in apartment.pieces:
         tiles = apartment.finishes[piece.room].tiles
         back = splashback(piece, plan, tiles) if tiles else None
         if back is not None:
             parts[piece.room]["wall"].append(back)
-    things = [*structure(plan, parts), *doors, *(_thing(piece, plan) for piece in apartment.pieces)]
+    things = [
+        Thing(category, None, space.name, tuple(surfaces))
+        for space, room in zip(plan.spaces, parts, strict=True)
+        for category, surfaces in room.items()
+    ]
+    things += [*doors, *(_thing(piece, plan) for piece in apartment.pieces)]
     return _made_of(things, apartment.rooms, source, {"family": plan.family})
 
 

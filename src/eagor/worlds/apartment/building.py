@@ -15,8 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._srgb import to_coded, to_linear
-from eagor.worlds.apartment.cells import NICHE, SOLID, Cells, rectangles_of, wall_faces
-from eagor.worlds.apartment.furnisher import Piece
 from eagor.worlds.apartment.mesh import (
     Mesh,
     Part,
@@ -31,8 +29,21 @@ from eagor.worlds.apartment.mesh import (
     quad_triangles,
     tube,
 )
-from eagor.worlds.apartment.placement import GAP, from_rectangle, overlaps
-from eagor.worlds.apartment.plans import HALF_WALL, LINING, OUTSIDE, Boundary, Doorway, Opening, Plan
+from eagor.worlds.apartment.placement import GAP, Piece, from_rectangle, overlaps
+from eagor.worlds.apartment.plans import (
+    HALF_WALL,
+    LINING,
+    NICHE,
+    OUTSIDE,
+    SOLID,
+    Boundary,
+    Cells,
+    Doorway,
+    Opening,
+    Plan,
+    rectangles_of,
+    wall_faces,
+)
 from eagor.worlds.apartment.textures import REPEAT, material
 from eagor.worlds.light import mean_colour
 from eagor.worlds.scene import Lamp, Material, Room
@@ -119,7 +130,13 @@ def lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finis
         room: float(np.clip(_swallowed(rooms[room], finishes[room], height) / (_SURFACE * _ABSORPTION) / n, *_SHARES))
         for room, n in count.items()
     }
-    return [_dimmed(piece, shares[piece.room]) if piece.category == "ceiling lamp" else piece for piece in pieces]
+    found = []
+    for piece in pieces:
+        if piece.category == "ceiling lamp":
+            lamps = tuple(replace(lamp, power=shares[piece.room] * lamp.power) for lamp in piece.model.lamps)
+            piece = replace(piece, model=replace(piece.model, lamps=lamps))
+        found.append(piece)
+    return found
 
 
 def _swallowed(room: Room, finish: Finish, height: float) -> float:
@@ -132,11 +149,6 @@ def _swallowed(room: Room, finish: Finish, height: float) -> float:
     surfaces.append((tiled * walls, (finish.tiles or finish.wall)[1]))
     bare = sum(area * (1 - float(mean_colour(look).mean())) for area, look in surfaces)
     return (1 - _FURNISHED) * bare + _FURNISHED * _DARK * (walls + 2 * room.area)
-
-
-def _dimmed(piece: Piece, share: float) -> Piece:
-    lights = tuple(replace(light, power=share * light.power) for light in piece.model.lamps)
-    return replace(piece, model=replace(piece.model, lamps=lights))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,15 +196,6 @@ def shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[
     return rooms
 
 
-def structure(plan: Plan, rooms: tuple[dict[str, list[Part]], ...]) -> list[Thing]:
-    """The walls, floors and ceilings as things."""
-    return [
-        Thing(category, None, space.name, tuple(parts))
-        for space, room in zip(plan.spaces, rooms, strict=True)
-        for category, parts in room.items()
-    ]
-
-
 def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
     """Room and surface, coded in one number (0: no face), of each face that points along `sign` times `axis`."""
     air = np.moveaxis(cells.air, axis, 0)
@@ -212,12 +215,11 @@ def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
     if axis == 2:
         surface = np.full(shows.shape, REVEAL)
         surface[0 if sign > 0 else -1] = FLOOR if sign > 0 else CEILING
-        surface[~inside] = FACADE
     else:
         level = np.broadcast_to(np.arange(tiled.shape[1]), shows.shape)
         surface = np.where(tiled[np.maximum(room, 0), level], TILES, WALL)
         surface[hole[before]] = REVEAL
-        surface[~inside] = FACADE
+    surface[~inside] = FACADE
     return np.where(shows & (room >= 0), room * 8 + surface + 1, 0)
 
 
@@ -257,25 +259,24 @@ def draw_style(rng: np.random.Generator) -> Style:
     return Style(kind, colour, door, frame, window, material("metal", None, rng), int(rng.choice([0, 2, 3])))
 
 
-def doors_and_windows(plan: Plan, style: Style) -> tuple[list[Thing], dict[int, list[Part]]]:
-    """Doors and windows as things; for each room the casings of its wall, where a doorway has no leaf."""
+def doors_and_windows(plan: Plan, style: Style, rooms: Sequence[dict[str, list[Part]]]) -> list[Thing]:
+    """Doors and windows as things; where a doorway has no leaf, its casings go to the walls of `rooms` (`shell`)."""
     things: list[Thing] = []
-    trim: dict[int, list[Part]] = {place: [] for place in range(len(plan.spaces))}
     for doorway in plan.doorways:
         home = max(doorway.side > 0, doorway.boundary.rooms[0] == OUTSIDE)
         room = doorway.boundary.rooms[int(home)]
         lining, casings = _frame(doorway, style)
         if doorway.leaf is None:
-            trim[room].append(lining)
+            rooms[room]["wall"].append(lining)
             for place, casing in casings.items():
-                trim[place].append(casing)
+                rooms[place]["wall"].append(casing)
         else:
             parts = (lining, *casings.values(), *_leaf(doorway, style))
             things.append(Thing("door", style.colour, plan.spaces[room].name, parts))
     for window in plan.windows:
         room = max(window.boundary.rooms)
         things.append(Thing("window", None, plan.spaces[room].name, _window(window, style)))
-    return things, trim
+    return things
 
 
 def _bars(boundary: Boundary, *bars: tuple[float, ...]) -> Mesh:

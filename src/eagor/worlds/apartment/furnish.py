@@ -1,25 +1,23 @@
-"""The choice of furniture for each room; the last items are rugs, paintings, small things on tables, ceiling lamps."""
+"""The choice of furniture for each room, and the groups that belong together.
+
+Groups are sofa and television, table and chairs, bed and nightstands, desk and chair; fixtures, which are kitchen units
+and bathrooms: pieces side by side at walls. The last items are rugs, paintings, small things on tables, ceiling lamps.
+"""
 
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
-from eagor.worlds.apartment.furnisher import Furnisher, NoRoom, Piece, tell_apart
-from eagor.worlds.apartment.furniture import KINDS
-from eagor.worlds.apartment.groups import (
-    dining,
-    easy_seat,
-    fit_bathroom,
-    fit_kitchen,
-    lounge,
-    second_sofa,
-    sleeping,
-    workplace,
-)
+from eagor.worlds.apartment.furniture import KINDS, Model
 from eagor.worlds.apartment.placement import (
+    GAP,
     Floor,
+    Furnisher,
+    NoRoom,
+    Piece,
     Sites,
     advanced,
     along_walls,
@@ -30,8 +28,263 @@ from eagor.worlds.apartment.placement import (
     joined,
     on_face,
     relative,
+    reversed_,
+    tell_apart,
     untouched,
 )
+from eagor.worlds.apartment.plans import WallFace
+
+_ROWS = (
+    "refrigerator cabinet sink cabinet stove", "refrigerator cabinet sink stove", "cabinet sink cabinet stove",
+    "cabinet sink stove", "sink stove", "sink",
+)  # fmt: skip
+
+
+def lounge(f: Furnisher, room: int) -> bool:
+    """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
+    television, sofa, low_table = f.make("tv"), f.make("sofa"), f.make("coffee table")
+    sites, screen, gap = _facing_pairs(f, room, television.size, sofa.size)
+    if not len(gap):
+        return False
+    seat = sites.boxes
+    between = before(seat, 0.5)
+    between[:, :2] = (screen[:, :2] + seat[:, :2]) / 2
+    between[:, 2], between[:, 3] = gap / 2 - 0.01, 0.55
+    good = f.fits(room, screen, television) & f.fits(room, seat, sofa) & f.open_before(room, between)
+    # A sofa stands at a wall, or far enough from it to walk behind.
+    behind = reversed_(seat)
+    good &= ~f.floor.open_inside(room, before(behind, 0.12)) | f.floor.open_inside(room, before(behind, 0.65))
+    deep = float(low_table.size[0])
+    for place in sites.best(good, 12):
+        group = [(television, screen[place]), (sofa, seat[place])]
+        reach = float(f.rng.uniform(0.36, 0.44))
+        if gap[place] > reach + deep + 0.5:
+            forward = float(sofa.size[0] + deep) / 2 + reach
+            group.append((low_table, relative(seat[place], forward, 0.0, low_table.size)))
+        if f.set_down(group, room):
+            f.floor.kept.append(between[place])
+            return True
+    return False
+
+
+def easy_seat(f: Furnisher, room: int) -> bool:
+    """An armchair beside the coffee table, turned to it, or one at a wall."""
+    chair = f.make("armchair")
+    size = chair.size
+    sites = along_walls(f.floor, room, size, f.rng, corner=0.4, side=0.1, gap=0.08)
+    for low_table in f.of("coffee table", room):
+        turn = np.concatenate([f.rng.uniform(0.9, 2.2, 14), -f.rng.uniform(0.9, 2.2, 14)])
+        away = f.rng.uniform(0.25, 0.6, 28) + size[0] / 2 + low_table.box[2:4].max()
+        boxes = np.empty((28, 5))
+        boxes[:, :2], boxes[:, 2:4], boxes[:, 4] = low_table.box[:2], size[:2] / 2, low_table.box[4] + turn
+        boxes = advanced(boxes, away)
+        boxes[:, 4] = np.remainder(boxes[:, 4], 2 * math.pi) - math.pi
+        scores = 1.0 + f.rng.uniform(0, 0.5, 28) - 0.3 * np.abs(np.abs(turn) - 1.5)
+        sites = joined(sites, Sites(boxes, scores))
+    return f.settle(chair, room, sites, front=0.2, reserve=False) is not None
+
+
+def second_sofa(f: Furnisher, room: int) -> None:
+    """Another sofa, across the corner of the coffee table from the first, or at a wall."""
+    sofa = f.make("sofa")
+    sites = along_walls(f.floor, room, sofa.size, f.rng, middle=0.3)
+    for low_table in f.of("coffee table", room):
+        across = float(low_table.box[3] + sofa.size[0] / 2) + f.rng.uniform(0.36, 0.5, 8)
+        beside = [
+            relative(low_table.box, float(f.rng.uniform(-0.3, 0.5)), side * out, sofa.size, -side * math.pi / 2)
+            for out in across
+            for side in (1, -1)
+        ]
+        sites = joined(sites, Sites(np.array(beside), 1.0 + f.rng.uniform(0, 0.5, len(beside))))
+    f.settle(sofa, room, sites, front=0.3, reserve=False)
+
+
+def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
+    """A table with `least` to `most` equal chairs round it that face it."""
+    table, chair = f.make("table"), f.make("chair", f.habits["chair"])
+    size = table.size
+    flat = along_walls(f.floor, room, size, f.rng, middle=0.3, gap=0.06)
+    end_on = along_walls(f.floor, room, size[[1, 0, 2]], f.rng, middle=0.3, gap=0.06)
+    end_on.boxes[:, 2:] = end_on.boxes[:, [3, 2, 4]] + [0.0, 0.0, math.pi / 2]
+    free = in_room(f.floor, room, size, f.rng)
+    sites = joined(free, Sites(flat.boxes, flat.scores - 1.6), Sites(end_on.boxes, end_on.scores - 1.6))
+    good = f.floor.fits(room, sites.boxes, (0.0, table.height))
+    wanted = int(f.rng.integers(least, most + 1))
+    options = []
+    for rank, place in enumerate(sites.best(good, 14)):
+        seats = _round_table(f, sites.boxes[place], chair.size, wanted)
+        fits = f.floor.fits(room, seats, (0.0, chair.height))
+        options.append((min(int(fits.sum()), wanted) - 0.2 * rank, sites.boxes[place], seats[fits][:wanted]))
+    for _, place, seats in sorted(options, key=lambda option: -option[0]):
+        if len(seats) >= least and f.set_down([(table, place), *((chair, seat) for seat in seats)], room):
+            return True
+    return False
+
+
+def workplace(f: Furnisher, room: int) -> bool:
+    """A desk at a wall or window with a chair that faces it."""
+    desk, chair = f.make("desk"), f.make("chair", f.habits["chair"])
+    sites = along_walls(f.floor, room, desk.size, f.rng, corner=0.3, gap=0.05)
+    good = f.fits(room, sites.boxes, desk) & f.open_before(room, before(sites.boxes, float(chair.size[0]) + 0.35))
+    forward = float(desk.size[0] + chair.size[0]) / 2 + 0.04
+    for box in sites.boxes[sites.best(good, 8)]:
+        seat = relative(box, forward, 0.0, chair.size, math.pi + float(f.rng.uniform(-0.1, 0.1)))
+        fits = f.floor.fits(room, seat[None], (0.0, chair.height))[0]
+        if fits and f.set_down([(desk, box), (chair, seat)], room):
+            return True
+    return False
+
+
+def sleeping(f: Furnisher, room: int) -> bool:
+    """A bed with its head to a wall, and nightstands beside it if they fit."""
+    for _ in range(3):  # beds vary a lot in width
+        made = f.make("bed")
+        double = made.size[1] > 1.3
+        corner, middle = (0.0, 0.4) if double else (0.5, 0.0)
+        sites = along_walls(f.floor, room, made.size, f.rng, corner=corner, middle=middle, side=0.06)
+        wide = sites.boxes.copy()
+        wide[:, 3] += 0.45
+        sites = Sites(sites.boxes, sites.scores + 0.6 * f.floor.open_inside(room, wide) * double)
+        bed = f.settle(made, room, sites, front=0.35, reserve=False)
+        if bed:
+            break
+    else:
+        return False
+    stand = f.make("nightstand")
+    depth, width, _ = stand.size
+    for side in (1, -1) if f.rng.random() < 0.8 else (1,):
+        left = side * (float(bed.box[3]) + width / 2 + 0.04)
+        box = relative(bed.box, float(depth) / 2 - float(bed.box[2]), left, stand.size)
+        f.settle(stand, room, Sites(box[None], np.zeros(1)), front=0.3, reserve=False)
+    return True
+
+
+def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray, wanted: int) -> np.ndarray:
+    """Places ``(n, 5)`` for chairs of one size round a table, the most natural first."""
+    depth, width = float(chair[0]), float(chair[1])
+    hx, hy = float(table[2]), float(table[3])
+    square = abs(hx - hy) < 0.1
+    count = 1 if square else max(1, int(2 * hy / (width + 0.12)))
+    slots = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
+    heads = [(1, 0.0, False), (-1, 0.0, False)]
+    places = []
+    for sign, left, long_side in slots + heads if not square and wanted > 2 else [*slots, *heads]:
+        out = float(f.rng.uniform(0.05, 0.12)) + depth / 2
+        turn = float(f.rng.uniform(-0.07, 0.07))
+        if long_side:
+            places.append(relative(table, sign * (hx + out), left, chair, (math.pi if sign > 0 else 0.0) + turn))
+        else:
+            places.append(relative(table, 0.0, sign * (hy + out), chair, turn - sign * math.pi / 2))
+    return np.array(places)
+
+
+def _facing_pairs(f: Furnisher, room: int, tv: np.ndarray, sofa: np.ndarray) -> tuple[Sites, np.ndarray, np.ndarray]:
+    """Candidates: the sofa's places, the television's ``(n, 5)``, and the metres between them ``(n,)``."""
+    depth, tv_depth, tv_width = float(sofa[0]), float(tv[0]), float(tv[1])
+    screens, seats, gaps = [np.zeros((0, 5))], [joined()], [np.zeros(0)]
+    for face in f.floor.faces:
+        free = face.end - face.start - tv_width - 0.12
+        if face.room != room or free < 0:
+            continue
+        along = face.start + tv_width / 2 + 0.06 + free * np.concatenate([[0.5], f.rng.random(11)])
+        options = [(float(f.rng.uniform(1.9, 2.9)), 0.2) for _ in range(3)]
+        for other in f.floor.faces:
+            if _opposite(face, other) and other.end - other.start > float(sofa[1]):
+                apart = abs(other.line - face.line) - tv_depth - depth - 2 * GAP - 0.02
+                if 1.6 <= apart <= 4.0:
+                    options.append((apart, 1.2 - 0.15 * abs(apart - 2.6)))
+        for distance, score in options:
+            screen = on_face(face, along, GAP, tv)
+            seat = reversed_(advanced(screen, tv_depth / 2 + distance + depth / 2))
+            seat[:, 2:4] = sofa[:2] / 2
+            screens.append(screen)
+            seats.append(Sites(seat, score + f.rng.uniform(0, 0.5, len(along)) + 0.3 * (np.arange(len(along)) == 0)))
+            gaps.append(np.full(len(along), distance))
+    return joined(*seats), np.concatenate(screens), np.concatenate(gaps)
+
+
+def _opposite(face: WallFace, other: WallFace) -> bool:
+    """Whether two walls of a room face each other."""
+    facing = face.room == other.room and face.axis == other.axis and face.side == -other.side
+    apart, shared = (other.line - face.line) * face.side, min(face.end, other.end) - max(face.start, other.start)
+    return facing and apart > 0 and shared > 0
+
+
+def fit_kitchen(f: Furnisher, room: int) -> bool:
+    """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
+    start = f.mark()
+
+    def width(model: Model) -> float:
+        return float(model.size[1])
+
+    sink = min((f.make("sink", "grey") for _ in range(2)), key=width)
+    units = {"sink": sink, "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
+    first = f.make("cabinet")
+    cabinets = sorted([first, *(f.make("cabinet", first.colour) for _ in range(2))], key=width)
+    for row in map(str.split, _ROWS):
+        if row.count("cabinet") == 2:
+            choices = [[made, made] for made in (cabinets[1], cabinets[0])]  # both with the same worktop
+        else:
+            choices = [cabinets[i : i + 1] for i in (2, 1, 0)] if "cabinet" in row else [[]]
+        for choice in choices:
+            bases = iter(choice)
+            if not _row(f, room, [units[c] if c in units else next(bases) for c in row]):
+                continue
+            rest = [units[c] for c in units if c not in row] + ([] if "cabinet" in row else cabinets[:1])
+            if all([_at_wall(f, room, made, 0.6) for made in rest]):
+                return True
+            f.back_to(start)
+    return False
+
+
+def fit_bathroom(f: Furnisher, room: int) -> bool:
+    """Toilet, sink and, where it fits, a bathtub."""
+    start = f.mark()
+    fixtures = [f.make("toilet"), f.make("sink", "white")]
+    for bathtub in (True, True, True, False, False):
+        bathtub = bathtub and _at_wall(f, room, f.make("bathtub"), 0.45, side=GAP)
+        if all(_at_wall(f, room, made, 0.5, side=0.15) for made in fixtures):
+            return True
+        f.back_to(start)
+    return False
+
+
+def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0.03) -> bool:
+    sites = along_walls(f.floor, room, made.size, f.rng, corner=0.6, side=side)
+    return f.settle(made, room, sites, front=front) is not None
+
+
+def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
+    """Place units side by side, flush with each other, at the longest wall that is long enough."""
+    widths = np.array([float(model.size[1]) for model in units]) + 0.004
+    starts = np.cumsum([0.0, *widths])
+    faces = [face for face in f.floor.faces if face.room == room]
+    for face in sorted(faces, key=lambda face: face.start - face.end):
+        free = face.end - face.start - 2 * GAP - starts[-1]
+        if free < 0:
+            continue
+        for turned in f.rng.permutation(2):
+            for offset in (0.0, free, float(f.rng.uniform(0, free))):
+                middle = face.start + GAP + offset + starts[:-1] + widths / 2
+                if turned:  # the row in reverse order
+                    middle = face.start + face.end - middle
+                boxes = [on_face(face, middle[[i]], GAP, model.size) for i, model in enumerate(units)]
+                zone = before(np.concatenate(boxes), 0.7)
+                if not all(map(partial(_unit_fits, f, room), units, boxes)) or not f.open_before(room, zone).all():
+                    continue
+                if f.set_down([(model, box[0]) for model, box in zip(units, boxes, strict=True)], room):
+                    f.floor.kept.extend(zone)
+                    return True
+    return False
+
+
+def _unit_fits(f: Furnisher, room: int, model: Model, box: np.ndarray) -> bool:
+    """Whether a unit fits into its place ``(1, 5)`` in a row; only a sink, with its tap, may stand before a window."""
+    sill = 1.0 if model.category == "sink" else model.height
+    return bool(f.floor.fits(room, box, (0.0, model.height), 0.004)[0] and f.floor.beside_windows(box, sill)[0])
+
+
+# --- the choice of furniture for each room ----------------------------------------------------------------------------
 
 REQUIRED = ("chair", "bed", "plant", "toilet", "tv", "sofa", "table", "sink")
 
@@ -69,10 +322,8 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
     f = Furnisher(floor, rng)
     f.habits["chair"] = str(rng.choice(KINDS["chair"].colours))
     kinds = [space.kind for space in floor.plan.spaces]
-    for kind, rule in (
-        ("living room", lounge), ("kitchen", fit_kitchen), ("bathroom", fit_bathroom),
-        ("bedroom", sleeping),
-    ):  # fmt: skip
+    rules = {"living room": lounge, "kitchen": fit_kitchen, "bathroom": fit_bathroom, "bedroom": sleeping}
+    for kind, rule in rules.items():
         for room in _of(kinds, kind):
             if not any(rule(f, room) for _ in range(4)):
                 raise NoRoom(f"the {kind} is too small for what belongs there")
@@ -88,10 +339,13 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
             second_sofa(f, room)
         for _ in range(int(rng.integers(0, 3))):
             easy_seat(f, room)
-    for room in rng.permutation(len(kinds)):
-        _further(f, int(room), kinds[room])
+    for room in rng.permutation(len(kinds)).tolist():
+        for category, chance, each, front in _MORE[kinds[room]]:
+            for _ in range(max(1, int(floor.rooms[room].area / each))):
+                if rng.random() < chance:
+                    _one_more(f, room, category, front)
     _at_least(f, "plant", 2)
-    _at_least(f, "chair", int(rng.integers(4, 7)))
+    _at_least(f, "chair", int(rng.integers(4, 7)), front=0.2, nowhere=("hall", "bathroom"))
     missing = [category for category in REQUIRED if not f.of(category)]
     if missing:
         raise NoRoom(f"no place for {', '.join(missing)}")
@@ -101,7 +355,7 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
             rug(f, room)
         for _ in range(int(rng.integers(_PAINTINGS[kind][0], _PAINTINGS[kind][1] + 1))):
             painting(f, room)
-    small_things(f, tuple(sorted(name for name, kind in KINDS.items() if kind.placement == "top")))
+    small_things(f)
     tell_apart(f)
     return f.pieces
 
@@ -123,20 +377,11 @@ def _meals(f: Furnisher, kinds: list[str]) -> None:
     raise NoRoom("no place for a table with chairs")
 
 
-def _further(f: Furnisher, room: int, kind: str) -> None:
-    """The pieces of `_MORE`."""
-    area = f.floor.rooms[room].area
-    for category, chance, each, front in _MORE[kind]:
-        for _ in range(max(1, int(area / each))):
-            if f.rng.random() < chance:
-                _one_more(f, room, category, front)
-
-
 def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
     if category == "desk":
         return workplace(f, room)
     if category == "armchair":
-        return easy_seat(f, room) is not None
+        return easy_seat(f, room)
     made = f.make(category, f.habits["chair"] if category == "chair" else None)
     corner = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3}.get(category, 0.0)
     gap = 0.06 if category in ("plant", "lamp") else 0.02
@@ -144,17 +389,17 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
     return f.settle(made, room, sites, front=front) is not None
 
 
-def _at_least(f: Furnisher, category: str, count: int) -> None:
-    """Add pieces of a category to its usual rooms until there are `count`, as far as they fit."""
-    rooms = [i for i, space in enumerate(f.floor.plan.spaces) if space.kind in KINDS[category].rooms]
+def _at_least(f: Furnisher, category: str, count: int, front: float = 0.0, nowhere: tuple[str, ...] = ()) -> None:
+    """Add pieces of a category until there are `count`, as far as they fit; none to `nowhere`, kinds of rooms."""
+    rooms = [i for i, space in enumerate(f.floor.plan.spaces) if space.kind not in nowhere]
     for _ in range(3):
         for room in f.rng.permutation(rooms).tolist():
             if len(f.of(category)) >= count:
                 return
-            _one_more(f, room, category, 0.2 if category == "chair" else 0.0)
+            _one_more(f, room, category, front)
 
 
-def rug(f: Furnisher, room: int) -> Piece | None:
+def rug(f: Furnisher, room: int) -> None:
     """A rug: under the coffee table or the dining table, beside the bed, or where the floor is free."""
     made = f.make("rug")
     size = made.size
@@ -174,11 +419,10 @@ def rug(f: Furnisher, room: int) -> Piece | None:
     others = [piece.box for piece in f.of("rug")]
     good = np.isfinite(sites.scores) & f.floor.inside(room, sites.boxes) & untouched(sites.boxes, doors + others)
     for place in sites.best(good, 1):
-        return f.record(made, room, sites.boxes[place], 0.0, solid=False)
-    return None
+        f.record(made, room, sites.boxes[place], 0.0, solid=False)
 
 
-def painting(f: Furnisher, room: int) -> Piece | None:
+def painting(f: Furnisher, room: int) -> None:
     """A picture on a free patch of wall, best over a sofa, a bed or a low piece."""
     made = f.make("painting")
     depth, width, height = (float(length) for length in made.size)
@@ -208,12 +452,11 @@ def painting(f: Furnisher, room: int) -> Piece | None:
         f.floor.solid.append(np.concatenate([box, (z - height / 2, z + height / 2)]))
         back = box[:2] - depth / 2 * np.array([math.cos(box[4]), math.sin(box[4])])
         f.pieces.append(Piece(room, made, box, np.array([*back, z]), solid=False))
-        return f.pieces[-1]
-    return None
 
 
-def small_things(f: Furnisher, categories: tuple[str, ...]) -> None:
+def small_things(f: Furnisher) -> None:
     """Vases, books and the like on tables and chests."""
+    categories = sorted(name for name, kind in KINDS.items() if kind.placement == "top")
     for piece in list(f.pieces):
         if f.rng.random() >= _TOPS.get(piece.category, 0.0):
             continue

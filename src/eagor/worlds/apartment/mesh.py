@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor.errors import WorldError
 from eagor.worlds.scene import Material
 
 Triple = Sequence[float] | np.ndarray
@@ -68,19 +67,17 @@ def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) ->
     return Mesh(vertices.astype(np.float32), mesh.triangles, mesh.uv)
 
 
-def mirrored(mesh: Mesh, axis: int) -> Mesh:
-    """`mesh` mirrored in the plane where coordinate `axis` is zero; its outside stays the outside."""
-    sign = np.ones(3, dtype=np.float32)
-    sign[axis] = -1
-    return Mesh(mesh.vertices * sign, mesh.triangles[:, ::-1].copy(), mesh.uv[:, ::-1].copy())
+def mirrored(mesh: Mesh) -> Mesh:
+    """`mesh` with left and right exchanged; its outside stays the outside."""
+    return Mesh(
+        mesh.vertices * np.array([1, -1, 1], dtype=np.float32), mesh.triangles[:, ::-1].copy(), mesh.uv[:, ::-1].copy()
+    )
 
 
 def merged(*meshes: Mesh) -> Mesh:
     """All meshes as one; no vertices are merged."""
     if len(meshes) == 1:
         return meshes[0]
-    if not meshes:
-        raise WorldError("merged() of no mesh; give at least one")
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     return Mesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
@@ -134,16 +131,6 @@ def reshaped(mesh: Mesh, change: Callable[[np.ndarray], np.ndarray]) -> Mesh:
     return Mesh(np.asarray(change(mesh.vertices.astype(np.float64)), dtype=np.float32), mesh.triangles, mesh.uv)
 
 
-def checked_bounds(low: Triple, high: Triple, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """`low` and `high` as float64 ``(3,)``. Raises `WorldError` unless low lies below high on every axis."""
-    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    if low.shape != (3,) or high.shape != (3,) or not (high > low).all():
-        raise WorldError(
-            f"{what} from {low.tolist()} to {high.tolist()}; wanted low (3,) below high (3,) on every axis"
-        )
-    return low, high
-
-
 def quad_triangles(count: int) -> np.ndarray:
     """Two triangles for each of `count` faces with four corners of their own ``(2 count, 3)``."""
     return (np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.int32)
@@ -180,7 +167,7 @@ def hexahedron(corners: Triple | np.ndarray, grain: int | None = None) -> Mesh:
 
 def box(low: Triple, high: Triple, grain: int | None = None) -> Mesh:
     """A box between two corners ``(3,)``, 12 triangles; `grain` as in `planar_uv`."""
-    low, high = checked_bounds(low, high, "a box")
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     return hexahedron(low + CORNERS * (high - low), grain)
 
 
@@ -227,23 +214,18 @@ def _rounded(segments: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def bevelled(low: Triple, high: Triple, radius: float, segments: int = 1, grain: int | None = None) -> Mesh:
     """A box with edges rounded by `radius` (or half of the shortest side) in `segments` steps: 44 triangles for 1."""
-    low, high = checked_bounds(low, high, "a bevelled box")
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     half = (high - low) / 2
     radius = min(float(radius), 0.499 * 2 * float(half.min()))
     outward, signs, triangles = _rounded(segments)
     return projected((low + high) / 2 + signs * (half - radius) + outward * radius, triangles, grain)
 
 
-def prism(outline: np.ndarray, low: float, high: float, axis: int = 2, grain: int | None = None) -> Mesh:
-    """A convex outline ``(n, 2)``, counter-clockwise, extruded from `low` to `high` along `axis`.
-
-    The outline's coordinates are (x, y) for axis 2, (y, z) for axis 0 and (z, x) for axis 1.
-    """
+def prism(outline: np.ndarray, low: float, high: float, grain: int | None = None) -> Mesh:
+    """A convex outline ``(n, 2)`` of x and y, counter-clockwise, from z = `low` to `high`."""
     outline = np.asarray(outline, dtype=np.float64)
     n = len(outline)
-    ends = np.empty((2, n, 3))
-    ends[..., (axis + 1) % 3], ends[..., (axis + 2) % 3] = outline.T[:, None]
-    ends[0, :, axis], ends[1, :, axis] = low, high
+    ends = np.stack([np.column_stack([outline, np.full(n, z)]) for z in (low, high)])
     fan = np.array([[0, k, k + 1] for k in range(1, n - 1)])
     step = (np.arange(n) + 1) % n
     walls = np.stack([ends[0], ends[0][step], ends[1][step], ends[1]], axis=1).reshape(-1, 3)
@@ -267,8 +249,6 @@ def loft(rings: np.ndarray, smooth: bool = False) -> Mesh:
     shades the edges along it smoothly; otherwise only its bends are.
     """
     rings = np.asarray(rings, dtype=np.float64)
-    if rings.ndim != 3 or rings.shape[2] != 3 or rings.shape[0] < 2 or rings.shape[1] < 3:
-        raise WorldError(f"rings of shape {rings.shape}; wanted (n, k, 3) with n >= 2 rings of k >= 3 corners")
     n, k, _ = rings.shape
     around = np.concatenate([rings, rings[:, :1]], axis=1)
     u = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(rings.mean(axis=1), axis=0), axis=1))])
@@ -323,7 +303,7 @@ def _soft(thin: int) -> tuple[np.ndarray, np.ndarray]:
 
 def cushion(low: Triple, high: Triple, puff: float = 0.03, radius: float = 0.05) -> Mesh:
     """A soft box within `low` and `high` ``(3,)``: rounded edges, faces that swell by `puff` metres; 128 triangles."""
-    low, high = checked_bounds(low, high, "a cushion")
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     middle, half = (low + high) / 2, (high - low) / 2
     steps, triangles = _soft(int(half.argmin()))
     puff = min(float(puff), 0.4 * float(half.min()))
@@ -364,8 +344,6 @@ def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20) -> Mesh:
     u runs round and v along the profile; flat discs take x and y.
     """
     profile = np.asarray(profile, dtype=np.float64)
-    if profile.ndim != 2 or profile.shape[1] != 2 or len(profile) < 2 or not (profile[:, 0] >= 0).all():
-        raise WorldError(f"a profile of shape {profile.shape}; wanted (n, 2) of (r >= 0, z) with n >= 2")
     r, z = profile.T
     angle = np.arange(sides + 1) * (2 * math.pi / sides)
     counts = np.where(r > 0, sides, 1)
@@ -386,29 +364,21 @@ def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20) -> Mesh:
     return Mesh(vertices, triangles, uv)
 
 
-def cylinder(centre: Triple, radius: float, height: float, sides: int = 16, top_radius: float | None = None) -> Mesh:
-    """An upright cylinder or cone frustum with sharp rims on `centre` ``(3,)``, the middle of its base."""
-    top = radius if top_radius is None else top_radius
-    profile = [(0, 0), (radius, 0), (radius, 0), (top, height), (top, height), (0, height)]
+def cylinder(centre: Triple, radius: float, height: float, sides: int) -> Mesh:
+    """An upright cylinder with sharp rims on `centre` ``(3,)``, the middle of its base."""
+    profile = [(0, 0), (radius, 0), (radius, 0), (radius, height), (radius, height), (0, height)]
     return moved(lathe(profile, sides), centre)
 
 
 def tube(path: Sequence[Triple] | np.ndarray, radius: float | Sequence[float] | np.ndarray, sides: int = 8) -> Mesh:
     """A round bar along `path` ``(n, 3)`` with flat ends and mitred bends; u along it, v round it.
 
-    `radius`, one or one per point. Raises `WorldError` where the path stands still or doubles back on itself.
+    `radius`, one or one per point. The path may not stand still or double back on itself.
     """
     path = np.asarray(path, dtype=np.float64)
-    if path.ndim != 2 or path.shape[1] != 3 or len(path) < 2:
-        raise WorldError(f"a path of shape {path.shape}; wanted (n, 3) with n >= 2")
     radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), (len(path),))
     legs = np.diff(path, axis=0)
-    length = np.linalg.norm(legs, axis=1, keepdims=True)
-    if not (length > 0).all():
-        raise WorldError("a path with a point given twice in a row; drop one of them")
-    legs = legs / length
-    if (np.einsum("ij,ij->i", legs[:-1], legs[1:]) < -0.9).any():
-        raise WorldError("a path that doubles back on itself; give its turn one more point")
+    legs = legs / np.linalg.norm(legs, axis=1, keepdims=True)
     angle = (np.arange(sides) + 0.5) * (2 * math.pi / sides)
     side = np.cross(legs[0], np.eye(3)[np.abs(legs[0]).argmin()])
     rings = np.empty((len(path), sides, 3))
@@ -439,8 +409,6 @@ def quad(corners: Sequence[Triple] | np.ndarray) -> Mesh:
 def sheet(points: np.ndarray) -> Mesh:
     """A smooth open surface through points ``(rows, columns, 3)``; its outside is where columns x rows points."""
     points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 3 or points.shape[2] != 3 or min(points.shape[:2]) < 2:
-        raise WorldError(f"a sheet of points of shape {points.shape}; wanted (rows, columns, 3), two of each at least")
     u = np.zeros(points.shape[:2])
     v = np.zeros(points.shape[:2])
     u[:, 1:] = np.cumsum(np.linalg.norm(np.diff(points, axis=1), axis=-1), axis=1)

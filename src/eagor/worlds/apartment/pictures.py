@@ -26,7 +26,7 @@ _SUITING = {
     "grey": "mountains pines sea birches",
     "beige": "mountains fruit vase botanical",
 }
-SPINES = 15
+SPINES = 15  # of books side by side in a "books" texture, each 1/16 of its width; the last sixteenth is cut pages
 # For each main colour of a rug: a second colour, and one for small motifs.
 _PARTNERS: dict[str, tuple[str, str]] = {
     "red": ("beige", "blue"), "blue": ("beige", "red"), "beige": ("brown", "grey"), "grey": ("white", "black"),
@@ -273,9 +273,6 @@ _MOTIFS: dict[str, tuple[Callable[[np.random.Generator, Canvas, np.ndarray], Non
 }  # fmt: skip
 MOTIFS_OF = {colour: (*list(_MOTIFS)[:5], *names.split()) for colour, names in _SUITING.items()}
 """The motifs of each colour that paintings come in: the abstract ones suit all."""
-
-
-"""Book spines side by side in a "books" texture, each 1/16 of its width; the last sixteenth is cut pages."""
 
 
 @dataclass(frozen=True)

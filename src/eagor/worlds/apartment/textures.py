@@ -13,15 +13,14 @@ from functools import cache
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor._srgb import to_coded, to_linear
-from eagor.errors import WorldError
 from eagor.worlds.apartment.canvas import noise, sRGB
 from eagor.worlds.apartment.pictures import PICTURES
 from eagor.worlds.scene import Material
 
-# Metres that one repeat covers, in u and v. A `WHOLE` drawing is one thing from edge to edge, and its builders set uv
-# from 0 to 1.
-WHOLE = frozenset({"leaf", "rug", "art", "screen", "books", "lampshade"})
+# Metres that one repeat covers, in u and v. Leaves, lampshades, rugs, art, screens and books are drawn from edge to
+# edge; their builders set uv from 0 to 1.
 REPEAT: dict[str, float] = {
     "fabric": 0.4, "leather": 0.6, "wood": 1.0, "metal": 0.5, "plastic": 1.0, "ceramic": 1.0, "paint": 1.0,
     "wicker": 0.16, "glass": 1.0, "marble": 1.2, "tile": 0.6, "parquet": 1.6, "carpet": 0.6, "plaster": 2.0,
@@ -42,33 +41,26 @@ _NATURAL: dict[str, tuple[str | tuple[int, int, int], ...]] = {
 }  # fmt: skip
 
 
-def material(kind: str, colour: str | None = None, rng: np.random.Generator | None = None) -> Material:
+def material(kind: str, colour: str | None, rng: np.random.Generator) -> Material:
     """A material of a kind of `REPEAT`, in a tone of a named colour; None for the kind's default.
 
-    All materials of the same variant share the texture; do not write to it. Raises `WorldError` for an unknown kind or
-    colour.
+    All materials of the same variant share the texture; do not write to it.
     """
-    if kind not in REPEAT:
-        raise WorldError(f"there is no material {kind!r}; wanted one of {', '.join(sorted(REPEAT))}")
-    rng = np.random.default_rng(0) if rng is None else rng
     name = f"{colour} {kind}" if colour else kind
     if kind in PICTURES:
         picture = PICTURES[kind]
         if colour is None and picture.colours:
             colour = picture.colours[rng.integers(len(picture.colours))]
-        if colour is not None and colour not in picture.colours:
-            wanted = ", ".join(picture.colours) or "none"
-            raise WorldError(f"{kind} does not come in {colour!r}; wanted one of {wanted}")
         texture = _picture(kind, colour, int(rng.integers(picture.variants)))
         return Material(name, (1.0, 1.0, 1.0), texture, picture.emission)
-    tone = np.array(_tone(kind, colour, rng))
+    tone = _tone(kind, colour, rng)
     # At full strength a coloured shade would saturate to a primary.
     emission = 0.0 if kind != "lampshade" else 1.5 if colour in (None, "white", "beige") else 0.9
     if kind not in SURFACES:
-        return Material(name, (float(tone[0]), float(tone[1]), float(tone[2])), None, emission)
+        return Material(name, tone, None, emission)
     variants, _ = SURFACES[kind]
     texture, mean = _surface(kind, int(rng.integers(variants)))
-    linear = to_linear(tone) / mean  # so that the mean of texture times colour is the tone
+    linear = to_linear(np.array(tone)) / mean  # so that the mean of texture times colour is the tone
     r, g, b = np.where(linear < 1, to_coded(linear), 1.0)
     return Material(name, (float(r), float(g), float(b)), texture, emission)
 
@@ -91,9 +83,7 @@ def _surface(kind: str, variant: int) -> tuple[np.ndarray, np.ndarray]:
     if relative.ndim == 2:
         relative = relative[..., None] * np.ones(3)
     texture = _coded(relative / np.percentile(relative, 99))
-    mean = to_linear(texture / 255).mean(axis=(0, 1))
-    mean.setflags(write=False)
-    return texture, mean
+    return texture, frozen(to_linear(texture / 255).mean(axis=(0, 1)))
 
 
 @cache
@@ -107,9 +97,7 @@ def _generator(name: str, variant: int) -> np.random.Generator:
 
 
 def _coded(linear: np.ndarray) -> np.ndarray:
-    texture = np.rint(255 * to_coded(linear)).astype(np.uint8)
-    texture.setflags(write=False)
-    return texture
+    return frozen(np.rint(255 * to_coded(linear)).astype(np.uint8))
 
 
 def _carpet(rng: np.random.Generator, variant: int) -> np.ndarray:

@@ -1,10 +1,8 @@
 """Scenes of Habitat-Sim as worlds: ``--world habitat:SCENE``.
 
-- `world`: the world itself, and the scene that it gives to tasks; `options`: what follows its name;
-- `simulator`: what a simulator is made of, whether one can be made here, those that are open;
-- `view`: coordinates, and panoramas with Euclidean ranges and instance ids;
-- `surface`: the storey that a body walks on, and its steps; `navmesh`: its ground, and distances to goals; `floors`:
-  meshes, and the true floors below them;
+- `world`: the world itself, what follows its name, its navigation mesh and the true floor below it;
+- `simulator`: simulators, whether one can be made here, and panoramas with Euclidean ranges and instance ids;
+- `navmesh`: the storey that a body walks on, its ground, steps, and distances to goals;
 - `semantics`: the named things of the scene, which of them a pixel shows, and the repair of their boxes.
 
 Habitat-Sim (0.3.3 and later) is imported only when a scene is opened.

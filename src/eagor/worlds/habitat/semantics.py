@@ -24,90 +24,52 @@ from typing import Any
 
 import numpy as np
 
-from eagor._json import number, parsed, shown
+from eagor._json import parsed, shown
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
-from eagor.queries import COLOURS, SYNONYMS
-from eagor.worlds.glb import FORMAT
-from eagor.worlds.habitat.simulator import Session
-from eagor.worlds.habitat.view import Frames, euclidean
+from eagor.queries import COLOURS
+from eagor.worlds.glb import FORMAT, instance_in, room_in
+from eagor.worlds.habitat.simulator import Frames, Labels, Session, euclidean
+from eagor.worlds.habitat_files import FIRST_ID
+from eagor.worlds.objectnav import read_category
 from eagor.worlds.scene import Instance, Room
-from eagor.worlds.semantic_glb import FIRST_ID
-
-__all__ = [
-    "BOXES",
-    "BoxLabels",
-    "IdLabels",
-    "Things",
-    "beside",
-    "from_the_origin",
-    "repaired",
-    "seen_boxes",
-    "things_of",
-]
 
 LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
 _CHUNK = 1 << 22  # comparisons of a point with a box at a time
 
 
-class IdLabels:
+def id_labels(place: np.ndarray) -> Labels:
     """Labels by Habitat's semantic ids: `place` ``(n,)``, our index (or -1) of each id."""
-
-    raw = True
-
-    def __init__(self, place: np.ndarray) -> None:
-        self._place = np.append(place, -1).astype(np.int32)  # the last for ids beyond the table
-
-    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
-        """The ids ``(H, W)`` int32 of Habitat's `semantic` ``(H, W)``."""
-        assert semantic is not None
-        return self._place[np.minimum(semantic, len(self._place) - 1).astype(np.intp)]
+    table = np.append(place, -1).astype(np.int32)  # the last for ids beyond the table
+    return Labels(True, lambda semantic: table[np.minimum(semantic, len(table) - 1).astype(np.intp)])
 
 
-class BoxLabels:
+def box_labels(instances: Sequence[Instance]) -> Labels:
     """Labels by points: the smallest box that contains a point, -1 if none does."""
+    size = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
+    order = np.argsort(size, kind="stable")
+    low, high = (np.array([getattr(instances[k], end) for k in order]).reshape(-1, 3) for end in ("low", "high"))
 
-    raw = False
-
-    def __init__(self, instances: Sequence[Instance]) -> None:
-        size = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
-        self._order = np.argsort(size, kind="stable")
-        self._low = np.array([instances[k].low for k in self._order]).reshape(-1, 3) - LOOSE
-        self._high = np.array([instances[k].high for k in self._order]).reshape(-1, 3) + LOOSE
-
-    def ids(self, semantic: np.ndarray | None, points: np.ndarray | None) -> np.ndarray:
-        """The ids ``(H, W)`` int32 at `points` ``(H, W, 3)``, our world, NaN for no hit."""
-        assert points is not None
+    def ids(points: np.ndarray) -> np.ndarray:
         flat = points.reshape(-1, 3)
         found = np.full(len(flat), -1, dtype=np.int32)
-        if len(self._order) == 0:
-            return found.reshape(points.shape[:-1])
-        for start in range(0, len(flat), step := max(1, _CHUNK // len(self._order))):
+        for start in range(0, len(flat) if instances else 0, step := max(1, _CHUNK // max(len(order), 1))):
             part = flat[start : start + step, None]
-            inside = np.all((part >= self._low) & (part <= self._high), axis=-1)
+            inside = np.all((part >= low - LOOSE) & (part <= high + LOOSE), axis=-1)
             first = inside.argmax(axis=1)
             hit = inside[np.arange(len(first)), first]
-            found[start : start + step] = np.where(hit, self._order[first], -1)
+            found[start : start + step] = np.where(hit, order[first], -1)
         return found.reshape(points.shape[:-1])
 
+    return Labels(False, ids)
 
-# --- the boxes of things in Habitat's semantic scenes, repaired from what is seen -------------------------------------
+
+# --- what is seen of things: it repairs their boxes -------------------------------------------------------------------
 
 Box = tuple[np.ndarray, np.ndarray]
 ROWS = 128  # of the panoramas
 FEWEST = 12  # pixels that a thing has to show
 TRIM = 0.5  # per cent of the points at each end: edges of things mix near and far
-
-
-def from_the_origin(boxes: Sequence[Box]) -> bool:
-    """Whether all of several boxes, Habitat's world, contain the origin."""
-    return len(boxes) > 2 and all((low <= 0).all() and (high >= 0).all() for low, high in boxes)
-
-
-def repaired(box: Box, seen: Box) -> Box:
-    """A box, Habitat's world, with its sides at 0 replaced by those of what was seen."""
-    (low, high), (first, last) = box, seen
-    return np.where(low == 0, np.clip(first, low, high), low), np.where(high == 0, np.clip(last, low, high), high)
 
 
 def seen_boxes(session: Session, eyes: np.ndarray) -> Mapping[int, Box]:
@@ -132,7 +94,7 @@ def seen_boxes(session: Session, eyes: np.ndarray) -> Mapping[int, Box]:
     }
 
 
-# --- the named things of a scene in Habitat, and how to tell which one a pixel shows ----------------------------------
+# --- things by their names --------------------------------------------------------------------------------------------
 
 BOXES = "eagor boxes 1"
 UNNAMED = {"", "unknown", "unlabeled", "unlabelled", "void", "misc", "undefined", "object", "objects", "other"}
@@ -145,7 +107,7 @@ class Things:
 
     instances: tuple[Instance, ...]
     rooms: tuple[Room, ...]
-    labels: IdLabels | BoxLabels
+    labels: Labels
     told: str
 
 
@@ -161,21 +123,21 @@ def things_of(sim: Any, scene_file: Path | None, boxes: Path | None, frames: Fra
         instances, rooms = read_boxes(file, frames)
         place = _same_things(found, instances)
         if place is not None:
-            return Things(instances, rooms, IdLabels(place), f"ids of Habitat, names of {file.name}")
+            return Things(instances, rooms, id_labels(place), f"ids of Habitat, names of {file.name}")
         if boxes is not None or not found:
-            return Things(instances, rooms, BoxLabels(instances), f"boxes of {file.name}")
+            return Things(instances, rooms, box_labels(instances), f"boxes of {file.name}")
     if found:
-        if from_the_origin([each.box for each in found]):
-            seen = look()
+        if len(found) > 2 and all((low <= 0).all() and (high >= 0).all() for low, high in (each.box for each in found)):
+            seen = look()  # boxes that all contain the origin are wrong
             found = [each.repaired(seen[each.semantic_id], frames) for each in found if each.semantic_id in seen]
         place = np.full(max(each.semantic_id for each in found) + 1, -1)
         place[[each.semantic_id for each in found]] = np.arange(len(found))
         instances = tuple(each.instance for each in found)
-        return Things(instances, _rooms(sim.semantic_scene, frames), IdLabels(place), "Habitat's semantic scene")
+        return Things(instances, _rooms(sim.semantic_scene, frames), id_labels(place), "Habitat's semantic scene")
     if scene_file is not None and scene_file.suffix.lower() in (".glb", ".gltf"):
         instances = _nodes(scene_file, frames)
         if instances:
-            return Things(instances, (), BoxLabels(instances), f"nodes of {scene_file.name}")
+            return Things(instances, (), box_labels(instances), f"nodes of {scene_file.name}")
     raise WorldError(
         f"{scene_file or 'the scene'} names no things: it has no semantic annotations, its nodes have no names, and no "
         "file of boxes lies beside it; give one: habitat:SCENE?boxes=FILE.json"
@@ -200,21 +162,18 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
         ours = known["format"] == FORMAT
         instances = []
         for entry in known["instances" if ours else "boxes"]:
-            low, high = (np.array([number(value) for value in entry[end]]) for end in ("low", "high"))
-            if low.shape != (3,) or high.shape != (3,) or bool(np.any(low > high)):
+            thing = instance_in(entry)
+            low, high, colour = thing.low, thing.high, thing.colour
+            if bool(np.any(low > high)):
                 raise ValueError(f"a box from {low.tolist()} to {high.tolist()}")
             if ours:  # z up, but heights as in the file
                 low[2], high[2] = low[2] - frames.floor, high[2] - frames.floor
             else:
                 low, high = frames.box_from_habitat(low, high)
-            colour = entry.get("colour")
             if colour is not None and colour not in COLOURS:
                 raise ValueError(f"the colour {shown(colour)}, which is none of {', '.join(COLOURS)}")
-            instances.append(Instance(words_of(str(entry["category"])), colour, entry.get("room"), low, high))
-        rooms = tuple(
-            Room(str(room["name"]), str(room["kind"]), np.array(room["rectangles"], dtype=np.float64).reshape(-1, 4))
-            for room in (known.get("rooms", []) if ours else [])
-        )
+            instances.append(replace(thing, category=read_category(thing.category), low=low, high=high))
+        rooms = tuple(room_in(entry) for entry in (known.get("rooms", []) if ours else []))
     except OSError as error:
         raise WorldError(f"{file} cannot be read ({error.strerror}); wanted a file of boxes") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -223,12 +182,6 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
             f'{{"format": "{BOXES}", "boxes": [{{"category", "low", "high"}}, ...]}}'
         ) from error
     return tuple(instances), rooms
-
-
-def words_of(category: str) -> str:
-    """A category in lower-case words, in our spelling."""
-    words = " ".join(category.replace("_", " ").replace("/", " ").lower().split())
-    return SYNONYMS.get(words, words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +193,10 @@ class _Object:
     box: Box  # in Habitat's world
 
     def repaired(self, seen: Box, frames: Frames) -> _Object:
-        """The same with a box whose wrong sides are those of what was seen."""
-        low, high = frames.box_from_habitat(*repaired(self.box, seen))
+        """The same with the sides of its box at 0 replaced by those of what was seen."""
+        (low, high), (first, last) = self.box, seen
+        sides = np.where(low == 0, np.clip(first, low, high), low), np.where(high == 0, np.clip(last, low, high), high)
+        low, high = frames.box_from_habitat(*sides)
         return replace(self, instance=replace(self.instance, low=low, high=high))
 
 
@@ -251,7 +206,7 @@ def _objects(semantic: Any, frames: Frames) -> list[_Object]:
     for thing in getattr(semantic, "objects", None) or []:
         if thing is None or thing.category is None:
             continue
-        category, box = words_of(str(thing.category.name())), thing.aabb
+        category, box = read_category(str(thing.category.name())), thing.aabb
         low, high = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
         if category in UNNAMED or not np.isfinite([low, high]).all() or not (high > low).any():
             continue
@@ -275,7 +230,7 @@ def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
         box = _box(region)
         if box is not None:
             low, high = frames.box_from_habitat(*box)
-            kind = words_of(str(region.category.name())) if region.category is not None else "room"
+            kind = read_category(str(region.category.name())) if region.category is not None else "room"
             found.append(Room(str(region.id), kind, np.array([[*low[:2], *high[:2]]])))
     return tuple(found)
 
@@ -286,29 +241,25 @@ def _same_things(found: Sequence[_Object], instances: Sequence[Instance]) -> np.
     Ids are those that we export, if the categories agree. Otherwise an object is the thing of the same category whose
     box is nearest, at most 0.25 m off at any corner.
     """
-    exported = {each.semantic_id: each.semantic_id - FIRST_ID for each in found}
-    place = exported if all(_is(one, instances, exported[one.semantic_id]) for one in found) else {}
-    for each in () if place else found:
-        off = {
-            index: float(
-                max(np.abs(thing.low - each.instance.low).max(), np.abs(thing.high - each.instance.high).max())
-            )
-            for index, thing in enumerate(instances)
-            if thing.category == each.instance.category
-        }
-        nearest = min(off, key=lambda index: off[index], default=None)
-        if nearest is None or off[nearest] > 0.25:
-            return None
-        place[each.semantic_id] = nearest
+    place = {each.semantic_id: each.semantic_id - FIRST_ID for each in found}
+    categories = dict(enumerate(thing.category for thing in instances))
+    if any(categories.get(place[each.semantic_id]) != each.instance.category for each in found):
+        for each in found:
+            mine = each.instance
+            off = {
+                index: float(np.abs([thing.low - mine.low, thing.high - mine.high]).max())
+                for index, thing in enumerate(instances)
+                if thing.category == mine.category
+            }
+            nearest = min(off, key=lambda index: off[index], default=None)
+            if nearest is None or off[nearest] > 0.25:
+                return None
+            place[each.semantic_id] = nearest
     if not place:
         return None
     table = np.full(max(place) + 1, -1)
     table[list(place)] = list(place.values())
     return table
-
-
-def _is(one: _Object, instances: Sequence[Instance], index: int) -> bool:
-    return 0 <= index < len(instances) and instances[index].category == one.instance.category
 
 
 def _nodes(file: Path, frames: Frames) -> tuple[Instance, ...]:

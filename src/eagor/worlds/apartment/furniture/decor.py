@@ -228,8 +228,7 @@ def _shade(
     """A lampshade from its profile, glowing; one repeat of its texture goes round it and from bottom to top."""
     radius, length = max(r for r, _ in profile), sum(math.dist(a, b) for a, b in pairwise(profile))
     look = material("lampshade", colour, rng)
-    made = part(moved(lathe(profile, 18), (0, 0, lift)), look, (2 * math.pi * radius, length))
-    return Part(made.vertices + np.array([x, 0, 0], dtype=np.float32), made.triangles, made.uv, look)
+    return part(moved(lathe(profile, 18), (x, 0, lift)), look, (2 * math.pi * radius, length))
 
 
 def lamp(colour: str, rng: np.random.Generator) -> list[Part | Lamp]:

@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from eagor.sphere import rotation
+from eagor.worlds.apartment.furniture.joinery import base_units, front
 from eagor.worlds.apartment.furniture.model import facing, finish, fittings, pull
-from eagor.worlds.apartment.furniture.storage import base_units, front
 from eagor.worlds.apartment.mesh import (
     Mesh,
     Part,

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from eagor.errors import WorldError
 from eagor.worlds.apartment.mesh import Mesh, Part, bevelled, box, lathe, merged, moved, part, post, tube
 from eagor.worlds.apartment.textures import REPEAT, material
 from eagor.worlds.scene import Lamp
 
-PLACEMENTS = ("wall", "corner", "free", "hung", "flat", "top", "ceiling")
 WOODS = ("brown", "white", "black", "beige")  # colours of wooden furniture
 
 # Maps one of its kind's colours (str), or None if it has none, to the parts of a piece.
@@ -46,23 +44,18 @@ class Model:
 
 @dataclass(frozen=True)
 class Kind:
-    """A category: its properties, and `make`, which builds a piece.
+    """A category: its choice of main `colours`, empty if none dominates, and `make`, which builds a piece.
 
-    `placement`: "wall" (back to a wall), "corner", "free" (anywhere), "hung" (on a wall), "flat" (on the floor, no
-    obstacle), "top" (stands on a surface) or "ceiling". `rooms`: the kinds of rooms that it is usual in. `colours`: its
-    choice of main colours, empty if no colour dominates.
+    `placement`: "floor", "top" (stands on another piece), "hung" (on a wall) or "ceiling".
     """
 
-    placement: str
-    rooms: tuple[str, ...]
     colours: tuple[str, ...]
     make: Builder
+    placement: str = "floor"
 
 
-def assembled(category: str, colour: str | None, made: Iterable[Part | Lamp], placement: str = "free") -> Model:
+def assembled(category: str, colour: str | None, made: Iterable[Part | Lamp], placement: str) -> Model:
     """The model of these parts and lamps, shifted so that its origin fits `placement`."""
-    if placement not in PLACEMENTS:
-        raise WorldError(f"placement {placement!r}; wanted one of {', '.join(PLACEMENTS)}")
     made = tuple(made)
     parts, lamps = [p for p in made if isinstance(p, Part)], [p for p in made if isinstance(p, Lamp)]
     low = np.min([piece.low for piece in parts], axis=0).astype(np.float64)
@@ -125,9 +118,9 @@ def apron(inset: Rectangle, low: float, high: float, thickness: float = 0.02) ->
     )
 
 
-def panel(x: float, y0: float, y1: float, z0: float, z1: float, thickness: float = 0.018) -> Mesh:
+def panel(x: float, y0: float, y1: float, z0: float, z1: float) -> Mesh:
     """A drawer front or small door: its back at `x`, facing +x, the grain along its longer side."""
-    return bevelled((x, y0, z0), (x + thickness, y1, z1), 0.004, grain=1 if y1 - y0 > z1 - z0 else 2)
+    return bevelled((x, y0, z0), (x + 0.018, y1, z1), 0.004, grain=1 if y1 - y0 > z1 - z0 else 2)
 
 
 def facing(mesh: Mesh, at: tuple[float, float, float]) -> Mesh:

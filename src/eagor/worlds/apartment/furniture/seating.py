@@ -233,7 +233,7 @@ def _seated(colour: str, seats: int, rng: np.random.Generator) -> list[Part]:
         bevelled((rear + 0.02, -y - 0.01, foot), (front - 0.03, y + 0.01, seat - 0.12), 0.015),
         bevelled((rear, -y - 0.01, foot + 0.01), (rear + back, y + 0.01, top - 0.06), 0.03, 2),
         left,
-        mirrored(left, 1),
+        mirrored(left),
     ]
     bench = seats > 1 and not chaise and rng.random() < 0.25
     reach = rng.uniform(0.5, 0.65) if chaise else 0.0

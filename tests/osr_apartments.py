@@ -15,6 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from eagor.sphere import world_R_body
 from eagor.tasks.osr.geometry import FloorLine, layout_from
@@ -31,7 +32,6 @@ from eagor.tasks.osr.scoring import (
 )
 from eagor.tasks.osr.sightings import Body, Room, write_room
 from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.published import save_panorama
 from eagor.tasks.rules import Camera
 from eagor.worlds.raycast import Raycaster, make_raycaster
 from eagor.worlds.scene import Scene
@@ -93,7 +93,9 @@ def write_scene(view: View, folder: Path, rows: int = 512, questions: int = 5, s
     target = folder / name
     target.mkdir(parents=True, exist_ok=True)
     if rows:
-        save_panorama(view.place, view.position, view.yaw, rows, target / "rgb.png")
+        shown = view.place.renderer.panorama(view.position, world_R_body(view.yaw), rows, range=False, ids=False).rgb
+        assert shown is not None
+        Image.fromarray(shown).save(target / "rgb.png")
     grid = grid_of(view.layout)
     whole = {"cognitive_map": grid, "class_count": view.counts}
     (target / "cognitive_map.json").write_text(json.dumps(whole), encoding="utf-8")
