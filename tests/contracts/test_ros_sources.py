@@ -138,6 +138,23 @@ def test_an_ordinary_camera_s_lens_is_told_beside_its_pictures():
             RosCamera(graph=graph, info="/else")
 
 
+def test_a_lens_that_was_told_once_before_is_heard():
+    """Its publisher keeps it for who comes later (transient local), and says it never again."""
+    domain = free_domain()
+    narrow = np.zeros((30, 40, 3), np.uint8)
+
+    def speak(publish, n):
+        publish("/image", m.IMAGE, m.image_message(narrow, time.time(), ""))
+
+    with speaking(domain, speak) as by:
+        latched = by.publish("/camera_info", m.CAMERA_INFO, depth=1, transient=True)
+        latched.write(camera_info((40, 30), (30, 30, 19.5, 14.5), frame="lens"))
+        with DdsGraph(domain, "lo") as graph:
+            camera = RosCamera(graph=graph)
+            assert (camera.frame, camera.grid.shape) == ("lens", (30, 40))
+            camera.close()
+
+
 @pytest.mark.parametrize(
     ("made", "said"),
     [

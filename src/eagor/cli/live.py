@@ -39,8 +39,7 @@ from eagor.cli.checks import (
 from eagor.cli.options import CameraFile, Common, Detector, Flag, Floor, Force, Hfov, Mask, Modes, Rerun, Whole, bare
 
 if TYPE_CHECKING:
-    from eagor.live.events import Answer
-    from eagor.live.looking import NextLooks
+    from eagor.live.events import Answer, NextLooks
     from eagor.live.loop import LiveLoop, Watcher
     from eagor.media.frames import CameraSource
 
@@ -117,7 +116,7 @@ def live(options: Live) -> int:
     """Run the command; returns its exit code."""
     if options.words[:1] == ("replay",):
         return _replay(options)
-    from eagor.live.looking import NextLooks
+    from eagor.live.events import NextLooks
 
     source, queries = asked(options)
     looks = NextLooks()
@@ -247,7 +246,7 @@ def _check(options: Live) -> None:
 
 def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
-    from eagor.live.sources import GivenPoses, MotionPoses
+    from eagor.live.threads import GivenPoses, MotionPoses
     from eagor.media.pose_files import odometry_of_file
     from eagor.robots.poses import GO2, ROS, open_poses
     from eagor.robots.ros.sources import BagCamera, bag_odometry

@@ -1,8 +1,8 @@
 """The live loop: answers at a steady rate from a camera, odometry and a perception that each have their own.
 
-`loop` runs it; `core` turns `events` into answers without threads and devices. `sources` reads cameras and poses;
-`threads` look at the newest picture; `keeper` and `looker` run the perception in its own process. `recording` keeps a
-run and plays it again; `rerun` logs it for a viewer.
+`loop` runs it; `core` turns `events` into answers without threads and devices. `threads` read cameras and poses, and
+look at the newest picture; `keeper` runs the perception in its own process. `recording` keeps a run and plays it again;
+`rerun` logs it for a viewer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What comes into the live loop, what comes out, and what to tell a person of its faults.
+"""What comes into the live loop, what comes out, and what to tell a person: of its faults, and where to look next.
 
 Events have their time of arrival, in seconds on the loop's clock. Stamps are those of the source, on its own clock; the
 core relates the clocks.
@@ -14,20 +14,23 @@ from typing import Any, Literal
 
 import numpy as np
 
+from eagor.errors import GridError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media.frames import Pose
+from eagor.tracking import TurningCamera
 from eagor.tracking.estimate import Estimate
 
 __all__ = [
     "AGAIN", "CALM", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following", "FrameCame",
-    "Part", "PoseCame", "PosesLost", "Trouble",
+    "NextLooks", "Part", "PoseCame", "PosesLost", "Trouble",
 ]  # fmt: skip
 
 Part = Literal["camera", "poses", "perception", "clock", "recording"]
 
 CALM = 3.0  # seconds without a fault after which a part counts as well again
 AGAIN = 30.0  # seconds after which a fault that lasts is told again
+APART = 0.5  # seconds between two computations of where to look next, which take about 40 ms each
 
 
 @dataclass(frozen=True)
@@ -232,3 +235,46 @@ class FaultLog:
             return False
         bad.told[words] = now
         return True
+
+
+class NextLooks:
+    """A watcher of the loop that tells where to look next for the thing of one query: a camera can turn one way only.
+
+    It is computed anew with a new look, at most every `APART` seconds, and stands in the world until then. A panorama
+    sees all, so that there is nothing to tell. `of` is for one thread, which may be another than the loop's.
+    """
+
+    def __init__(self) -> None:
+        self._grid: PerspectiveGrid | None = None
+        self._query, self._looked, self._when = "", -math.inf, -math.inf  # of what was computed last
+        self._toward: np.ndarray | None = None  # world axes
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """An event of the loop."""
+        if isinstance(event, FrameCame):
+            self._grid = event.grid
+        elif isinstance(event, PosesLost):
+            self._query = ""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def of(self, answer: Answer) -> np.ndarray | None:
+        """The direction ``(3,)``, in the body frame of the answer, to which the camera's axis should turn.
+
+        None before the first look, for panoramas, and for a field that `TurningCamera` refuses.
+        """
+        estimate, grid = answer.estimate, self._grid
+        looked = estimate.stamp - estimate.age  # when the newest evidence in it was captured
+        if grid is None or not math.isfinite(looked):
+            return None
+        news = looked > self._looked + 1e-6 and estimate.stamp >= self._when + APART
+        if answer.query != self._query or news:
+            self._query, self._looked, self._when = answer.query, looked, estimate.stamp
+            try:
+                found = estimate.next_look(TurningCamera.of_view(grid), body_R_view=grid.body_R_view)
+            except GridError:
+                self._toward = None
+            else:
+                self._toward = estimate.world_R_body @ found.direction
+        return None if self._toward is None else self._toward @ estimate.world_R_body

@@ -18,8 +18,19 @@ from eagor.live.core import LiveCore, LoopSettings, warm
 from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.live.recording import Pictures, Recorder
-from eagor.live.sources import FrozenCamera, LoopClock, Pace, Reader, opener, paced_frames, paced_poses
-from eagor.live.threads import PerceptionThread, Picture, VisualPoses, VisualPosesThread
+from eagor.live.threads import (
+    FrozenCamera,
+    LoopClock,
+    Pace,
+    PerceptionThread,
+    Picture,
+    Reader,
+    VisualPoses,
+    VisualPosesThread,
+    opener,
+    paced_frames,
+    paced_poses,
+)
 from eagor.media.frames import CameraSource, Frame, Pose, PoseSource
 from eagor.perception import Perception
 from eagor.tracking import TrackerConfig

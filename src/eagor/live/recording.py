@@ -24,8 +24,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.evidence import Evidence
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
-from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
-from eagor.live.looker import looks_in_bytes
+from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked, looks_in_bytes
 from eagor.media.bags.messages import (
     COMPRESSED,
     ODOMETRY,

@@ -1,11 +1,19 @@
-"""Threads that look at the newest picture whenever they are done with the one before: for things, and for turns."""
+"""The threads of a live loop: those that read its sources, and those that look at the newest picture.
+
+A recording is read at its own speed. Who looks takes the newest picture when done with the one before: for things, and
+for turns. Live poses of robots are in `eagor.robots.poses`.
+"""
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -14,10 +22,261 @@ from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import Failed, Keeper, Looked, UnusableError
-from eagor.media.frames import Pose
+from eagor.media.frames import Frame, Pose
+from eagor.media.motion import MotionTrack
 from eagor.media.rotation import VisualOdometer
+from eagor.sphere import heading
 
-__all__ = ["NewestPicture", "PerceptionThread", "Picture", "VisualPoses", "VisualPosesThread"]
+__all__ = [
+    "FrozenCamera", "GivenPoses", "LoopClock", "MotionPoses", "NewestPicture", "Pace", "PerceptionThread", "Picture",
+    "Reader", "VisualPoses", "VisualPosesThread", "already_open", "opener", "paced_frames", "paced_poses",
+]  # fmt: skip
+
+MOTION_RATE = 100.0  # poses per second that are taken from a motion track
+
+REOPENED = (0.5, 10.0)  # seconds before a source that is gone is opened again: at first, and at most; doubled each time
+
+Item = TypeVar("Item")
+
+TURNED = math.radians(3.0)  # by which the camera may turn without its picture changing at all
+HANGS = "the picture stays the same although the camera turns: does it hang? Restart the camera or its driver"
+ROWS = 128  # of a picture that are compared, and as dense along them: a sensor's noise alone changes these
+
+
+class GivenPoses:
+    """Poses that are there already, in order of time."""
+
+    def __init__(self, poses: Sequence[Pose]) -> None:
+        self._poses = tuple(poses)
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._poses)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class MotionPoses:
+    """Orientations of a video's motion track, `MOTION_RATE` per second."""
+
+    def __init__(self, track: MotionTrack) -> None:
+        self.track = track
+
+    def __iter__(self) -> Iterator[Pose]:
+        count = int((self.track.end - self.track.start) * MOTION_RATE) + 1
+        for number in range(count):
+            stamp = self.track.start + number / MOTION_RATE
+            yield Pose(stamp, self.track.world_R_body(stamp))
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def opener(source: Any) -> tuple[Callable[[], Any] | None, Any]:
+    """The function that opens a source, and the source itself, whichever of them is given."""
+    return (None, source) if hasattr(source, "close") else (source, None)
+
+
+def already_open(source: Any, opens: Callable[[], Any]) -> Callable[[], Any]:
+    """A function that opens a source which is open already: the first call gives that one."""
+    waiting = [source]
+    return lambda: waiting.pop() if waiting else opens()
+
+
+class Reader(Generic[Item]):
+    """Reads `source` in a thread of its own, item by item, until `close`.
+
+    `open`: opens it again; None: the same object is read again. `items`: what to read of it. `again`: whether it is
+    read again when it ends; otherwise it is a recording. These are called in the thread: `give` with each item;
+    `trouble` with what is wrong, in words, and "" once it works again; `ended` at the end of a recording, with what
+    went wrong or "". Anything may be raised by a source. What it raises is said, and it is opened again.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        source: Any,
+        open: Callable[[], Any] | None,
+        *,
+        items: Callable[[Any], Iterable[Item]],
+        again: bool,
+        give: Callable[[Item], Any],
+        trouble: Callable[[str], Any],
+        ended: Callable[[str], Any],
+    ) -> None:
+        self.name, self._open = name, open
+        self._source: Any = source
+        self._items, self._again = items, again
+        self._give, self._trouble, self._ended = give, trouble, ended
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._read, name=f"eagor {name}", daemon=True)
+
+    @property
+    def source(self) -> Any:
+        """What is read now; None while it is gone."""
+        return self._source
+
+    def opened(self) -> Any:
+        """The source, opened if it was not: for whoever reads it without the thread."""
+        if self._source is None:
+            assert self._open is not None
+            self._source = self._open()
+        return self._source
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def interrupt(self) -> None:
+        """Close the source if it can be opened again, so that its thread comes back and does so."""
+        if self._open is not None and self._source is not None:
+            with suppress(Exception):
+                self._source.close()
+
+    def close(self, patience: float) -> None:
+        """Close the source, and wait so many seconds for the thread to come back from it."""
+        self._stopped.set()
+        if self._source is not None:
+            with suppress(Exception):
+                self._source.close()
+        if self._thread.is_alive():
+            self._thread.join(patience)
+
+    def _read(self) -> None:
+        pause, bad = REOPENED[0], False
+        while not self._stopped.is_set():
+            text = ""
+            try:
+                for item in self._items(self.opened()):
+                    if self._stopped.is_set():
+                        return
+                    if bad:
+                        self._trouble("")
+                    pause, bad = REOPENED[0], False
+                    self._give(item)
+            except (EagorError, OSError) as error:
+                text = str(error)
+            except Exception as error:
+                text = f"{type(error).__name__}: {error}"
+            if self._stopped.is_set():
+                return
+            if not self._again:
+                self._ended(text)
+                return
+            bad = True
+            self._trouble(f"{text or f'the {self.name} ended'}; opened again")
+            if self._open is not None:
+                gone: Any = self._source
+                self._source = None
+                with suppress(Exception):
+                    gone.close()
+            self._stopped.wait(pause)
+            pause = min(2 * pause, REOPENED[1])
+
+
+class LoopClock:
+    """Seconds since 1970 that never jump: the machine's time at the start, and the seconds since then."""
+
+    def __init__(self) -> None:
+        self._wall, self._steady = time.time(), time.monotonic()
+
+    def now(self) -> float:
+        return self._wall + (time.monotonic() - self._steady)
+
+    def slip(self) -> float:
+        """Seconds by which the machine's time has been set since the start."""
+        return time.time() - self.now()
+
+
+@dataclass(eq=False)
+class Pace:
+    """When a recording's stamp is due: its first picture comes `begin` is called."""
+
+    clock: LoopClock
+    stop: threading.Event
+    zero: float | None = None  # the recording's stamp of the first picture
+    shift: float = 0.0  # seconds from the recording's clock to the loop's
+    _begun: threading.Event = field(default_factory=threading.Event)
+
+    def begin(self, stamp: float) -> None:
+        """The first picture is there; the second call does nothing."""
+        if self.zero is None:
+            self.zero, self.shift = stamp, self.clock.now() - stamp
+            self._begun.set()
+
+    def begun(self) -> bool:
+        """Wait for the first picture. False if the loop stops before."""
+        while not self._begun.wait(0.1):
+            if self.stop.is_set():
+                return False
+        return True
+
+    def due(self, stamp: float) -> bool:
+        """Wait until the stamp is due. False if the loop stops before."""
+        return not self.stop.wait(max(0.0, stamp + self.shift - self.clock.now()))
+
+
+def paced_frames(source: Iterable[Frame], pace: Pace) -> Iterator[tuple[Frame, float]]:
+    """Each frame when it is due, with its stamp on the loop's clock, and its stamp in the recording."""
+    for frame in source:
+        pace.begin(frame.stamp)
+        if not pace.due(frame.stamp):
+            return
+        yield replace(frame, stamp=frame.stamp + pace.shift), frame.stamp
+
+
+def paced_poses(source: Iterable[Pose], pace: Pace) -> Iterator[Pose]:
+    """Each pose when it is due, on the loop's clock; of those long before the first picture, the last one at once."""
+    if not pace.begun():
+        return
+    assert pace.zero is not None
+    before: Pose | None = None
+    for pose in source:
+        if pose.stamp < pace.zero:
+            before = pose
+            continue
+        if before is not None:
+            yield replace(before, stamp=pace.zero + pace.shift - 1e-6)
+            before = None
+        if not pace.due(pose.stamp):
+            return
+        yield replace(pose, stamp=pose.stamp + pace.shift)
+    if before is not None:
+        yield replace(before, stamp=pace.zero + pace.shift)
+
+
+class FrozenCamera:
+    """Finds a camera that shows one picture again and again while it turns: its driver hangs, and stamps it anew.
+
+    Compares pictures bit by bit. `orientation(stamp)`: `world_R_body` ``(3, 3)`` at a picture that came before.
+    """
+
+    def __init__(self, orientation: Callable[[float], np.ndarray | None]) -> None:
+        self._orientation = orientation
+        self._code: int | None = None
+        self._stamp = math.nan
+        self._hangs = False
+        self._ahead: float | None = None  # where the camera looked when this picture came first
+
+    def take(self, panorama: np.ndarray, stamp: float) -> str:
+        """What is wrong, in words, at the picture ``(H, W, 3)`` of this stamp; "" if nothing is."""
+        step = max(1, len(panorama) // ROWS)
+        code, before = zlib.crc32(panorama[::step, ::step].tobytes()), self._stamp
+        same, self._code, self._stamp = code == self._code, code, stamp
+        if not same:
+            self._ahead, self._hangs = None, False
+            return ""
+        pose = self._orientation(before)  # poses of a picture that just came may be on their way
+        if pose is None:
+            return ""
+        if self._ahead is None:
+            self._ahead = heading(pose)
+        turned = math.remainder(heading(pose) - self._ahead, 2 * math.pi)
+        self._hangs |= abs(turned) > TURNED
+        return HANGS if self._hangs else ""
+
+
+# --- looking at the newest picture ---
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """The lens of an ordinary camera, as its driver tells it: the sensor_msgs/CameraInfo beside its pictures.
 
 By the rule of ``image_transport``, the CameraInfo of ``/ns/image_raw`` is on ``/ns/camera_info``, one with
-each picture.
+each picture. Some drivers send it once, for whoever comes later (transient local).
 """
 
 from __future__ import annotations
@@ -88,12 +88,17 @@ def told_on_graph(
         found.append(message)
         came.set()
 
-    reader, end = graph.subscribe(topic, CAMERA_INFO, received, depth=1), time.monotonic() + wait
+    # A reader of what was said before hears no writer that keeps nothing, so there is one of either kind.
+    readers = [
+        graph.subscribe(topic, CAMERA_INFO, received, reliable=kept, depth=1, transient=kept) for kept in (True, False)
+    ]
+    end = time.monotonic() + wait
     try:
         while not (came.wait(WAITING) or ended()) and time.monotonic() < end:
             pass
     finally:
-        reader.close()
+        for reader in readers:
+            reader.close()
     if not found:
         raise DeviceError(
             f"no CameraInfo came on {topic} within {wait:g} s; drivers send one with each picture. Start it, or give "

@@ -20,10 +20,9 @@ import numpy as np
 
 from eagor._checks import above, require
 from eagor.errors import DeviceError, EagorError, QueryError
-from eagor.live.events import Answer, Fault, FaultLog, Part
-from eagor.live.looking import NextLooks
+from eagor.live.events import Answer, Fault, FaultLog, NextLooks, Part
 from eagor.live.loop import RATE, LiveLoop, Watcher
-from eagor.live.sources import LoopClock, already_open
+from eagor.live.threads import LoopClock, already_open
 from eagor.media.bags.messages import CLOCK, TEXT, seconds
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig

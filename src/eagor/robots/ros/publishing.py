@@ -20,8 +20,7 @@ from eagor.errors import EagorError
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.live.core import deviation
-from eagor.live.events import Answer, Event, FrameCame, Part, PoseCame
-from eagor.live.looking import NextLooks
+from eagor.live.events import Answer, Event, FrameCame, NextLooks, Part, PoseCame
 from eagor.media.bags.messages import (
     IMAGE,
     POSE,
