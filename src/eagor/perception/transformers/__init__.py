@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from eagor.perception.transformers.language import Heads, LanguageModel
     from eagor.perception.transformers.localisers import Localiser
 
+__all__ = ["LocalChat", "TransformersPerception", "conversation"]
+
 _VIEW_FIELD = math.radians(100)
 
 
