@@ -16,7 +16,7 @@ import pytest
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
-from eagor.media.bags import messages as m
+from eagor.media import ros_messages as m
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros import publishing as made
 from eagor.sphere import angular_distance
@@ -31,7 +31,7 @@ import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
 from eagor.media.frames import Pose
-from eagor.media.bags import messages as m
+from eagor.media import ros_messages as m
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import Room, paint
 

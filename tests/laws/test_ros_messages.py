@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from eagor.errors import ImageError, PoseError, TimeError
-from eagor.media.bags import messages as m
+from eagor.media import ros_messages as m
 from eagor.media.frames import Pose
 from eagor.sphere import direction, world_R_body
 

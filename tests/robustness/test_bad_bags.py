@@ -18,7 +18,7 @@ from processes import limited
 from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
-from eagor.media.bags import messages as m
+from eagor.media import ros_messages as m
 from eagor.media.bags.reader import Bag, BagWriter, is_bag, read_bag
 from eagor.media.bags.storage import MAGIC, MOST
 

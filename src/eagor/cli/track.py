@@ -321,11 +321,11 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
 
 
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
-    from eagor.media.bags.messages import IMU
     from eagor.media.bags.reader import Bag
     from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.intrinsics import in_words
     from eagor.media.posed_frames import posed_by_odometry, thinned
+    from eagor.media.ros_messages import IMU
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
     lens = ordinary(options.hfov, options.camera, options.rig, options.camera_info)

@@ -17,10 +17,9 @@ from typing import Any
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError
-from eagor.media.bags.messages import NANO
-from eagor.media.bags.ros_types import store
 from eagor.media.bags.storage import Channel, McapFile, SqliteFile, read_mcap, read_sqlite
 from eagor.media.bags.writer import BagWriter
+from eagor.media.ros_messages import NANO, store
 
 __all__ = ["SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "listed", "read_bag", "split_bag"]
 

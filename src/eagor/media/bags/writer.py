@@ -14,8 +14,7 @@ from typing import Any, Self
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError, StorageError
-from eagor.media.bags.messages import nanoseconds
-from eagor.media.bags.ros_types import store
+from eagor.media.ros_messages import nanoseconds, store
 
 __all__ = ["AT_RISK", "BagWriter"]
 

@@ -136,7 +136,7 @@ def _wxyz(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, f
 
 def odometry_of(motion: Motion, stamp: float, frame: str = "odom") -> Any:
     """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
-    from eagor.media.bags.messages import odometry_message
+    from eagor.media.ros_messages import odometry_message
 
     pose = Pose(stamp, motion.pose.world_R_body, motion.pose.position)
     return odometry_message(

@@ -24,9 +24,9 @@ from eagor.live.events import Answer, Fault, FaultLog, Part
 from eagor.live.looking import NextLooks
 from eagor.live.loop import RATE, LiveLoop, Watcher
 from eagor.live.sources import LoopClock, already_open
-from eagor.media.bags.messages import CLOCK, TEXT, seconds
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
+from eagor.media.ros_messages import CLOCK, TEXT, seconds
 from eagor.perception import Perception
 from eagor.robots.ros.driving import TwistGate
 from eagor.robots.ros.graph import Graph, GraphReader
