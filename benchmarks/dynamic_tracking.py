@@ -41,9 +41,9 @@ from typing import Any
 import numpy as np
 
 from eagor.evidence import Evidence
+from eagor.media import bags
 from eagor.media import ros_messages as ros
-from eagor.media.bags import reader as bags
-from eagor.media.bags.writer import BagWriter
+from eagor.media.bags import BagWriter
 from eagor.media.frames import Frame, Pose
 from eagor.perception import load
 from eagor.robots.dds import Link

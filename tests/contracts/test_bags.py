@@ -13,7 +13,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosmaking import READ, cdr, random_message
 
 from eagor.media import ros_messages as m
-from eagor.media.bags.reader import Bag, BagWriter, bag_topics, is_bag, read_bag
+from eagor.media.bags import Bag, BagWriter, bag_topics, is_bag, read_bag
 from eagor.media.ros_messages import store
 
 MANY = 250
@@ -116,7 +116,7 @@ RECORD = """
 import sys, time
 import numpy as np
 from eagor.media import ros_messages as m
-from eagor.media.bags.reader import BagWriter
+from eagor.media.bags import BagWriter
 bag = BagWriter(sys.argv[1], at_risk=0.05)
 picture = np.zeros((100, 200, 3), np.uint8)
 for i in range(10**6):

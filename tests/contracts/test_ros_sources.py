@@ -14,7 +14,7 @@ from rosmaking import camera_info
 
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
 from eagor.media import ros_messages as m
-from eagor.media.bags.reader import BagWriter
+from eagor.media.bags import BagWriter
 from eagor.media.camera_sources import open_camera
 from eagor.media.frames import Pose, check_camera
 from eagor.media.intrinsics import camera_of

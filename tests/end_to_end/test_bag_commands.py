@@ -15,7 +15,7 @@ from eagor.conventions import OPTICAL_R_BODY
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
 from eagor.media import ros_messages as m
-from eagor.media.bags.reader import BagWriter
+from eagor.media.bags import BagWriter
 from eagor.media.frames import Pose
 from eagor.media.panorama import view
 from eagor.sphere import angular_distance, direction, world_R_body

@@ -230,7 +230,7 @@ def test_a_node_without_a_camera_or_with_a_wrong_topic(robot, capsys):
 
 @pytest.mark.slow
 def test_a_run_of_some_seconds_is_recorded(robot, tmp_path):
-    from eagor.media.bags.reader import Bag
+    from eagor.media.bags import Bag
 
     domain = robot(0.0)
     process = node(domain, "red", "--seconds", "8", "--json", "--record", str(tmp_path / "run"))

@@ -439,7 +439,7 @@ def test_a_recording_is_played_again_bit_for_bit_and_looked_at_anew(tmp_path):
 
 def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    from eagor.media.bags.reader import bag_topics, read_bag
+    from eagor.media.bags import bag_topics, read_bag
     from eagor.media.ros_messages import panorama_of, pose_of, stamp_of
 
     loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")

@@ -23,7 +23,7 @@ import numpy as np
 from eagor import plugins
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid
-from eagor.media.bags.reader import is_bag, split_bag
+from eagor.media.bags import is_bag, split_bag
 from eagor.media.frames import CameraSource, Frame
 from eagor.media.intrinsics import Camera, Told
 from eagor.media.live_camera import LiveCamera

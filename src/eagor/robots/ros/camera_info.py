@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError, FormatError
-from eagor.media.bags.reader import Bag
+from eagor.media.bags import Bag
 from eagor.media.camera_files import rig_of_info
 from eagor.media.intrinsics import Camera
 from eagor.media.panorama import is_whole

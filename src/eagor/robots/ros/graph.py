@@ -21,7 +21,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from eagor.errors import DeviceError, EagorError, FormatError
-from eagor.media.bags.reader import listed
+from eagor.media.bags import listed
 from eagor.media.ros_messages import (
     COMPRESSED,
     IMAGE,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
-from eagor.media.bags.reader import Bag, split_bag
+from eagor.media.bags import Bag, split_bag
 from eagor.media.frames import Frame, Pose
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
