@@ -28,8 +28,7 @@ import numpy as np
 from eagor._files import read_file
 from eagor.errors import EagorError, FormatError
 from eagor.lenses import WIDEST, FisheyeLens, Lens, PinholeLens
-from eagor.media.rigs import Rig, read_rig
-from eagor.media.yaml_files import Place, read_yaml
+from eagor.media.rigs import Place, Rig, read_rig, read_yaml
 
 __all__ = ["read_camera", "rig_of_info"]
 

@@ -38,20 +38,19 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
+
 import numpy as np
 from scipy.spatial.transform import Rotation
-from eagor._files import written
+
+from eagor._extras import need
+from eagor._files import read_file, written
 from eagor.conventions import OPTICAL_R_BODY, rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, GridError, ImageError
 from eagor.lenses import FisheyeLens, Lens, PinholeLens
 from eagor.sphere import world_R_body
-from collections.abc import Sequence
-from difflib import get_close_matches
-from eagor._extras import need
-from eagor._files import read_file
-from eagor.errors import FormatError
 
 __all__ = ["Place", "Rig", "dual_fisheye", "read_rig", "read_yaml", "sizes_of", "write_rig"]
 
