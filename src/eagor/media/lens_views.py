@@ -19,7 +19,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.lenses import Lens, PinholeLens
 from eagor.media.camera_sources import lens_files
 from eagor.media.footage import Read
-from eagor.media.intrinsics import WIDEST
+from eagor.media.intrinsics import PLANE_WIDEST
 from eagor.media.panorama import Picture
 from eagor.media.rigs import Rig
 from eagor.media.video import Video
@@ -31,7 +31,7 @@ def are_ordinary(rig: Rig) -> bool:
     """Whether each picture of the rig is that of one ordinary lens, which need not be stitched."""
     alone = sorted(lens.picture for lens in rig.lenses) == list(range(len(rig.sizes)))
     return alone and all(
-        isinstance(lens, PinholeLens) and PerspectiveGrid.of_lens(lens).hfov <= WIDEST for lens in rig.lenses
+        isinstance(lens, PinholeLens) and PerspectiveGrid.of_lens(lens).hfov <= PLANE_WIDEST for lens in rig.lenses
     )
 
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from eagor.errors import DeviceError, FormatError
 from eagor.media.bags import Bag
-from eagor.media.camera_files import rig_of_info
-from eagor.media.intrinsics import Camera
+from eagor.media.intrinsics import Camera, rig_of_info
 from eagor.media.panorama import is_whole
 from eagor.media.rigs import Rig
 from eagor.media.ros_messages import CAMERA_INFO
