@@ -273,8 +273,7 @@ def _list_seen(options: Track, replay: ReplayPerception) -> int:
 
 
 def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
-    from eagor.media.footage import VideoFrames, open_video
-    from eagor.media.lens_views import LensVideos, are_ordinary
+    from eagor.media.footage import LensVideos, VideoFrames, are_ordinary, open_video
     from eagor.media.posed_frames import thinned
     from eagor.media.rigs import read_rig
 
