@@ -41,10 +41,9 @@ from typing import Any
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.media import bags
+from eagor.media import Frame, Pose, bags
 from eagor.media import ros_messages as ros
 from eagor.media.bags import BagWriter
-from eagor.media.frames import Frame, Pose
 from eagor.perception import load
 from eagor.robots.dds import Link
 from eagor.robots.go2.house import House, load_house

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from eagor.media import Pose
 from eagor.media import ros_messages as m
-from eagor.media.frames import Pose
 from eagor.media.ros_messages import store
 from eagor.sphere import world_R_body
 

@@ -35,7 +35,7 @@ from eagor.errors import DeviceError, EagorError, QueryError, StorageError, Time
 from eagor.live import loop as looping
 from eagor.live.loop import LiveLoop
 from eagor.live.recording import Replay
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.tracking import TrackerConfig
 
 pytestmark = pytest.mark.xdist_group("real time")

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from eagor.live.events import Answer
     from eagor.live.looking import NextLooks
     from eagor.live.loop import LiveLoop, Watcher
-    from eagor.media.frames import CameraSource
+    from eagor.media import CameraSource
 
 
 @dataclass(frozen=True, kw_only=True)

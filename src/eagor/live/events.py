@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.tracking.estimate import Estimate
 
 __all__ = [

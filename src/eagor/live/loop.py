@@ -20,7 +20,7 @@ from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.live.recording import Pictures, Recorder
 from eagor.live.sources import FrozenCamera, LoopClock, Pace, Reader, opener, paced_frames, paced_poses
 from eagor.live.threads import PerceptionThread, Picture, VisualPoses, VisualPosesThread
-from eagor.media.frames import CameraSource, Frame, Pose, PoseSource
+from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.perception import Perception
 from eagor.tracking import TrackerConfig
 

@@ -26,8 +26,8 @@ from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.live.looker import looks_in_bytes
+from eagor.media import Pose
 from eagor.media.bags import BagWriter, bag_topics, read_bag
-from eagor.media.frames import Pose
 from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
 from eagor.media.panorama import is_whole
 from eagor.media.ros_messages import (

@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.media.frames import Frame, Pose
+from eagor.media import Frame, Pose
 from eagor.media.motion import MotionTrack
 from eagor.sphere import heading
 

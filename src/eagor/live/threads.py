@@ -14,7 +14,7 @@ from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import Failed, Keeper, Looked, UnusableError
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.media.rotation import VisualOdometer
 
 __all__ = ["NewestPicture", "PerceptionThread", "Picture", "VisualPoses", "VisualPosesThread"]

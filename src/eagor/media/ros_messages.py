@@ -22,7 +22,7 @@ from PIL import Image
 
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import EagorError, FormatError, ImageError, PoseError, TimeError
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.media.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 

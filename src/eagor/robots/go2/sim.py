@@ -18,8 +18,8 @@ import numpy as np
 from eagor._checks import require, stretch, whole, within
 from eagor._lazy import lazy
 from eagor.errors import DeviceError
+from eagor.media import Frame, Pose
 from eagor.media.clocks import RelatedClock
-from eagor.media.frames import Frame, Pose
 from eagor.robots.go2.house import BALL_ID, House, Thing, ball_of, load_house
 from eagor.robots.go2.plant import GRAVITY, LIFT, WALKING, Motion, Plant, PlantSettings
 from eagor.robots.go2.sport import OK, checked_velocity

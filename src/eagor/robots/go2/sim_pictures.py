@@ -11,7 +11,7 @@ import numpy as np
 
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import DeviceError, EagorError
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.robots.go2.sim import CameraSettings
 from eagor.worlds.render import Ball
 

@@ -22,7 +22,7 @@ from eagor.harmonics import RealHarmonics
 from eagor.live.core import deviation
 from eagor.live.events import Answer, Event, FrameCame, Part, PoseCame
 from eagor.live.looking import NextLooks
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.media.ros_messages import (
     IMAGE,
     POSE,

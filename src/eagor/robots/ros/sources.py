@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
+from eagor.media import Frame, Pose
 from eagor.media.bags import Bag, split_bag
-from eagor.media.frames import Frame, Pose
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.media.ros_messages import TRANSFORMS, panorama_of, stamp_of
