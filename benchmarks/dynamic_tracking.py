@@ -41,10 +41,9 @@ from typing import Any
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.media.bags import messages
-from eagor.media.bags import reader as bags
-from eagor.media.bags.writer import BagWriter
-from eagor.media.frames import Frame, Pose
+from eagor.media import Frame, Pose, bags
+from eagor.media import ros_messages as ros
+from eagor.media.bags import BagWriter
 from eagor.perception import load
 from eagor.robots.dds import Link
 from eagor.robots.go2.house import House, load_house
@@ -165,16 +164,16 @@ class Keeping:
 
     def state(self, state: BodyState) -> None:
         pose = Pose(state.stamp, state.world_R_body, state.position)
-        self._bag.write(ODOMETRY, messages.ODOMETRY, messages.odometry_message(pose), state.stamp)
+        self._bag.write(ODOMETRY, ros.ODOMETRY, ros.odometry_message(pose), state.stamp)
 
     def truth(self, pose: Pose) -> None:
-        self._bag.write(TRUTH, messages.ODOMETRY, messages.odometry_message(pose), pose.stamp)
+        self._bag.write(TRUTH, ros.ODOMETRY, ros.odometry_message(pose), pose.stamp)
 
     def picture(self, message: Any) -> None:
-        self._bag.write(IMAGE, messages.COMPRESSED, message, messages.stamp_of(message))
+        self._bag.write(IMAGE, ros.COMPRESSED, message, ros.stamp_of(message))
 
     def ball(self, stamp: float, where: Sequence[float]) -> None:
-        self._bag.write(BALL, messages.TEXT, messages.text_message(json.dumps([stamp, *where])), stamp)
+        self._bag.write(BALL, ros.TEXT, ros.text_message(json.dumps([stamp, *where])), stamp)
 
 
 def on_clock(seed: int, scene: str, path: Path) -> None:
@@ -190,7 +189,7 @@ def on_clock(seed: int, scene: str, path: Path) -> None:
             for state in [each for each in came if isinstance(each, BodyState)][-1:]:
                 keeping.state(state)
             for frame in [each for each in came if isinstance(each, Frame)]:
-                keeping.picture(messages.compressed_message(frame.picture, frame.stamp, "x3_link"))
+                keeping.picture(ros.compressed_message(frame.picture, frame.stamp, "x3_link"))
             if step % round(STATES / STEERING) == 0:
                 (ball,) = robot.targets_now()
                 keeping.ball(robot.now, ball.centre.tolist())
@@ -222,7 +221,7 @@ def over_dds(seed: int, scene: str, path: Path, domain: int) -> None:
             keeping = Keeping(bag)
 
             def true(message: Any, _: float) -> None:
-                now_at["pose"] = pose = messages.pose_of(message)
+                now_at["pose"] = pose = ros.pose_of(message)
                 keeping.truth(pose)
 
             def things(message: Any, _: float) -> None:
@@ -230,9 +229,9 @@ def over_dds(seed: int, scene: str, path: Path, domain: int) -> None:
                 (ball,) = (each for each in told["things"] if each["id"] in told["targets"])
                 keeping.ball(told["stamp"], ball["position"])
 
-            link.subscribe(CAMERA_TOPIC, messages.COMPRESSED, lambda message, _: keeping.picture(message), depth=5)
-            link.subscribe(TRUTH_POSE, messages.ODOMETRY, true, depth=50)
-            link.subscribe(TRUTH_THINGS, messages.TEXT, things, reliable=True, transient=True, depth=5)
+            link.subscribe(CAMERA_TOPIC, ros.COMPRESSED, lambda message, _: keeping.picture(message), depth=5)
+            link.subscribe(TRUTH_POSE, ros.ODOMETRY, true, depth=50)
+            link.subscribe(TRUTH_THINGS, ros.TEXT, things, reliable=True, transient=True, depth=5)
             states = Go2State(link, received=keeping.state)
             sport = SportClient(link)
             states.wait()
@@ -258,12 +257,12 @@ def read(path: Path) -> Run:
     balls: list[tuple[float, np.ndarray]] = []
     for _, topic, _, message in bags.read_bag(path):
         if topic == IMAGE:
-            pictures.append((messages.stamp_of(message), messages.panorama_of(message)))
+            pictures.append((ros.stamp_of(message), ros.panorama_of(message)))
         elif topic == BALL:
             now, *where = json.loads(message.data)
             balls.append((now, np.array(where)))
         else:
-            pose = messages.pose_of(message)
+            pose = ros.pose_of(message)
             (odometry if topic == ODOMETRY else truth).add(pose.stamp, pose.world_R_body, pose.position)
     return Run(int(seed), SCENES[int(scene)], pictures, odometry, truth, balls)
 

@@ -39,8 +39,7 @@ from eagor.evidence import DetectorModel
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid
-from eagor.media.cutting import cut
-from eagor.media.panorama import read_panorama, turn
+from eagor.media.panorama import cut, read_panorama, turn
 from eagor.media.rotation import VisualOdometer
 from eagor.perception.coco import CLASSES, coco_detector
 from eagor.perception.things import Thing, spread_evidence

@@ -29,9 +29,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor.grids import PerspectiveGrid
-from eagor.media.cutting import cut
 from eagor.media.features import Views, match
-from eagor.media.panorama import read_panorama
+from eagor.media.panorama import cut, read_panorama
 from eagor.media.rotation import VisualOdometer
 from eagor.media.two_views import turn_between
 from eagor.sphere import world_R_body

@@ -100,7 +100,7 @@ def program(domain: int, speed: float) -> None:
 
 def camera(domain: int) -> None:
     """The camera: a painted room far away, which turns as the robot does."""
-    from eagor.media.bags.messages import compressed_message, pose_of
+    from eagor.media.ros_messages import compressed_message, pose_of
     from eagor.sphere import heading
     from eagor.worlds.painted import painted_room
 

@@ -33,8 +33,7 @@ from eagor.cli.demo_looking import CHOICES, Look, search
 from eagor.evidence import DetectorModel, Evidence
 from eagor.evidence.detections import View
 from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.media.cutting import cut
-from eagor.media.panorama import read_panorama
+from eagor.media.panorama import cut, read_panorama
 from eagor.perception.coco import from_text
 from eagor.perception.things import spread_evidence
 from eagor.perception.truth import TruthPerception

@@ -6,7 +6,7 @@ import threading
 import time
 from types import SimpleNamespace
 
-from eagor.media.bags import messages as m
+from eagor.media import ros_messages as m
 
 
 class FakeGraph:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.media.bags import messages as m
-from eagor.media.bags.ros_types import store
-from eagor.media.frames import Pose
+from eagor.media import Pose
+from eagor.media import ros_messages as m
+from eagor.media.ros_messages import store
 from eagor.sphere import world_R_body
 
 READ = {

@@ -17,8 +17,7 @@ from eagor import DirectionTracker
 from eagor.drawing import Mosaic, draw_belief
 from eagor.drawing.words import answer_in_words
 from eagor.grids import PerspectiveGrid
-from eagor.media.cutting import cut
-from eagor.media.panorama import read_panorama
+from eagor.media.panorama import cut, read_panorama
 from eagor.perception.coco import from_text
 from eagor.sphere import world_R_body
 

@@ -18,9 +18,9 @@ import pytest
 from PIL import Image
 
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
+from eagor.media import Frame, check_camera
 from eagor.media.camera_sources import Newest, open_camera
 from eagor.media.clocks import PROBATION, StreamClock
-from eagor.media.frames import Frame, check_camera
 from eagor.media.intrinsics import camera_of
 from eagor.media.live_camera import Feed, LiveCamera
 from eagor.media.rigs import dual_fisheye, write_rig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eagor.live.events import PoseCame
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.robots.ros.driving import BASE, TWIST, TwistGate, body_of
 from eagor.robots.ros.node import NodeSettings
 from eagor.robots.safety.gate import Mode

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from eagor.errors import DeviceError, FormatError
-from eagor.media.bags.ros_types import _struct, encoded_type, store, topic_name
+from eagor.media.ros_messages import _struct, encoded_type, store, topic_name
 from eagor.robots.dds import Link, free_domain
 
 pytestmark = pytest.mark.xdist_group("real time")

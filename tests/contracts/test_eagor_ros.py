@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 import yaml
 
-from eagor.media.bags import messages as m
-from eagor.media.bags.ros_types import store
-from eagor.media.frames import Pose
+from eagor.media import Pose
+from eagor.media import ros_messages as m
+from eagor.media.ros_messages import store
 from eagor.robots.ros import publishing as made
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Room, bearing, paint

@@ -17,7 +17,7 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.grids import ErpGrid
-from eagor.media.frames import Frame, Pose
+from eagor.media import Frame, Pose
 from eagor.metrics import angular_error_deg
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.house import BALL_ID, load_house

@@ -13,7 +13,7 @@ import pytest
 from processes import wait_for
 
 from eagor.errors import DeviceError
-from eagor.media.frames import PoseSource
+from eagor.media import PoseSource
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2 import idl, sport
 from eagor.robots.go2.plant import Plant, PlantSettings

@@ -7,8 +7,8 @@ import time
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from eagor.media.bags import messages as m
-from eagor.media.bags.ros_types import encoded_type, hash_of
+from eagor.media import ros_messages as m
+from eagor.media.ros_messages import encoded_type, hash_of
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros.graph import DISCOVERY, DdsGraph, announced
 from eagor.robots.ros.graph import DISCOVERY_TYPE as INFO

@@ -13,10 +13,10 @@ import pytest
 from rosmaking import camera_info
 
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
-from eagor.media.bags import messages as m
-from eagor.media.bags.reader import BagWriter
+from eagor.media import Pose, check_camera
+from eagor.media import ros_messages as m
+from eagor.media.bags import BagWriter
 from eagor.media.camera_sources import open_camera
-from eagor.media.frames import Pose, check_camera
 from eagor.media.intrinsics import camera_of
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros.graph import DdsGraph

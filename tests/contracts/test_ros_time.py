@@ -19,8 +19,8 @@ from eagor.errors import DeviceError
 from eagor.grids import PerspectiveGrid
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
-from eagor.media.bags import messages as m
-from eagor.media.frames import Pose
+from eagor.media import Pose
+from eagor.media import ros_messages as m
 from eagor.media.panorama import view
 from eagor.robots.ros.graph import find_topic
 from eagor.robots.ros.node import Node, NodeSettings, SimClock

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eagor.live.events import Answer, Fault, FrameCame, PoseCame
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.perception.colour import ColourPerception
 from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.gate import Mode

@@ -25,8 +25,8 @@ ROBOT = -40.0  # seconds by which the robot's clock is off
 @pytest.fixture
 def robot():
     """A robot that turns in the painted room, on a domain of its own: pictures at 10 Hz, odometry at 50 Hz."""
-    from eagor.media.bags import messages as m
-    from eagor.media.frames import Pose
+    from eagor.media import Pose
+    from eagor.media import ros_messages as m
     from eagor.robots.dds import Link
     from eagor.sphere import world_R_body
 

@@ -202,7 +202,7 @@ def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path):
     from PIL import Image
 
     from eagor.grids import PerspectiveGrid
-    from eagor.media.cutting import cut
+    from eagor.media.panorama import cut
 
     folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
     folder.mkdir()

@@ -19,8 +19,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.evaluation.labelled_looks import apartment_labels
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.media.cutting import cut
-from eagor.media.panorama import read_panorama
+from eagor.media.panorama import cut, read_panorama
 from eagor.perception import is_model, load, rows_of, short_name
 from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
 from eagor.perception.partial import look_at_view

@@ -12,7 +12,7 @@ from eagor import DirectionTracker, Evidence
 from eagor.drawing import rerun_log
 from eagor.live.events import Answer, Asked, Fault, FrameCame, PoseCame
 from eagor.live.rerun import LiveLog
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
 

@@ -21,8 +21,8 @@ import json, math, sys, time
 import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
-from eagor.media.frames import Pose
-from eagor.media.bags import messages as m
+from eagor.media import Pose
+from eagor.media import ros_messages as m
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import Ball, Room, paint
 

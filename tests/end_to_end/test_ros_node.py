@@ -16,7 +16,7 @@ import pytest
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
-from eagor.media.bags import messages as m
+from eagor.media import ros_messages as m
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros import publishing as made
 from eagor.sphere import angular_distance
@@ -30,8 +30,8 @@ import math, sys, time
 import numpy as np
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
-from eagor.media.frames import Pose
-from eagor.media.bags import messages as m
+from eagor.media import Pose
+from eagor.media import ros_messages as m
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import Room, paint
 
@@ -230,7 +230,7 @@ def test_a_node_without_a_camera_or_with_a_wrong_topic(robot, capsys):
 
 @pytest.mark.slow
 def test_a_run_of_some_seconds_is_recorded(robot, tmp_path):
-    from eagor.media.bags.reader import Bag
+    from eagor.media.bags import Bag
 
     domain = robot(0.0)
     process = node(domain, "red", "--seconds", "8", "--json", "--record", str(tmp_path / "run"))

@@ -9,7 +9,7 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import ImageError, PoseError
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.media.latency import Steps, latency_between
 from eagor.media.lens_calibration import calibrate, first_rig, overlap_of, with_seam
 from eagor.media.lens_fitting import Pairs, solve

@@ -13,7 +13,7 @@ from eagor.errors import FormatError
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Asked, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.live.recording import event_from, event_in_bytes, settings_from, settings_in_bytes
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.sphere import world_R_body
 from eagor.tracking import TrackerConfig
 

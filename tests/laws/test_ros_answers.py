@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from eagor import DirectionTracker, ErpGrid, Evidence, RealHarmonics
 from eagor.live.events import Answer, Fault
-from eagor.media.bags import messages as m
-from eagor.media.bags.ros_types import store
+from eagor.media import ros_messages as m
+from eagor.media.ros_messages import store
 from eagor.robots.ros import publishing as made
 from eagor.robots.ros.node import queries_after
 from eagor.sphere import angular_distance, direction, world_R_body

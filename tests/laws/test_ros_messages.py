@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from eagor.errors import ImageError, PoseError, TimeError
-from eagor.media.bags import messages as m
-from eagor.media.frames import Pose
+from eagor.media import Pose
+from eagor.media import ros_messages as m
 from eagor.sphere import direction, world_R_body
 
 ANGLE = st.floats(-3.1, 3.1)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from eagor.media.bags import messages as m
-from eagor.media.frames import Pose
+from eagor.media import Pose
+from eagor.media import ros_messages as m
 from eagor.robots.ros.odometry import TOLERATED, PoseReader, Turning
 from eagor.sphere import interpolate_rotation, world_R_body
 

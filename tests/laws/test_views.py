@@ -10,8 +10,7 @@ from scipy.ndimage import find_objects, label
 
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence
 from eagor.errors import EagorError, GridError, ImageError, QueryError
-from eagor.media.cutting import cut, tangent_views
-from eagor.media.panorama import turn
+from eagor.media.panorama import cut, tangent_views, turn
 from eagor.perception import check_perception, look
 from eagor.perception.things import ViewBox, things
 from eagor.perception.views import Views

@@ -14,8 +14,7 @@ from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryEr
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.media.cutting import cut, tangent_views
-from eagor.media.panorama import resized
+from eagor.media.panorama import cut, resized, tangent_views
 from eagor.perception.vlm import GENERAL, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence, values
 from eagor.perception.vlm.projection import drawn, filled, framed, lift

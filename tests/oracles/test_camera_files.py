@@ -10,7 +10,7 @@ from rosmaking import camera_info
 from eagor.errors import FormatError
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
-from eagor.media.camera_files import read_camera, rig_of_info
+from eagor.media.intrinsics import read_camera, rig_of_info
 
 SIZE = 640, 480
 FX, FY, CX, CY = 512.5, 515.0, 321.5, 236.25

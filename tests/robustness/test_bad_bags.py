@@ -18,9 +18,9 @@ from processes import limited
 from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
-from eagor.media.bags import messages as m
-from eagor.media.bags.reader import Bag, BagWriter, is_bag, read_bag
-from eagor.media.bags.storage import MAGIC, MOST
+from eagor.media import ros_messages as m
+from eagor.media.bag_files import MAGIC, MOST
+from eagor.media.bags import Bag, BagWriter, is_bag, read_bag
 
 
 def small(path, count=20):
@@ -233,9 +233,7 @@ def test_bags_that_ask_for_much_room(tmp_path):
     large = message(1, MOST - 200)
     (tmp_path / "h.mcap").write_bytes(finished(chunk(len(large), packed(large, "zstd"), "zstd")))
     assert (tmp_path / "b-zstd.mcap").stat().st_size < 200_000
-    said = limited(
-        "from eagor.errors import EagorError\nfrom eagor.media.bags.reader import read_bag\n", ASK, tmp_path, 600
-    )
+    said = limited("from eagor.errors import EagorError\nfrom eagor.media.bags import read_bag\n", ASK, tmp_path, 600)
     wanted = [
         *["is damaged (a chunk cannot be unpacked (it holds more than the 1000 bytes that it declares)); copy or"] * 2,
         *["holds no message (a chunk cannot be unpacked (it holds more than the 1000 bytes that it declares)); rec"]

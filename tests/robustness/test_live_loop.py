@@ -35,7 +35,7 @@ from eagor.errors import DeviceError, EagorError, QueryError, StorageError, Time
 from eagor.live import loop as looping
 from eagor.live.loop import LiveLoop
 from eagor.live.recording import Replay
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.tracking import TrackerConfig
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -439,8 +439,8 @@ def test_a_recording_is_played_again_bit_for_bit_and_looked_at_anew(tmp_path):
 
 def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    from eagor.media.bags.messages import panorama_of, pose_of, stamp_of
-    from eagor.media.bags.reader import bag_topics, read_bag
+    from eagor.media.bags import bag_topics, read_bag
+    from eagor.media.ros_messages import panorama_of, pose_of, stamp_of
 
     loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")
     answers = followed(loop, well)

@@ -19,7 +19,7 @@ from eagor.errors import DeviceError, ImageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.media.frames import Frame
+    from eagor.media import Frame
     from eagor.media.rigs import Rig
 
 

@@ -21,8 +21,7 @@ from eagor.cli.terminal import RunError
 from eagor.drawing.words import in_words, sureness
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.media.cutting import cut
-from eagor.media.panorama import turn
+from eagor.media.panorama import cut, turn
 from eagor.perception import Perception, look, short_name
 from eagor.perception.partial import look_at_view
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body

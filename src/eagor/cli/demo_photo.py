@@ -19,7 +19,7 @@ from eagor.cli.checks import keep_picture
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.words import in_words
 from eagor.evaluation.tables import OURS
-from eagor.media.cutting import cut
+from eagor.media.panorama import cut
 from eagor.perception import Perception, look, rows_of, short_name
 from eagor.perception.views import Views
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body

@@ -41,7 +41,7 @@ from eagor.cli.options import CameraFile, Common, Detector, Flag, Floor, Force, 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
     from eagor.live.loop import LiveLoop, Watcher
-    from eagor.media.frames import CameraSource
+    from eagor.media import CameraSource
 
 
 @dataclass(frozen=True, kw_only=True)

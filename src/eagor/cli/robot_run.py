@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from eagor.live.loop import LiveLoop
-    from eagor.media.frames import CameraSource, Pose
+    from eagor.media import CameraSource, Pose
     from eagor.robots.run_page import Plan, RobotPage, Sample
     from eagor.robots.safety.limits import Limits
     from eagor.robots.safety.walking import Step, WalkSettings

@@ -222,7 +222,7 @@ class Journey:
 
 def journey_of(options: Track, places: Sequence[Path], perception: Perception) -> Journey:
     """The stream that the options name; what a video tells of itself is said on stderr."""
-    from eagor.media.bags.reader import is_bag
+    from eagor.media.bags import is_bag
     from eagor.media.footage import LEAST_ROWS, is_video
     from eagor.media.pose_files import read_poses
     from eagor.perception import rows_of
@@ -273,8 +273,7 @@ def _list_seen(options: Track, replay: ReplayPerception) -> int:
 
 
 def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
-    from eagor.media.footage import VideoFrames, open_video
-    from eagor.media.lens_views import LensVideos, are_ordinary
+    from eagor.media.footage import LensVideos, VideoFrames, are_ordinary, open_video
     from eagor.media.posed_frames import thinned
     from eagor.media.rigs import read_rig
 
@@ -321,11 +320,11 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
 
 
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
-    from eagor.media.bags.messages import IMU
-    from eagor.media.bags.reader import Bag
+    from eagor.media.bags import Bag
     from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.intrinsics import in_words
     from eagor.media.posed_frames import posed_by_odometry, thinned
+    from eagor.media.ros_messages import IMU
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
     lens = ordinary(options.hfov, options.camera, options.rig, options.camera_info)

@@ -31,8 +31,8 @@ from eagor.live.events import (
     PosesLost,
     Trouble,
 )
+from eagor.media import Pose
 from eagor.media.clocks import RelatedClock
-from eagor.media.frames import Pose
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]

@@ -31,7 +31,7 @@ from eagor.live.threads import (
     paced_frames,
     paced_poses,
 )
-from eagor.media.frames import CameraSource, Frame, Pose, PoseSource
+from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.perception import Perception
 from eagor.tracking import TrackerConfig
 

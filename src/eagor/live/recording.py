@@ -25,7 +25,11 @@ from eagor.evidence import Evidence
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked, looks_in_bytes
-from eagor.media.bags.messages import (
+from eagor.media import Pose
+from eagor.media.bags import BagWriter, bag_topics, read_bag
+from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
+from eagor.media.panorama import is_whole
+from eagor.media.ros_messages import (
     COMPRESSED,
     ODOMETRY,
     TEXT,
@@ -37,10 +41,6 @@ from eagor.media.bags.messages import (
     text_message,
     vector_message,
 )
-from eagor.media.bags.reader import BagWriter, bag_topics, read_bag
-from eagor.media.frames import Pose
-from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
-from eagor.media.panorama import is_whole
 from eagor.perception import Perception
 from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked

@@ -22,7 +22,7 @@ from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import Failed, Keeper, Looked, UnusableError
-from eagor.media.frames import Frame, Pose
+from eagor.media import Frame, Pose
 from eagor.media.motion import MotionTrack
 from eagor.media.rotation import VisualOdometer
 from eagor.sphere import heading

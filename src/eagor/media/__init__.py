@@ -1,7 +1,146 @@
-"""Live cameras and their motion: pictures with their times, and how the camera turned between them."""
+"""Pictures, videos, lenses, and the camera's own motion. Here: what sources of pictures and of odometry give.
+
+A picture with its time, and a pose with its time. `check_camera` is the test that every `CameraSource` has to pass: for
+plugins, and for ours.
+"""
 
 from __future__ import annotations
 
-from eagor.media.frames import CameraSource, Frame, Pose, PoseSource
+import math
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
-__all__ = ["CameraSource", "Frame", "Pose", "PoseSource"]
+import numpy as np
+
+from eagor.grids import ErpGrid, PerspectiveGrid
+
+__all__ = ["CameraSource", "Frame", "Pose", "PoseSource", "check_camera"]
+
+PATIENCE = 10.0  # seconds in which a closed camera has to let go of who waits for a frame
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A picture and when it was taken.
+
+    `stamp`: seconds on the clock of its source. `picture` ``(H, W, 3)`` uint8 RGB: a whole panorama of the body frame,
+    or what an ordinary lens shows, with its pixels as `grid`. `name`: for texts and tables, such as "0007.png" or
+    "clip.mp4 at 3.20 s".
+    """
+
+    stamp: float
+    picture: np.ndarray
+    name: str
+    grid: PerspectiveGrid | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Where the body is: `stamp` in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None.
+
+    The world has z up (REP-103), and does not jump while the body moves (REP-105: ``odom``).
+    """
+
+    stamp: float
+    world_R_body: np.ndarray
+    position: np.ndarray | None = None
+
+
+@runtime_checkable
+class CameraSource(Protocol):
+    """A camera, a file or a stream that gives pictures in order of time.
+
+    Iterating blocks until the next frame, and ends where the source ends (a file) or after `close`. Frames are whole
+    panoramas, or all pictures of one ordinary lens: a source that sees with several lenses stitches them. The stamp is
+    the time of CAPTURE: a live source subtracts its `latency` from the time of arrival. Frames that cannot be used are
+    left out and counted, with a `UserWarning` for the first. Raises `ImageError` or `DeviceError` where nothing more
+    can come.
+    """
+
+    @property
+    def grid(self) -> ErpGrid | PerspectiveGrid:
+        """The pixels of its pictures: of a whole panorama, or those of an ordinary lens, as in each `Frame`."""
+        ...
+
+    @property
+    def latency(self) -> float:
+        """Seconds from capture to arrival, as stated or measured; 0 for files."""
+        ...
+
+    @property
+    def dropped(self) -> int:
+        """Frames that came, but were not given: nobody asked in time, or they were damaged."""
+        ...
+
+    @property
+    def live(self) -> bool:
+        """Whether its stamps are this machine's clock (``time.time()``): a frame that is not taken now is lost."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+    def close(self) -> None:
+        """Let go of the device. A thread that waits for a frame comes back. May be called twice."""
+        ...
+
+
+@runtime_checkable
+class PoseSource(Protocol):
+    """Odometry: poses in order of time, at any rate, on the clock of the frames. Otherwise as `CameraSource`."""
+
+    def __iter__(self) -> Iterator[Pose]: ...
+
+    def close(self) -> None: ...
+
+
+def check_camera(camera: CameraSource, frames: int = 3) -> None:
+    """Raise `AssertionError` unless `camera` keeps the contract of `CameraSource`, with its first `frames` frames.
+
+    It needs so many: give a source that is not at its end. The camera is closed at the end.
+    """
+    _require(isinstance(camera, CameraSource), "lacks a member of eagor.media.CameraSource")
+    ordinary = isinstance(camera.grid, PerspectiveGrid)
+    _require(ordinary or isinstance(camera.grid, ErpGrid), f"grid is {camera.grid!r}; wanted an ErpGrid, or a view's")
+    _require(math.isfinite(camera.latency), f"latency is {camera.latency!r}; wanted seconds")
+    _require(isinstance(camera.live, bool), f"live is {camera.live!r}; wanted True or False")
+    last = -math.inf
+    came = 0
+    for frame in camera:
+        came += 1
+        _require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.media.Frame")
+        picture = frame.picture
+        _require(
+            isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and picture.shape == (*camera.grid.shape, 3),
+            f"gave a picture of {getattr(picture, 'dtype', type(picture))} {np.shape(picture)}; wanted uint8 "
+            f"{(*camera.grid.shape, 3)}, as its grid says",
+        )
+        _require(math.isfinite(frame.stamp), f"gave the stamp {frame.stamp!r}; wanted seconds")
+        _require(frame.stamp > last, f"gave the stamp {frame.stamp:.6f} after {last:.6f}; wanted increasing stamps")
+        _require(bool(frame.name), "gave a frame without a name")
+        _require(
+            (frame.grid is not None) == ordinary,
+            f"gave a frame with the grid {frame.grid!r}; wanted a view's, as its own is, or None for panoramas",
+        )
+        last = frame.stamp
+        if came == frames:
+            break
+    _require(came == frames, f"gave {came} frames; wanted {frames} for this test")
+    _require(camera.dropped >= 0, f"dropped is {camera.dropped!r}; wanted a count")
+    camera.close()
+    camera.close()
+    ended = threading.Event()
+
+    def rest() -> None:
+        for _ in camera:
+            pass
+        ended.set()
+
+    threading.Thread(target=rest, daemon=True).start()
+    _require(ended.wait(PATIENCE), f"goes on for {PATIENCE:g} s after close; wanted iterating to end")
+
+
+def _require(holds: bool, what: str) -> None:
+    if not holds:
+        raise AssertionError(f"the camera {what}")

@@ -1,6 +1,6 @@
 """Where panoramas come from: `open_camera` for what SOURCE on the command line means, videos, folders; `Newest` of any.
 
-Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.media.frames.check_camera` tests one.
+Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.media.check_camera` tests one.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import numpy as np
 from eagor import plugins
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid
-from eagor.media.bags.reader import is_bag, split_bag
-from eagor.media.frames import CameraSource, Frame
+from eagor.media import CameraSource, Frame
+from eagor.media.bags import is_bag, split_bag
 from eagor.media.intrinsics import Camera, Told
 from eagor.media.live_camera import LiveCamera
 from eagor.media.metadata import read_metadata

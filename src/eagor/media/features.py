@@ -24,8 +24,7 @@ from eagor._lazy import lazy
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.media.consensus import SPHERE
-from eagor.media.cutting import cut, tangent_views
-from eagor.media.panorama import checked_picture
+from eagor.media.panorama import checked_picture, cut, tangent_views
 
 FIELD = math.radians(100)  # of a view; six such views cover the sphere
 SIZE = 320  # pixels of a view

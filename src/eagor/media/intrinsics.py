@@ -1,31 +1,51 @@
-"""Where the pixels of an ordinary picture look: from a calibration, a field of view, or what its file says.
+"""Where the pixels of one camera look: from a calibration, a field of view, or what its pictures' files say.
 
 A `Camera` is what the user knows; `Told` is what a file says: Exif of photographs (CIPA DC-008), QuickTime's metadata
 of phones' videos. `ordinary_grid` makes an `eagor.grids.PerspectiveGrid` of them. The lens is that of the picture as it
 is shown: where a file wants to be turned, the lens turns with it.
+
+`rig_of_info` reads the message sensor_msgs/CameraInfo, `read_camera` calibrations as other programs write them, which
+it knows by what is in them:
+
+- ROS ``camera_info`` (camera_calibration, or ``ros2 topic echo``): ``image_width``, ``image_height``,
+  ``camera_matrix``, ``distortion_model``, ``distortion_coefficients``; or ``width``, ``height``, ``K``, ``D``.
+- OpenCV's FileStorage: ``image_width``, ``image_height``, ``camera_matrix``, ``distortion_coefficients``, with its own
+  first line; ``fisheye_model: 1`` for the module fisheye.
+- Kalibr's camchain: ``cam0`` with ``camera_model``, ``intrinsics``, ``distortion_model``, ``distortion_coeffs``,
+  ``resolution``. Its extrinsics are not used.
+- COLMAP's ``cameras.txt``: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS.
+- A rig of ours with one lens (`eagor.media.rigs`), also with its pose in the body.
+
+OpenCV, ROS and Kalibr count pixels from the first one's centre: half a pixel is added to their centre. COLMAP counts
+from the corner, as we do.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 
-from eagor.errors import ImageError
+from eagor._files import read_file
+from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
-from eagor.lenses import PinholeLens
-from eagor.media.camera_files import read_camera
-from eagor.media.rigs import SHAPE, Rig
+from eagor.lenses import WIDEST, FisheyeLens, Lens, PinholeLens
+from eagor.media.rigs import SHAPE, Place, Rig, read_rig, read_yaml
 
-__all__ = ["Camera", "Told", "camera_of", "in_words", "ordinary_grid", "told_by_photograph", "told_by_video"]
+__all__ = [
+    "Camera", "Told", "camera_of", "in_words", "ordinary_grid", "read_camera", "rig_of_info",
+    "told_by_photograph", "told_by_video",
+]  # fmt: skip
 
 FULL_FRAME = math.hypot(36.0, 24.0)  # mm: the diagonal of the film that "35 mm equivalent" refers to (CIPA DCG-001)
-WIDEST = math.radians(140)  # beyond, a plane has hardly any pixels for what is ahead: such lenses are stitched
+PLANE_WIDEST = math.radians(140)  # beyond, a plane has hardly any pixels for what is ahead: such lenses are stitched
 PLAUSIBLE = (math.radians(2), math.radians(150))  # horizontal fields of ordinary cameras
 ASK = (
     "How wide does its camera see? --hfov DEGREES, across the picture's width (a phone's main camera: about 65 held "
@@ -61,9 +81,11 @@ class Camera:
 
     @property
     def wide(self) -> bool:
-        """Whether its pictures have to be stitched: a fisheye, or a lens wider than `WIDEST`."""
+        """Whether its pictures have to be stitched: a fisheye, or a lens wider than `PLANE_WIDEST`."""
         lens = None if self.rig is None else self.rig.lenses[0]
-        return lens is not None and not (isinstance(lens, PinholeLens) and PerspectiveGrid.of_lens(lens).hfov <= WIDEST)
+        return lens is not None and not (
+            isinstance(lens, PinholeLens) and PerspectiveGrid.of_lens(lens).hfov <= PLANE_WIDEST
+        )
 
 
 @dataclass(frozen=True)
@@ -203,3 +225,268 @@ def _number(value: Any) -> float | None:
     except (TypeError, ValueError, ZeroDivisionError):
         return None
     return found if math.isfinite(found) and found > 0 else None
+
+
+# --- calibrations of other programs ---
+
+
+KIND = "a camera's calibration"
+WANTED = (
+    "a camera: ROS camera_info, OpenCV's camera_matrix and distortion_coefficients, Kalibr's camchain, or pictures and "
+    "lenses of a rig; COLMAP's is a text file"
+)
+SIZES = (("image_width", "image_height"), ("width", "height"))
+MATRICES = ("camera_matrix", "cameramatrix", "k", "mtx")
+COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "dist_coeff", "distcoeffs", "d", "dist")
+# Distortion models of ROS and Kalibr, and how many numbers each has at most.
+PLANE_MODELS = {"plumb_bob": 5, "rational_polynomial": 8, "radtan": 4, "none": 0, "": 8}
+ROUND_MODELS = {"equidistant": 4, "kannala_brandt": 4}
+KALIBR = re.compile(r"cam\d+")
+SQUARE = 0.01  # by which the two focal lengths of a fisheye may differ
+STEEP = 1441  # angles at which it is looked how far a fisheye's curve rises
+
+
+def read_camera(path: str | os.PathLike[str]) -> Rig:
+    """The one lens in a calibration file, with the size of the pictures that it was calibrated with.
+
+    Raises `FormatError`, which names the file, the line or the field, what is there and what was wanted.
+    """
+    name = os.fspath(path)
+    if name.lower().endswith(".txt"):
+        return _colmap(name)
+    root = read_yaml(name, KIND, WANTED)
+    try:
+        entries = {key.lower(): value for key, value in root.mapping().items()}
+        if "lenses" in entries:
+            return _only(read_rig(name), name)
+        lens, size = _kalibr(root, entries) if any(map(KALIBR.fullmatch, entries)) else _opencv(root, entries)
+    except FormatError as error:
+        raise error if str(error).startswith(name) else FormatError(f"{name}, {error}") from error
+    except EagorError as error:  # numbers that no lens has
+        raise FormatError(f"{name}: {error}") from error
+    return Rig((size,), (lens,))
+
+
+def _only(rig: Rig, name: str) -> Rig:
+    if len(rig.lenses) > 1 or len(rig.sizes) > 1:
+        raise FormatError(
+            f"{name} holds {len(rig.lenses)} lenses in {len(rig.sizes)} pictures; wanted one lens in one picture. "
+            "For a camera with several lenses: --rig"
+        )
+    return rig
+
+
+# --- ROS and OpenCV ---
+
+
+def _opencv(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int, int]]:
+    matrix = _first(entries, MATRICES)
+    if matrix is None:
+        found = ", ".join([*entries][:8]) or "nothing"
+        raise root.wrong(f"holds {found}, and no camera_matrix; wanted {WANTED}")
+    sides = next((pair for pair in SIZES if all(side in entries for side in pair)), None)
+    if sides is None:
+        raise root.wrong(
+            "has no image_width and image_height; wanted the pixels of the pictures that it was calibrated with: add "
+            "two lines, such as image_width: 1920"
+        )
+    width, height = _size(entries[sides[0]], entries[sides[1]])
+    k = _numbers(matrix, "9 numbers, row by row: fx 0 cx 0 fy cy 0 0 1", (9,))
+    fx, skew, cx, _, fy, cy = k[:6]
+    if abs(skew) > 1e-6 * fx:
+        raise matrix.wrong(f"has the skew {skew:g}; wanted 0: pixels with right angles")
+    model = entries["distortion_model"].text().lower() if "distortion_model" in entries else ""
+    fisheye = "fisheye_model" in entries and entries["fisheye_model"].text().lower() not in ("0", "false")
+    place = _first(entries, COEFFICIENTS)
+    values = () if place is None else _numbers(place, "up to 8 numbers", range(15))
+    if fisheye and not model:
+        model = "equidistant"
+    wrong = (place or matrix).wrong
+    return _lens(wrong, model, (width, height), (fx, fy), (cx + 0.5, cy + 0.5), values), (width, height)
+
+
+def _first(entries: Mapping[str, Place], names: Sequence[str]) -> Place | None:
+    return next((entries[name] for name in names if name in entries), None)
+
+
+def _size(width: Place, height: Place) -> tuple[int, int]:
+    wide, high = (int(side.number("a whole number of pixels", True)) for side in (width, height))
+    if min(wide, high) < 1:
+        raise width.wrong(f"and the height are {wide} and {high}; wanted pixels, at least 1")
+    return wide, high
+
+
+def _numbers(place: Place, wanted: str, counts: Sequence[int]) -> tuple[float, ...]:
+    """A matrix: with ``data`` (ROS, OpenCV), a list, or a list of rows."""
+    if place.node.id == "mapping":
+        inside = place.mapping()
+        if "data" not in inside:
+            raise place.wrong(f"has no data; wanted {wanted}")
+        place = inside["data"]
+    found: list[float] = []
+    for each in place.items(wanted):
+        found += [one.number() for one in each.items(wanted)] if each.node.id == "sequence" else [each.number()]
+    if len(found) not in counts:
+        raise place.wrong(f"has {len(found)} numbers; wanted {wanted}")
+    return tuple(found)
+
+
+# --- Kalibr ---
+
+
+def _kalibr(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int, int]]:
+    cameras = [name for name in entries if KALIBR.fullmatch(name)]
+    if len(cameras) > 1:
+        raise root.wrong(f"holds {len(cameras)} cameras, {', '.join(cameras)}; keep the one that took the pictures")
+    place = entries[cameras[0]]
+    fields = place.mapping()
+    for key in ("camera_model", "intrinsics", "resolution"):
+        if key not in fields:
+            raise place.wrong(f"has no {key}; wanted camera_model, intrinsics, resolution and the distortion")
+    if (kind := fields["camera_model"].text()) != "pinhole":
+        raise fields["camera_model"].wrong(f"is {kind!r}; wanted pinhole: calibrate with --models pinhole-radtan")
+    fx, fy, cx, cy = _numbers(fields["intrinsics"], "4 numbers: fu, fv, pu, pv", (4,))
+    sides = fields["resolution"].items("width and height, pixels")
+    if len(sides) != 2:
+        raise fields["resolution"].wrong(f"has {len(sides)} members; wanted width and height, pixels")
+    size = _size(*sides)
+    model = fields["distortion_model"].text().lower() if "distortion_model" in fields else "none"
+    told = fields.get("distortion_coeffs")
+    values = () if told is None else _numbers(told, "up to 4 numbers", range(5))
+    return _lens((told or place).wrong, model, size, (fx, fy), (cx + 0.5, cy + 0.5), values), size
+
+
+# --- COLMAP ---
+
+# Names of the parameters of each model, in order (COLMAP, src/colmap/sensor/models.h).
+COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+}
+PLAIN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def _colmap(name: str) -> Rig:
+    try:
+        lines = read_file(name).decode("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise FormatError(f"{name} cannot be read as {KIND} ({why}); give COLMAP's cameras.txt") from error
+    told = [(at, line.split()) for at, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if len(told) != 1:
+        raise FormatError(
+            f"{name} holds {len(told)} cameras; wanted one line CAMERA_ID MODEL WIDTH HEIGHT PARAMS...: that of the "
+            "camera which took the pictures"
+        )
+    at, (_, model, *numbers) = told[0] if len(told[0][1]) > 4 else (told[0][0], ("", "", ""))
+    where = f"{name}, line {at}"
+    if model not in COLMAP_MODELS:
+        known = ", ".join(COLMAP_MODELS)
+        raise FormatError(f"{where}: the model is {model or lines[at - 1]!r}; wanted CAMERA_ID and one of {known}")
+    wanted = COLMAP_MODELS[model].split()
+    try:
+        wide, high = int(numbers[0]), int(numbers[1])
+        values = [float(text) for text in numbers[2:]]
+        if len(values) != len(wanted) or not np.isfinite(values).all() or min(wide, high) < 1:
+            raise ValueError
+    except ValueError:
+        raise FormatError(
+            f"{where}: {model} has {' '.join(numbers)}; wanted width, height, {', '.join(wanted)}"
+        ) from None
+    found = dict(zip(wanted, values, strict=True))
+    focal = (found["f"], found["f"]) if "f" in found else (found["fx"], found["fy"])
+    centre = found["cx"], found["cy"]
+    fisheye = model.endswith("FISHEYE")
+    factors = [found.get(key, 0.0) for key in (("k1", "k2", "k3", "k4") if fisheye else PLAIN)]
+    try:
+        if fisheye:
+            return Rig(((wide, high),), (_fisheye((wide, high), focal, centre, factors),))
+        return Rig(((wide, high),), (PinholeLens("camera", (wide, high), focal, centre, tuple(factors)),))
+    except EagorError as error:
+        raise FormatError(f"{where}: {error}") from error
+
+
+# --- messages ---
+
+
+def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
+    """The one lens that a sensor_msgs/CameraInfo tells, called `name`, with the size of its pictures.
+
+    `rectified`: of the pictures without distortion (``image_rect``): the lens is that of P, otherwise of K and D. P and
+    K are those of the whole sensor; the pictures are the region `roi`, with `binning` pixels in one. R is not used: the
+    header's frame is taken for that of the pictures, as ``image_geometry`` takes it. Raises `FormatError`.
+    """
+
+    def wrong(text: str) -> FormatError:
+        return FormatError(f"{name} {text}")
+
+    roi = received.roi
+    whole = 0 in (roi.width, roi.height)
+    left, top, wide, high = (
+        (0, 0, received.width, received.height) if whole else (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    )
+    across, down = max(1, received.binning_x), max(1, received.binning_y)
+    size = wide // across, high // down
+    if min(size) < 1:
+        raise wrong(f"is for pictures of {wide} x {high} pixels; wanted the size that the camera has")
+    letter, values = ("P", [float(v) for v in received.p]) if rectified else ("K", [float(v) for v in received.k])
+    fx, fy, cx, cy = (values[at] for at in ((0, 5, 2, 6) if rectified else (0, 4, 2, 5)))
+    if not (np.isfinite(values).all() and min(fx, fy) > 0):
+        raise wrong(
+            f"has the focal lengths {fx:g} and {fy:g} in {letter}; wanted pixels above 0. The camera is not "
+            "calibrated: calibrate it (ros2 run camera_calibration cameracalibrator), or give --hfov"
+        )
+    focal = fx / across, fy / down
+    centre = (cx + 0.5 - left) / across, (cy + 0.5 - top) / down
+    model = "none" if rectified else received.distortion_model.strip().lower()
+    try:
+        lens = _lens(wrong, model, size, focal, centre, [] if rectified else [float(v) for v in received.d])
+    except EagorError as error:  # numbers that no lens has
+        raise error if str(error).startswith(name) else wrong(f"tells no lens: {error}") from error
+    return Rig((size,), (lens,))
+
+
+# --- lenses ---
+
+
+def _lens(
+    wrong: Callable[[str], FormatError],
+    model: str,
+    size: tuple[int, int],
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+    values: Sequence[float],
+) -> Lens:
+    """The lens of a distortion `model` of ROS, OpenCV or Kalibr with these `values`; `wrong` makes the errors."""
+    most = {**PLANE_MODELS, **ROUND_MODELS}.get(model)
+    if most is None:
+        known = ", ".join(filter(None, (*PLANE_MODELS, *ROUND_MODELS)))
+        raise wrong(f"belongs to the distortion model {model!r}; wanted one of {known}")
+    if any(values[most:]):
+        raise wrong(f"has {len(values)} numbers; wanted at most {most} that are not 0 ({model or 'OpenCV'})")
+    if model in ROUND_MODELS:
+        return _fisheye(size, focal, centre, values[:most])
+    return PinholeLens("camera", size, focal, centre, tuple(values[:most]))
+
+
+def _fisheye(
+    size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float], polynomial: Sequence[float]
+) -> FisheyeLens:
+    """A fisheye up to the farthest corner of its picture, or as far as its curve rises."""
+    if abs(focal[0] / focal[1] - 1) > SQUARE:
+        raise FormatError(f"the fisheye's focal lengths are {focal[0]:g} and {focal[1]:g}; wanted square pixels")
+    mean = math.sqrt(focal[0] * focal[1])
+    corner = max(math.dist(centre, (x, y)) for x in (0, size[0]) for y in (0, size[1]))
+    angles = np.linspace(0, WIDEST / 2, STEEP)[1:]
+    powers = np.stack([angles ** (2 * k + 3) for k in range(len(polynomial))], axis=-1)
+    radii = mean * (angles + powers @ np.array(polynomial, dtype=float)) if len(polynomial) else mean * angles
+    rising = np.flatnonzero(np.diff(np.concatenate([[0.0], radii])) <= 0)
+    last = float(radii[rising[0] - 1]) if rising.size and rising[0] > 0 else float(radii[-1])
+    return FisheyeLens("camera", centre, mean, min(corner, 0.999 * last), tuple(polynomial))

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.errors import PoseError
-from eagor.media.frames import Frame, Pose
+from eagor.media import Frame, Pose
 from eagor.media.rotation import VisualOdometer
 
 __all__ = ["Latency", "Steps", "check_turning", "latency_between", "steps_of"]

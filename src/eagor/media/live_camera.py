@@ -18,8 +18,8 @@ import numpy as np
 
 from eagor._secrets import redacted
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
+from eagor.media import Frame
 from eagor.media.clocks import StreamClock
-from eagor.media.frames import Frame
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.media.stitching import Panoramas

@@ -30,7 +30,7 @@ import numpy as np
 from eagor._files import read_file
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.sphere import world_R_body
 from eagor.tracking.poses import FARTHEST, PoseHistory
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from eagor.errors import EagorError, PoseError
+from eagor.media import Pose
 from eagor.media.footage import BagFrames, Frames, ImageFrames, Read
-from eagor.media.frames import Pose
 from eagor.media.panorama import Picture
 from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
 

@@ -19,8 +19,8 @@ import numpy as np
 from eagor._checks import above, whole, within
 from eagor._extras import need
 from eagor.errors import ImageError, TimeError
+from eagor.media import Frame
 from eagor.media.defects import fisheye_circles
-from eagor.media.frames import Frame
 from eagor.media.intrinsics import told_by_video
 from eagor.media.metadata import EXPORT, Projection, VideoMetadata, read_metadata
 from eagor.media.rigs import SHAPE

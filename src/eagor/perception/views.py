@@ -26,8 +26,7 @@ from eagor.errors import EagorError, GridError, QueryError, ResponseError
 from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid
-from eagor.media.cutting import cut, tangent_views
-from eagor.media.panorama import checked_picture
+from eagor.media.panorama import checked_picture, cut, tangent_views
 from eagor.perception.colour import colour_in, share_of
 from eagor.perception.things import Thing, ViewBox, spread_evidence, things
 from eagor.perception.words import meant

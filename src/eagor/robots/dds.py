@@ -17,7 +17,7 @@ from typing import Any, Self
 from eagor._checks import whole
 from eagor._extras import need
 from eagor.errors import DeviceError
-from eagor.media.bags.ros_types import encoded_type, hash_of, store, topic_name
+from eagor.media.ros_messages import encoded_type, hash_of, store, topic_name
 
 __all__ = ["LAST_DOMAIN", "Link", "Reader", "Writer", "checked_domain", "free_domain"]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 from eagor.errors import DeviceError
-from eagor.media.frames import Pose, PoseSource
+from eagor.media import Pose, PoseSource
 
 __all__ = ["GO2", "ROS", "Go2Poses", "open_poses"]
 

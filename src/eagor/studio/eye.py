@@ -22,7 +22,7 @@ import numpy as np
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.media.frames import Frame
+from eagor.media import Frame
 from eagor.media.panorama import read_photograph
 from eagor.media.rotation import VisualOdometer
 from eagor.media.video import Video

@@ -26,7 +26,7 @@ from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import LoadedRun
 from eagor.evaluation.tables import OURS
 from eagor.live.recording import Replay
-from eagor.media.bags.reader import is_bag
+from eagor.media.bags import is_bag
 from eagor.studio.messages import rounded
 from eagor.studio.replays import Advance, Redrawn, recorded, redraw, report_of, walked
 

@@ -27,8 +27,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.media.cutting import check_fields, cut, tangent_views
-from eagor.media.panorama import checked_picture, resized
+from eagor.media.panorama import check_fields, checked_picture, cut, resized, tangent_views
 from eagor.perception.endpoint.client import Answer, Picture, Request, question, shown_address
 from eagor.perception.endpoint.server import Asker, Server, named
 from eagor.perception.vlm import Served, ask_boxes, ask_presence, boxes_schema, exact_size, phrase, style_of

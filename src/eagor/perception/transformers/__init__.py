@@ -239,7 +239,7 @@ class TransformersPerception:
         return _Shots(pictures, [(grid, 0.0), (grid, roll)], [grid, grid], combine, told)
 
     def _views(self, image: np.ndarray) -> _Shots:
-        from eagor.media.cutting import cut
+        from eagor.media.panorama import cut
         from eagor.perception.vlm.projection import lift
 
         views = self._cut()
@@ -260,7 +260,7 @@ class TransformersPerception:
 
     def _cut(self) -> tuple[PerspectiveGrid, ...]:
         """The views that are cut out of a panorama."""
-        from eagor.media.cutting import tangent_views
+        from eagor.media.panorama import tangent_views
 
         return tangent_views(min(self.loaded.size(1.0)), _VIEW_FIELD)
 

@@ -29,8 +29,7 @@ from eagor._json import parsed
 from eagor._lazy import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.media.cutting import cut
-from eagor.media.panorama import resized
+from eagor.media.panorama import cut, resized
 from eagor.perception.json_files import checked, need
 from eagor.perception.things import blurred, connected
 from eagor.perception.transformers.inference import Capture, Prefix, Running, chunks, full_layers, prepare, share

@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor._checks import require, stretch, within
 from eagor.errors import DeviceError
-from eagor.media.frames import Pose
+from eagor.media import Pose
 
 __all__ = ["JOINTS", "STANDING", "WALKING", "Ahead", "Motion", "Plant", "PlantSettings", "Slide", "joint_angles"]
 

@@ -18,8 +18,8 @@ import numpy as np
 from eagor._checks import require, stretch, whole, within
 from eagor._lazy import lazy
 from eagor.errors import DeviceError
+from eagor.media import Frame, Pose
 from eagor.media.clocks import RelatedClock
-from eagor.media.frames import Frame, Pose
 from eagor.robots.go2.house import BALL_ID, House, Thing, ball_of, load_house
 from eagor.robots.go2.plant import GRAVITY, LIFT, WALKING, Motion, Plant, PlantSettings
 from eagor.robots.go2.sport import OK, checked_velocity
@@ -136,7 +136,7 @@ def _wxyz(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, f
 
 def odometry_of(motion: Motion, stamp: float, frame: str = "odom") -> Any:
     """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
-    from eagor.media.bags.messages import odometry_message
+    from eagor.media.ros_messages import odometry_message
 
     pose = Pose(stamp, motion.pose.world_R_body, motion.pose.position)
     return odometry_message(

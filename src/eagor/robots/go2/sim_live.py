@@ -342,7 +342,7 @@ class LiveGo2:
     """
 
     def __init__(self, robot: SimulatedGo2, domain: int = 0, interface: str | None = "lo") -> None:
-        from eagor.media.bags.messages import TEXT
+        from eagor.media.ros_messages import TEXT
 
         self.robot = robot
         self.pictures: PictureProcess | None = None
@@ -424,7 +424,7 @@ class LiveGo2:
         if self.pictures is not None and not self._broken and self.robot.picture_due():
             self._offer(motion, host)
         if self.robot.house is not None and host - self._told >= THINGS_EVERY:
-            from eagor.media.bags.messages import text_message
+            from eagor.media.ros_messages import text_message
 
             if self._told == 0.0 or self.robot.house.ball is not None:
                 self._things.write(text_message(json.dumps(self._truth(host))))

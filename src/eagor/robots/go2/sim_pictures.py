@@ -11,7 +11,7 @@ import numpy as np
 
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import DeviceError, EagorError
-from eagor.media.frames import Pose
+from eagor.media import Pose
 from eagor.robots.go2.sim import CameraSettings
 from eagor.worlds.render import Ball
 
@@ -91,7 +91,7 @@ class PictureProcess:
 def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
     """The life of the process."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
-    from eagor.media.bags.messages import COMPRESSED, compressed_message
+    from eagor.media.ros_messages import COMPRESSED, compressed_message
     from eagor.robots.dds import Link
     from eagor.robots.go2.sim import SimulatedCamera
     from eagor.sphere import world_R_body

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import DeviceError, FormatError
+from eagor.media import Pose
 from eagor.media.clocks import RelatedClock
-from eagor.media.frames import Pose
 from eagor.robots.dds import Link, Reader
 from eagor.robots.go2.wire import LONG, LowFields, SportFields, raw
 
@@ -100,7 +100,7 @@ class BodyState:
 
 
 class Go2State:
-    """The states of the Go2 on `link`; iterating gives `Pose` of the body, as `eagor.media.frames.PoseSource`.
+    """The states of the Go2 on `link`; iterating gives `Pose` of the body, as `eagor.media.PoseSource`.
 
     `source`: a name of `SOURCES`. `received(state)` is called for each state, in a thread. `mount` ``(3,)``: the point
     of the body whose position is given when iterating, metres in the body frame (where the camera is). States come on

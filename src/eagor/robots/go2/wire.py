@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import FormatError
-from eagor.media.bags.ros_types import Encoded
+from eagor.media.ros_messages import Encoded
 
 __all__ = ["LONG", "LOW", "MOTORS", "SHORT", "LowFields", "SportFields", "checksum", "raw"]
 

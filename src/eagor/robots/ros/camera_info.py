@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError, FormatError
-from eagor.media.bags.messages import CAMERA_INFO
-from eagor.media.bags.reader import Bag
-from eagor.media.camera_files import rig_of_info
-from eagor.media.intrinsics import Camera
+from eagor.media.bags import Bag
+from eagor.media.intrinsics import Camera, rig_of_info
 from eagor.media.panorama import is_whole
 from eagor.media.rigs import Rig
+from eagor.media.ros_messages import CAMERA_INFO
 from eagor.robots.ros.graph import Graph, find_topic, pick
 
 __all__ = ["LensTold", "beside", "is_rectified", "lacks_lens", "told_in_bag", "told_on_graph"]

@@ -19,8 +19,8 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, PoseCame
-from eagor.media.bags.messages import message, vector
-from eagor.media.frames import Pose
+from eagor.media import Pose
+from eagor.media.ros_messages import message, vector
 from eagor.robots.ros.graph import Graph
 from eagor.robots.safety.gate import Gate, Mode, State, Stop
 from eagor.robots.safety.limits import STILL, Body, Limits, Velocity

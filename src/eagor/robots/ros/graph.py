@@ -21,9 +21,19 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from eagor.errors import DeviceError, EagorError, FormatError
-from eagor.media.bags.messages import COMPRESSED, IMAGE, IMU, ODOMETRY, POSE, TRANSFORMS
-from eagor.media.bags.reader import listed
-from eagor.media.bags.ros_types import encoded_type, hash_of, ros_names, store
+from eagor.media.bags import listed
+from eagor.media.ros_messages import (
+    COMPRESSED,
+    IMAGE,
+    IMU,
+    ODOMETRY,
+    POSE,
+    TRANSFORMS,
+    encoded_type,
+    hash_of,
+    ros_names,
+    store,
+)
 from eagor.robots.dds import Link
 
 __all__ = [

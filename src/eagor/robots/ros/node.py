@@ -23,9 +23,9 @@ from eagor.errors import DeviceError, EagorError, QueryError
 from eagor.live.events import Answer, Fault, FaultLog, NextLooks, Part
 from eagor.live.loop import RATE, LiveLoop, Watcher
 from eagor.live.threads import LoopClock, already_open
-from eagor.media.bags.messages import CLOCK, TEXT, seconds
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
+from eagor.media.ros_messages import CLOCK, TEXT, seconds
 from eagor.perception import Perception
 from eagor.robots.ros.driving import TwistGate
 from eagor.robots.ros.graph import Graph, GraphReader

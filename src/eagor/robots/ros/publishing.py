@@ -21,7 +21,8 @@ from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.live.core import deviation
 from eagor.live.events import Answer, Event, FrameCame, NextLooks, Part, PoseCame
-from eagor.media.bags.messages import (
+from eagor.media import Pose
+from eagor.media.ros_messages import (
     IMAGE,
     POSE,
     VECTOR,
@@ -34,7 +35,6 @@ from eagor.media.bags.messages import (
     vector,
     vector_message,
 )
-from eagor.media.frames import Pose
 from eagor.robots.ros.graph import Graph, GraphWriter
 from eagor.sphere import azimuth_elevation, world_R_body
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
-from eagor.media.bags.messages import TRANSFORMS, panorama_of, stamp_of
-from eagor.media.bags.reader import Bag, split_bag
-from eagor.media.frames import Frame, Pose
+from eagor.media import Frame, Pose
+from eagor.media.bags import Bag, split_bag
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
+from eagor.media.ros_messages import TRANSFORMS, panorama_of, stamp_of
 from eagor.media.stitching import Panoramas
 from eagor.robots.ros.camera_info import lacks_lens, told_in_bag, told_on_graph
 from eagor.robots.ros.graph import MOTION, PICTURES, TF, TF_STATIC, DdsGraph, Graph, GraphReader, find_topic, pick

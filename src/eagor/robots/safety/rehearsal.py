@@ -14,7 +14,7 @@ import numpy as np
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import DeviceError
-from eagor.media.bags.messages import TEXT
+from eagor.media.ros_messages import TEXT
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.house import House, Thing
 from eagor.robots.go2.sim import SimSettings
