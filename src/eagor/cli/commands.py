@@ -22,12 +22,11 @@ from eagor.cli.bench import Bench
 from eagor.cli.calibrate import Calibrate
 from eagor.cli.camera import Camera
 from eagor.cli.demo import Demo
-from eagor.cli.doctor import Doctor
 from eagor.cli.export import Export
 from eagor.cli.live import Live
 from eagor.cli.locate import Locate
 from eagor.cli.look import Look
-from eagor.cli.models import Models
+from eagor.cli.models import Doctor, Models
 from eagor.cli.robot import Robot
 from eagor.cli.ros import Ros
 from eagor.cli.studio import Studio
