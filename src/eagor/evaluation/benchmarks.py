@@ -11,8 +11,21 @@ from eagor._csv import as_csv
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import benchmark_tables, export, ledger
 from eagor.evaluation.benchmark_tables import OURS, labels_of
-from eagor.evaluation.charts import Curve, Series, line_chart
-from eagor.evaluation.page import Facts, Folded, Items, Part, Pictures, Section, Sheet, Text, could_not, lines_of
+from eagor.evaluation.page import (
+    Curve,
+    Facts,
+    Folded,
+    Items,
+    Part,
+    Pictures,
+    Section,
+    Series,
+    Sheet,
+    Text,
+    could_not,
+    line_chart,
+    lines_of,
+)
 from eagor.evaluation.samples import LEVEL, RESAMPLES, checked, computing_time, published
 from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
 from eagor.evaluation.workers import Unit

@@ -14,8 +14,21 @@ from typing import Any
 import numpy as np
 
 from eagor.evaluation import traces
-from eagor.evaluation.charts import Curve, Series, line_chart, look_of
-from eagor.evaluation.page import Folded, Heading, Part, Pictures, Row, Section, Sheet, Text, box
+from eagor.evaluation.page import (
+    Curve,
+    Folded,
+    Heading,
+    Part,
+    Pictures,
+    Row,
+    Section,
+    Series,
+    Sheet,
+    Text,
+    box,
+    line_chart,
+    look_of,
+)
 from eagor.evaluation.samples import Record, method_names
 from eagor.evaluation.tables import OURS, PAPERS, RESOLUTION_DEG, RIVALS, degree_of, is_rival, ordered, varied_by
 from eagor.tasks.task import Task

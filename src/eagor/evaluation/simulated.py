@@ -10,8 +10,7 @@ from eagor import worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.evaluation import export, figures, scenes, sheets, tables
-from eagor.evaluation.charts import legend
-from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
+from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not, legend
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
 from eagor.evaluation.tables import OURS, PAPERS, is_ablation, is_rival, ordered, shown
