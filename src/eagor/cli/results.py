@@ -175,7 +175,7 @@ def failures(options: BenchFailures) -> int:
 def export(options: BenchExport) -> int:
     """``eagor bench export``."""
     from eagor.cli.checks import checked_folder
-    from eagor.evaluation import predictions, studies
+    from eagor.evaluation import benchmarks, studies
 
     if options.run is not None:
         if options.task or options.set:
@@ -184,7 +184,7 @@ def export(options: BenchExport) -> int:
         if options.data:
             run = replace(run, settings={**run.settings, "data": str(options.data.resolve())})
     elif options.task and options.data:
-        run = predictions.bare(options.task, options.data, pairs_of(options.set))
+        run = benchmarks.bare_run(options.task, options.data, pairs_of(options.set))
     else:
         raise terminal.UsageError("give a run, or --task and --data")
     out = options.out or options.run
