@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from eagor._csv import as_csv
 from eagor._files import read_file
 from eagor._json import parsed, shown
+from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import benchmark_tables, export, ledger
 from eagor.evaluation.benchmark_tables import OURS, labels_of
