@@ -125,17 +125,17 @@ def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
-    from eagor.evaluation import bench, comparison, studies
+    from eagor.evaluation import bench, studies
 
     methods = bench.named(options.methods)
     if options.b is None and len(methods) != 2:
         raise terminal.UsageError("name a second run, or two methods of this one with --methods")
     a = studies.read(options.a)
-    found = comparison.compare(a, a if options.b is None else studies.read(options.b), methods)
+    found = studies.compare(a, a if options.b is None else studies.read(options.b), methods)
     if options.json:
         terminal.emit(found)
     else:
-        terminal.say(*comparison.as_text(found, a))
+        terminal.say(*studies.comparison_in_words(found, a))
     return terminal.OK
 
 
