@@ -58,6 +58,9 @@ const session = new Session(store, {
   },
   status: (told) => badge(told),
   scene() {
+    const lens = store.scene?.lens;
+    shell.stage.classList.toggle("ordinary", lens !== undefined);
+    if (lens) shell.stage.style.setProperty("--aspect", String(lens.plane[0] / lens.plane[1]));
     if (store.waiting === null) {
       problems.clear("session");
       if (store.scene && !drafted && document.activeElement !== shell.query) shell.query.value = store.scene.query;
@@ -146,6 +149,7 @@ function enter(name: View): void {
   if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
   store.begin(null);
   stage.hold = false;
+  shell.stage.classList.remove("ordinary");
   stage.lookAt([1, 0, 0]);
   badge("");
   for (const link of shell.tabs.querySelectorAll("a")) {

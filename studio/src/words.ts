@@ -112,12 +112,20 @@ export const words = {
   },
 
   picture: {
-    drop: "Drop a panorama here",
-    dropMore: "A photograph or a video, twice as wide as high (equirectangular). It stays on this machine.",
+    drop: "Drop a picture here",
+    dropMore: "A photograph or a video: a panorama (twice as wide as high), or of an ordinary camera. It stays on this machine.",
     choose: "Choose a file",
     other: "Another file",
     uploading: "Reading the file …",
     ready: "The picture is here. Type what to look for.",
+    field: {
+      ask: "How wide does its camera see?",
+      hint: "Degrees across the picture's width. A phone's main camera: about 65 held across, 50 upright.",
+      submit: "Use it",
+      least: 2,
+      most: 150,
+      usual: 65,
+    },
     turn: "Dragging turns",
     turnLook: "my eyes",
     turnCamera: "the camera",

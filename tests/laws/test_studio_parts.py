@@ -1,6 +1,7 @@
 """Parts of the studio's server, each alone: messages, slots, plans, who may speak, names of runs, how a body walks."""
 
 import asyncio
+import io
 import json
 import math
 import struct
@@ -12,10 +13,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from starlette.datastructures import Headers
 
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
+from eagor.grids import PerspectiveGrid
+from eagor.lenses import PinholeLens
 from eagor.live.events import Answer, Asked, EvidenceCame, Trouble
 from eagor.studio import runs
 from eagor.studio.guard import Gate
@@ -27,6 +31,7 @@ from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.replays import Redrawn
 from eagor.studio.runs import page_of
 from eagor.studio.session import Loaded, Opened, Opening, Outbox, Question, Refused, See, Seen, Turn, Turned
+from eagor.studio.steps import lens_of, ordinary_jpeg
 from eagor.tracking import TrackerConfig
 from eagor.tracking.follower import Follower
 
@@ -510,3 +515,22 @@ def test_a_live_source_goes_on_with_the_question_before_one_that_is_refused():
     shown.close()
     shown.ask("ball", 9)
     assert (said[-1]["type"], said[-1]["question"]) == ("problem", 9)
+
+
+def test_an_ordinary_lens_is_told_in_tangents_and_its_picture_is_sent_as_the_ideal_lens_sees_it() -> None:
+    picture = np.zeros((200, 300, 3), np.uint8)
+    picture[90:110, 240:260] = 255
+    bent = PinholeLens("bent", (300, 200), (150.0, 150.0), (150.0, 100.0), (-0.05, 0.0, 0.0, 0.0), np.eye(3))
+    grid = PerspectiveGrid.of_lens(bent)
+    told = lens_of(grid)
+    assert told is not None
+    assert lens_of(None) is None
+    wide, high = told["plane"]
+    assert wide == pytest.approx(math.tan(grid.hfov / 2), abs=1e-5)
+    assert high / wide == pytest.approx(2 / 3, abs=1e-5)
+    shown = np.asarray(Image.open(io.BytesIO(ordinary_jpeg(picture, grid, 100))).convert("L")).astype(float)
+    assert shown.shape == (100, 150)
+    row, column = (float((index * shown).sum() / shown.sum()) for index in np.indices(shown.shape))
+    seen = grid.unproject(np.array([250.0]), np.array([100.0]))[0]
+    assert column + 0.5 == pytest.approx(75 * (1 - seen[1] / seen[0] / wide), abs=1.5)
+    assert row + 0.5 == pytest.approx(50, abs=1)

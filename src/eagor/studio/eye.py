@@ -21,6 +21,7 @@ import numpy as np
 
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
+from eagor.grids import PerspectiveGrid
 from eagor.media.frames import Frame
 from eagor.media.panorama import read_photograph
 from eagor.media.rotation import VisualOdometer
@@ -44,7 +45,7 @@ from eagor.studio.session import (
     Turn,
     Turned,
 )  # fmt: skip
-from eagor.studio.steps import calibration_of, small_jpeg
+from eagor.studio.steps import calibration_of, lens_of, ordinary_jpeg, small_jpeg
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking.config import TrackerConfig
@@ -64,6 +65,7 @@ class Reel:
 
     path: Path
     start: float = 0.0
+    hfov: float | None = None  # of an ordinary camera, radians
     _video: Video = field(init=False)
     _frames: Iterator[Frame] = field(init=False)
     _odometer: VisualOdometer = field(init=False)
@@ -87,7 +89,7 @@ class Reel:
             with suppress(EagorError):  # the track may be shorter than the video
                 self._found = frame, motion.world_R_body(frame.stamp), False
                 return self._found
-        turned = self._odometer.add(frame.picture)
+        turned = self._odometer.add(frame.picture, frame.stamp, _grid(frame.picture, self.hfov))
         self._found = frame, np.asarray(turned.world_R_body), turned.lost
         return self._found
 
@@ -156,9 +158,10 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
             session, perception = rest
             say(Loaded(session, perception, calibration_of(_loaded(perception), TrackerConfig())))
         elif what == "picture":
-            session, path = rest
+            session, path, hfov = rest
             found = _photograph(path)
-            say(Opened(session, small_jpeg(found.picture, PHOTO_ROWS), found.facts))
+            grid = _grid(found.picture, hfov)
+            say(Opened(session, _jpeg(found.picture, grid, PHOTO_ROWS), found.facts, lens_of(grid)))
     except Exception as error:
         if what == "warm":
             say(("warm",))  # whoever opens it is told what is wrong
@@ -208,21 +211,22 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
     """The next frame of a video, and a look at it."""
     try:
         if job.start is not None or job.session not in reels:
-            reels[job.session] = Reel(job.path, job.start or 0.0)
+            reels[job.session] = Reel(job.path, job.start or 0.0, job.hfov)
         found = reels[job.session].next(job.again)
         if found is None:
             say(Turned(job.session, 0.0, np.eye(3), b"", None, over=True))
             return
         frame, pose, lost = found
-        looks, asked = (), job.question
+        looks, asked, grid = (), job.question, _grid(frame.picture, job.hfov)
         if asked is not None:
             try:
-                looks = look_if_recorded(_loaded(asked.perception), frame.picture, asked.query, frame.stamp, pose)
+                perception = _loaded(asked.perception)
+                looks = look_if_recorded(perception, frame.picture, asked.query, frame.stamp, pose, grid)
             except EagorError as error:
                 say(_refusal(job, error))
                 asked = None
-        small = small_jpeg(frame.picture, FIRST_ROWS)
-        say(Turned(job.session, frame.stamp, pose, small, asked, looks, lost))
+        small = _jpeg(frame.picture, grid, FIRST_ROWS)
+        say(Turned(job.session, frame.stamp, pose, small, asked, looks, lost, lens=lens_of(grid)))
     except Exception as error:
         say(Refused(job.session, "picture", _said(error)))
 
@@ -268,10 +272,23 @@ def _looked(job: See, shown: np.ndarray | None = None) -> tuple[Evidence, ...]:
         ids = _homes(job.seed).place.ids(job.position, job.world_R_body, LOOK_ROWS)
         return (_informed(asked.perception, job.seed)(ids, asked.query, stamp=job.stamp),)
     rows = rows_of(perception)
+    if job.picture is not None and job.hfov is not None:
+        picture = _photograph(job.picture).picture
+        grid = _grid(picture, job.hfov)
+        return look_if_recorded(perception, picture, asked.query, job.stamp, job.world_R_body, grid)
     if job.picture is not None:
         rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).picture.shape[0]))
     panorama = shown if shown is not None and len(shown) == rows else _rendered(job, rows)
     return look_if_recorded(perception, panorama, asked.query, job.stamp, job.world_R_body)
+
+
+def _grid(picture: np.ndarray, hfov: float | None) -> PerspectiveGrid | None:
+    """The pixels of an ordinary camera's picture, which looks ahead; None for a panorama."""
+    return None if hfov is None else PerspectiveGrid(picture.shape[0], picture.shape[1], hfov)
+
+
+def _jpeg(picture: np.ndarray, grid: PerspectiveGrid | None, rows: int) -> bytes:
+    return small_jpeg(picture, rows) if grid is None else ordinary_jpeg(picture, grid, rows)
 
 
 @lru_cache(maxsize=4)

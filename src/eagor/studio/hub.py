@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -231,8 +232,14 @@ class Studio:
             found = self.uploads.get(message["id"])
             if not asked.query:
                 raise PageError("There is no query.", "Say what to look for, such as 'red chair'.")
+            hfov = message["hfov"] or found.hfov_deg
+            if found.ordinary and hfov is None:
+                raise PageError("This picture does not tell how wide its camera sees.", "Give its field of view.")
             kind = "video" if found.kind == "video" else view
-            return Opening(kind, asked, picture=found.path, name=found.name, frames=found.frames, methods=methods)
+            return Opening(
+                kind, asked, picture=found.path, name=found.name, frames=found.frames, methods=methods,
+                hfov=math.radians(hfov) if found.ordinary and hfov else None,
+            )  # fmt: skip
         seed = self._seed if message["seed"] is None else message["seed"]
         return Opening(view, asked, seed=seed, drive=message["drive"], methods=methods)
 

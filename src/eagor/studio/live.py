@@ -15,12 +15,13 @@ from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, scene_of, seen_jpeg
+from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, ordinary_jpeg, scene_of, small_jpeg
 
 __all__ = ["Shown", "watch"]
 
 PICTURES = 0.2  # seconds between two panoramas that are sent, at least
 ROWS = 384  # of them, at most
+ORDINARY = 480  # rows of an ordinary camera's picture
 
 
 class Shown:
@@ -35,6 +36,7 @@ class Shown:
         self._shown: Any = None  # the belief that was sent last
         self._asked: tuple[str, int] | None = None  # the query that is answered, and the number of its question
         self._next: tuple[str, int] | None = None  # what is looked for in its place
+        self._lens: dict[str, Any] | None = None  # of an ordinary camera
         self._ended = False
         self.loop: Any = None
         self._lock = threading.Lock()  # questions come in a thread of their own
@@ -77,6 +79,11 @@ class Shown:
             self._tried(event)
         if isinstance(event, FrameCame) and event.picture is not None:
             self._picture = event
+            lens = lens_of(event.grid)
+            if lens != self._lens:
+                self._lens = lens
+                if self._asked is not None:
+                    self._scene()
         elif isinstance(event, PoseCame):
             self._position = event.pose.position
         elif isinstance(event, EvidenceCame):
@@ -118,7 +125,10 @@ class Shown:
             pose = self.loop.core.orientation(picture.stamp)
             pose = estimate.world_R_body if pose is None else pose
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
-            blobs["panorama"] = Blob("image/jpeg", seen_jpeg(picture, ROWS))
+            seen, grid = picture.picture, picture.grid
+            assert seen is not None
+            found = small_jpeg(seen, ROWS) if grid is None else ordinary_jpeg(seen, grid, ORDINARY)
+            blobs["panorama"] = Blob("image/jpeg", found)
         self._say(Message(header, blobs))
 
     def _scene(self) -> None:
@@ -127,6 +137,7 @@ class Shown:
         config = self.loop.core.config
         calibrated = calibration_of(None, config)
         about = {"question": number, "degree": config.degree, "perception": self._perception, "calibration": calibrated}
+        about |= {} if self._lens is None else {"lens": self._lens}
         self._say(Message({"type": "scene", **scene_of("live", self._source, query, **about)}))
 
 

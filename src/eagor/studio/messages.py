@@ -129,6 +129,7 @@ class Open(FromPage):
     seed: Seed | None = None
     drive: Literal["policy", "person", "tour"] = "policy"
     id: Name = ""
+    hfov: Annotated[float, Meta(ge=2, le=150)] | None = None  # degrees, of an ordinary camera's picture
     methods: Methods = []
     question: Number = 0
 

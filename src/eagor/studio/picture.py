@@ -40,7 +40,7 @@ class PictureSession(FollowingSession):
         self._opened: Opened | None = None
         self._seeing, self._looked_from = False, None
         self._stamp, self._poses = 0.0, {}
-        out.eye(("picture", number, opening.picture))
+        out.eye(("picture", number, opening.picture, opening.hfov))
         out.status(number, f"Reading {opening.name or 'the picture'}.")
 
     def saw(self, said: Any, now: float) -> None:
@@ -95,7 +95,8 @@ class PictureSession(FollowingSession):
         assert self._opened is not None
         self._forget()
         self._picture(self._stamp, np.eye(3), self._opened.jpeg)
-        self._scene("picture", self.opening.name or "Picture", facts=list(self._opened.facts))
+        about = {} if self._opened.lens is None else {"lens": self._opened.lens}
+        self._scene("picture", self.opening.name or "Picture", facts=list(self._opened.facts), **about)
 
     def _see(self, pose: np.ndarray) -> None:
         """Ask for a look, if the question is new or the camera looks another way than before."""
@@ -109,7 +110,7 @@ class PictureSession(FollowingSession):
         self._following.pose(self._stamp, pose, None)
         self._looked_from, self._seeing = pose, True
         self._poses = {self._stamp: pose}
-        self._out.eye(See(self.number, self._stamp, pose, None, wanted, 0, picture=self._file))
+        self._out.eye(See(self.number, self._stamp, pose, None, wanted, 0, picture=self._file, hfov=self.opening.hfov))
 
 
 class VideoSession(FollowingSession):
@@ -124,6 +125,7 @@ class VideoSession(FollowingSession):
         self._file: Path = opening.picture
         self._over = self._asking = self._again = False  # the last: look at the frame that is shown once more
         self._start: float | None = 0.0  # where to seek with the next frame
+        self._lens: dict[str, Any] | None = None  # of an ordinary camera: the first frame tells
         self._anchor: tuple[float, float] | None = None  # time of the video, and ours
         out.status(number, f"Reading {opening.name or 'the video'}.")
 
@@ -169,7 +171,7 @@ class VideoSession(FollowingSession):
         wanted = self._start is not None or self._again or not (self._paused or self._over)
         if not self._running or self._asking or not wanted:
             return 0.0
-        self._out.eye(Turn(self.number, self._file, self._wanted, self._start, self._again))
+        self._out.eye(Turn(self.number, self._file, self._wanted, self._start, self._again, self.opening.hfov))
         self._start, self._again, self._asking = None, False, True
         return 0.0
 
@@ -186,10 +188,14 @@ class VideoSession(FollowingSession):
     def _follow(self) -> None:
         """Begin, and say what is shown."""
         self._begin()
-        self._scene("picture", self.opening.name or "Video", frames=self.opening.frames)
+        about = {} if self._lens is None else {"lens": self._lens}
+        self._scene("picture", self.opening.name or "Video", frames=self.opening.frames, **about)
 
     def _show(self, said: Turned, now: float) -> None:
         """One frame: take in its looks, and say what is believed."""
+        if said.lens != self._lens:
+            self._lens = said.lens
+            self._follow()
         if said.lost:
             self._begin()
             self._out.status(self.number, "A picture does not fit to those before it: the belief starts anew.")

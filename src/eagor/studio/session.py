@@ -42,6 +42,7 @@ class See:
     """What a session wants to be seen: from where, and what to look for in it (None: no look is taken).
 
     `seed`: the apartment; `picture`: else the file of a photograph. `rows` of the panorama that is sent (0: none).
+    `hfov` of an ordinary photograph, radians; None: it is a panorama.
     """
 
     session: int
@@ -52,6 +53,7 @@ class See:
     rows: int
     seed: int | None = None
     picture: Path | None = None
+    hfov: float | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class Turn:
     """The next frame of a video that a session wants to see, and what to look for in it (None: no look is taken).
 
     `start`: seconds of the video to begin at (None: go on); `again`: the same frame as before.
+    `hfov` of an ordinary camera, radians; None: the frames are panoramas.
     """
 
     session: int
@@ -66,6 +69,7 @@ class Turn:
     question: Question | None
     start: float | None = None
     again: bool = False
+    hfov: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +88,7 @@ class Turned:
     looks: tuple[Evidence, ...] = ()
     lost: bool = False
     over: bool = False
+    lens: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -112,11 +117,12 @@ class Built:
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A photograph is ready: as it is, `jpeg`, with facts from its file."""
+    """A photograph is ready: as it is, `jpeg`, with facts from its file, and the `lens` of an ordinary camera."""
 
     session: int
     jpeg: bytes
     facts: tuple[str, ...]
+    lens: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,13 +157,14 @@ class Refused:
 
 @dataclass(frozen=True)
 class Opening:
-    """What a page opens: a view, with what it wants to know there."""
+    """What a page opens: a view, with what it wants to know there. `hfov`: of an ordinary camera, radians."""
 
     view: str
     question: Question
     seed: int = 0
     drive: str = "policy"
     picture: Path | None = None
+    hfov: float | None = None
     frames: int = 0
     name: str = ""
     methods: tuple[str, ...] = ()

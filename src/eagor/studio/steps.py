@@ -9,10 +9,12 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from eagor.drawing.view import Mosaic
-from eagor.drawing.words import STATUS, answer_in_words, far_in_words
+from eagor.drawing.words import STATUS, answer_in_words, far_in_words, sureness
 from eagor.evidence import Calibration, Evidence
+from eagor.grids import PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.live.events import FrameCame
 from eagor.sphere import angular_distance
@@ -23,7 +25,7 @@ from eagor.worlds.render import Photograph
 
 __all__ = [
     "FLOATS", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg", "estimate_json", "evidence_of",
-    "scene_of", "seen_jpeg", "small_jpeg",
+    "lens_of", "ordinary_jpeg", "scene_of", "seen_jpeg", "small_jpeg",
 ]  # fmt: skip
 
 FLOATS = "float32"
@@ -42,6 +44,7 @@ def estimate_json(estimate: Estimate, entropy: float) -> dict[str, Any]:
             "credible_angle": e.credible_angle if known else None,
             "presence": e.presence,
             "entropy": entropy,
+            "sure": f"{answer_in_words(e)}, {sureness(e)}" if known else None,
             "distance": e.distance if near else None,
             "distance_spread": e.distance_spread if near else None,
             "moving": e.moving,
@@ -137,6 +140,27 @@ def small_jpeg(panorama: np.ndarray, rows: int) -> bytes:
     """A panorama ``(H, W, 3)`` uint8 as JPEG, shrunk to so many rows if it has more."""
     small = Photograph(panorama).panorama((0.0, 0.0, 0.0), np.eye(3), min(rows, panorama.shape[0])).rgb
     assert small is not None
+    return jpeg(small)
+
+
+def lens_of(grid: PerspectiveGrid | None) -> dict[str, Any] | None:
+    """What a scene says of an ordinary camera: tangents of its half fields, and where it looks; None for a panorama."""
+    if grid is None:
+        return None
+    wide = math.tan(grid.hfov / 2)
+    return rounded({"plane": [wide, wide * grid.height / grid.width], "body_R_view": grid.body_R_view.reshape(9)}, 6)
+
+
+def ordinary_jpeg(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> bytes:
+    """The picture of an ordinary camera as JPEG, with so many rows at most, as the ideal lens of `lens_of` shows it."""
+    height = min(rows, grid.height)
+    width = max(1, round(grid.width * height / grid.height))
+    small = np.asarray(Image.fromarray(np.ascontiguousarray(picture)).resize((width, height), Image.Resampling.BOX))
+    if grid.optics is not None:  # the page knows no distortion
+        ideal = PerspectiveGrid(height, width, grid.hfov, grid.body_R_view)
+        x, y, inside = grid.resized(height, width).project(ideal.directions)
+        row, column = y.astype(int).clip(0, height - 1), x.astype(int).clip(0, width - 1)
+        small = np.where(inside[..., None], small[row, column], 0).astype(np.uint8)
     return jpeg(small)
 
 

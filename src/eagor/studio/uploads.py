@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import shutil
 import tempfile
@@ -11,10 +12,14 @@ from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from eagor._checks import is_twice_as_wide
 from eagor.errors import EagorError
 from eagor.studio.messages import PageError
+
+if TYPE_CHECKING:
+    from eagor.media.intrinsics import Told
 
 __all__ = ["BYTES", "PIXELS", "Upload", "Uploads"]
 
@@ -30,7 +35,10 @@ _VIDEOS = {b"ftyp": 4, b"\x1a\x45\xdf\xa3": 0}  # how MP4 and Matroska begin, an
 
 @dataclass(frozen=True)
 class Upload:
-    """A file that has been checked: a "photo" or a "video" of so many pixels (and about so many frames)."""
+    """A file that has been checked: a "photo" or a "video" of so many pixels (and about so many frames).
+
+    `ordinary`: of an ordinary camera, not a panorama; `hfov_deg`: its field of view, where the file tells it.
+    """
 
     id: str
     kind: str
@@ -40,10 +48,12 @@ class Upload:
     width: int
     frames: int
     warnings: tuple[str, ...] = ()
+    ordinary: bool = False
+    hfov_deg: float | None = None
 
     def as_json(self) -> dict[str, object]:
         """For the page."""
-        shown = ("id", "kind", "name", "height", "width", "frames", "warnings")
+        shown = ("id", "kind", "name", "height", "width", "frames", "warnings", "ordinary", "hfov_deg")
         return {name: getattr(self, name) for name in shown}
 
 
@@ -150,6 +160,7 @@ def _photo(path: Path, name: str) -> Upload:
     from PIL import Image
 
     from eagor.media.defects import fisheye_circles, problems
+    from eagor.media.intrinsics import told_by_photograph
     from eagor.media.panorama import FORMATS, is_whole, read_photograph
 
     try:
@@ -174,13 +185,20 @@ def _photo(path: Path, name: str) -> Upload:
             "Drop a panorama (JPEG, PNG, WebP) or a 360-degree video (MP4, MKV).", 415,
         ) from error  # fmt: skip
     if not is_whole(found):
-        raise PageError(
-            f"{name} is {width} x {height}, not 2:1.",
-            f"Wanted a whole panorama, twice as wide as high ({2 * height} x {height}): pad it first.", 422,
-        )  # fmt: skip
+        high, wide = found.shape[:2]
+        hfov = _field(told_by_photograph(path), wide, high, name)
+        return Upload(path.name, "photo", path, name, high, wide, 1, ordinary=True, hfov_deg=hfov)
     if fisheye_circles(found):
         raise PageError(f"{name} shows the circles of a fisheye camera.", "Stitch it first, then drop it again.", 422)
     return Upload(path.name, "photo", path, name, found.shape[0], found.shape[1], 1, tuple(problems(found)))
+
+
+def _field(told: Told, width: int, height: int, name: str) -> float | None:
+    """The horizontal field in degrees that a file tells of its ordinary camera; None: nothing."""
+    from eagor.media.intrinsics import Camera, ordinary_grid
+
+    grid = ordinary_grid(Camera(), told, (width, height), name)
+    return None if grid is None else round(math.degrees(grid.hfov), 1)
 
 
 def _video(path: Path, name: str) -> Upload:
@@ -195,5 +213,6 @@ def _video(path: Path, name: str) -> Upload:
         raise PageError(f"{name} cannot be used: {words}.", "Drop an equirectangular video (MP4, MKV).", 422) from error
     height, width = found.shape
     if not is_twice_as_wide(height, width):
-        raise PageError(f"{name} is {width} x {height}, not 2:1.", "Wanted an equirectangular 360-degree video.", 422)
+        hfov = _field(found.told, width, height, name)
+        return Upload(path.name, "video", path, name, height, width, found.count or 0, ordinary=True, hfov_deg=hfov)
     return Upload(path.name, "video", path, name, height, width, found.count or 0)

@@ -10,6 +10,7 @@ export interface Marks {
   view_R_belief: Matrix;
   view_R_body: Matrix;
   answer: Vector | null; // body frame, and so the others
+  sure: string | null; // told beside the arrow
   pointed: boolean; // whether the answer is sure enough for an arrow
   modes: { direction: Vector; weight: number }[];
   truth: Vector | null;
@@ -41,7 +42,7 @@ export function drawMarks(context: CanvasRenderingContext2D, to: Projection, mar
       ring(context, x, y, 19 * u, TRUTH, 2.4 * u);
       for (const turn of [0.25, 0.75, 1.25, 1.75]) tick(context, x, y, 19 * u, 25 * u, turn * Math.PI, TRUTH, 2.4 * u);
     }
-  if (marks.answer && marks.pointed) pointer(context, to, apply(marks.view_R_body, marks.answer), u);
+  if (marks.answer && marks.pointed) pointer(context, to, apply(marks.view_R_body, marks.answer), marks.sure, u);
   if (marks.answer)
     for (const [x, y] of place(marks.answer)) {
       spot(context, x, y, 6.5 * u, ANSWER, u);
@@ -50,7 +51,7 @@ export function drawMarks(context: CanvasRenderingContext2D, to: Projection, mar
 }
 
 /** An arrow at the border of a view from inside, towards an answer that lies outside of it. */
-function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, u: number): void {
+function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, sure: string | null, u: number): void {
   const at = to.project(d);
   const margin = 30 * u;
   if (to.seam !== null || (at && at[0] > 0 && at[0] < to.width && at[1] > 0 && at[1] < to.height)) return;
@@ -73,6 +74,12 @@ function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, u
   context.lineWidth = 2 * u;
   context.stroke();
   context.restore();
+  if (sure === null) return;
+  context.font = `600 ${14 * u}px system-ui, sans-serif`;
+  const wide = context.measureText(sure).width;
+  const [ax, ay] = [to.width / 2 + (reach - 30 * u) * x, to.height / 2 + (reach - 30 * u) * y];
+  const left = Math.max(8 * u, Math.min(to.width - wide - 8 * u, ax - (0.5 + 0.5 * x) * wide));
+  label(context, sure, left, ay, u);
 }
 
 /** Where a direction is drawn: twice if it lies on the seam of a flat panorama. */

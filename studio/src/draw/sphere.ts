@@ -15,7 +15,7 @@ precision highp float;
 in vec2 at;
 out vec4 colour;
 uniform bool isFlat, hasPanorama, hasFine;
-uniform vec2 plane;
+uniform vec2 plane, lens; // lens: half extents of an ordinary picture, 0 for a panorama
 uniform mat3 panorama_R_view, belief_R_view;
 uniform float heat, muted;
 uniform vec4 window;
@@ -29,8 +29,10 @@ void main() {
     ray = vec3(cos(elevation) * cos(azimuth), cos(elevation) * sin(azimuth), sin(elevation));
   } else ray = normalize(vec3(1.0, -at.x * plane.x, at.y * plane.y));
   vec3 ground;
-  if (hasPanorama) {
-    ground = texture(panorama, place(panorama_R_view * ray)).rgb;
+  vec3 seen = panorama_R_view * ray;
+  vec2 part = lens.x > 0.0 ? vec2(seen.y, seen.z) / max(seen.x, 1e-6) / lens : vec2(0.0);
+  if (hasPanorama && seen.x * lens.x >= 0.0 && max(abs(part.x), abs(part.y)) <= 1.0) {
+    ground = texture(panorama, lens.x > 0.0 ? 0.5 - 0.5 * part : place(seen)).rgb;
     float grey = dot(ground, vec3(0.3333));
     ground = mix(ground, mix(vec3(grey), ground, 0.75) * 0.82, muted);
   } else ground = mix(vec3(0.12, 0.135, 0.165), vec3(0.165, 0.18, 0.215), smoothstep(-0.6, 0.9, ray.z));
@@ -54,6 +56,7 @@ export interface Camera {
   plane: readonly [number, number] | null;
   panorama_R_view: Matrix;
   belief_R_view: Matrix;
+  lens: readonly [number, number] | null; // of an ordinary picture
   heat: number; // strength, 0 draws none
 }
 
@@ -106,7 +109,7 @@ export class Sphere {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, 1, 1, 0, gl.RED, gl.UNSIGNED_BYTE, Uint8Array.of(0));
       gl.uniform1i(gl.getUniformLocation(program, name), unit);
     });
-    for (const name of ["isFlat", "hasPanorama", "hasFine", "plane", "panorama_R_view", "belief_R_view", "heat", "muted", "window"])
+    for (const name of ["isFlat", "hasPanorama", "hasFine", "plane", "lens", "panorama_R_view", "belief_R_view", "heat", "muted", "window"])
       this.places.set(name, gl.getUniformLocation(program, name));
     this.colours("heat");
   }
@@ -146,6 +149,7 @@ export class Sphere {
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     gl.uniform1i(place("isFlat"), camera.plane ? 0 : 1);
     gl.uniform2f(place("plane"), ...(camera.plane ?? [1, 1]));
+    gl.uniform2f(place("lens"), ...(camera.lens ?? [0, 0]));
     gl.uniform1i(place("hasPanorama"), this.hasPanorama ? 1 : 0);
     gl.uniformMatrix3fv(place("panorama_R_view"), true, new Float32Array(camera.panorama_R_view ?? IDENTITY));
     gl.uniformMatrix3fv(place("belief_R_view"), true, new Float32Array(camera.belief_R_view));

@@ -5,7 +5,9 @@ import {
   apply, azimuthOf, between, direction as directionOf, elevationOf, IDENTITY, inverse, pose, times, wrapped, type Matrix, type Vector,
 } from "../math/rotation";
 import type { Store } from "../store";
+import type { Lens } from "../wire/messages";
 import { sheetOf } from "./canvas";
+import { Mosaic } from "./mosaic";
 import { drawMarks, type Marks } from "./marks";
 import { Pace } from "./pace";
 import { heatTexture, lookTexture, Sphere, type Camera } from "./sphere";
@@ -29,6 +31,8 @@ export class Stage {
   readonly pace: Pace;
   readonly broken: boolean;
   follows = false; // the view stays with the answer, until a person looks elsewhere
+  private mosaic: Mosaic | null = null; // of an ordinary camera
+  private mosaicOf = "";
   private drawnFrom: number[] = []; // where the camera was, and where one looked, when they moved last
   private textures: object | null = null;
   private drawnSent: number | null = null;
@@ -57,9 +61,29 @@ export class Stage {
     store.on("step", () => this.follow());
     for (const topic of ["scene", "step", "look", "layers", "style"] as const) store.on(topic, () => this.request());
     store.on("panorama", () => {
-      for (const { sphere } of [this.inside, this.flat]) sphere?.panorama(store.panorama?.image ?? null);
+      const image = store.panorama?.image ?? null;
+      this.inside.sphere?.panorama(image);
+      this.flat.sphere?.panorama(image && this.pasted(image));
       this.request();
     });
+  }
+
+  /** The lens of an ordinary camera, whose pictures are shown as they are; null for panoramas. */
+  get lens(): Lens | null {
+    return this.store.scene?.lens ?? null;
+  }
+
+  /** What the map shows: a panorama, or what an ordinary camera has shown so far. */
+  private pasted(image: TexImageSource): TexImageSource {
+    const { lens } = this;
+    const { panorama, scene } = this.store;
+    if (!lens || !panorama || !(image instanceof ImageBitmap)) return image;
+    this.mosaic ??= new Mosaic();
+    const of = JSON.stringify([scene?.title, lens]);
+    if (of !== this.mosaicOf) this.mosaic.clear();
+    this.mosaicOf = of;
+    this.mosaic.paste(image, lens, panorama.head.world_R_camera);
+    return this.mosaic.canvas;
   }
 
   /** Something is to be drawn: finely at once, unless the camera or the look moves. */
@@ -78,6 +102,7 @@ export class Stage {
   }
 
   get body_R_view(): Matrix {
+    if (this.lens) return this.lens.body_R_view;
     const { yaw, pitch } = this.store.look;
     const base = pose(yaw, pitch);
     return this.store.hold ? times(inverse(this.world_R_body), base) : base;
@@ -92,13 +117,18 @@ export class Stage {
     const { canvas } = this.inside;
     const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight);
     const ahead = apply(this.body_R_view, [1, 0, 0]);
-    return { azimuth: azimuthOf(ahead), wide: 2 * Math.atan(Math.tan(this.store.look.field / 2) * aspect) };
+    return { azimuth: azimuthOf(ahead), wide: 2 * Math.atan(Math.tan(this.field / 2) * aspect) };
+  }
+
+  /** The vertical angle of what the view from inside shows, radians. */
+  private get field(): number {
+    return this.lens ? 2 * Math.atan(this.lens.plane[1]) : this.store.look.field;
   }
 
   projection(which: "inside" | "flat"): Projection {
     const { overlay } = this[which];
     const [width, height] = [overlay.clientWidth || 1, overlay.clientHeight || 1];
-    return which === "flat" ? flat(width, height) : perspective(width, height, this.store.look.field);
+    return which === "flat" ? flat(width, height) : perspective(width, height, this.field);
   }
 
   /** The direction in the body frame under a pixel of the view. */
@@ -224,15 +254,18 @@ export class Stage {
     const { store } = this;
     const body_R_view = which === "flat" ? IDENTITY : this.body_R_view;
     const world_R_view = times(this.world_R_body, body_R_view);
-    const seen = store.panorama?.head.world_R_camera ?? this.world_R_body;
+    const body = store.panorama?.head.world_R_camera ?? this.world_R_body;
+    const { lens } = this;
+    const seen = !lens ? body : which === "flat" ? IDENTITY : times(body, lens.body_R_view);
     const { overlay } = this[which];
-    const high = Math.tan(store.look.field / 2);
+    const high = Math.tan(this.field / 2);
     const frame = store.showsEvidence && store.evidence?.frame === "world" ? IDENTITY : this.world_R_belief;
     const glows = store.showsEvidence || (store.heat !== null && store.layers.has("heat"));
     return {
       plane: which === "flat" ? null : [(high * overlay.clientWidth) / overlay.clientHeight, high],
       panorama_R_view: times(inverse(seen), world_R_view),
       belief_R_view: times(inverse(frame), world_R_view),
+      lens: which === "flat" ? null : (lens?.plane ?? null),
       heat: glows ? 1 : 0,
     };
   }
@@ -247,6 +280,7 @@ export class Stage {
       view_R_belief: times(view_R_world, this.world_R_belief),
       view_R_body,
       answer: store.layers.has("estimate") ? store.direction : null,
+      sure: this.lens ? (store.answer?.sure ?? null) : null,
       pointed: (store.answer?.credible_angle ?? 0) <= Math.PI / 2,
       modes: store.layers.has("modes") ? store.modes : [],
       truth: store.layers.has("truth") ? store.truth : null,
@@ -254,7 +288,7 @@ export class Stage {
       grid: store.layers.has("grid"),
       gaze: which === "flat"
         ? {
-            field: store.look.field,
+            field: this.field,
             aspect: inside.overlay.clientWidth / Math.max(1, inside.overlay.clientHeight),
             view_R_gaze: this.body_R_view,
           }

@@ -17,6 +17,7 @@ export function picture(page: Page): ViewHandler {
   let paused = false;
   const attitude = { yaw: 0, pitch: 0, roll: 0 };
   let sending = 0;
+  let hfov: number | null = null; // degrees: what a person has said of an ordinary camera
   let asked = 0; // counts the files that were taken, and leaves: what is uploaded for an older one changes nothing
   const file = h("input", { type: "file", accept: "image/*,video/*", class: "in-words", id: "file", onchange: () => take(file.files?.[0]) });
   const chooser = (text: string) => h("label", { for: "file", class: "button primary" }, text);
@@ -69,6 +70,7 @@ export function picture(page: Page): ViewHandler {
       const told = await upload(chosen);
       if (mine !== asked) return;
       known = told;
+      hfov = null;
       Object.assign(attitude, { yaw: 0, pitch: 0, roll: 0 });
       frames.hidden = known.kind !== "video";
       slider.max = String(Math.max(0, known.frames - 1));
@@ -77,7 +79,8 @@ export function picture(page: Page): ViewHandler {
       session.close();
       store.begin(null);
       page.empty(h("strong", {}, words.picture.ready));
-      if (known.kind === "photo") await showAtOnce(chosen, () => mine === asked && !session.active);
+      if (known.ordinary && known.hfov_deg == null) return question();
+      if (known.kind === "photo" && !known.ordinary) await showAtOnce(chosen, () => mine === asked && !session.active);
       if (mine !== asked || session.active) return; // it was asked for something meanwhile
       if (shell.query.value.trim()) open();
       else shell.query.focus();
@@ -92,6 +95,21 @@ export function picture(page: Page): ViewHandler {
     }
   }
 
+  /** The one question about an ordinary camera whose file does not tell it. */
+  function question(): void {
+    const { least, most, usual } = words.picture.field;
+    const width = h("input", { type: "number", id: "hfov", min: least, max: most, step: "any", value: usual, required: true });
+    page.empty(h("form", { class: "question", onsubmit: (event: Event) => {
+      event.preventDefault();
+      hfov = Number(width.value);
+      page.empty(h("strong", {}, words.picture.ready));
+      if (shell.query.value.trim()) open();
+      else shell.query.focus();
+    } }, h("label", { for: "hfov" }, words.picture.field.ask), h("p", { class: "hint" }, words.picture.field.hint), width,
+      h("button", { type: "submit", class: "primary" }, words.picture.field.submit)));
+    width.focus();
+  }
+
   /** The photograph is shown before anything is asked: nothing of the server is needed for it. */
   async function showAtOnce(chosen: File, wanted: () => boolean): Promise<void> {
     const image = await createImageBitmap(chosen, { resizeWidth: 2048, resizeHeight: 1024, resizeQuality: "medium" }).catch(() => null);
@@ -103,10 +121,11 @@ export function picture(page: Page): ViewHandler {
 
   function open(): void {
     if (!known) return;
+    if (known.ordinary && known.hfov_deg == null && hfov === null) return question();
     if (!store.panorama) page.empty(words.panorama.waiting);
     page.badge("");
     paused = false;
-    session.open({ view: "picture", id: known.id, query: shell.query.value.trim(), perception: perception.value });
+    session.open({ view: "picture", id: known.id, ...(hfov === null ? {} : { hfov }), query: shell.query.value.trim(), perception: perception.value });
   }
 
   function drop(event: DragEvent): void {
@@ -154,7 +173,7 @@ export function picture(page: Page): ViewHandler {
     scene() {
       if (store.waiting === null && store.scene?.perception) perception.value = store.scene.perception;
     },
-    turnsCamera: () => turns === "camera" && session.active,
+    turnsCamera: () => turns === "camera" && session.active && !store.scene?.lens,
     turnCamera(yaw, pitch) {
       attitude.yaw = yaw;
       attitude.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, pitch));

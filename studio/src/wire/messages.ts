@@ -23,7 +23,14 @@ export interface Calibration {
   numbers: Record<string, number | string>;
 }
 
+/** How an ordinary camera sees: tangents of its half fields, and where it looks. */
+export interface Lens {
+  plane: [number, number];
+  body_R_view: Matrix;
+}
+
 export interface Scene {
+  lens?: Lens; // the pictures are an ordinary camera's, not panoramas
   question?: number; // that is answered from here on
   view: View;
   title: string;
@@ -52,6 +59,7 @@ export interface Answer {
   entropy: number | null;
   distance: number | null;
   distance_spread: number | null;
+  sure?: string | null; // where, and how sure, in words
   moving: number | null;
   status: string;
   words: string;
@@ -171,6 +179,8 @@ export interface Picture {
   width: number;
   frames: number;
   warnings?: string[];
+  ordinary?: boolean; // of an ordinary camera, not a panorama
+  hfov_deg?: number | null; // its field of view, if the file tells it
 }
 
 /** Where the words of a binary message end, its parts begin. */
