@@ -12,7 +12,7 @@ from PIL import Image
 
 from eagor import _extras
 from eagor._extras import how_to_install
-from eagor._parquet import _kind, as_parquet
+from eagor._tables import _kind, as_parquet
 from eagor.cli import main
 from eagor.cli.answers import COLUMNS, columns_of, row_of, table
 from eagor.cli.terminal import UsageError

@@ -12,7 +12,7 @@ import pytest
 import synthetic_runs as runs
 
 from eagor.errors import EagorError, FormatError, WorldError
-from eagor.evaluation.figures import half_width_deg, highest_sidelobe
+from eagor.evaluation.sheets import half_width_deg, highest_sidelobe
 from eagor.evaluation.studies import write_report
 from eagor.evaluation.tables import FIGURES, shown, summarise
 from eagor.tasks.task import load

@@ -7,7 +7,7 @@ import typing
 
 import pytest
 
-from eagor.cli import _parse, main, usage
+from eagor.cli import _parse, commands, main
 from eagor.cli.commands import Command
 
 
@@ -78,7 +78,7 @@ def test_a_file_in_place_of_a_command(refused, tmp_path, monkeypatch):
 
 
 def test_what_cannot_be_explained_is_left_to_tyro(monkeypatch, capsys):
-    monkeypatch.setattr(usage, "mistake", lambda _: None)
+    monkeypatch.setattr(commands, "mistake", lambda _: None)
     assert main(["locate"]) == 2
     out, err = capsys.readouterr()
     assert out == ""

@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from eagor.errors import DirectionError, EagorError, ResponseError, RotationError
 from eagor.evaluation.detector_em import ScoreCurve, expected_look_alikes, fitted_curve, knots_of
-from eagor.evaluation.detector_fit import fit_detector
+from eagor.evaluation.detector_fit import fit_detector, fit_unlabelled
 from eagor.evaluation.detector_places import fitted_habit, scatter
-from eagor.evaluation.detector_unlabelled import fit_unlabelled
 from eagor.evaluation.labelled_looks import LabelledLook, rows_of, stretches
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration

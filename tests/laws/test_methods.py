@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
 from eagor.drawing.still import CURVES
 from eagor.errors import EagorError, TimeError
-from eagor.evaluation.charts import STYLES
-from eagor.evaluation.page import DARK, LIGHT
+from eagor.evaluation.page import DARK, LIGHT, STYLES
 from eagor.evidence.detector import DetectorModel
 from eagor.sphere import FORWARD, world_R_body
 from eagor.tasks.methods import EVERY, FITTED, NAMES, SETTINGS, FilterMethod, TrackerMethod, make_method, tracker_config

@@ -13,7 +13,7 @@ from strategies import HOSTILE
 
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
-from eagor.evaluation import ledger, predictions
+from eagor.evaluation import benchmarks, ledger
 from eagor.evaluation.labelled_looks import read_truth
 from eagor.evidence import Evidence
 from eagor.media.pose_files import read_poses
@@ -213,7 +213,9 @@ def test_descriptions_of_runs(folder, blob):
 def test_predictions(folder, blob):
     path = folder / "predictions.jsonl"
     path.write_bytes(blob)
-    found = reads(lambda: predictions._lines(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot"))
+    found = reads(
+        lambda: benchmarks._predicted(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot")
+    )
     assert found is None or set(found) <= {"a/0/0", "b/0/0"}
 
 

@@ -127,7 +127,7 @@ def _parse(arguments: list[str]):
     """The command with its options. Raises `UsageError`, or `SystemExit` after a text of tyro's own."""
     import tyro
 
-    from eagor.cli.commands import Command
+    from eagor.cli.commands import Command, mistake
 
     said = io.StringIO()
     try:
@@ -140,11 +140,8 @@ def _parse(arguments: list[str]):
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
             )
     except SystemExit as stop:
-        if stop.code:
-            from eagor.cli.usage import mistake
-
-            if (line := mistake(arguments)) is not None:
-                raise terminal.UsageError(line) from None
+        if stop.code and (line := mistake(arguments)) is not None:
+            raise terminal.UsageError(line) from None
         print(said.getvalue(), end="", file=sys.stderr)
         raise
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from eagor._csv import as_csv
+from eagor._tables import as_csv
 from eagor.cli.checks import checked_out
 from eagor.cli.terminal import UsageError
 
@@ -110,7 +110,7 @@ def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], 
     written, `MissingExtraError` for Parquet without pyarrow, both before the first answer.
     """
     from eagor._files import Lines, written
-    from eagor._parquet import as_parquet, need_parquet
+    from eagor._tables import as_parquet, need_parquet
 
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

@@ -306,14 +306,14 @@ def _folder(config: dict[str, Any]) -> str:
 
 def score(options: BenchScore) -> int:
     """``eagor bench score``."""
-    from eagor.evaluation import predictions
+    from eagor.evaluation import benchmarks
 
-    bare, cases, told = predictions.read(options.predictions, options.task, options.data, _options(options))
-    records, missing = predictions.judged(bare.settings, cases, told)
+    bare, cases, told = benchmarks.read_predictions(options.predictions, options.task, options.data, _options(options))
+    records, missing = benchmarks.judged_predictions(bare.settings, cases, told)
     if not records:
         raise EagorError(f"{options.predictions} has no prediction for any of the {len(cases)} cases")
     if options.out:
-        predictions.keep(bare.settings, records, options.out)
+        benchmarks.keep_predictions(bare.settings, records, options.out)
     summary = bare.study.loaded(bare.settings, records).summary | {"missing": missing}
     if missing:
         terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures cover the others")

@@ -31,8 +31,7 @@ from eagor.cli.track import Track
 from eagor.errors import EagorError, PoseError
 
 if TYPE_CHECKING:
-    from eagor.evaluation.detector_fit import DetectorFit
-    from eagor.evaluation.detector_unlabelled import UnlabelledFit
+    from eagor.evaluation.detector_fit import DetectorFit, UnlabelledFit
     from eagor.evaluation.labelled_looks import LabelledLook, Pose
     from eagor.perception.calibrated import Calibrated, Labelled
 
@@ -197,7 +196,7 @@ def _poses(path: str) -> Callable[[float], Pose]:
 
 def footage(options: Calibrate) -> int:
     """``eagor calibrate FRAMES --queries QUERY ...``."""
-    from eagor.evaluation.detector_unlabelled import RESAMPLES, fit_unlabelled
+    from eagor.evaluation.detector_fit import RESAMPLES, fit_unlabelled
     from eagor.perception import short_name
 
     told = " ".join(options.words)
@@ -278,7 +277,7 @@ def _keep(options: Calibrate, spec: str, found: DetectorFit | UnlabelledFit, out
 
 def print_unlabelled(found: UnlabelledFit, queries: tuple[str, ...]) -> None:
     """A detector's model that was fitted without labels: each number, the prior, and what carries it."""
-    from eagor.evaluation.detector_unlabelled import ENOUGH
+    from eagor.evaluation.detector_fit import ENOUGH
 
     print(
         f"{found.looks} looks, queries: {', '.join(queries)}. {found.detections} detections, on average "

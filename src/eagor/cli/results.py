@@ -125,17 +125,17 @@ def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
-    from eagor.evaluation import bench, comparison, studies
+    from eagor.evaluation import bench, studies
 
     methods = bench.named(options.methods)
     if options.b is None and len(methods) != 2:
         raise terminal.UsageError("name a second run, or two methods of this one with --methods")
     a = studies.read(options.a)
-    found = comparison.compare(a, a if options.b is None else studies.read(options.b), methods)
+    found = studies.compare(a, a if options.b is None else studies.read(options.b), methods)
     if options.json:
         terminal.emit(found)
     else:
-        terminal.say(*comparison.as_text(found, a))
+        terminal.say(*studies.comparison_in_words(found, a))
     return terminal.OK
 
 
@@ -175,7 +175,7 @@ def failures(options: BenchFailures) -> int:
 def export(options: BenchExport) -> int:
     """``eagor bench export``."""
     from eagor.cli.checks import checked_folder
-    from eagor.evaluation import predictions, studies
+    from eagor.evaluation import benchmarks, studies
 
     if options.run is not None:
         if options.task or options.set:
@@ -184,7 +184,7 @@ def export(options: BenchExport) -> int:
         if options.data:
             run = replace(run, settings={**run.settings, "data": str(options.data.resolve())})
     elif options.task and options.data:
-        run = predictions.bare(options.task, options.data, pairs_of(options.set))
+        run = benchmarks.bare_run(options.task, options.data, pairs_of(options.set))
     else:
         raise terminal.UsageError("give a run, or --task and --data")
     out = options.out or options.run

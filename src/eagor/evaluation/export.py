@@ -9,9 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._csv import as_csv
 from eagor._files import written
-from eagor._parquet import as_parquet
+from eagor._tables import as_csv, as_parquet
 from eagor.evaluation.page import Box, Sheet
 from eagor.evaluation.samples import Record, case_of, finished, group_of
 from eagor.evaluation.tables import compared_with

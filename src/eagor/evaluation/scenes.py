@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import WorldError
-from eagor.evaluation.charts import blank, colour_of, finished, look_of, style_of
+from eagor.evaluation.page import blank, colour_of, finished, look_of, style_of
 from eagor.evaluation.samples import Record, played_by
 from eagor.evaluation.tables import OURS, is_rival, ordered
 from eagor.tasks.floor_map import CELL, FLOOR, FloorMap

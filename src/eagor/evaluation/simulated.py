@@ -9,9 +9,8 @@ from typing import Any
 from eagor import worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import export, figures, scenes, sheets, tables
-from eagor.evaluation.charts import legend
-from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not
+from eagor.evaluation import export, scenes, sheets, tables
+from eagor.evaluation.page import Facts, Folded, Heading, Part, Pictures, Section, Sheet, Text, could_not, legend
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
 from eagor.evaluation.tables import OURS, PAPERS, is_ablation, is_rival, ordered, shown
@@ -69,13 +68,13 @@ class Simulated:
         strata = sheets.strata_sheets(summary)
         varied = sheets.ablation_sheets(summary, degrees)
         named = [(f"{c.title}{f' ({c.unit})' if c.unit else ''}", c.what) for c in task.columns]
-        honest = [*covered, *figures.reliability_chart(good)] if covered else []
-        variants = [*varied, *figures.kernel_chart(summary, degrees)] if varied else []
+        honest = [*covered, *sheets.reliability_chart(good)] if covered else []
+        variants = [*varied, *sheets.kernel_chart(summary, degrees)] if varied else []
         sections = [
             Section("figures", "Figures", [main, Folded("What the columns are", [Facts(named)])]),
             Section("ordering", "How far the paper's ordering carries over", ordering),
             Section("parts", "What the errors are made of", made_of),
-            *figures.curve_sections(good, task),
+            *sheets.curve_sections(good, task),
             Section("strata", "By kind of episode", strata),
             Section("coverage", "How honest the stated regions are", honest),
             Section("variants", "Variants", variants),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.evaluation.charts import Curve
+from eagor.evaluation.page import Curve
 from eagor.evaluation.samples import Record, group_of, mean_intervals, numbers, played_by
 from eagor.metrics import seam_crossings
 from eagor.sphere import direction

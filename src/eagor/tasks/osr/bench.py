@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from eagor._csv import as_csv
 from eagor._files import written
 from eagor._json import shown
+from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
 from eagor.perception.vlm import IMAGE
 from eagor.tasks.benchmark import (
