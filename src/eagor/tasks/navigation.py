@@ -76,8 +76,7 @@ def _start(
     thing, visible, winding = place.scene.instances[target], *wanted
     points, way = place.ground.points, place.way_to((target,))
     geodesic = place.ground.at_points(way)
-    outside = np.maximum(thing.low[:2] - points, points - thing.high[:2])
-    straight = np.linalg.norm(np.maximum(outside, 0.0), axis=-1)  # from the footprint
+    straight = distance_to_box(points, thing.low[:2], thing.high[:2])
     ratio = geodesic / np.maximum(straight, 1e-6)
     fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
     fits &= (ratio > rules.winding_above) if winding else (ratio <= rules.winding_above)
@@ -88,6 +87,11 @@ def _start(
         if seen == visible:
             return points[choice], float(geodesic[choice]), float(ratio[choice])
     return None
+
+
+def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Straight distance (metres) ``(n,)`` of points ``(n, 2)`` on the floor from a footprint."""
+    return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
 
 
 def score(rules: NavigationRules, shortest: float, distance: float, path: float, stopped: bool) -> dict[str, float]:
