@@ -29,7 +29,7 @@ sys.path.append(str(ROOT / "docs" / "figures"))
 from footage import FRAMES, LOOKS, SECONDS, pose_at
 
 from eagor import DirectionTracker, TrackerConfig
-from eagor.drawing.panorama import paint_belief
+from eagor.drawing import paint_belief
 from eagor.drawing.sheet import INK, figure, image, plain
 from eagor.drawing.video import Animation
 from eagor.evidence import Evidence

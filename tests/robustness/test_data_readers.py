@@ -19,7 +19,7 @@ from eagor.perception.vlm.answers import parse_boxes, parse_presence
 from eagor.tasks.benchmark import Case
 from eagor.tasks.hstar.bench import HOS
 from eagor.tasks.hstar.data import read_episodes, read_scenes
-from eagor.tasks.hstar.rules import normalised, parse_action, submit_succeeds, turned
+from eagor.tasks.hstar.rules import View, normalised, parse_action, submit_succeeds
 from eagor.tasks.osr.data import load
 from eagor.tasks.osr.scoring import SKILLS, distance_label, lenient, score
 from eagor.tasks.osr.sightings import read_depth, read_room, sightings
@@ -219,9 +219,9 @@ def test_answers(text):
     for form in ("free_think", "no_think", "grounding"):
         action = parse_action(text, form).action
         if action is not None:
-            yaw, pitch = turned(12.5, 3.0, action)
-            assert 0 <= yaw <= 360
-            assert -90 <= pitch <= 90
+            view = View(12.5, 3.0).after(action)
+            assert 0 <= view.yaw <= 360
+            assert -90 <= view.pitch <= 90
             submit_succeeds(ANNOTATION[0], action.yaw, action.pitch)
     for skill, truth in zip(SKILLS, ("2", "table", "Front Left", MAP), strict=True):
         for scored in (score, lenient):
