@@ -19,7 +19,7 @@ def seeing(monkeypatch):
     class Seeing:
         def open(self, what, session, which):
             used[session] = which
-            eye._build((what, session, which), said.append)
+            eye._build((what, session, which, *[None] * (what == "picture")), said.append)  # None: the whole sphere
             assert isinstance(said[-1], Built | Opened), said[-1]
             return said[-1]
 
