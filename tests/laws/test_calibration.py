@@ -117,12 +117,12 @@ def fitted(found, base):
 def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
     monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
     rounds, trials = [], []
-    best = fit("a detector", [recording(s, steps=12) for s in range(4)], 17, 1, lambda: trials.append(1), rounds.append)
-    assert len(trials) == 17
+    best = fit("a detector", [recording(s) for s in range(8)], 32, 1, lambda: trials.append(1), rounds.append)
+    assert len(trials) == 32
     assert len(rounds) == 2
     before, after = best.found_by["before"], best.found_by["after"]
     assert after["log score"][0] > before["log score"][0]
-    assert best.found_by["judged by"] == [1, 3]
+    assert best.found_by["judged by"] == [1, 3, 5, 7]
     assert fitted(best, SMALL).calibration == best.calibration
 
 

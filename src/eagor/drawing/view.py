@@ -369,7 +369,8 @@ class ViewScene:
         said = answer_in_words(estimate) if estimate.direction is not None else "direction not known"
         columns = max(12, int(width / (11.5 * scale)))
         if len(said) > columns:  # where the height begins
-            said = "\n".join(textwrap.fill(part, columns) for part in said.rsplit(", ", 1))
+            kept = said.replace(" degrees)", "\u00a0degrees)")  # a number stays with its unit
+            said = "\n".join(textwrap.fill(part, columns) for part in kept.rsplit(", ", 1))
         self._words.set_text(said)
         self._sure.set_text(sureness(estimate) if estimate.direction is not None else "")
         self._sure.set_color(COLOURS[estimate.status])
