@@ -31,7 +31,7 @@ from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.replays import Redrawn
 from eagor.studio.runs import page_of
 from eagor.studio.session import Loaded, Opened, Opening, Outbox, Question, Refused, See, Seen, Turn, Turned
-from eagor.studio.steps import lens_of, ordinary_jpeg
+from eagor.studio.steps import lens_of, shown_jpeg
 from eagor.tracking import TrackerConfig
 from eagor.tracking.follower import Follower
 
@@ -528,7 +528,7 @@ def test_an_ordinary_lens_is_told_in_tangents_and_its_picture_is_sent_as_the_ide
     wide, high = told["plane"]
     assert wide == pytest.approx(math.tan(grid.hfov / 2), abs=1e-5)
     assert high / wide == pytest.approx(2 / 3, abs=1e-5)
-    shown = np.asarray(Image.open(io.BytesIO(ordinary_jpeg(picture, grid, 100))).convert("L")).astype(float)
+    shown = np.asarray(Image.open(io.BytesIO(shown_jpeg(picture, grid, 100))).convert("L")).astype(float)
     assert shown.shape == (100, 150)
     row, column = (float((index * shown).sum() / shown.sum()) for index in np.indices(shown.shape))
     seen = grid.unproject(np.array([250.0]), np.array([100.0]))[0]

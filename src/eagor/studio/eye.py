@@ -45,7 +45,7 @@ from eagor.studio.session import (
     Turn,
     Turned,
 )  # fmt: skip
-from eagor.studio.steps import calibration_of, lens_of, ordinary_jpeg, small_jpeg
+from eagor.studio.steps import calibration_of, lens_of, shown_jpeg
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking.config import TrackerConfig
@@ -161,7 +161,7 @@ def _build(job: tuple[Any, ...], say: Callable[[Any], None]) -> None:
             session, path, hfov = rest
             found = _photograph(path)
             grid = _grid(found.picture, hfov)
-            say(Opened(session, _jpeg(found.picture, grid, PHOTO_ROWS), found.facts, lens_of(grid)))
+            say(Opened(session, shown_jpeg(found.picture, grid, PHOTO_ROWS), found.facts, lens_of(grid)))
     except Exception as error:
         if what == "warm":
             say(("warm",))  # whoever opens it is told what is wrong
@@ -225,7 +225,7 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
             except EagorError as error:
                 say(_refusal(job, error))
                 asked = None
-        small = _jpeg(frame.picture, grid, FIRST_ROWS)
+        small = shown_jpeg(frame.picture, grid, FIRST_ROWS)
         say(Turned(job.session, frame.stamp, pose, small, asked, looks, lost, lens=lens_of(grid)))
     except Exception as error:
         say(Refused(job.session, "picture", _said(error)))
@@ -285,10 +285,6 @@ def _looked(job: See, shown: np.ndarray | None = None) -> tuple[Evidence, ...]:
 def _grid(picture: np.ndarray, hfov: float | None) -> PerspectiveGrid | None:
     """The pixels of an ordinary camera's picture, which looks ahead; None for a panorama."""
     return None if hfov is None else PerspectiveGrid(picture.shape[0], picture.shape[1], hfov)
-
-
-def _jpeg(picture: np.ndarray, grid: PerspectiveGrid | None, rows: int) -> bytes:
-    return small_jpeg(picture, rows) if grid is None else ordinary_jpeg(picture, grid, rows)
 
 
 @lru_cache(maxsize=4)

@@ -15,7 +15,7 @@ from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, ordinary_jpeg, scene_of, small_jpeg
+from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
 
 __all__ = ["Shown", "watch"]
 
@@ -127,7 +127,7 @@ class Shown:
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
             seen, grid = picture.picture, picture.grid
             assert seen is not None
-            found = small_jpeg(seen, ROWS) if grid is None else ordinary_jpeg(seen, grid, ORDINARY)
+            found = shown_jpeg(seen, grid, ROWS if grid is None else ORDINARY)
             blobs["panorama"] = Blob("image/jpeg", found)
         self._say(Message(header, blobs))
 

@@ -25,7 +25,7 @@ from eagor.worlds.render import Photograph
 
 __all__ = [
     "FLOATS", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg", "estimate_json", "evidence_of",
-    "lens_of", "ordinary_jpeg", "scene_of", "seen_jpeg", "small_jpeg",
+    "lens_of", "scene_of", "seen_jpeg", "shown_jpeg", "small_jpeg",
 ]  # fmt: skip
 
 FLOATS = "float32"
@@ -151,8 +151,13 @@ def lens_of(grid: PerspectiveGrid | None) -> dict[str, Any] | None:
     return rounded({"plane": [wide, wide * grid.height / grid.width], "body_R_view": grid.body_R_view.reshape(9)}, 6)
 
 
-def ordinary_jpeg(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> bytes:
-    """The picture of an ordinary camera as JPEG, with so many rows at most, as the ideal lens of `lens_of` shows it."""
+def shown_jpeg(picture: np.ndarray, grid: PerspectiveGrid | None, rows: int) -> bytes:
+    """A picture as JPEG, with so many rows at most: an ordinary camera's as the ideal lens of `lens_of` shows it.
+
+    `grid`: its pixels; None: it is a panorama.
+    """
+    if grid is None:
+        return small_jpeg(picture, rows)
     height = min(rows, grid.height)
     width = max(1, round(grid.width * height / grid.height))
     small = np.asarray(Image.fromarray(np.ascontiguousarray(picture)).resize((width, height), Image.Resampling.BOX))
