@@ -238,14 +238,21 @@ def check_looks(perception: str) -> None:
 
 
 def tracker_config(
-    degree: int, perception: str, calibration: Path | None = None, detector: str | None = None, force: bool = False
+    degree: int,
+    perception: str,
+    calibration: Path | None = None,
+    detector: str | None = None,
+    force: bool = False,
+    static: bool = False,
 ) -> TrackerConfig:
-    """The tracker's configuration for ``--degree`` and the result of `calibrated`."""
-    from eagor.tracking.config import TrackerConfig
+    """The tracker's configuration for ``--degree``, the result of `calibrated`, and ``--static``, which wins."""
+    from eagor.tracking.config import MotionModel, TrackerConfig
 
     config = TrackerConfig(degree=checked_degree(degree))
     found = calibrated(perception, calibration, detector, force)
-    return config if found is None else config.fitted(found.calibration, found.detector, found.forgetting)
+    if found is not None:
+        config = config.fitted(found.calibration, found.detector, found.forgetting)
+    return replace(config, target_motion=MotionModel.still()) if static else config
 
 
 def calibrated(perception: str, calibration: Path | None, detector: str | None, force: bool) -> Calibrated | None:

@@ -36,7 +36,21 @@ from eagor.cli.checks import (
     rows_for,
     tracker_config,
 )
-from eagor.cli.options import CameraFile, Common, Detector, Flag, Floor, Force, Hfov, Mask, Modes, Rerun, Whole, bare
+from eagor.cli.options import (
+    CameraFile,
+    Common,
+    Detector,
+    Flag,
+    Floor,
+    Force,
+    Hfov,
+    Mask,
+    Modes,
+    Rerun,
+    Static,
+    Whole,
+    bare,
+)
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
@@ -101,6 +115,7 @@ class Live(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
+    static: Static = False
     mask: Mask = None
     force: Force = False
     json: Flag = False
@@ -174,7 +189,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
     told = ordinary(options.hfov, options.camera, options.rig)

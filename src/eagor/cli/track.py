@@ -52,6 +52,7 @@ from eagor.cli.options import (
     Out,
     Rerun,
     RigFile,
+    Static,
     Whole,
     bare,
     given,
@@ -112,6 +113,7 @@ class Track(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
+    static: Static = False
     drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
     """Heading drift of the poses in the first second, degrees; it grows with the square root of time."""
     compare: Flag = False
@@ -158,7 +160,7 @@ def track(options: Track) -> int:
     check_not_read(options.video, "--video", places)
     check_not_read(options.page, "--page", places)
     check_not_read(options.rerun, "--rerun", places)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     checked_modes(options.modes)
     perception = make_perception(spec, busy=True) if replay is None else replay
     journey = journey_of(options, places, perception) if replay is None else _of_looks(replay)
@@ -266,7 +268,7 @@ def _list_seen(options: Track, replay: ReplayPerception) -> int:
     from eagor.perception.footage import HiddenParts
 
     spec, journey = _seen_by(replay), _of_looks(replay)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     floor, drift = _checked_floor(options.floor, journey), checked_drift(options.drift)
     hidden = HiddenParts(mask_of(options.mask), terminal.log)
     return list_seen(options, replay, replace(config, floor_height=floor, drift=drift), hidden, options.modes)
