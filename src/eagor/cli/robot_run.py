@@ -237,7 +237,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
             rig = None if options.rig is None else read_rig(options.rig)
             network = {"domain": options.domain, "interface": options.interface}
             return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, rig=rig, **network)
-        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig)
+        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig, stitched=True)
         if not found.live:
             found.close()
             raise DeviceError(f"--source {source} is a recording; a robot that walks needs a live camera")
