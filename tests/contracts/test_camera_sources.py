@@ -566,7 +566,7 @@ def test_newest_stitches_only_what_is_taken():
     opening = raw_pipe("pipe:rgb24:128x64:stamped", raw(clips.rolled(count), [100.0 + k for k in range(count)]))
     camera = LiveCamera([opening])
     made = []
-    make, camera._panoramas.make = camera._panoramas.make, lambda *pictures: made.append(1) or make(*pictures)
+    make, camera._makers[0].make = camera._makers[0].make, lambda *pictures: made.append(1) or make(*pictures)
     with Newest(camera) as newest:
         until(lambda: camera.dropped == count - 1, "end of the pipe")
         assert newest.take(WAIT).stamp == 100.0 + count - 1

@@ -250,10 +250,10 @@ class FolderCamera:
                 yield Frame(last, picture, moment[lens].name, self._makers[lens].view, lens)
 
     def _read(self, moment: tuple[Path, ...]) -> list[np.ndarray]:
+        if self._rig is None:
+            return [read_photograph(moment[0], warn=False).picture]
         with warnings.catch_warnings():  # of shapes, which are checked here
             warnings.simplefilter("ignore")
-            if self._rig is None:
-                return [read_photograph(moment[0]).picture]
             return [read_panorama(path) for path in moment]
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
 from eagor.media.defects import fisheye_circles, problems
-from eagor.media.intrinsics import ASK, Camera, Told, in_words, ordinary_grid, told_by_photograph
+from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
 from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
 from eagor.media.rig_videos import are_ordinary, ordinary_cameras
 from eagor.media.rigs import Rig, sizes_of
@@ -37,10 +37,6 @@ LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 NOTHING = Told()
 Read = Callable[[], Picture]
 Say = Callable[[str], object]
-
-
-class ShapeError(ImageError):
-    """A picture is neither a whole panorama, 2:1, nor known to be that of an ordinary lens."""
 
 
 @dataclass
@@ -60,9 +56,7 @@ class FrameCheck:
 
     def read(self, path: Path) -> Picture:
         """The picture in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = read_photograph(path)
+        found = read_photograph(path, warn=False)
         return self(found, str(path), told_by_photograph(path) if self._is_ordinary(found) else NOTHING)
 
     def __call__(self, frame: Picture, name: str, told: Told = NOTHING) -> Picture:

@@ -14,6 +14,7 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
+from eagor.media.intrinsics import ShapeError
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
 
@@ -142,12 +143,16 @@ class Shown:
 
 
 def watch(
-    line: Connection, source: str, perception: str, opens: Callable[[Sequence[Watcher]], LiveLoop]
-) -> None:  # fmt: skip
+    line: Connection,
+    source: str,
+    perception: str,
+    opens: Callable[[Sequence[Watcher], float | None], LiveLoop],
+) -> None:
     """Run the loop that `opens` makes and say what happens, until the line or the parent ends.
 
     It is told ``("query", text, number)``: the number of the question, which answers carry. What cannot be opened is
-    said as a fatal problem.
+    said as a fatal problem. Where the pictures are those of an ordinary camera of which nothing is known, the page is
+    asked; it is told ``("hfov", degrees)``, which `opens` gets (None at first).
     """
     lock = threading.Lock()
 
@@ -156,12 +161,18 @@ def watch(
             line.send(message)
 
     shown = Shown(say, source, perception)
-    try:
-        loop = opens([shown])
-    except (EagorError, OSError) as error:
-        _problem(say, str(error))
-        _until_told_to_end(line, None)
-        return
+    loop, hfov = None, None
+    while loop is None:
+        try:
+            loop = opens([shown], hfov)
+        except ShapeError as error:
+            _problem(say, str(error).partition("; ")[0], asks="hfov")
+            if (hfov := _field_told(line)) is None:
+                return
+        except (EagorError, OSError) as error:
+            _problem(say, str(error))
+            _until_told_to_end(line, None)
+            return
     shown.loop = loop
     threading.Thread(target=_until_told_to_end, args=(line, shown), daemon=True).start()
     say(Message({"type": "status", "words": f"Opening {source}. The perception is being loaded."}))
@@ -172,9 +183,18 @@ def watch(
     _until_told_to_end(line, None)
 
 
-def _problem(say: Callable[[Message], None], text: str) -> None:
+def _problem(say: Callable[[Message], None], text: str, asks: str = "") -> None:
     words = {"problem": f"{text[:1].upper()}{text[1:]}.", "change": "Start eagor studio with another --source."}
-    say(Message({"type": "problem", **words, "fatal": True}))
+    say(Message({"type": "problem", **words, "fatal": True, **({"asks": asks} if asks else {})}))
+
+
+def _field_told(line: Connection) -> float | None:
+    """Wait for the field of view that a page tells, degrees; None if the line ends before."""
+    with suppress(EOFError, OSError):
+        while (told := line.recv()) is not None:
+            if told[0] == "hfov":
+                return float(told[1])
+    return None
 
 
 def _until_told_to_end(line: Connection, shown: Shown | None) -> None:
