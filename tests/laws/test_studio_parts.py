@@ -21,13 +21,15 @@ from eagor.errors import EagorError, ImageError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
-from eagor.live.events import Answer, Asked, EvidenceCame, Trouble
+from eagor.live.core import LiveCore, LoopSettings
+from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
+from eagor.media import Pose
 from eagor.media.intrinsics import ShapeError
 from eagor.studio import eye, runs
 from eagor.studio.guard import Gate
 from eagor.studio.houses import Body, Walker, outlines
 from eagor.studio.hub import Channel, Slot
-from eagor.studio.live import Shown, watch
+from eagor.studio.live import Shown, Waiting, watch
 from eagor.studio.messages import LONGEST, Blob, Message, PageError, merged, packed, read, rounded
 from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.replays import Redrawn
@@ -535,6 +537,19 @@ def test_a_live_source_asks_how_wide_its_camera_sees():
     assert tried == [None, 65.0]
     assert (first["asks"], first["problem"]) == ("hfov", "It gives 4 x 3, not 2:1.")
     assert ("asks" in second, second["problem"]) == (False, "It is unplugged.")
+
+
+def test_a_live_picture_waits_for_its_pose_but_not_for_ever():
+    waiting, core = Waiting(), LiveCore(LoopSettings(("ball",)))
+    for number in range(4):
+        frame = FrameCame(1.0 + number / 10, 1.0 + number / 10, str(number))
+        core.take(frame)
+        waiting.add(frame)
+    assert waiting.take(core, 1.4) is None
+    core.take(PoseCame(1.4, Pose(1.1, np.eye(3)), of_picture=True))
+    assert waiting.take(core, 1.4).name == "1"
+    assert waiting.take(core, 1.5) is None
+    assert waiting.take(core, 2.5).name == "3"
 
 
 @pytest.mark.filterwarnings("error")

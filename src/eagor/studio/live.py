@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -12,17 +13,41 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
+from eagor.live.core import LiveCore
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.media.intrinsics import ShapeError
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
 
-__all__ = ["Shown", "watch"]
+__all__ = ["Shown", "Waiting", "watch"]
 
 PICTURES = 0.2  # seconds between two panoramas that are sent, at least
 ROWS = 384  # of them, at most
 ORDINARY = 480  # rows of an ordinary camera's picture
+WAITING = 6  # pictures that wait for their pose, at least half of `PICTURES` apart
+LATE = 1.0  # seconds after which a picture is shown without
+
+
+class Waiting:
+    """Pictures that wait for their pose: one that is shown before it would be drawn where the camera pointed before."""
+
+    def __init__(self) -> None:
+        self._frames: deque[FrameCame] = deque(maxlen=WAITING)
+
+    def add(self, frame: FrameCame) -> None:
+        """A picture has come."""
+        if not self._frames or frame.arrival - self._frames[-1].arrival >= PICTURES / 2:
+            self._frames.append(frame)
+
+    def take(self, core: LiveCore, now: float) -> FrameCame | None:
+        """The newest picture whose pose is known; after `LATE` seconds, the newest. None: there is none yet."""
+        frames = self._frames
+        last = max((number for number, each in enumerate(frames) if core.posed(each.stamp)), default=-1)
+        if last < 0 and frames and now - frames[0].arrival > LATE:
+            last = len(frames) - 1
+        taken = [frames.popleft() for _ in range(last + 1)]
+        return taken[-1] if taken else None
 
 
 class Shown:
@@ -30,7 +55,7 @@ class Shown:
 
     def __init__(self, say: Callable[[Message], Any], source: str, perception: str) -> None:
         self._say, self._source, self._perception = say, source, perception
-        self._picture: FrameCame | None = None
+        self._waiting = Waiting()
         self._sent = -math.inf
         self._position: np.ndarray | None = None
         self._fresh = False
@@ -79,7 +104,7 @@ class Shown:
         with self._lock:
             self._tried(event)
         if isinstance(event, FrameCame) and event.picture is not None:
-            self._picture = event
+            self._waiting.add(event)
             lens = lens_of(event.grid)
             if lens != self._lens:
                 self._lens = lens
@@ -120,9 +145,10 @@ class Shown:
             self._shown = estimate.hypotheses
             header["belief"], coefficients = belief_of(estimate, answer.stamp, estimate.config.degree)
             blobs["belief"] = Blob(FLOATS, coefficients)
-        picture = self._picture
-        if picture is not None and answer.stamp - self._sent >= PICTURES:
-            self._picture, self._sent = None, answer.stamp
+        soon = answer.stamp - self._sent < PICTURES
+        picture = None if soon else self._waiting.take(self.loop.core, answer.stamp)
+        if picture is not None:
+            self._sent = answer.stamp
             pose = self.loop.core.orientation(picture.stamp)
             pose = estimate.world_R_body if pose is None else pose
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}

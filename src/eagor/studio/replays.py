@@ -29,6 +29,7 @@ from eagor.live.events import Answer, FrameCame, PoseCame
 from eagor.live.recording import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.houses import plan_of
+from eagor.studio.live import Waiting
 from eagor.studio.messages import jpeg, rounded
 from eagor.studio.steps import belief_in_json, believed, calibration_of, lens_of, scene_of, seen_jpeg, shown_jpeg
 from eagor.tasks.episodes import Episode
@@ -203,18 +204,20 @@ def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda
     if asked not in queries:
         raise FormatError(f"{folder} has no query {asked!r}; it has {', '.join(map(repr, queries))}")
     core, kept, lens = LiveCore(replay.settings), Thinned(KEPT), _lens(replay)
+    waiting = Waiting()
     panorama: FrameCame | None = None
     place: np.ndarray | None = None
     last = -math.inf
     for event in replay.events(pictures=True):
         if isinstance(event, FrameCame) and event.picture is not None:
-            panorama = event
+            waiting.add(event)
         elif isinstance(event, PoseCame) and event.pose.position is not None:
             place = event.pose.position
         for answer in core.take(event):
             if answer.query != asked or answer.stamp - last < APART:
                 continue
             last = answer.stamp
+            panorama = waiting.take(core, last) or panorama
             advance(kept.count)
             # Only what is kept is computed: a recording may be long.
             kept.add(_answered(answer, panorama, place, core, lens) if kept.wants else None)
