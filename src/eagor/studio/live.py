@@ -200,13 +200,14 @@ def watch(
             _until_told_to_end(line, None)
             return
     shown.loop = loop
-    threading.Thread(target=_until_told_to_end, args=(line, shown), daemon=True).start()
+    listening = threading.Thread(target=_until_told_to_end, args=(line, shown), daemon=True)
+    listening.start()
     say(Message({"type": "status", "words": f"Opening {source}. The perception is being loaded."}))
     try:
         loop.run(lambda _: None)
     except EagorError as error:
         _problem(say, str(error))
-    _until_told_to_end(line, None)
+    listening.join()  # questions to a source that has ended are refused there
 
 
 def _problem(say: Callable[[Message], None], text: str, asks: str = "") -> None:
