@@ -170,7 +170,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     """The loop that the options ask for, with its camera open. Raises `UsageError`, and as `LiveLoop`."""
     from eagor.live.loop import LiveLoop
     from eagor.media.camera_sources import open_camera
-    from eagor.robots.poses import ROS
+    from eagor.robots import ROS
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
@@ -248,7 +248,7 @@ def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
     from eagor.live.threads import GivenPoses, MotionPoses
     from eagor.media.pose_files import odometry_of_file
-    from eagor.robots.poses import GO2, ROS, open_poses
+    from eagor.robots import GO2, ROS, open_poses
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
     text = options.poses
