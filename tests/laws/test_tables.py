@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from eagor.errors import EagorError
 from eagor.evaluation import traces
-from eagor.evaluation.export import FIELDS, table_csv
 from eagor.evaluation.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
 from eagor.evaluation.sheets import half_width_deg, highest_sidelobe, kernel, main_sheet, ordering_sheet, verdict
+from eagor.evaluation.study import FIELDS, table_csv
 from eagor.evaluation.tables import FIGURES, OURS, as_text, best, mark, ordered, shown, summarise, varied_by
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import direction
