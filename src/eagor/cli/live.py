@@ -319,7 +319,7 @@ class _Told:
         return {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
 
     def _next_in_words(self) -> list[str]:
-        from eagor.drawing.words import in_words
+        from eagor.drawing.style import in_words
 
         return [] if self._next is None else [f"look next {in_words(*self._next)}"]
 
@@ -346,7 +346,7 @@ class _Told:
 
 def _in_line(answer: Answer) -> str:
     """An answer for the status line: "red chair: 12 degrees to the left, within 5°, tracking"."""
-    from eagor.drawing.words import answer_in_words
+    from eagor.drawing.style import answer_in_words
 
     e = answer.estimate
     cone = "" if e.direction is None else f", within {math.degrees(e.credible_angle):.0f}°"
