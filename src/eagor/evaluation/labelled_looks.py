@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from eagor._checks import checked_stamp
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import DirectionError, EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections, bump_norms, tangent_frames

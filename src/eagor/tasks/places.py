@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from eagor import worlds
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.evidence import BodyMask
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.queries import COLOURS, Query

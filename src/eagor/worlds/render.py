@@ -16,8 +16,8 @@ import numpy as np
 from PIL import Image
 
 from eagor._arrays import frozen
-from eagor._lazy import lazy
 from eagor._srgb import to_coded, to_linear
+from eagor._values import lazy
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.media.panorama import checked_picture, turn

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import WorldError
 
 STRUCTURE = ("wall", "floor", "ceiling", "door", "window")  # categories that are part of the building

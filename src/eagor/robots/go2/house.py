@@ -19,8 +19,8 @@ import numpy as np
 
 from eagor import worlds
 from eagor._checks import require, whole, within
-from eagor._lazy import lazy
 from eagor._processes import Worker, WorkerEnded
+from eagor._values import lazy
 from eagor.errors import DeviceError, EagorError, QueryError, WorldError
 from eagor.media import Pose
 from eagor.queries import COLOURS, Query, parse_query

@@ -19,8 +19,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from eagor._lazy import lazy
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
+from eagor._values import lazy
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import DeviceError
 from eagor.media import Frame

@@ -23,7 +23,7 @@ import numpy as np
 
 from eagor._files import most_unpacked
 from eagor._json import number, parsed, shown
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.tasks.benchmark import picture_size
 from eagor.tasks.hstar.rules import FARTHEST, View, level_of, window_of
