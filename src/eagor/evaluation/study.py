@@ -205,15 +205,8 @@ def table_csv(summary: dict[str, Any]) -> str:
                 key = column.key
                 ends = part["intervals"][method][key] or (None, None)
                 row = [
-                    summary["task"],
-                    stratum,
-                    method,
-                    key,
-                    column.unit,
-                    values[key],
-                    *ends,
-                    part["counts"][method][key],
-                ]
+                    summary["task"], stratum, method, key, column.unit, values[key], *ends, part["counts"][method][key],
+                ]  # fmt: skip
                 if found := part.get("differences", {}).get(method, {}).get(key):
                     row += [compared_with(method, summary["reference"])]
                     row += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]

@@ -63,20 +63,12 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
         raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
     seen, first, route, balls = best
     return TrackingEpisode(
-        slot=slot,
-        scene=place.scene.source,
-        scene_hash=place.scene.hash,
-        query=f"{colour} ball",
-        targets=(len(place.scene.instances),),
-        start=(float(route[0, 0]), float(route[0, 1])),
-        yaw=float(route[0, 2]),
+        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
+        targets=(len(place.scene.instances),), start=(float(route[0, 0]), float(route[0, 1])), yaw=float(route[0, 2]),
         shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
-        stratum={"scenario": scenario, "in view": round(seen, 3)},
-        route=tuple(tuple(row) for row in route.tolist()),
-        balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls),
-        radius=radius,
-        colour=colour,
-    )
+        stratum={"scenario": scenario, "in view": round(seen, 3)}, route=tuple(tuple(row) for row in route.tolist()),
+        balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls), radius=radius, colour=colour,
+    )  # fmt: skip
 
 
 def _drawn(

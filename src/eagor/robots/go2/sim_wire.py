@@ -125,21 +125,11 @@ def sport_fields(motion: Motion, stamp: float, error_code: int = 0) -> SportFiel
     roll, pitch, yaw = math.atan2(m21, m22), -math.asin(max(-1.0, min(1.0, m20))), math.atan2(m10, m00)
     second = math.floor(stamp)
     return SportFields(
-        second,
-        min(int(1e9 * (stamp - second)), 999_999_999),
-        error_code,
-        _wxyz(roll, pitch, yaw),
-        tuple(motion.rates.tolist()),
-        (GRAVITY * m20, GRAVITY * m21, GRAVITY * m22),
-        (roll, pitch, yaw),
-        motion.mode,
-        gait_type=1 if motion.mode == WALKING else 0,
-        foot_raise_height=LIFT,
-        position=tuple(pose.position.tolist()),
-        body_height=float(pose.position[2]),
-        velocity=tuple(motion.velocity.tolist()),
-        yaw_speed=motion.yaw_rate,
-    )
+        second, min(int(1e9 * (stamp - second)), 999_999_999), error_code, _wxyz(roll, pitch, yaw),
+        tuple(motion.rates.tolist()), (GRAVITY * m20, GRAVITY * m21, GRAVITY * m22), (roll, pitch, yaw), motion.mode,
+        gait_type=1 if motion.mode == WALKING else 0, foot_raise_height=LIFT, position=tuple(pose.position.tolist()),
+        body_height=float(pose.position[2]), velocity=tuple(motion.velocity.tolist()), yaw_speed=motion.yaw_rate,
+    )  # fmt: skip
 
 
 def _wxyz(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

@@ -402,21 +402,14 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
     for part in (*odometry.values(), low, sport, others):
         part.close()
     return Report(
-        topics,
-        rates,
-        firmware=None if main.bytes is None else f"states of {main.bytes} bytes, {_form(main.bytes)}",
+        topics, rates, firmware=None if main.bytes is None else f"states of {main.bytes} bytes, {_form(main.bytes)}",
         mode=None if newest is None else MODES.get(newest.mode or 0, f"mode {newest.mode}"),
         error_code=None if newest is None else newest.error_code,
-        clock=None if offset is None or newest is None else -offset,
-        lateness=lateness,
-        battery=None if reading is None else reading.soc,
-        volts=None if reading is None else reading.volts,
-        sport_version=version,
-        answer=answer,
-        commands=others.count,
-        cameras=tuple(topic for topic, kind in topics.items() if kind in PICTURES),
-        problems=tuple(problems),
-    )
+        clock=None if offset is None or newest is None else -offset, lateness=lateness,
+        battery=None if reading is None else reading.soc, volts=None if reading is None else reading.volts,
+        sport_version=version, answer=answer, commands=others.count,
+        cameras=tuple(topic for topic, kind in topics.items() if kind in PICTURES), problems=tuple(problems),
+    )  # fmt: skip
 
 
 def _form(size: int) -> str:

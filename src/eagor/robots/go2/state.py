@@ -431,19 +431,11 @@ class LowFields:
         imu, motors, bms = 9, 9 + 14, 9 + 14 + 20 * 12
         tick = bms + 5 + 1 + 4 + 15 + 8
         return cls(
-            values[imu : imu + 4],
-            values[imu + 4 : imu + 7],
-            values[imu + 7 : imu + 10],
-            values[imu + 10 : imu + 13],
-            soc=values[bms + 3],
-            current=values[bms + 4],
-            tick=values[tick],
-            wireless_remote=values[tick + 1],
-            power_v=values[tick + 6],
-            power_a=values[tick + 7],
-            angles=values[motors + 1 : motors + 12 * MOTORS : 12],
+            values[imu : imu + 4], values[imu + 4 : imu + 7], values[imu + 7 : imu + 10], values[imu + 10 : imu + 13],
+            soc=values[bms + 3], current=values[bms + 4], tick=values[tick], wireless_remote=values[tick + 1],
+            power_v=values[tick + 6], power_a=values[tick + 7], angles=values[motors + 1 : motors + 12 * MOTORS : 12],
             rates=values[motors + 2 : motors + 12 * MOTORS : 12],
-        )
+        )  # fmt: skip
 
     def to_bytes(self) -> bytes:
         """The whole message with its checksum; all that is not here is 0. Motors that are there run in mode 1."""

@@ -323,15 +323,10 @@ class Watch:
         resets = self._said.get("resets", 0)
         released, self._resets, self._release = self._release or resets > self._resets, resets, False
         return replace(
-            inputs,
-            gone=self.ending is not None,
-            stated=inputs.stated + self.robot.faults(),
-            body=self.robot.body,
-            deadman=deadman,
-            acknowledged=self.robot.acknowledged,
-            emergency=inputs.emergency or emergency or self.ending is not None,
-            reset=released,
-        )
+            inputs, gone=self.ending is not None, stated=inputs.stated + self.robot.faults(), body=self.robot.body,
+            deadman=deadman, acknowledged=self.robot.acknowledged,
+            emergency=inputs.emergency or emergency or self.ending is not None, reset=released,
+        )  # fmt: skip
 
     def _deadman(self, now: float) -> tuple[bool | None, bool]:
         """Whether the switch is held (None: there is none), and whether somebody stops for good."""

@@ -124,16 +124,11 @@ class GuardState:
         """After a step of the gate at `now`; `body`: the robot's state then; `problem`: of the last command."""
         seen = {} if body is None else {name: getattr(body, name) for name in ("roll", "pitch", "speed", "turn")}
         return cls(
-            now,
-            output.mode,
-            output.send if isinstance(output.send, Velocity) else None,
-            output.would if isinstance(output.would, Velocity) else None,
-            stops,
+            now, output.mode, output.send if isinstance(output.send, Velocity) else None,
+            output.would if isinstance(output.would, Velocity) else None, stops,
             tuple((fault.name, fault.words) for fault in output.faults),
-            output.remarks + ((problem,) if problem else ()),
-            posture=posture,
-            **seen,
-        )
+            output.remarks + ((problem,) if problem else ()), posture=posture, **seen,
+        )  # fmt: skip
 
     def as_message(self) -> dict[str, Any]:
         """For a line: with the first reasons, shortened."""
@@ -188,13 +183,9 @@ class GateClient(ABC):
         """
         now = time.monotonic()
         self._say(
-            image=stamp_of(now, image_age),
-            pose=stamp_of(now, pose_age),
-            belief=stamp_of(now, belief_age),
-            presence=presence,
-            stated=tuple(faults),
-            heartbeat=now,
-        )
+            image=stamp_of(now, image_age), pose=stamp_of(now, pose_age), belief=stamp_of(now, belief_age),
+            presence=presence, stated=tuple(faults), heartbeat=now,
+        )  # fmt: skip
 
     def pose(self, age: float) -> None:
         """A pose that was true `age` seconds ago has come; between two calls of `status`."""
