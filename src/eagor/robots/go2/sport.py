@@ -401,8 +401,9 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
     offset = main.clock.offsets.offset
     for part in (*odometry.values(), low, sport, others):
         part.close()
+    form = "with" if main.bytes == LONG else "without"
     return Report(
-        topics, rates, firmware=None if main.bytes is None else f"states of {main.bytes} bytes, {_form(main.bytes)}",
+        topics, rates, firmware=None if main.bytes is None else f"states of {main.bytes} bytes, {form} a planned path",
         mode=None if newest is None else MODES.get(newest.mode or 0, f"mode {newest.mode}"),
         error_code=None if newest is None else newest.error_code,
         clock=None if offset is None or newest is None else -offset, lateness=lateness,
@@ -410,10 +411,6 @@ def examine(link: Link, seconds: float = 3.0) -> Report:
         sport_version=version, answer=answer, commands=others.count,
         cameras=tuple(topic for topic, kind in topics.items() if kind in PICTURES), problems=tuple(problems),
     )  # fmt: skip
-
-
-def _form(size: int) -> str:
-    return "with a planned path" if size == LONG else "without a planned path"
 
 
 def _unheard(main: Go2State, topics: dict[str, str]) -> str:

@@ -8,6 +8,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -215,10 +216,10 @@ class RosPoses:
             )
             subscribe = self._graph.subscribe
             self._readers.append(
-                subscribe(TF_STATIC, TRANSFORMS, self._fixed, reliable=True, depth=100, transient=True)
+                subscribe(TF_STATIC, TRANSFORMS, partial(self._moved, True), reliable=True, depth=100, transient=True)
             )
             if self.kind != TRANSFORMS:
-                self._readers.append(subscribe(TF, TRANSFORMS, self._moved, depth=100))
+                self._readers.append(subscribe(TF, TRANSFORMS, partial(self._moved, False), depth=100))
                 self._settle(ended)
             self._main = subscribe(self.topic, self.kind, self._received, depth=100)
             self._readers.append(self._main)
@@ -262,11 +263,8 @@ class RosPoses:
         if self._own is not None:
             self._own.close()
 
-    def _fixed(self, message: Any, _: float) -> None:
-        self._take(lambda: self.reader.transforms(message, True))
-
-    def _moved(self, message: Any, _: float) -> None:
-        self._take(lambda: self.reader.transforms(message, False))
+    def _moved(self, fixed: bool, message: Any, _: float) -> None:
+        self._take(lambda: self.reader.transforms(message, fixed))
 
     def _received(self, message: Any, _: float) -> None:
         self._take(lambda: self.reader.take(message))
