@@ -5,7 +5,7 @@
   report and compares two;
 - `workers` carries a run out, alone, with a `worker_pool`, or on a Ray cluster; `ledger` keeps a line of JSON for each
   unit;
-- `samples`: records, checked; means, intervals and paired differences. Of them `tables`, `traces` and
+- `samples`: records, checked; means, intervals and paired differences. Of them `tables` and
   `benchmark_tables` make the figures of a run;
 - the report: a page (`page`, `sheets`, `scenes`), Markdown, LaTeX and CSV, beside what was published
   (``published.toml``);
