@@ -176,7 +176,7 @@ def _checked_floor(floor: float | None) -> float | None:
 
 
 def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:
-    from eagor.drawing.words import STATUS, answer_in_words, far_in_words, signed
+    from eagor.drawing.style import STATUS, answer_in_words, far_in_words, signed
     from eagor.perception import short_name
 
     known = estimate.direction is not None
@@ -199,7 +199,7 @@ def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:
 
 def _print_modes(estimate: Estimate, count: int) -> None:
     """Print the candidates and the remaining probability."""
-    from eagor.drawing.words import in_words, signed
+    from eagor.drawing.style import in_words, signed
 
     shown = estimate.modes[:count]
     print("  candidates      azimuth elevation  weight (probability that it is thereabouts, if it is here)")
@@ -213,7 +213,7 @@ def _print_modes(estimate: Estimate, count: int) -> None:
 def _draw(options: Locate, frames: Sequence[Picture], estimate: Estimate) -> None:
     """Draw the picture that the answer is in, or is nearest to; what the others show is beside it."""
     from eagor.drawing import Mosaic, draw_belief
-    from eagor.drawing.words import answer_in_words
+    from eagor.drawing.style import answer_in_words
 
     assert options.picture is not None
     frame, mosaic = frames[0], Mosaic()
