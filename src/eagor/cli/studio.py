@@ -223,4 +223,4 @@ def serve(line: Connection, options: Live) -> None:
     from eagor.studio.live import watch
 
     source, _ = asked(options)
-    watch(line, source, options.perception or "", lambda watchers: loop_of(options, watchers))
+    watch(line, source, options.perception or "", lambda watchers: loop_of(options, watchers, around=True))
