@@ -484,7 +484,7 @@ class Loop:
     """What a live source's watcher needs of the loop: it notes what is followed."""
 
     def __init__(self):
-        self.core = SimpleNamespace(config=TrackerConfig(), queries=("ball",))
+        self.core = SimpleNamespace(config=TrackerConfig(), queries=("ball",), around=None)
         self.followed = []
         self.follow = self.followed.append
 

@@ -15,11 +15,11 @@ from eagor.errors import EagorError
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
+from eagor.studio.steps import FLOATS, Listing, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
 
 __all__ = ["Shown", "watch"]
 
-PICTURES = 0.2  # seconds between two panoramas that are sent, at least
+PICTURES = 0.2  # seconds between two panoramas that are sent, at least; also between rows of what else is here
 ROWS = 384  # of them, at most
 ORDINARY = 480  # rows of an ordinary camera's picture
 
@@ -39,6 +39,7 @@ class Shown:
         self._lens: dict[str, Any] | None = None  # of an ordinary camera
         self._ended = False
         self.loop: Any = None
+        self._listing, self._listed = Listing(), -math.inf  # of what else is here, and when it was renewed
         self._lock = threading.Lock()  # questions come in a thread of their own
 
     def ask(self, query: str, number: int) -> None:
@@ -119,6 +120,9 @@ class Shown:
             self._shown = estimate.hypotheses
             header["belief"], coefficients = belief_of(estimate, answer.stamp, estimate.config.degree)
             blobs["belief"] = Blob(FLOATS, coefficients)
+        around = self.loop.core.around
+        if around is not None and around.names and answer.stamp - self._listed >= PICTURES:
+            self._listed, header["things"] = answer.stamp, self._listing.renew(around, answer.stamp)
         picture = self._picture
         if picture is not None and answer.stamp - self._sent >= PICTURES:
             self._picture, self._sent = None, answer.stamp

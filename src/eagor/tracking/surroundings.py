@@ -73,14 +73,14 @@ class _Count:
 
 
 class Surroundings:
-    """Follows every class that was seen, `MOST` at a time: beyond, what was not seen for longest is forgotten.
+    """Follows every class that was seen, `most` at a time: beyond, what was not seen for longest is forgotten.
 
     Poses come with `move`, looks with `look`; `take_in` does the work, a few milliseconds a call. `among`: how many
     looks counted, `newest`: the stamp of the last. Settings are those of a tracker. Not for several threads.
     """
 
-    def __init__(self, config: TrackerConfig | None = None) -> None:
-        self.tracker = DirectionTracker(config)
+    def __init__(self, config: TrackerConfig | None = None, most: int = MOST) -> None:
+        self.tracker, self.most = DirectionTracker(config), most
         self.reset()
 
     def reset(self) -> None:
@@ -124,7 +124,7 @@ class Surroundings:
         for name in around.found:
             count = self._seen.setdefault(name, _Count())
             count.looks, count.last = count.looks + (count.last < self.newest), self.newest
-        while len(self._seen) > MOST:
+        while len(self._seen) > self.most:
             oldest = min(self._seen, key=lambda each: self._seen[each].last)
             del self._seen[oldest]
             self.tracker.forget(oldest)
