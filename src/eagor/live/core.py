@@ -61,7 +61,7 @@ FUTURE = 0.1  # seconds by which evidence may be ahead of time
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
 ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
-ASIDE = 0.05  # seconds between two computations for what nobody has asked for
+ASIDE = 0.1  # seconds between two computations for what nobody has asked for
 TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
 
 

@@ -62,17 +62,6 @@ class Following:
             self.posed = stamp
             self.follower.move(stamp, world_R_body, position)
 
-    def begin(self, query: str, around: Surroundings) -> None:
-        """Begin with what was seen of `query` before anybody asked for it, if it is one of the names."""
-        tracker = self.follower.tracker
-        if query in around.names and tracker.config == around.tracker.config:
-            tracker.begin("target", query, around.tracker)
-
-    @property
-    def begun(self) -> bool:
-        """Whether any look has been taken in."""
-        return bool(self.follower.tracker.targets)
-
     def look(self, evidence: Evidence) -> None:
         """A look, stamped with the time of a pose. One that comes later than the history reaches is left out."""
         with suppress(PoseError, TimeError):
@@ -150,9 +139,9 @@ class Rivals:
 class FollowingSession:
     """What all sessions share: the question, what is believed about it, and how that is said to the page.
 
-    A new question changes nothing until a look for it has been taken: so one that is refused changes nothing at all. A
-    session of a kind says when it looks, and when it takes a step. `due`: when `tick` is to be called, on
-    `time.monotonic`.
+    A new question changes nothing until a look for it has been taken: so one that is refused changes nothing at all.
+    One for a thing that was seen already is answered at once. A session of a kind says when it looks, and when it
+    takes a step. `due`: when `tick` is to be called, on `time.monotonic`.
     """
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
@@ -207,7 +196,14 @@ class FollowingSession:
             self._asked = asked
         if asked.perception not in self._calibrated:
             self._load()
+        if asked == self._next and self._knows(asked):
+            self._answers(asked)
         return True
+
+    def _knows(self, asked: Question) -> bool:
+        """Whether it is one of the things that were seen already, by the same eyes."""
+        same = asked.perception == self._asked.perception and asked.degree == self._asked.degree == BASE.degree
+        return same and asked.query in self._around.names
 
     @property
     def _wanted(self) -> Question | None:
@@ -218,7 +214,7 @@ class FollowingSession:
     def _answers(self, question: Question | None) -> bool:
         """Whether a look for this question says something now; the first one for a new question takes it up."""
         if question is not None and question == self._next:
-            kept = question.perception == self._asked.perception
+            kept, known = question.perception == self._asked.perception, self._knows(question)
             around, listing = self._around, self._listing
             self._asked, self._next, self._due_once = question, None, True
             self.opening = replace(self.opening, question=self._asked)
@@ -226,7 +222,8 @@ class FollowingSession:
             if kept:  # the same eyes: what they have seen of it counts
                 self._around, self._listing, self._unlisted = around, listing, len(around.names)
                 self._parts["things"] = listing.rows[:LISTED]
-                self._following.begin(question.query, around)
+                if known:
+                    self._following.follower.tracker.begin("target", question.query, around.tracker)
             return True
         return question == self._asked
 
@@ -274,11 +271,10 @@ class FollowingSession:
         around: Around | None = None,
         again: bool = False,
     ) -> None:
-        """Take in the looks at what was seen from a pose, and at all else; `again`: at the same picture as before."""
+        """Take in the looks at what was seen from a pose, and at all else; `again`: at a picture that has counted."""
         self._pose(stamp, world_R_body, position)  # if the question is as new as the look, there is none yet
-        if not (again and self._following.begun):
-            for evidence in looks:
-                self._following.look(evidence)
+        for evidence in looks:
+            self._following.look(evidence)
         if around is not None and not again:
             with suppress(PoseError, TimeError):
                 if self._around.look(around.at(stamp)):

@@ -60,12 +60,13 @@ class Shown:
             self._say(Message({"type": "problem", **said}))
         self._next = None
 
-    def _tried(self, event: Event) -> None:
-        """Take up a new query with the first look for it, drop one that cannot be looked for."""
+    def _tried(self, event: Event, answers: Sequence[Answer]) -> None:
+        """Take up a new query with the first look for it, at once if it was seen before; drop one that cannot be."""
         asked = self._next
         if asked is None or self._asked is None:
             return
-        if isinstance(event, EvidenceCame) and event.query == asked[0]:
+        known = any(each.query == asked[0] and math.isfinite(each.look_age) for each in answers)
+        if known or (isinstance(event, EvidenceCame) and event.query == asked[0]):
             self._asked, self._next = asked, None
             self._scene()
         elif isinstance(event, Trouble) and event.part == "perception" and event.about == asked[0] and event.text:
@@ -77,7 +78,7 @@ class Shown:
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop, and the answers to it."""
         with self._lock:
-            self._tried(event)
+            self._tried(event, answers)
         if isinstance(event, FrameCame) and event.picture is not None:
             self._picture = event
             lens = lens_of(event.grid)

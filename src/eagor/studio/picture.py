@@ -129,7 +129,7 @@ class VideoSession(FollowingSession):
         self._start: float | None = 0.0  # where to seek with the next frame
         self._lens: dict[str, Any] | None = None  # of an ordinary camera: the first frame tells
         self._anchor: tuple[float, float] | None = None  # time of the video, and ours
-        self._frame: dict[str, Any] | None = None  # that is shown
+        self._frame: tuple[float, np.ndarray, dict[str, Any]] | None = None  # that is shown: its time, pose, and number
         self._same = False  # it was looked at before
         out.status(number, f"Reading {opening.name or 'the video'}.")
 
@@ -173,8 +173,9 @@ class VideoSession(FollowingSession):
         """Ask for the next frame; one frame is shown after a seek even while the video is paused."""
         more = self._work(now, soonest, 0.0)
         self.due = now + 2 * soonest if more else math.inf
-        if not more and "things" in self._parts and self._frame is not None and (self._paused or self._over):
-            self._step(self._following.answer(self._following.posed, 0.0), self._following.posed, frame=self._frame)
+        news = self._due_once or (not more and "things" in self._parts)
+        if news and self._frame is not None and (self._paused or self._over):
+            self._say(*self._frame)
         wanted = self._start is not None or self._again or not (self._paused or self._over)
         if not self._running or self._asking or not wanted:
             return 0.0
@@ -198,6 +199,11 @@ class VideoSession(FollowingSession):
         about = {} if self._lens is None else {"lens": self._lens}
         self._scene("picture", self.opening.name or "Video", frames=self.opening.frames, **about)
 
+    def _say(self, stamp: float, pose: np.ndarray, frame: dict[str, Any]) -> None:
+        """Say what is believed at a frame."""
+        self._pose(stamp, pose, None)
+        self._step(self._following.answer(stamp, 0.0), stamp, frame=frame)
+
     def _show(self, said: Turned, now: float) -> None:
         """One frame: take in its looks, and say what is believed."""
         if said.lens != self._lens:
@@ -213,8 +219,9 @@ class VideoSession(FollowingSession):
         if looks:
             looks = [replace(evidence, stamp=stamp) for evidence in looks]
             self._take(looks, stamp, pose, None, said.around, self._same)
-        self._frame = {"n": round(stamp * LOOKS), "of": self.opening.frames, "stamp": rounded(stamp, 3)}
-        self._step(self._following.answer(stamp, 0.0), stamp, frame=self._frame)
+        frame = {"n": round(stamp * LOOKS), "of": self.opening.frames, "stamp": rounded(stamp, 3)}
+        self._frame = stamp, pose, frame
+        self._say(*self._frame)
         if self._anchor is None:
             self._anchor = stamp, now
         # At the video's speed at most: the next frame is due when its time has come.
