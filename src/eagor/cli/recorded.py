@@ -83,7 +83,7 @@ def entries(found: Sequence[ThingSeen], modes: int) -> list[dict[str, Any]]:
 
 
 def _line(thing: ThingSeen, begins: float) -> str:
-    from eagor.drawing.words import signed
+    from eagor.drawing.style import signed
 
     e = thing.estimate
     cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
