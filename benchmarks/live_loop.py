@@ -3,6 +3,7 @@
 python benchmarks/live_loop.py                    # CPU per simulated second, as fast as it goes
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
 python benchmarks/live_loop.py --in-turn          # a picture is searched for one of the targets
+python benchmarks/live_loop.py --what-else 10     # each picture also shows ten things that nobody asked for
 python benchmarks/live_loop.py --turning          # a camera that turns, in real time: do cones hold the truth?
 python benchmarks/live_loop.py --hours 8 --in-turn   # memory after hour 1 and at the end
 """
@@ -21,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from eagor import DetectorModel, Evidence
-from eagor.live.core import LiveCore, LoopSettings
-from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.live.core import ASIDE, LiveCore, LoopSettings
+from eagor.live.events import AllCame, Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media import Frame, Pose
 from eagor.media.panorama import read_panorama
 from eagor.sphere import angular_distance, unit, world_R_body
-from eagor.tracking import TrackerConfig
+from eagor.tracking import Around, TrackerConfig
 
 POSES, LOOKS, ANSWERS, TARGETS = 200, 10, 50, 3  # per second, and how many things are followed
 LATENCY = 0.4  # seconds from a picture to its evidence
@@ -67,15 +68,17 @@ def use(answer) -> None:
 class Run:
     """Events of a simulated run, handed to a core second by second."""
 
-    def __init__(self, positions: bool, in_turn: bool, seed: int = 0) -> None:
+    def __init__(self, positions: bool, in_turn: bool, others: int = 0, seed: int = 0) -> None:
         self.in_turn = in_turn
-        self.core = LiveCore(LoopSettings(QUERIES, TrackerConfig(history=60.0)))  # as the loop has it
+        around = ASIDE if others else None
+        self.core = LiveCore(LoopSettings(QUERIES, TrackerConfig(history=60.0), around=around))  # as the loop has it
         self.draw, self.positions, self.second = np.random.default_rng(seed), positions, 0
         angles = 2 * np.pi * np.arange(TARGETS) / TARGETS
         self.world = np.stack([4 * np.cos(angles), 4 * np.sin(angles), 0.2 * np.ones(TARGETS)], axis=-1)
+        self.others = 3 * np.random.default_rng(seed + 1).normal(size=(others, 3))
         self.made = 0.0  # seconds of CPU that making the events took, which is not the loop's
         self.errors: list[float] = []
-        self.waiting: list[EvidenceCame] = []
+        self.waiting: list[EvidenceCame | AllCame] = []
 
     def one_second(self) -> None:
         """Take in a second of events."""
@@ -90,6 +93,13 @@ class Run:
             come = list(zip(QUERIES, seen, strict=True))
             come = come[number % TARGETS :][:1] if self.in_turn else come
             self.waiting += [EvidenceCame(now + LATENCY, now, now, query, (look,)) for query, look in come]
+            if len(self.others):
+                found = looks(self.draw, self.others, pose(now, self.positions))
+                around = Around(
+                    {f"other {number}": look for number, look in enumerate(found) if len(look.detections)},
+                    Evidence.from_points(np.zeros((0, 3)), stamp=now),
+                )
+                self.waiting.append(AllCame(now + LATENCY, now, now, around))
         events += [Asked(self.second + number / ANSWERS) for number in range(ANSWERS)]
         end = self.second + 1
         events += [event for event in self.waiting if event.arrival < end]
@@ -123,8 +133,8 @@ def resident() -> float:
         return int(file.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-def cost(positions: bool, in_turn: bool, seconds: int) -> None:
-    run = Run(positions, in_turn)
+def cost(positions: bool, in_turn: bool, seconds: int, others: int) -> None:
+    run = Run(positions, in_turn, others)
     for _ in range(3):
         run.one_second()  # tables are made and cached
     shares = []
@@ -139,6 +149,11 @@ def cost(positions: bool, in_turn: bool, seconds: int) -> None:
         f"{np.mean(shares):.1f} % of one core (quietest second {min(shares):.1f} %: on a busy machine the rest is "
         f"the others' doing); median error {np.median(run.errors):.2f} degrees"
     )
+    if (around := run.core.around) is not None:
+        print(
+            f"with {others} other things, of which {around.among} of {LOOKS * run.second} looks were taken in; "
+            f"{resident():.0f} MiB"
+        )
 
 
 def memory(hours: float, positions: bool, in_turn: bool) -> None:
@@ -271,6 +286,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float)
     parser.add_argument("--positions", action="store_true")
     parser.add_argument("--in-turn", action="store_true")
+    parser.add_argument("--what-else", type=int, default=0, metavar="N", help="things that nobody asked for")
     parser.add_argument("--turning", action="store_true")
     parser.add_argument("--runs", type=int, default=4, help="of each kind of turn, with other things and photographs")
     parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
@@ -280,7 +296,7 @@ def main() -> None:
     elif given.turning:
         turning(given.photographs, given.seconds, given.runs)
     else:
-        cost(given.positions, given.in_turn, given.seconds)
+        cost(given.positions, given.in_turn, given.seconds, given.what_else)
 
 
 if __name__ == "__main__":

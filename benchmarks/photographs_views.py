@@ -86,7 +86,7 @@ def look(folder: Path, file: Path, photographs: Sequence[str]) -> dict[tuple[str
                     if field == WHOLE:
                         things = views.things(turn(photograph, POSES[frame].T), CLASSES, POSES[frame])
                     else:
-                        things = views.things_in([(grid_of(field), shown(photograph, field, frame))], CLASSES)
+                        things = views.things(shown(photograph, field, frame), CLASSES, grid=grid_of(field))
                     seen = {
                         query: list(map(as_json, each)) for query, each in zip(CLASSES, things, strict=True) if each
                     }

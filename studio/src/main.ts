@@ -40,7 +40,11 @@ const player = new Player(store, shell, () => {
   stage.hold = true;
   stage.lookAt(store.direction ?? [1, 0, 0]);
 });
-const panels = new Panels(store, shell, stage);
+const panels = new Panels(store, shell, stage, (query) => {
+  drafted = false;
+  shell.query.value = query;
+  view?.ask?.(query);
+});
 let state: ServerState | null = null;
 let view: ViewHandler | null = null;
 let drafted = false; // the box holds words that a person has typed and not asked yet: they stay, whatever is answered

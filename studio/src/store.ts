@@ -5,7 +5,7 @@ import { synthesise, whole } from "./math/harmonics";
 import { heatOf, type Heat } from "./math/heat";
 import { apply, inverse, type Matrix } from "./math/rotation";
 import { densityOf, floats } from "./wire/decode";
-import type { Answer, Blobs, Mode, PanoramaHead, Scene, Step } from "./wire/messages";
+import type { Answer, Blobs, Mode, PanoramaHead, Scene, Step, Thing } from "./wire/messages";
 import type { Vector } from "./math/rotation";
 
 export type Topic = "scene" | "step" | "panorama" | "look" | "layers" | "style";
@@ -44,6 +44,7 @@ export class Store {
   beliefMode: Vector | null = null; // where the server finds the maximum
   beliefPose: Matrix | null = null; // world_R_camera of the step that the belief came with
   panorama: { image: TexImageSource; head: PanoramaHead } | null = null;
+  things: Thing[] = []; // that were seen without being asked for; they outlast a question
   history: Moment[] = [];
   now = 0; // index in history
   layers = new Set<LayerName>(["heat", "border", "estimate", "modes", "truth"]);
@@ -74,7 +75,10 @@ export class Store {
     this.asked = null;
     this.history = [];
     this.now = 0;
-    if (!scene) this.panorama = null;
+    if (!scene) {
+      this.panorama = null;
+      this.things = [];
+    }
     this.emit("scene");
     this.emit("panorama");
     this.emit("step");
@@ -168,6 +172,7 @@ export class Store {
     this.step = step;
     if (this.asked && (near(this.asked, step.world_R_camera) || performance.now() > this.askedUntil)) this.asked = null;
     this.stats.received++;
+    this.things = step.things ?? this.things;
     const other = this.method === null ? null : step.methods?.[this.method];
     const head = other ? (other.belief ?? null) : step.belief;
     if (head !== undefined) this.believe(densityOf(head, other ? undefined : blobs.belief), head?.frame ?? "body", head?.mode ?? null);

@@ -227,6 +227,13 @@ export const words = {
     look: (where: string) => `Look at ${where}`,
   },
 
+  others: {
+    label: "What else is here?",
+    hint: "All that the detector has seen, the surest first. Choose one to ask for it.",
+    unsure: "somewhere",
+    seen: (looks: number, of: number) => `seen in ${looks} of ${of} looks`,
+  },
+
   polar: {
     label: "All around",
     hint: "Belief by azimuth, seen from above. The grey wedge is what you look at.",

@@ -12,13 +12,17 @@ import warnings
 
 import numpy as np
 import pytest
+from livemaking import balls
 from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.grids import PerspectiveGrid
+from eagor.live.loop import LiveLoop
 from eagor.live.recording import Replay
+from eagor.media.camera_sources import open_camera
 from eagor.media.panorama import view
+from eagor.perception.views import Views
 from eagor.sphere import world_R_body
 from eagor.studio.replays import recorded
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
@@ -100,6 +104,33 @@ def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
     assert f"{len(first)} answers, {len(first)} of them equal to the recorded ones bit for bit" in captured.err
     assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]) == 0
     assert len(lines(capsys)) == len(first)
+
+
+def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("rosbags")
+    spec = "livemaking:balls"
+
+    def loop_of(options, watchers, around):
+        settings = {"poses": "level", "fast": True, "watchers": watchers, "around": around, "record": options.record}
+        return LiveLoop(open_camera(str(film)), Views(balls, count=8, hfov=100), ["ball"], **settings)
+
+    monkeypatch.setattr("eagor.cli.live.loop_of", loop_of)
+    monkeypatch.setattr("eagor.cli.live.perception_for_all", lambda queries, given: spec)
+    words = ["live", str(film), "ball", "--fast", "--what-else"]
+    assert main([*words, "--json", "--record", str(tmp_path / "run")]) == 0
+    *answers, last = lines(capsys)
+    assert {one["query"]: (one["seen_in"], one["looks"]) for one in last["things"]} == {
+        "ball": (12, 12),
+        "cup": (12, 12),
+    }
+    ball = next(one for one in last["things"] if one["query"] == "ball")
+    assert ball["azimuth_deg"] == pytest.approx(answers[-1]["azimuth_deg"], abs=0.5), "as the answer says"
+    assert main([*words]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith(f"seen in {film} by {spec}; directions are those of the camera at 1.10 s")
+    assert {line.split()[0] for line in shown[2:]} == {"ball", "cup"}
+    replay = Replay(tmp_path / "run")
+    assert len([*replay]) == replay.compared.equal == len(answers)
 
 
 def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path, capsys):
@@ -222,6 +253,7 @@ def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
         (["{film}", "red", "--perception", "nonesuch"], "there is no perception 'nonesuch'"),
         (["{film}", "pet snail", "--perception", "colour"], "pet snail"),
         (["{film}", "red", "--mask", "nowhere.png"], "nowhere.png"),
+        (["{film}", "red", "--fast", "--what-else"], "--what-else needs a detector that knows its classes"),
         (["replay"], "the folder of one recording"),
         (["replay", "/nowhere"], "/nowhere"),
         (["replay", "{film}"], "holds no bag"),

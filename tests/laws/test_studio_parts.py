@@ -25,6 +25,7 @@ from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.media import Pose
 from eagor.media.intrinsics import ShapeError
+from eagor.sphere import angular_distance
 from eagor.studio import eye, runs
 from eagor.studio.guard import Gate
 from eagor.studio.houses import Body, Walker, outlines
@@ -36,7 +37,7 @@ from eagor.studio.replays import Redrawn
 from eagor.studio.runs import page_of
 from eagor.studio.session import Loaded, Opened, Opening, Outbox, Question, Refused, See, Seen, Turn, Turned
 from eagor.studio.steps import lens_of, shown_jpeg
-from eagor.tracking import TrackerConfig
+from eagor.tracking import Around, TrackerConfig
 from eagor.tracking.follower import Follower
 
 
@@ -488,7 +489,7 @@ class Loop:
     """What a live source's watcher needs of the loop: it notes what is followed."""
 
     def __init__(self):
-        self.core = SimpleNamespace(config=TrackerConfig(), queries=("ball",))
+        self.core = SimpleNamespace(config=TrackerConfig(), queries=("ball",), around=None)
         self.followed = []
         self.follow = self.followed.append
 
@@ -500,13 +501,13 @@ def test_a_live_source_goes_on_with_the_question_before_one_that_is_refused():
     shown = Shown(lambda message: said.append(message.header), "camera", "colour")
     shown.loop = Loop()
 
-    def answers(query):
-        return [Answer(1.0, query, estimate.estimate(1.0), None, 0.1, 0.1)]
+    def answers(query, look_age=0.1):
+        return [Answer(1.0, query, estimate.estimate(1.0), None, look_age, 0.1)]
 
     shown.take(Asked(1.0), answers("ball"))
     shown.ask("zzz", 7)
     assert shown.loop.followed[-1] == ["ball", "zzz"]
-    shown.take(Asked(1.0), answers("ball") + answers("zzz"))
+    shown.take(Asked(1.0), answers("ball") + answers("zzz", math.inf))
     shown.take(Trouble(1.0, "perception", "no such word", "zzz"), [])
     assert shown.loop.followed[-1] == ["ball"]
     assert [(one["problem"], one["question"]) for one in said if one["type"] == "problem"] == [("No such word.", 7)]
@@ -516,6 +517,9 @@ def test_a_live_source_goes_on_with_the_question_before_one_that_is_refused():
     assert shown.loop.followed[-1] == ["cup"]
     shown.take(Asked(1.0), answers("ball") + answers("cup"))
     assert [(one["type"], one["question"]) for one in said[-2:]] == [("scene", 8), ("step", 8)]
+    shown.ask("tv", 10)  # it was seen before anybody asked
+    shown.take(Asked(1.0), answers("cup") + answers("tv"))
+    assert [(one["type"], one["question"]) for one in said[-2:]] == [("scene", 10), ("step", 10)]
     shown.close()
     shown.ask("ball", 9)
     assert (said[-1]["type"], said[-1]["question"]) == ("problem", 9)
@@ -558,6 +562,42 @@ def test_an_ordinary_photograph_of_the_page_is_opened_without_a_warning(tmp_path
     said = []
     eye._build(("picture", 1, tmp_path / "a.png", 1.0), said.append)
     assert said[0].lens is not None
+
+
+def test_what_else_is_here_is_listed_and_a_question_for_one_of_it_is_answered_at_once(heard):
+    sofa = np.array([[0.2, -1.0, 0.1]])
+
+    def sees():
+        around = Around(
+            {"ball": ball(), "sofa": Evidence.from_points(sofa, scores=np.full(1, 0.9))},
+            Evidence.from_points(np.zeros((0, 3))),
+        )
+        order = next(order for order in reversed(heard.orders) if isinstance(order, See | Turn))
+        if isinstance(order, Turn):
+            heard.hears(Turned(1, 0.25, np.eye(3), b"", order.question, (ball(),), around=around))
+        else:
+            heard.hears(Seen(1, order.stamp, order.question, (ball(),), around))
+
+    def work():
+        for number in range(20):
+            heard.session.tick(float(number))
+        return [step["things"] for step in heard.told("step") if "things" in step][-1]
+
+    heard.looks()
+    sees()
+    # A video that plays would say it with its next frame.
+    heard.session.told({"type": "pause", "on": isinstance(heard.session, VideoSession)}, 0.0)
+    assert {(one["query"], one["seen"], one["of"]) for one in work()} == {("ball", 1, 1), ("sofa", 1, 1)}
+    heard.session.told({"type": "pause", "on": True}, 0.0)
+    heard.session.told({"type": "query", "text": "sofa", "perception": "", "question": 5}, 0.0)
+    heard.session.tick(30.0)
+    step = heard.told("step")[-1]
+    assert step["question"] == 5, "no look for it was taken"
+    assert angular_distance(np.array(step["estimate"]["direction"]), sofa[0] / np.linalg.norm(sofa)) < 0.05
+    assert {one["query"] for one in step["things"]} == {"ball", "sofa"}, "they outlast a question"
+    heard.session.told({"type": "restart"}, 0.0)
+    heard.session.tick(31.0)
+    assert heard.session._around.names == (), "to begin again is to know nothing"
 
 
 def test_an_ordinary_lens_is_told_in_tangents_and_its_picture_is_sent_as_the_ideal_lens_sees_it() -> None:

@@ -162,8 +162,8 @@ def test_labels_that_the_query_does_not_mean_are_left_out():
         Views(labelled, size=96)(panorama, "zebra")
 
 
-def test_several_queries_at_once_are_as_one_by_one():
-    panorama, pose = painted((direction(1.0, 0.2), 0.1), (direction(-2.0, -0.3), 0.12)), world_R_body(0.4, 0.2)
+def test_one_pass_answers_for_every_class_as_a_look_for_each_does():
+    panorama, pose = painted((direction(1.0, 0.2), 0.1), (direction(-2.0, -0.3), 0.3)), world_R_body(0.4, 0.2)
     asked = []
 
     def labelled(picture, query):
@@ -171,17 +171,20 @@ def test_several_queries_at_once_are_as_one_by_one():
         boxes, scores = red(picture, query)
         return boxes, scores, ["ball" if box[2] - box[0] < 20 else "door" for box in boxes]
 
-    views = Views(labelled, size=128, classes=("ball", "door"))
-    together = views.looks(panorama, ("door", "ball"), stamp=1.0, world_R_body=pose)
+    views = Views(labelled, size=128, classes=("ball", "door", "lamp"))
+    looks, around = views.around(panorama, ("door", "balls", "zebra"), stamp=1.0, world_R_body=pose)
     assert len(asked) == len(views.views()), "each view is shown once"
-    assert sum(len(look.detections) for look in together) == 2
-    for query, seen in zip(("door", "ball"), together, strict=True):
+    assert set(around.found) == {"ball", "door"}
+    assert isinstance(looks[2], QueryError)
+    together = [("door", looks[0]), ("balls", looks[1]), ("lamp", around.nothing), *around.found.items()]
+    assert [len(look.detections) for _, look in together] == [1, 1, 0, 1, 1]
+    for query, seen in together:
         alone = views(panorama, query, stamp=1.0, world_R_body=pose)
         np.testing.assert_array_equal(seen.detections.directions, alone.detections.directions)
     open_words = Views(red, size=128)
     asked.clear()
     open_words.detect = labelled
-    open_words.looks(panorama, ("door", "ball"))
+    open_words.things(panorama, ("door", "ball"))
     assert set(asked) == {"door", "ball"}, "a detector without classes is asked for each query"
 
 

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
     from eagor.live.loop import LiveLoop, Watcher
     from eagor.media import CameraSource
+    from eagor.tracking import Surroundings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +94,8 @@ class Live(Common):
     rerun: Rerun = None
     fast: Flag = False
     """Look at every picture of a file or folder, as fast as the detector can; time is that of the recording."""
+    what_else: Flag = False
+    """Also tell what else is here, at the end: all that the detector saw. It has to know its classes, as coco does."""
     seconds: Annotated[float | None, bare("SECONDS")] = None
     """Stop after this time (default: when the source ends, or at Ctrl-C)."""
     latency: Annotated[float, arg(metavar="SECONDS")] = 0.0
@@ -142,14 +145,20 @@ def live(options: Live) -> int:
             from eagor.live.rerun import LiveLog
 
             watchers.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
-        loop = loop_of(options, [*watchers, looks])
+        loop = loop_of(options, [*watchers, looks], around=options.what_else)
     except BaseException:
         for watcher in watchers:
             watcher.close()
         raise
+    told.around, spec = loop.core.around, perception_for_all(queries, options.perception)
     until = math.inf if options.seconds is None else time.monotonic() + options.seconds
 
     def answered(answer: Answer) -> None:
+        if options.what_else and loop.knows_classes is False:
+            raise terminal.UsageError(
+                f"--what-else needs a detector that knows its classes, such as coco or onnx:MODEL.onnx, and {spec} "
+                "does not: leave it out, or choose one with --perception"
+            )
         told.add(answer)
         if time.monotonic() >= until and answer.query == queries[-1]:
             loop.stop()
@@ -158,6 +167,7 @@ def live(options: Live) -> int:
         loop.run(answered)
     finally:
         told.close()
+        told.what_else(spec, source)
         for watcher in watchers:
             if watcher.problem is not None:
                 terminal.warning(watcher.problem)
@@ -182,10 +192,11 @@ def asked(options: Live) -> tuple[str, list[str]]:
     return source, queries
 
 
-def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False) -> LiveLoop:
-    """The loop that the options ask for, with its camera open. Raises `UsageError`, and as `LiveLoop`.
+def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False, around: bool = False) -> LiveLoop:
+    """The loop that the options ask for, with its camera open; `around` as of `LiveLoop`.
 
-    `whole`: a rig's pictures become panoramas, whatever its lenses and the perception.
+    `whole`: a rig's pictures become panoramas, whatever its lenses and the perception. Raises `UsageError`, and as
+    `LiveLoop`.
     """
     from eagor.live.loop import LiveLoop
     from eagor.media.camera_sources import open_camera
@@ -229,6 +240,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
             record=options.record,
             pictures=options.pictures,
             fast=options.fast,
+            around=around,
             mask=mask,
             watchers=watchers,
         )
@@ -305,14 +317,16 @@ class _Told:
         self._json, self._modes, self._queries = options.json, options.modes, queries
         self._line = not options.json and sys.stdout.isatty()
         self._newest: dict[str, Answer] = {}
-        self._shown = -math.inf
+        self._begun, self._now, self._shown = math.inf, -math.inf, -math.inf
         self._news, self._looks = FaultLog(), looks
         self._next: tuple[float, float] | None = None  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
+        self.around: Surroundings | None = None  # what else was seen
 
     def add(self, answer: Answer) -> None:
         """One answer."""
         self._newest[answer.query] = answer
+        self._begun, self._now = min(self._begun, answer.stamp), answer.stamp
         first = answer.query == self._queries[0]
         if first:
             self._say(answer)
@@ -321,7 +335,7 @@ class _Told:
             terminal.emit(answer.as_json(self._modes) | (self._next_look() if first else {}))
         elif self._line and answer.query == self._queries[-1] and time.monotonic() - self._shown >= SHOWN:
             self._shown = time.monotonic()
-            self._show(" | ".join([*map(_in_line, self._newest.values()), *self._next_in_words()]))
+            self._show(" | ".join([*map(_in_line, self._newest.values()), *self._next_in_words(), *self._also()]))
 
     def _advise(self, answer: Answer) -> None:
         """Keep where the camera should look next, if anything tells it."""
@@ -344,6 +358,23 @@ class _Told:
         from eagor.drawing.style import in_words
 
         return [] if self._next is None else [f"look next {in_words(*self._next)}"]
+
+    def _also(self) -> list[str]:
+        """What else was seen, the newest names first."""
+        names = () if self.around is None else [name for name in self.around.names if name not in self._queries]
+        return [f"also seen: {', '.join(reversed(names))}"] if names else []
+
+    def what_else(self, perception: str, source: str) -> None:
+        """Tell all that was seen, where that was wanted."""
+        from eagor.cli.recorded import entries, say_things
+
+        if self.around is None or not self.around.among:
+            return
+        found = self.around.things(self._now)
+        if self._json:
+            terminal.emit({"of": source, "perception": perception, "things": entries(found, self._modes)})
+        else:
+            say_things(found, perception, source, self._begun)
 
     def _say(self, answer: Answer) -> None:
         """What is wrong now and was not, and the other way round."""

@@ -11,8 +11,9 @@ from eagor.cli import terminal
 from eagor.cli.options import Common, given
 
 if TYPE_CHECKING:
-    from eagor.perception.footage import HiddenParts, ThingSeen
+    from eagor.perception.footage import HiddenParts
     from eagor.perception.replay import ReplayPerception
+    from eagor.tracking import ThingSeen
     from eagor.tracking.config import TrackerConfig
 
 # What belongs to footage: a file of looks has its poses and times, and no pictures.
@@ -57,18 +58,28 @@ def list_seen(options: Common, replay: ReplayPerception, config: TrackerConfig, 
     with terminal.progress("adding up", len(queries), shown=not options.json) as advance:
         found = things_seen(replay, config, hidden, advance)
     if options.json:
-        things = [_entry(each, modes) for each in found]
-        terminal.emit({"of": footage.of, "perception": footage.perception, "poses": footage.poses, "things": things})
-        return terminal.OK
+        about_it = {"of": footage.of, "perception": footage.perception, "poses": footage.poses}
+        terminal.emit(about_it | {"things": entries(found, modes)})
+    else:
+        say_things(found, footage.perception, footage.of, footage.begins)
+    return terminal.OK
+
+
+def say_things(found: Sequence[ThingSeen], perception: str, source: str, begins: float) -> None:
+    """Print a table of all that was seen in a source, which `begins` at this stamp; one line where that is nothing."""
     if not found:
-        terminal.say(f"{footage.perception} saw nothing in {footage.of}")
-        return terminal.OK
-    end = found[0].estimate.stamp - footage.begins
-    terminal.say(f"seen in {footage.of} by {footage.perception}; directions are those of the camera at {end:.2f} s")
+        terminal.say(f"{perception} saw nothing in {source}")
+        return
+    end = found[0].estimate.stamp - begins
+    terminal.say(f"seen in {source} by {perception}; directions are those of the camera at {end:.2f} s")
     terminal.say(f"{'thing':<16}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'sure':>7}{'presence':>10}{'looks':>9}"
                  f"{'last seen':>11}  status")  # fmt: skip
-    terminal.say(*(_line(each, footage.begins) for each in found))
-    return terminal.OK
+    terminal.say(*(_line(each, begins) for each in found))
+
+
+def entries(found: Sequence[ThingSeen], modes: int) -> list[dict[str, Any]]:
+    """The same for JSON, each with at most so many candidates."""
+    return [_entry(each, modes) for each in found]
 
 
 def _line(thing: ThingSeen, begins: float) -> str:
@@ -84,7 +95,7 @@ def _line(thing: ThingSeen, begins: float) -> str:
 
 
 def _entry(thing: ThingSeen, modes: int) -> dict[str, Any]:
-    from eagor.perception.footage import NEAR
+    from eagor.tracking.surroundings import NEAR
 
     near = round(math.degrees(NEAR))
     about = {"query": thing.query, **thing.estimate.as_dict(modes, near)}

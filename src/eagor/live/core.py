@@ -9,6 +9,7 @@ import bisect
 import math
 import warnings
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -19,6 +20,7 @@ from eagor._checks import checked_stamp
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.live.events import (
+    AllCame,
     Answer,
     Asked,
     Event,
@@ -33,7 +35,7 @@ from eagor.live.events import (
 )
 from eagor.media import Pose
 from eagor.media.clocks import RelatedClock
-from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
+from eagor.tracking import DirectionTracker, Estimate, Surroundings, TrackerConfig
 
 __all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]
 
@@ -59,6 +61,7 @@ FUTURE = 0.1  # seconds by which evidence may be ahead of time
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
 ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
+ASIDE = 0.1  # seconds between two computations for what nobody has asked for
 TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
 
 
@@ -146,7 +149,9 @@ class LoopSettings:
 
     Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
     `acceleration`: radians per second squared (root mean square) by which the camera may turn faster or slower. The
-    poses tell more: this counts as one observation beside many, and alone where there are too few.
+    poses tell more: this counts as one observation beside many, and alone where there are too few. `around`: also
+    follow all else that a perception sees that knows its classes, with one computation, for one thing, every so many
+    seconds at most; 0: all at once, however long it takes; None: do not.
     """
 
     queries: tuple[str, ...]
@@ -154,6 +159,7 @@ class LoopSettings:
     poses: bool = True
     latency: float = 0.0
     acceleration: float = 0.5
+    around: float | None = None
 
 
 class LiveCore:
@@ -162,6 +168,9 @@ class LiveCore:
     A belief is computed anew with a new look, but at most every `TOGETHER` seconds, and without one when the camera has
     moved by `MOVED` or after `REFRESHED` seconds. In between it is turned with the camera, which is exact for turns and
     cheap. After the newest pose the camera's turn is extrapolated, and regions are wider by what that may miss.
+
+    `around`: all that was seen, asked for or not, if that is wanted; a query that is one of its `names` begins with
+    what is known of it.
     """
 
     def __init__(self, settings: LoopSettings) -> None:
@@ -169,6 +178,11 @@ class LiveCore:
         self._camera = RelatedClock("camera", settings.latency, SLOWEST)
         self._odometry = RelatedClock("odometry")
         self._tracker = DirectionTracker(settings.config)
+        self.around = None if settings.around is None else Surroundings(settings.config)
+        self._apart, self._aside = (
+            settings.around or 0.0,
+            -math.inf,
+        )  # seconds between works on it, and when the last was
         self._recent = RecentPoses(settings.acceleration)
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
         self._image = self._pose = -math.inf
@@ -199,6 +213,8 @@ class LiveCore:
                 self._take_pose(event)
             case EvidenceCame():
                 self._evidence(event)
+            case AllCame():
+                self._all(event)
             case Trouble():
                 self._trouble(event)
             case PosesLost():
@@ -230,6 +246,11 @@ class LiveCore:
             self._fresh.discard(gone)
             if gone in self._tracker.targets:
                 self._tracker.forget(gone)
+        for new in {*queries} - {*self.queries}:
+            if self.around is not None and new in self.around.names:
+                self._tracker.begin(new, new, self.around.tracker)
+                self._looks[new] = self.around.newest
+                self._fresh.add(new)
         self.queries = queries
 
     def _frame(self, event: FrameCame) -> None:
@@ -263,6 +284,8 @@ class LiveCore:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of far stamps: the age of the pose tells
                 self._tracker.add_pose(stamp, pose.world_R_body, pose.position)
+                if self.around is not None:
+                    self.around.move(stamp, pose.world_R_body, pose.position)
         except EagorError as error:
             self._say("poses", f"a pose is left out: {error}", event.arrival)
             return
@@ -292,6 +315,19 @@ class LiveCore:
                 own = self._first
             self._early.append((event.query, replace(look, stamp=checked_stamp(own)), event.arrival))
         self._settle(event.arrival)
+
+    def _all(self, event: AllCame) -> None:
+        """A look at everything. One that cannot be placed was said of its `EvidenceCame`."""
+        stamp, told = self._of_picture(event.stamp), event.around.nothing.stamp
+        if self.around is None or stamp is None:
+            return
+        own = stamp if told is None else stamp + (told - event.told)
+        if own > event.arrival + FUTURE or own < self._first - HELD:
+            return
+        with suppress(EagorError):
+            self.around.look(event.around.at(checked_stamp(max(own, self._first) if self._first < math.inf else own)))
+        while self.around.behind and not self._apart:
+            self.around.take_in()
 
     def _settle(self, now: float) -> None:
         """Give the tracker the evidence that is not of the future, and whose pose is there or does not come."""
@@ -335,6 +371,8 @@ class LiveCore:
 
     def _lost(self, event: PosesLost) -> None:
         self._tracker.reset()
+        if self.around is not None:
+            self.around.reset()
         self._recent.clear()
         self._pose, self._first = -math.inf, math.inf
         self._full.clear()
@@ -359,6 +397,9 @@ class LiveCore:
         most = math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
         for query in due[: max(1, most)]:
             self._compute(query, now)
+        if self.around is not None and now - self._aside >= self._apart:
+            self._aside = now
+            self.around.take_in()
         for query in self.queries:
             estimate = self._turned(query, now)
             answers.append(

@@ -1,9 +1,10 @@
 """A perception in a process of its own: whatever happens to it, the next picture finds a new one.
 
 The process sees one picture at a time in shared memory. It is told: ``(name, queries, stamp, shape, world_R_body,
-grid)`` for each picture. It says: ``("ready",)`` once, or ``("unusable", text)``; then for each query
-``("looked", query, evidence, seconds)`` or ``("failed", query, text, refused)``, and at the end of each picture
-``("done",)``. Evidence comes as bytes of `eagor.tracking.checkpoint`.
+grid)`` for each picture. It says: ``("ready", knows its classes)`` once, or ``("unusable", text)``; then for each query
+``("looked", query, evidence, seconds)`` or ``("failed", query, text, refused)``; if that is wanted of a perception that
+knows its classes, ``("around", all)``; and at the end of each picture ``("done",)``. Evidence comes as bytes of
+`eagor.tracking.checkpoint`.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ from eagor.errors import EagorError, FormatError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media.defects import NeverSeen
-from eagor.perception import Perception, load
+from eagor.perception import Perception, knows_classes, load
 from eagor.perception.replay import look_if_recorded
+from eagor.tracking import Around
 from eagor.tracking.checkpoint import packed, unpacked
 
 __all__ = ["Failed", "Keeper", "Looked", "UnusableError"]
@@ -67,17 +69,24 @@ class Failed:
 class Keeper:
     """A perception in a process of its own, given as text for `eagor.perception.load` or as an object to pickle.
 
-    `patience`: seconds that a look may take; then the process is killed, and started anew with the next picture. One
+    `everything`: tell all else that a perception sees that knows its classes, too. `patience`: seconds that a look may
+    take; then the process is killed, and started anew with the next picture. One
     that dies is started anew after a pause, which grows while that goes on. Loading may take `LOADING` seconds, or
     `patience` if that is longer. `masks`: where looks say nothing; where all pictures are black about a pole, they do
     not either. Not for several threads, except `kill`.
     """
 
     def __init__(
-        self, perception: str | Perception, *, patience: float = PATIENCE, masks: Sequence[BodyMask] = ()
+        self,
+        perception: str | Perception,
+        *,
+        patience: float = PATIENCE,
+        masks: Sequence[BodyMask] = (),
+        everything: bool = False,
     ) -> None:
-        self.perception, self.patience, self.masks = perception, patience, tuple(masks)
+        self.perception, self.patience, self.masks, self.everything = perception, patience, tuple(masks), everything
         self.starts = 0
+        self.knows_classes: bool | None = None  # not known before it is loaded
         self._worker: Worker | None = None
         self._memory: SharedMemory | None = None
         self._pause = PAUSES[0]
@@ -96,7 +105,7 @@ class Keeper:
             if self._killed.is_set():
                 return
             try:
-                self._worker = worker = Worker(serve, self.perception, self.masks, os.getpid())
+                self._worker = worker = Worker(serve, self.perception, self.masks, self.everything, os.getpid())
             except Exception as error:  # the perception cannot be pickled, or the system has no more processes
                 raise UnusableError(f"the perception's process cannot be started: {error}") from error
         self.starts += 1
@@ -112,6 +121,7 @@ class Keeper:
         if said[0] == "unusable":
             self._end()
             raise UnusableError(said[1])
+        self.knows_classes = said[1]
 
     def look(
         self,
@@ -120,10 +130,10 @@ class Keeper:
         stamp: float,
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
-    ) -> Iterator[Looked | Failed]:
+    ) -> Iterator[Looked | Failed | Around]:
         """Look at a picture ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
 
-        It is a panorama, or an ordinary one with its `grid`.
+        It is a panorama, or an ordinary one with its `grid`. With `everything`, all else comes last.
 
         Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
         """
@@ -139,6 +149,8 @@ class Keeper:
                 self._pause = PAUSES[0]
                 if said[0] == "looked":
                     yield Looked(said[1], unpacked(said[2]), said[3])
+                elif said[0] == "around":
+                    yield unpacked(said[1])
                 else:
                     yield Failed(said[1], said[2], said[3])
         except WorkerSilent:
@@ -203,8 +215,10 @@ class Keeper:
 # --- the process that looks ---
 
 
-def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMask], parent: int) -> None:
-    """The life of the process; it ends when the line or its parent does. `masks`: where looks say nothing."""
+def serve(
+    line: Connection, perception: str | Perception, masks: Sequence[BodyMask], everything: bool, parent: int
+) -> None:
+    """The life of the process; it ends when the line or its parent does. `masks`, `everything`: see `Keeper`."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with(parent)
     memory: SharedMemory | None = None
@@ -214,7 +228,7 @@ def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMa
         except Exception as error:
             line.send(("unusable", _said(error)))
             return
-        line.send(("ready",))
+        line.send(("ready", knows_classes(looking)))
         black = NeverSeen()
         while (order := line.recv()) is not None:
             name, queries, stamp, shape, pose, grid = order
@@ -228,8 +242,12 @@ def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMa
             if grid is None:  # an ordinary picture has no poles
                 hidden = black.add(seen)
                 covers += [BodyMask(~hidden)] if hidden.any() and not hidden.all() else []
-            for query in queries:
-                line.send(_looked(looking, seen, query, stamp, pose, grid, covers))
+            if knows_classes(looking):
+                for said in _at_once(looking, seen, queries, stamp, pose, grid, covers, everything):
+                    line.send(said)
+            else:
+                for query in queries:
+                    line.send(_looked(looking, seen, query, stamp, pose, grid, covers))
             del seen
             line.send(("done",))
     if memory is not None:
@@ -255,6 +273,35 @@ def _looked(
         return "looked", query, looks_in_bytes(looks), time.perf_counter() - began
     except Exception as error:
         return "failed", query, _said(error), isinstance(error, QueryError)
+
+
+def _at_once(
+    perception: Any,
+    seen: np.ndarray,
+    queries: Sequence[str],
+    stamp: float,
+    pose: Any,
+    grid: PerspectiveGrid | None,
+    covers: Sequence[BodyMask],
+    everything: bool,
+) -> Iterator[tuple[Any, ...]]:
+    """The same for all queries, from one pass of a perception that knows its classes; then everything, if wanted."""
+    began = time.perf_counter()
+    try:
+        looks, around = perception.around(seen, queries, stamp, pose, grid)
+        for mask in covers:
+            looks = [look if isinstance(look, QueryError) else look.covered(mask) for look in looks]
+            around = around.covered(mask)
+    except Exception as error:
+        looks, around = [error] * len(queries), None
+    seconds = (time.perf_counter() - began) / max(len(queries), 1)
+    for query, look in zip(queries, looks, strict=True):
+        if isinstance(look, Exception):
+            yield "failed", query, _said(look), isinstance(look, QueryError)
+        else:
+            yield "looked", query, looks_in_bytes((look,)), seconds
+    if everything and around is not None:
+        yield "around", packed(around)
 
 
 def looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:

@@ -14,8 +14,8 @@ from typing import Any, Literal, Protocol
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
-from eagor.live.core import LiveCore, LoopSettings, warm
-from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
+from eagor.live.core import ASIDE, LiveCore, LoopSettings, warm
+from eagor.live.events import AllCame, Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
 from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import (
@@ -33,7 +33,7 @@ from eagor.live.threads import (
 )
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.perception import Perception
-from eagor.tracking import TrackerConfig
+from eagor.tracking import Around, TrackerConfig
 
 __all__ = ["Counts", "LiveLoop", "Watcher"]
 
@@ -85,9 +85,10 @@ class LiveLoop:
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
     the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recording`), with
-    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `LoopSettings`. `mask`: what the camera never sees.
-    `watchers` see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does,
-    gives no answers meanwhile.
+    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `LoopSettings`. `around`: follow all else that the
+    perception sees, too (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `watchers`
+    see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does, gives no
+    answers meanwhile.
 
     Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
@@ -110,6 +111,7 @@ class LiveLoop:
         pictures: Pictures = "jpeg",
         fast: bool = False,
         acceleration: float = LoopSettings.acceleration,
+        around: bool = False,
         mask: BodyMask | None = None,
         watchers: Sequence[Watcher] = (),
         clock: LoopClock | None = None,
@@ -130,10 +132,13 @@ class LiveLoop:
         self._frames, self._odometry = self._readers(open_camera, poses)
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
-        self._settings = LoopSettings(tuple(queries), config, poses is not None, self._camera.latency, acceleration)
+        aside = None if not around else 0.0 if fast and not self.live else ASIDE
+        self._settings = LoopSettings(
+            tuple(queries), config, poses is not None, self._camera.latency, acceleration, aside
+        )
         self.core = LiveCore(self._settings)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
-        self._keeper = Keeper(perception, patience=patience, masks=masks)
+        self._keeper = Keeper(perception, patience=patience, masks=masks, everything=around)
         self._recorder: Recorder | None = None
         if record is not None:
             self._recorder = Recorder(record, self._settings, partial(self._trouble, "recording"), pictures)
@@ -200,6 +205,11 @@ class LiveLoop:
     def recording_problem(self) -> str | None:
         """Why the recording has ended before the loop, in words; None if it has not."""
         return None if self._recorder is None else self._recorder.problem
+
+    @property
+    def knows_classes(self) -> bool | None:
+        """Whether the perception tells what else is here; None while it is not loaded."""
+        return self._keeper.knows_classes
 
     @property
     def stopped(self) -> bool:
@@ -409,9 +419,11 @@ class LiveLoop:
         if froze != said:
             self._post(Trouble(self._last_frame, "camera", froze, f"frozen {frame.lens}"))
 
-    def _found(self, picture: Picture | None, said: Looked | Failed, now: float) -> None:
+    def _found(self, picture: Picture | None, said: Looked | Failed | Around, now: float) -> None:
         """What the perception says."""
-        if isinstance(said, Looked) and picture is not None:
+        if isinstance(said, Around) and picture is not None:
+            self._post(AllCame(now, picture.stamp, picture.told, said))
+        elif isinstance(said, Looked) and picture is not None:
             self._post(EvidenceCame(now, picture.stamp, picture.told, said.query, said.looks, said.seconds))
             self._post(Trouble(now, "perception"))
             self._post(Trouble(now, "perception", about=said.query))

@@ -24,7 +24,18 @@ from eagor.errors import EagorError, FormatError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.live.core import LiveCore, LoopSettings
-from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
+from eagor.live.events import (
+    AllCame,
+    Answer,
+    Asked,
+    Event,
+    EvidenceCame,
+    Following,
+    FrameCame,
+    PoseCame,
+    PosesLost,
+    Trouble,
+)
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked, looks_in_bytes
 from eagor.media import Pose
 from eagor.media.bags import BagWriter, bag_topics, read_bag
@@ -41,7 +52,7 @@ from eagor.media.ros_messages import (
     vector_message,
 )
 from eagor.perception import Perception
-from eagor.tracking import TrackerConfig
+from eagor.tracking import Around, TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked
 
 __all__ = [
@@ -61,7 +72,7 @@ VERSION = 3  # of the events
 Pictures = Literal["jpeg", "png", "none"]
 
 _FRAME, _POSE = struct.Struct("<ddII"), struct.Struct("<dd??9d3d")
-_LOOK = struct.Struct("<ddddI")
+_LOOK, _ALL = struct.Struct("<ddddI"), struct.Struct("<ddd")
 
 
 def event_in_bytes(event: Event) -> bytes:
@@ -85,6 +96,8 @@ def event_in_bytes(event: Event) -> bytes:
             query = event.query.encode()
             head = _LOOK.pack(event.arrival, event.stamp, event.told, event.seconds, len(query))
             return b"E" + head + query + looks_in_bytes(event.looks)
+        case AllCame():
+            return b"N" + _ALL.pack(event.arrival, event.stamp, event.told) + packed(event.around)
         case Asked():
             return b"A" + struct.pack("<d", event.arrival)
         case Trouble():
@@ -115,6 +128,12 @@ def event_from(content: bytes) -> Event:
             if not isinstance(looks, tuple) or not all(isinstance(look, Evidence) for look in looks):
                 raise FormatError("it holds no evidence")
             return EvidenceCame(arrival, stamp, told, query, looks, seconds)
+        if kind == b"N":
+            around = unpacked(rest[_ALL.size :])
+            if not isinstance(around, Around):
+                raise FormatError("it holds no evidence")
+            arrival, stamp, told = _ALL.unpack_from(rest)
+            return AllCame(arrival, stamp, told, around)
         if kind == b"A":
             return Asked(*struct.unpack("<d", rest))
         arrival, *words = json.loads(rest)
@@ -131,7 +150,7 @@ def event_from(content: bytes) -> Event:
 
 def settings_in_bytes(settings: LoopSettings) -> bytes:
     """What the core began with."""
-    values = settings.queries, settings.config, settings.poses, settings.latency, settings.acceleration
+    values = settings.queries, settings.config, settings.poses, settings.latency, settings.acceleration, settings.around
     return b"S" + packed((VERSION, *values))
 
 
@@ -144,8 +163,8 @@ def settings_from(content: bytes) -> LoopSettings:
         raise FormatError(
             f"the recording is of version {found[0]}; wanted {VERSION}: play it with the eagor that made it"
         )
-    _, queries, config, poses, latency, acceleration = found
-    return LoopSettings(tuple(queries), config, bool(poses), float(latency), float(acceleration))
+    _, queries, config, poses, latency, acceleration, around = found
+    return LoopSettings(tuple(queries), config, bool(poses), float(latency), float(acceleration), around)
 
 
 def _text(kind: bytes, arrival: float, *words: Any) -> bytes:
@@ -375,7 +394,7 @@ class _Anew:
         if isinstance(event, FrameCame) and event.picture is not None and self._left[event.stamp]:
             self._frames[event.stamp] = event
         if not isinstance(event, EvidenceCame):
-            yield event
+            yield from () if isinstance(event, AllCame) else (event,)  # other eyes see other things
             return
         frame = self._frames.get(event.stamp)
         self._left[event.stamp] -= 1

@@ -26,6 +26,7 @@ from eagor.media import Frame, Pose
 from eagor.media.motion import MotionTrack
 from eagor.media.rotation import VisualOdometer
 from eagor.sphere import heading
+from eagor.tracking import Around
 
 __all__ = [
     "FrozenCamera", "GivenPoses", "LoopClock", "MotionPoses", "NewestPicture", "Pace", "PerceptionThread", "Picture",
@@ -353,7 +354,7 @@ class PerceptionThread:
         keeper: Keeper,
         queries: Sequence[str],
         *,
-        found: Callable[[Picture | None, Looked | Failed], Any],
+        found: Callable[[Picture | None, Looked | Failed | Around], Any],
         ready: Callable[[], Any],
         ended: Callable[[EagorError | None], Any],
         pose: Callable[[float], np.ndarray | None],

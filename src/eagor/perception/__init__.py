@@ -30,6 +30,7 @@ __all__ = [
     "check_perception",
     "is_model",
     "known",
+    "knows_classes",
     "load",
     "look",
     "parse_options",
@@ -158,6 +159,11 @@ def load(spec: str, **options: Any) -> Perception:
             f"It takes {name}{takes}; the text after ':' is the first argument, or name=value"
         ) from error
     return make(*arguments, **options)
+
+
+def knows_classes(perception: Any) -> bool:
+    """Whether one pass of `perception` answers for every class that it knows: with its method ``around``."""
+    return getattr(perception, "classes", None) is not None and hasattr(perception, "around")
 
 
 def rows_of(perception: Any) -> int:

@@ -30,14 +30,13 @@ from eagor.perception import NoEvidenceError, Perception
 from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception, look_if_recorded
 from eagor.perception.views import Seen, Views
-from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
+from eagor.tracking import DirectionTracker, Estimate, ThingSeen, TrackerConfig
 from eagor.tracking.follower import Follower
 
 __all__ = [
     "FollowedFrame",
     "HiddenParts",
     "Method",
-    "ThingSeen",
     "first_line",
     "follow",
     "look_at",
@@ -262,7 +261,6 @@ def _with_next(items: Iterable[T]) -> Iterator[tuple[T, T | None]]:
 
 
 PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
-NEAR = math.radians(15)  # the error that still leads a person to the thing
 
 
 # --- a file of looks: writing -----------------------------------------------------------------------------------------
@@ -398,32 +396,16 @@ def about(replay: ReplayPerception) -> Footage:
 # --- what there is ----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class ThingSeen:
-    """What is known of one thing at the end of the footage.
-
-    `looks`: in how many looks it was seen, of `among` since the poses were last lost; `last`: the stamp of the last.
-    """
-
-    query: str
-    estimate: Estimate
-    looks: int
-    among: int
-    last: float
-
-    @property
-    def sure(self) -> float:
-        """The probability that it is here, and within 15 degrees of the answer."""
-        return self.estimate.within(NEAR) if self.estimate.direction is not None else 0.0
-
-
 def things_seen(
     replay: ReplayPerception,
     config: TrackerConfig,
     hidden: HiddenParts | None = None,
     done: Callable[[], object] = lambda: None,
 ) -> list[ThingSeen]:
-    """What was seen, the surest first; `done` is called after each. Errors as those of `recorded_frames`."""
+    """What was seen, the surest first; `done` is called after each. Errors as those of `recorded_frames`.
+
+    The looks of a `ThingSeen` are those since the poses were last lost.
+    """
     frames = recorded_frames(replay)
     begins = max((number for number, each in enumerate(frames) if each.lost), default=0)
     frames, found = frames[begins:], []

@@ -31,11 +31,13 @@ from eagor.perception.colour import colour_in, share_of
 from eagor.perception.things import Thing, ViewBox, spread_evidence, things
 from eagor.perception.words import meant
 from eagor.sphere import azimuth_elevation, check_rotation, world_R_body
+from eagor.tracking import Around
 
 # Of a box's pixels, so many have the thing's colour at least: it fills about half of its box, and has others, too.
 COLOURED = 0.25
 
 Detect = Callable[[np.ndarray, str], Any]
+Shown = list[tuple[PerspectiveGrid, np.ndarray]]  # pictures of one moment
 
 
 class Seen(NamedTuple):
@@ -114,45 +116,68 @@ class Views:
         Raises `QueryError` if the words mean nothing to the detector, `ImageError` if the panorama is none, and
         `EagorError` if the detector returns something else than boxes.
         """
-        return self.looks(panorama, (query,), stamp=stamp, world_R_body=world_R_body)[0]
-
-    def looks(
-        self,
-        panorama: np.ndarray,
-        queries: Sequence[str],
-        *,
-        stamp: float | None = None,
-        world_R_body: np.ndarray | None = None,
-    ) -> tuple[Evidence, ...]:
-        """One look for each of several queries; a detector with `classes` sees each view once for all of them."""
-        found = self.things(panorama, queries, world_R_body)
-        return tuple(spread_evidence(each, self.detector, View(WHOLE_SPHERE), stamp) for each in found)
+        (found,) = self.things(panorama, (query,), world_R_body)
+        return spread_evidence(found, self.detector, View(WHOLE_SPHERE), stamp)
 
     def things(
-        self, panorama: np.ndarray, queries: Sequence[str], world_R_body: np.ndarray | None = None
+        self,
+        picture: np.ndarray,
+        queries: Sequence[str],
+        world_R_body: np.ndarray | None = None,
+        grid: PerspectiveGrid | None = None,
     ) -> list[list[Thing]]:
-        """What the detector sees of each query, before any reading: one `Thing` each, the surest first."""
-        panorama, grids = checked_picture(panorama), self.views(world_R_body)
-        warn_unless_whole(panorama)
-        return self.things_in(tuple(zip(grids, cut(panorama, *grids), strict=True)), queries)
-
-    def things_in(
-        self, pictures: Sequence[tuple[PerspectiveGrid, np.ndarray]], queries: Sequence[str]
-    ) -> list[list[Thing]]:
-        """As `things`, in ordinary pictures ``(h, w, 3)`` uint8 of one moment, each with its grid."""
+        """What the detector sees of each query, before any reading: one `Thing` each, the surest first; as `seen`."""
         wanted = [self._wanted(query) for query in queries]
-        found: list[list[ViewBox]] = [[] for _ in queries]
-        seen = None
-        for query, words, pieces in zip(queries, wanted, found, strict=True):
+        shown, found, seen = self._shown(picture, world_R_body, grid), [], None
+        for query, words in zip(queries, wanted, strict=True):
             if seen is None or self.classes is None:
-                seen = self._detected([picture for _, picture in pictures], query)
-            for number, ((grid, picture), boxes) in enumerate(zip(pictures, seen, strict=True)):
-                pieces += self._weighed(_pieces(number, grid, boxes, query, words), picture, query)
-        return [things(pieces) for pieces in found]
+                seen = self._detected(shown, query)
+            found.append(self._meant(shown, seen, query, words))
+        return found
 
-    def _detected(self, pictures: Sequence[np.ndarray], query: str) -> list[Boxes]:
+    def around(
+        self,
+        picture: np.ndarray,
+        queries: Sequence[str],
+        stamp: float | None = None,
+        world_R_body: np.ndarray | None = None,
+        grid: PerspectiveGrid | None = None,
+    ) -> tuple[list[Evidence | QueryError], Around]:
+        """From one pass of a detector with `classes`: a look for each query (or its `QueryError`) and each class."""
+        shown, view = self._shown(picture, world_R_body, grid), View(WHOLE_SPHERE if grid is None else grid)
+        seen = self._detected(shown, queries[0] if queries else "")
+
+        def look(query: str, wanted: Sequence[str] | None) -> Evidence:
+            return spread_evidence(self._meant(shown, seen, query, wanted), self.detector, view, stamp)
+
+        def answer(query: str) -> Evidence | QueryError:
+            try:
+                return look(query, self._wanted(query))
+            except QueryError as error:
+                return error
+
+        found = {label: look(label, (label,)) for boxes in seen for label in dict.fromkeys(boxes.labels or ())}
+        return [*map(answer, queries)], Around(found, look("", ()))
+
+    def _shown(self, picture: np.ndarray, pose: np.ndarray | None, grid: PerspectiveGrid | None) -> Shown:
+        """What the detector is shown: the views of a panorama, or the ordinary picture of a `grid`."""
+        picture = checked_picture(picture, "the panorama" if grid is None else "the picture")
+        if grid is not None:
+            return [(grid, picture)]
+        warn_unless_whole(picture)
+        grids = self.views(pose)
+        return list(zip(grids, cut(picture, *grids), strict=True))
+
+    def _meant(self, shown: Shown, seen: Sequence[Boxes], query: str, wanted: Sequence[str] | None) -> list[Thing]:
+        """What was `seen` in what was `shown` that `query` means, one `Thing` each."""
+        pieces: list[ViewBox] = []
+        for number, ((grid, picture), boxes) in enumerate(zip(shown, seen, strict=True)):
+            pieces += self._weighed(_pieces(number, grid, boxes, query, wanted), picture, query)
+        return things(pieces)
+
+    def _detected(self, shown: Shown, query: str) -> list[Boxes]:
         """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
-        many = getattr(self.detect, "many", None)
+        pictures, many = [picture for _, picture in shown], getattr(self.detect, "many", None)
         found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
         return [boxes_of(each, self.classes) for each in found]
 
@@ -168,16 +193,12 @@ class Views:
         `picture` is a panorama, or an ordinary one with the pixels of `grid`: then that is the only view. `combined`
         makes of it what a call, or `view`, makes. Errors as there.
         """
-        picture = checked_picture(picture, "the panorama" if grid is None else "the picture")
-        grids = self.views(world_R_body) if grid is None else (grid,)
-        if grid is None:
-            warn_unless_whole(picture)
-        found = self._detected(cut(picture, *grids) if grid is None else [picture], query)
-        return [Seen(view, boxes) for view, boxes in zip(grids, found, strict=True)]
+        shown = self._shown(picture, world_R_body, grid)
+        return [Seen(view, boxes) for (view, _), boxes in zip(shown, self._detected(shown, query), strict=True)]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
-        (found,) = self.things_in([(grid, checked_picture(image, "the picture"))], (query,))
+        (found,) = self.things(image, (query,), grid=grid)
         return spread_evidence(found, self.detector, View(grid), stamp)
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:

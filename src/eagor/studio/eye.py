@@ -26,7 +26,7 @@ from eagor.media import Frame
 from eagor.media.panorama import read_photograph
 from eagor.media.rotation import VisualOdometer
 from eagor.media.video import Video
-from eagor.perception import load, rows_of
+from eagor.perception import knows_classes, load, rows_of
 from eagor.perception.replay import look_if_recorded
 from eagor.studio.caching import Kept, given_back
 from eagor.studio.houses import House, house_of, place_of
@@ -48,7 +48,7 @@ from eagor.studio.session import (
 from eagor.studio.steps import calibration_of, lens_of, shown_jpeg
 from eagor.tasks.models import is_privileged
 from eagor.tasks.places import LOOK_ROWS, Place, load_place
-from eagor.tracking.config import TrackerConfig
+from eagor.tracking import Around, TrackerConfig
 from eagor.worlds.render import Photograph
 
 __all__ = ["ROWS", "Reel", "serve"]
@@ -217,16 +217,15 @@ def _turn(job: Turn, reels: dict[int, Reel], say: Callable[[Any], None]) -> None
             say(Turned(job.session, 0.0, np.eye(3), b"", None, over=True))
             return
         frame, pose, lost = found
-        looks, asked, grid = (), job.question, _grid(frame.picture, job.hfov)
+        looks, around, asked, grid = (), None, job.question, _grid(frame.picture, job.hfov)
         if asked is not None:
             try:
-                perception = _loaded(asked.perception)
-                looks = look_if_recorded(perception, frame.picture, asked.query, frame.stamp, pose, grid)
+                looks, around = _seen_by(asked, frame.picture, frame.stamp, pose, grid)
             except EagorError as error:
                 say(_refusal(job, error))
                 asked = None
         small = shown_jpeg(frame.picture, grid, FIRST_ROWS)
-        say(Turned(job.session, frame.stamp, pose, small, asked, looks, lost, lens=lens_of(grid)))
+        say(Turned(job.session, frame.stamp, pose, small, asked, looks, lost, lens=lens_of(grid), around=around))
     except Exception as error:
         say(Refused(job.session, "picture", _said(error)))
 
@@ -238,7 +237,7 @@ def _see(job: See, say: Callable[[Any], None]) -> None:
         if shown is not None:
             say(Panorama(job.session, job.stamp, job.world_R_body, jpeg(shown)))
         if job.question is not None:
-            say(Seen(job.session, job.stamp, job.question, _looked(job, shown)))
+            say(Seen(job.session, job.stamp, job.question, *_looked(job, shown)))
     except Exception as error:
         say(_refusal(job, error))
 
@@ -260,8 +259,8 @@ def _rendered(job: See, rows: int) -> np.ndarray:
     return found
 
 
-def _looked(job: See, shown: np.ndarray | None = None) -> tuple[Evidence, ...]:
-    """The look of the question's perception at what is seen from its pose; `shown`: the panorama that was rendered."""
+def _looked(job: See, shown: np.ndarray | None = None) -> tuple[tuple[Evidence, ...], Around | None]:
+    """The looks of the question's perception at what is seen from its pose; `shown`: the panorama that was rendered."""
     asked = job.question
     assert asked is not None
     perception = _loaded(asked.perception)
@@ -270,16 +269,28 @@ def _looked(job: See, shown: np.ndarray | None = None) -> tuple[Evidence, ...]:
             raise QueryError(f"{asked.perception} knows only simulated apartments; choose another perception")
         assert job.position is not None
         ids = _homes(job.seed).place.ids(job.position, job.world_R_body, LOOK_ROWS)
-        return (_informed(asked.perception, job.seed)(ids, asked.query, stamp=job.stamp),)
+        return (_informed(asked.perception, job.seed)(ids, asked.query, stamp=job.stamp),), None
     rows = rows_of(perception)
     if job.picture is not None and job.hfov is not None:
         picture = _photograph(job.picture).picture
-        grid = _grid(picture, job.hfov)
-        return look_if_recorded(perception, picture, asked.query, job.stamp, job.world_R_body, grid)
+        return _seen_by(asked, picture, job.stamp, job.world_R_body, _grid(picture, job.hfov))
     if job.picture is not None:
         rows = max(128, min(rows, LOOKED_ROWS, _photograph(job.picture).picture.shape[0]))
     panorama = shown if shown is not None and len(shown) == rows else _rendered(job, rows)
-    return look_if_recorded(perception, panorama, asked.query, job.stamp, job.world_R_body)
+    return _seen_by(asked, panorama, job.stamp, job.world_R_body, None)
+
+
+def _seen_by(
+    asked: Question, picture: np.ndarray, stamp: float, world_R_body: np.ndarray, grid: PerspectiveGrid | None
+) -> tuple[tuple[Evidence, ...], Around | None]:
+    """The looks for a question, and at all else if its perception knows its classes."""
+    perception = _loaded(asked.perception)
+    if not knows_classes(perception):
+        return look_if_recorded(perception, picture, asked.query, stamp, world_R_body, grid), None
+    (look,), around = perception.around(picture, (asked.query,), stamp, world_R_body, grid)
+    if isinstance(look, QueryError):
+        raise look
+    return (look,), around
 
 
 def _grid(picture: np.ndarray, hfov: float | None) -> PerspectiveGrid | None:

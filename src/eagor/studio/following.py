@@ -17,9 +17,19 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.session import Loaded, Opening, Outbox, Question, Refused
-from eagor.studio.steps import FLOATS, belief_of, believed, error_deg, estimate_json, evidence_of, scene_of
+from eagor.studio.steps import (
+    FLOATS,
+    LISTED,
+    Listing,
+    belief_of,
+    believed,
+    error_deg,
+    estimate_json,
+    evidence_of,
+    scene_of,
+)
 from eagor.tasks.methods import BASE, DESCRIPTIONS, NAMES, Method, make_method
-from eagor.tracking import Estimate, TrackerConfig
+from eagor.tracking import Around, Estimate, Surroundings, TrackerConfig
 from eagor.tracking.follower import Follower, Refresh
 
 __all__ = ["SOONEST", "Following", "FollowingSession", "Rivals", "warm"]
@@ -28,6 +38,7 @@ SOONEST = 0.05  # seconds between two computations, at least: every step, where 
 LATEST = 1.0  # seconds after which the belief is computed anew without news: targets may come and go
 HISTORY = 60.0  # seconds by which a look may be late: many pages share one eye
 MOVED = 0.02  # metres of the camera that are worth a computation
+MOST = 24  # things of a session that are followed without being asked for
 
 
 class Following:
@@ -128,9 +139,9 @@ class Rivals:
 class FollowingSession:
     """What all sessions share: the question, what is believed about it, and how that is said to the page.
 
-    A new question changes nothing until a look for it has been taken: so one that is refused changes nothing at all. A
-    session of a kind says when it looks, and when it takes a step. `due`: when `tick` is to be called, on
-    `time.monotonic`.
+    A new question changes nothing until a look for it has been taken: so one that is refused changes nothing at all.
+    One for a thing that was seen already is answered at once. A session of a kind says when it looks, and when it
+    takes a step. `due`: when `tick` is to be called, on `time.monotonic`.
     """
 
     def __init__(self, number: int, opening: Opening, out: Outbox) -> None:
@@ -142,6 +153,7 @@ class FollowingSession:
         self._names, self._steps = opening.methods, itertools.count(1)
         self._calibrated: dict[str, dict[str, Any]] = {}  # of the perceptions that are loaded
         self._running = self._paused = self._due_once = False  # the last: a step, though it is paused
+        self._worked = -math.inf  # when something was computed of what else is here
         self._load()
         self._forget()
 
@@ -158,7 +170,9 @@ class FollowingSession:
         self._rivals = Rivals(self._asked.perception)
         self._rivals.choose(self._names)
         self._refused = False
-        self._parts: dict[str, Any] = {}  # of the next step
+        self._around = Surroundings(replace(BASE, history=max(BASE.history, HISTORY)), MOST)
+        self._listing, self._unlisted = Listing(), 0  # what else is here, and how many rows of it are to be made anew
+        self._parts: dict[str, Any] = {"things": []}  # of the next step
         self._blobs: dict[str, Blob] = {}
         self._fresh, self._looks = False, 0
 
@@ -182,7 +196,14 @@ class FollowingSession:
             self._asked = asked
         if asked.perception not in self._calibrated:
             self._load()
+        if asked == self._next and self._knows(asked):
+            self._answers(asked)
         return True
+
+    def _knows(self, asked: Question) -> bool:
+        """Whether it is one of the things that were seen already, by the same eyes."""
+        same = asked.perception == self._asked.perception and asked.degree == self._asked.degree == BASE.degree
+        return same and asked.query in self._around.names
 
     @property
     def _wanted(self) -> Question | None:
@@ -193,9 +214,16 @@ class FollowingSession:
     def _answers(self, question: Question | None) -> bool:
         """Whether a look for this question says something now; the first one for a new question takes it up."""
         if question is not None and question == self._next:
+            kept, known = question.perception == self._asked.perception, self._knows(question)
+            around, listing = self._around, self._listing
             self._asked, self._next, self._due_once = question, None, True
             self.opening = replace(self.opening, question=self._asked)
             self._follow()
+            if kept:  # the same eyes: what they have seen of it counts
+                self._around, self._listing, self._unlisted = around, listing, len(around.names)
+                self._parts["things"] = listing.rows[:LISTED]
+                if known:
+                    self._following.follower.tracker.begin("target", question.query, around.tracker)
             return True
         return question == self._asked
 
@@ -228,18 +256,45 @@ class FollowingSession:
         fatal = said.part in ("house", "picture") or not self._running
         self._out.problem(self.number, said.problem, change, fatal, number)
 
+    def _pose(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
+        """A pose of the camera, in order; the first of a stamp counts."""
+        with suppress(TimeError):
+            self._around.move(stamp, world_R_body, position)
+        self._following.pose(stamp, world_R_body, position)
+
     def _take(
-        self, looks: Sequence[Evidence], stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None
+        self,
+        looks: Sequence[Evidence],
+        stamp: float,
+        world_R_body: np.ndarray,
+        position: np.ndarray | None = None,
+        around: Around | None = None,
+        again: bool = False,
     ) -> None:
-        """Take in the looks at what was seen from a pose."""
-        self._following.pose(stamp, world_R_body, position)  # if the question is as new as the look, there is none yet
+        """Take in the looks at what was seen from a pose, and at all else; `again`: at a picture that has counted."""
+        self._pose(stamp, world_R_body, position)  # if the question is as new as the look, there is none yet
         for evidence in looks:
             self._following.look(evidence)
+        if around is not None and not again:
+            with suppress(PoseError, TimeError):
+                if self._around.look(around.at(stamp)):
+                    self._unlisted = len(self._around.names)
         self._rivals.look(stamp, world_R_body, position, looks)
         if looks:
             found = evidence_of(looks[0], world_R_body, stamp, self._asked.degree)
             self._parts["evidence"], self._blobs["evidence"] = found
         self._fresh, self._looks = True, self._looks + 1
+
+    def _work(self, now: float, soonest: float, stamp: float) -> bool:
+        """Compute one thing more of what else is here, if it is time; whether there is more to do."""
+        if (self._around.behind or self._unlisted) and now - self._worked >= 2 * soonest:
+            self._worked = now
+            if self._around.behind:
+                self._around.take_in()
+            else:
+                self._unlisted -= 1
+                self._parts["things"] = self._listing.renew(self._around, stamp)
+        return self._around.behind or self._unlisted > 0
 
     def _picture(self, stamp: float, world_R_body: np.ndarray, jpeg: bytes) -> None:
         """The next step has a panorama."""

@@ -18,11 +18,11 @@ from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, 
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.media.intrinsics import ShapeError
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
+from eagor.studio.steps import FLOATS, Listing, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
 
 __all__ = ["Shown", "Waiting", "watch"]
 
-PICTURES = 0.2  # seconds between two panoramas that are sent, at least
+PICTURES = 0.2  # seconds between two panoramas that are sent, at least; also between rows of what else is here
 ROWS = 384  # of them, at most
 ORDINARY = 480  # rows of an ordinary camera's picture
 WAITING = 6  # pictures that wait for their pose, at least half of `PICTURES` apart
@@ -65,6 +65,7 @@ class Shown:
         self._lens: dict[str, Any] | None = None  # of an ordinary camera
         self._ended = False
         self.loop: Any = None
+        self._listing, self._listed = Listing(), -math.inf  # of what else is here, and when it was renewed
         self._lock = threading.Lock()  # questions come in a thread of their own
 
     def ask(self, query: str, number: int) -> None:
@@ -85,12 +86,13 @@ class Shown:
             self._say(Message({"type": "problem", **said}))
         self._next = None
 
-    def _tried(self, event: Event) -> None:
-        """Take up a new query with the first look for it, drop one that cannot be looked for."""
+    def _tried(self, event: Event, answers: Sequence[Answer]) -> None:
+        """Take up a new query with the first look for it, at once if it was seen before; drop one that cannot be."""
         asked = self._next
         if asked is None or self._asked is None:
             return
-        if isinstance(event, EvidenceCame) and event.query == asked[0]:
+        known = any(each.query == asked[0] and math.isfinite(each.look_age) for each in answers)
+        if known or (isinstance(event, EvidenceCame) and event.query == asked[0]):
             self._asked, self._next = asked, None
             self._scene()
         elif isinstance(event, Trouble) and event.part == "perception" and event.about == asked[0] and event.text:
@@ -102,7 +104,7 @@ class Shown:
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop, and the answers to it."""
         with self._lock:
-            self._tried(event)
+            self._tried(event, answers)
         if isinstance(event, FrameCame) and event.picture is not None:
             self._waiting.add(event)
             lens = lens_of(event.grid)
@@ -145,6 +147,9 @@ class Shown:
             self._shown = estimate.hypotheses
             header["belief"], coefficients = belief_of(estimate, answer.stamp, estimate.config.degree)
             blobs["belief"] = Blob(FLOATS, coefficients)
+        around = self.loop.core.around
+        if around is not None and around.names and answer.stamp - self._listed >= PICTURES:
+            self._listed, header["things"] = answer.stamp, self._listing.renew(around, answer.stamp)
         soon = answer.stamp - self._sent < PICTURES
         picture = None if soon else self._waiting.take(self.loop.core, answer.stamp)
         if picture is not None:

@@ -26,7 +26,7 @@ from eagor.errors import EagorError
 
 __all__ = ["LATE", "LONGEST", "SEED", "Blob", "Message", "PageError", "jpeg", "merged", "packed", "read", "rounded"]
 
-CARRIED = ("panorama", "belief", "evidence")  # parts that stay wanted until they have been sent
+CARRIED = ("panorama", "belief", "evidence", "things")  # parts that stay wanted until they have been sent
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ class PictureSession(FollowingSession):
         self._angles = (0.0, 0.0, 0.0)
         self._opened: Opened | None = None
         self._seeing, self._looked_from = False, None
+        self._same = False  # what is looked at was looked at before
         self._stamp, self._poses = 0.0, {}
         out.eye(("picture", number, opening.picture, opening.hfov))
         out.status(number, f"Reading {opening.name or 'the picture'}.")
@@ -54,8 +55,7 @@ class PictureSession(FollowingSession):
             self._seeing = False
             pose = self._poses.get(said.stamp)
             if pose is not None and self._answers(said.question):
-                self._following.pose(said.stamp, pose, None)
-                self._take(said.looks, said.stamp, pose)
+                self._take(said.looks, said.stamp, pose, None, said.around, self._same)
         elif isinstance(said, Refused):
             self._seeing = False
             self._refuse(said, OTHER_FILE if said.part == "picture" else OTHER_QUERY)
@@ -83,9 +83,11 @@ class PictureSession(FollowingSession):
         self._stamp += TICK
         yaw, pitch, roll = self._angles
         pose = world_R_body(yaw, -pitch, roll)
-        self._following.pose(self._stamp, pose, None)
+        self._pose(self._stamp, pose, None)
         self._see(pose)
         estimate = self._following.answer(self._stamp, 0.0)
+        if self._work(now, soonest, self._stamp):
+            self.due = now + 2 * soonest
         attitude = {"yaw": rounded(yaw), "pitch": rounded(pitch), "roll": rounded(roll)}
         self._step(estimate, self._stamp, attitude=attitude)
         return self._following.took
@@ -107,8 +109,8 @@ class PictureSession(FollowingSession):
         if not turned and wanted != self._next:
             return
         self._stamp += BETWEEN
-        self._following.pose(self._stamp, pose, None)
-        self._looked_from, self._seeing = pose, True
+        self._pose(self._stamp, pose, None)
+        self._looked_from, self._seeing, self._same = pose, True, not turned
         self._poses = {self._stamp: pose}
         self._out.eye(See(self.number, self._stamp, pose, None, wanted, 0, picture=self._file, hfov=self.opening.hfov))
 
@@ -127,6 +129,8 @@ class VideoSession(FollowingSession):
         self._start: float | None = 0.0  # where to seek with the next frame
         self._lens: dict[str, Any] | None = None  # of an ordinary camera: the first frame tells
         self._anchor: tuple[float, float] | None = None  # time of the video, and ours
+        self._frame: tuple[float, np.ndarray, dict[str, Any]] | None = None  # that is shown: its time, pose, and number
+        self._same = False  # it was looked at before
         out.status(number, f"Reading {opening.name or 'the video'}.")
 
     def saw(self, said: Any, now: float) -> None:
@@ -167,12 +171,16 @@ class VideoSession(FollowingSession):
 
     def tick(self, now: float, soonest: float = SOONEST) -> float:
         """Ask for the next frame; one frame is shown after a seek even while the video is paused."""
-        self.due = math.inf
+        more = self._work(now, soonest, 0.0)
+        self.due = now + 2 * soonest if more else math.inf
+        news = self._due_once or (not more and "things" in self._parts)
+        if news and self._frame is not None and (self._paused or self._over):
+            self._say(*self._frame)
         wanted = self._start is not None or self._again or not (self._paused or self._over)
         if not self._running or self._asking or not wanted:
             return 0.0
         self._out.eye(Turn(self.number, self._file, self._wanted, self._start, self._again, self.opening.hfov))
-        self._start, self._again, self._asking = None, False, True
+        self._start, self._same, self._again, self._asking = None, self._again, False, True
         return 0.0
 
     def _seek(self, seconds: float) -> None:
@@ -191,6 +199,11 @@ class VideoSession(FollowingSession):
         about = {} if self._lens is None else {"lens": self._lens}
         self._scene("picture", self.opening.name or "Video", frames=self.opening.frames, **about)
 
+    def _say(self, stamp: float, pose: np.ndarray, frame: dict[str, Any]) -> None:
+        """Say what is believed at a frame."""
+        self._pose(stamp, pose, None)
+        self._step(self._following.answer(stamp, 0.0), stamp, frame=frame)
+
     def _show(self, said: Turned, now: float) -> None:
         """One frame: take in its looks, and say what is believed."""
         if said.lens != self._lens:
@@ -201,12 +214,14 @@ class VideoSession(FollowingSession):
             self._out.status(self.number, "A picture does not fit to those before it: the belief starts anew.")
         stamp, pose = said.stamp, said.world_R_body
         looks = said.looks if said.question is not None and self._answers(said.question) else ()
-        self._following.pose(stamp, pose, None)
+        self._pose(stamp, pose, None)
         self._picture(stamp, pose, said.jpeg)
         if looks:
-            self._take([replace(evidence, stamp=stamp) for evidence in looks], stamp, pose)
+            looks = [replace(evidence, stamp=stamp) for evidence in looks]
+            self._take(looks, stamp, pose, None, said.around, self._same)
         frame = {"n": round(stamp * LOOKS), "of": self.opening.frames, "stamp": rounded(stamp, 3)}
-        self._step(self._following.answer(stamp, 0.0), stamp, frame=frame)
+        self._frame = stamp, pose, frame
+        self._say(*self._frame)
         if self._anchor is None:
             self._anchor = stamp, now
         # At the video's speed at most: the next frame is due when its time has come.

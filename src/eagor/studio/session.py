@@ -15,6 +15,7 @@ from eagor.tasks.methods import BASE
 if TYPE_CHECKING:
     from eagor.evidence import Evidence
     from eagor.studio.houses import House
+    from eagor.tracking import Around
 
 __all__ = [
     "LOOKS", "Built", "Close", "Loaded", "Opened", "Opening", "Outbox", "Panorama", "Question", "Refused", "See",
@@ -77,7 +78,7 @@ class Turned:
     """A frame of a video: its time (seconds of the video), the camera's rotation, the picture, and the looks at it.
 
     `question`: what was looked for; None: no look was taken. `lost`: the rotation could not be followed up to here; the
-    world starts anew. `over`: there are no more frames, and the rest means nothing.
+    world starts anew. `over`: there are no more frames, and the rest means nothing. `around`: as in `Seen`.
     """
 
     session: int
@@ -89,6 +90,7 @@ class Turned:
     lost: bool = False
     over: bool = False
     lens: dict[str, Any] | None = None
+    around: Around | None = None
 
 
 @dataclass(frozen=True)
@@ -137,12 +139,13 @@ class Panorama:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The looks at what was seen at a stamp."""
+    """The looks at what was seen at a stamp; `around`: at all else, by a perception that knows its classes."""
 
     session: int
     stamp: float
     question: Question
     looks: tuple[Evidence, ...]
+    around: Around | None = None
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,12 @@ from eagor.live.events import FrameCame
 from eagor.sphere import angular_distance
 from eagor.studio.density import DEGREE, MASS, Density, density_of
 from eagor.studio.messages import Blob, jpeg, rounded
-from eagor.tracking import Estimate, TrackerConfig
+from eagor.tracking import Estimate, Surroundings, TrackerConfig
 from eagor.worlds.render import Photograph
 
 __all__ = [
-    "FLOATS", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg", "estimate_json", "evidence_of",
-    "lens_of", "scene_of", "seen_jpeg", "shown_jpeg", "small_jpeg",
+    "FLOATS", "LISTED", "Listing", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg",
+    "estimate_json", "evidence_of", "lens_of", "scene_of", "seen_jpeg", "shown_jpeg", "small_jpeg",
 ]  # fmt: skip
 
 FLOATS = "float32"
@@ -128,6 +128,35 @@ def belief_in_json(estimate: Estimate, stamp: float, degree: int) -> dict[str, A
     """The belief as `belief_of`, with its coefficients in the header."""
     header, coefficients = belief_of(estimate, stamp, degree)
     return header | {"coefficients": base64.b64encode(coefficients).decode("ascii")}
+
+
+LISTED = 12  # things, the surest
+
+
+class Listing:
+    """What else is here, in JSON, with directions in world axes. A call makes one row anew: each takes a moment."""
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, Any]] = []  # the surest first
+        self._turn = 0
+
+    def renew(self, around: Surroundings, now: float) -> list[dict[str, Any]]:
+        """The `LISTED` surest rows, after the next in turn is that of the time `now`."""
+        names = around.names
+        kept = {row["query"]: row for row in self.rows if row["query"] in names}
+        if names:
+            self._turn = (self._turn + 1) % len(names)
+            thing = around.thing(names[self._turn], now)
+            e = thing.estimate
+            kept[thing.query] = {
+                "query": thing.query,
+                "direction": None if e.direction is None else rounded(e.world_R_body @ e.direction),
+                "sure": rounded(thing.sure, 3),
+                "seen": thing.looks,
+                "of": thing.among,
+            }
+        self.rows = sorted(kept.values(), key=lambda row: -row["sure"])
+        return self.rows[:LISTED]
 
 
 def scene_of(view: str, title: str, query: str, **about: Any) -> dict[str, Any]:

@@ -61,7 +61,7 @@ class WalkSession(FollowingSession):
             self._seeing = False
             pose = self._poses.get(said.stamp)
             if pose is not None and self._answers(said.question):
-                self._take(said.looks, said.stamp, *pose)
+                self._take(said.looks, said.stamp, *pose, around=said.around)
         elif isinstance(said, Refused):
             self._seeing = False
             change = "Ask for one of the things that are offered." if said.part == "query" else "Choose another one."
@@ -101,10 +101,11 @@ class WalkSession(FollowingSession):
             known = None  # it waits at the beginning
         moved = not self._paused and self._walker.move(now - self._last, known, self._arrived)
         self._last = now
-        self._following.pose(stamp, body.world_R_body, body.position)
+        self._pose(stamp, body.world_R_body, body.position)
         self._estimate = estimate = self._following.answer(stamp, soonest)
         self._moved = now if moved else self._moved
         goal = self._goal(stamp)
+        self._work(now, soonest, stamp)
         self._step(estimate, stamp, body.position, self._truth(), goal=goal, drive=self._walker.by)
         self._see(stamp, now - self._moved)
         self.due = now + (PERIOD if now - self._moved < STILL else RESTING)

@@ -26,7 +26,10 @@ export class Panels {
   private later = 0;
   private share: { heat: object; pose: object; share: Float32Array } | null = null;
 
-  constructor(private readonly store: Store, private readonly shell: Shell, private readonly stage: Stage) {
+  constructor(
+    private readonly store: Store, private readonly shell: Shell, private readonly stage: Stage,
+    private readonly ask: (query: string) => void,
+  ) {
     for (const topic of ["scene", "step", "look", "style", "layers"] as const) store.on(topic, () => this.request());
     store.on("scene", () => this.calibration());
     new ResizeObserver(() => this.request()).observe(shell.look);
@@ -41,6 +44,7 @@ export class Panels {
       this.scheduled = false;
       this.answer();
       this.modes();
+      this.others();
       const wait = PLOTS - (performance.now() - this.plotted);
       if (wait <= 0) this.plots();
       else if (!this.later) this.later = window.setTimeout(() => this.plots(), wait);
@@ -117,6 +121,37 @@ export class Panels {
       say(row.querySelector(".where")!, this.where(direction));
       say(row.querySelector(".weight")!, words.percent(weight));
       row.querySelector("b")!.style.inlineSize = `${Math.round(100 * weight)}%`;
+    });
+  }
+
+  /** What else is here. The order stays while a hand or the focus is on the list: no button leaves from under it. */
+  private others(): void {
+    const { others, othersCard } = this.shell;
+    const { store } = this;
+    const { things } = store;
+    const asked = store.waiting ?? store.scene?.query;
+    othersCard.hidden = things.every(({ query }) => query === asked);
+    const rows = new Map([...others.children].map((row) => [(row as HTMLElement).dataset.query!, row]));
+    for (const { query, direction, sure, seen, of } of things) {
+      let row = rows.get(query);
+      rows.delete(query);
+      if (!row) {
+        const ask = () => { if (query !== (store.waiting ?? store.scene?.query)) this.ask(query); };
+        row = h("li", { "data-query": query }, h("button", { type: "button", onclick: ask },
+          h("span", {}, h("strong", {}, query), " ", h("span", { class: "where" })), h("span", { class: "weight" })));
+        others.append(row);
+      }
+      const here = direction && store.pose ? apply(inverse(store.pose), direction) : null;
+      say(row.querySelector(".where")!, here ? this.where(here) : words.others.unsure);
+      say(row.querySelector(".weight")!, words.percent(sure));
+      row.firstElementChild!.setAttribute("title", words.others.seen(seen, of));
+      row.firstElementChild!.setAttribute("aria-current", String(query === asked));
+    }
+    for (const row of rows.values()) row.remove();
+    if (others.matches(":hover, :focus-within")) return;
+    things.forEach(({ query }, i) => {
+      if ((others.children[i] as HTMLElement).dataset.query === query) return;
+      others.insertBefore([...others.children].find((row) => (row as HTMLElement).dataset.query === query)!, others.children[i]);
     });
   }
 

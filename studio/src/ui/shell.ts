@@ -78,6 +78,9 @@ export function shell(root: HTMLElement) {
   const choice = h("div", { class: "choice", hidden: true });
   const list = h("ol", { class: "modes" });
   const candidates = card("candidates", words.candidates.label, list);
+  const others = h("ol", { class: "modes others-list" });
+  const othersCard = card("others", words.others.label, h("p", { class: "hint" }, words.others.hint), others);
+  othersCard.hidden = true;
   const calibrationFacts = h("dl", { class: "facts" });
   const calibrationWords = h("p", {});
   const calibration = h("details", { class: "card calibration" },
@@ -91,12 +94,12 @@ export function shell(root: HTMLElement) {
       problems,
       h("div", { class: "bar" }, ask, controls),
       h("div", { class: "left" }, stage, legend, player, h("div", { class: "below" }, flat, series.card)),
-      h("aside", { class: "side", "aria-label": words.answer.label }, choice, answer, candidates, polar.card, plan.card, calibration)),
+      h("aside", { class: "side", "aria-label": words.answer.label }, choice, answer, candidates, othersCard, polar.card, plan.card, calibration)),
     news,
   );
   return {
     tabs, theme, problems, news, ask, query, targets, controls, stage, look, insideView, insideMarks, empty, badge, tools, stick, keys, looking,
-    told, legend, player, flat, flatView, flatMarks, flatHint, series, polar, plan, status, sentence, means, facts, choice, candidates, list,
+    told, legend, player, flat, flatView, flatMarks, flatHint, series, polar, plan, status, sentence, means, facts, choice, candidates, list, others, othersCard,
     calibration, calibrationFacts, calibrationWords, ICONS,
   };
 }

@@ -65,6 +65,15 @@ export interface Answer {
   words: string;
 }
 
+/** One of the things that the detector has seen without being asked for them. */
+export interface Thing {
+  query: string;
+  direction: Vector | null; // in the world
+  sure: number; // probability that it is here, and there
+  seen: number; // in so many looks,
+  of: number; // of so many
+}
+
 export interface Mode {
   direction: Vector;
   weight: number;
@@ -118,6 +127,7 @@ export interface Step {
   truth?: { direction: Vector | null } | null;
   error_deg: number | null;
   faults?: string[]; // of a live source
+  things?: Thing[]; // what else is here, the surest first; absent: as before
   drive?: Drive;
   goal?: { position: number[] | null; words?: string; metres?: number | null; reached?: boolean } | null;
   frame?: { n: number; of: number } | null;
