@@ -103,8 +103,8 @@ def test_a_run_on_ray_that_is_killed_leaves_nobody(tmp_path):
 
 
 def check_end(out, number, whole_session, workers, *more):
-    words = ("bench", "run", "waypoint", "--perception", "truth", "--methods", "vmf", "--rows", 32, "--episodes", 500)
-    run = begun(*words, "--workers", workers, "--out", out, "--json", *more)
+    words = ("bench", "run", "tracking", "--perception", "truth", "--methods", "vmf", "--set", "steps=4")
+    run = begun(*words, "--episodes", 500, "--workers", workers, "--out", out, "--json", *more)
     wait_for(lambda: len(kept(out)) >= 2)
     before = kept(out)
     assert ended(run, number, whole_session) == TOLD[number]
