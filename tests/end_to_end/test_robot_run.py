@@ -118,9 +118,7 @@ def test_a_perception_that_hangs_stops_the_robot_and_a_killed_walk_leaves_no_pro
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("how", "everyone"), [(signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False)]
-)
+@pytest.mark.parametrize(("how", "everyone"), [(signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False)])
 def test_a_walk_that_is_ended_leaves_a_report_and_no_process(tmp_path, how, everyone):
     with walking(tmp_path / "walk") as child:
         sessions = sessions_of(child.pid)
