@@ -173,8 +173,9 @@ def test_directions_of_a_turning_robot_and_a_query_on_a_topic(robot):
         assert len(got["/eagor/belief"][-1].data) == 256
         heard.link.publish("/eagor/query", m.TEXT, transient=True).write(m.text_message("blue"))
         heard.until(
-            lambda got: {(k.ns, k.action) for each in got["/eagor/markers"] for k in each.markers}
-            >= {("red", 2), ("blue", 0)},
+            lambda got: (
+                {(k.ns, k.action) for each in got["/eagor/markers"] for k in each.markers} >= {("red", 2), ("blue", 0)}
+            ),
             "markers of old queries are taken away",
         )
         with heard.news:

@@ -76,7 +76,7 @@ def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_pat
     check_end(tmp_path / "run", number, whole_session, workers)
 
 
-@pytest.mark.slow  # one on Ray is played in the tests of benchmarks, and the end of others tried above
+@pytest.mark.slow  # that nothing of it is left is tried in the tests of benchmarks, and the end of others above
 def test_a_run_on_ray_leaves_none_of_its_servers(tmp_path):
     check_end(tmp_path / "run", signal.SIGTERM, True, 2, "--engine", "ray")
 
