@@ -170,7 +170,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
     """The loop that the options ask for, with its camera open. Raises `UsageError`, and as `LiveLoop`."""
     from eagor.live.loop import LiveLoop
     from eagor.media.camera_sources import open_camera
-    from eagor.robots.poses import ROS
+    from eagor.robots import ROS
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
@@ -248,7 +248,7 @@ def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
     from eagor.live.threads import GivenPoses, MotionPoses
     from eagor.media.pose_files import odometry_of_file
-    from eagor.robots.poses import GO2, ROS, open_poses
+    from eagor.robots import GO2, ROS, open_poses
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
     text = options.poses
@@ -319,7 +319,7 @@ class _Told:
         return {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
 
     def _next_in_words(self) -> list[str]:
-        from eagor.drawing.words import in_words
+        from eagor.drawing.style import in_words
 
         return [] if self._next is None else [f"look next {in_words(*self._next)}"]
 
@@ -346,7 +346,7 @@ class _Told:
 
 def _in_line(answer: Answer) -> str:
     """An answer for the status line: "red chair: 12 degrees to the left, within 5°, tracking"."""
-    from eagor.drawing.words import answer_in_words
+    from eagor.drawing.style import answer_in_words
 
     e = answer.estimate
     cone = "" if e.direction is None else f", within {math.degrees(e.credible_angle):.0f}°"

@@ -152,7 +152,7 @@ def _checked_floor(floor: float | None) -> float | None:
 
 
 def _print(options: Locate, spec: str, estimate: Estimate) -> None:
-    from eagor.drawing.words import STATUS, answer_in_words, far_in_words, signed
+    from eagor.drawing.style import STATUS, answer_in_words, far_in_words, signed
     from eagor.perception import short_name
 
     known = estimate.direction is not None
@@ -175,7 +175,7 @@ def _print(options: Locate, spec: str, estimate: Estimate) -> None:
 
 def _print_modes(estimate: Estimate, count: int) -> None:
     """Print the candidates and the remaining probability."""
-    from eagor.drawing.words import in_words, signed
+    from eagor.drawing.style import in_words, signed
 
     shown = estimate.modes[:count]
     print("  candidates      azimuth elevation  weight (probability that it is thereabouts, if it is here)")
@@ -188,7 +188,7 @@ def _print_modes(estimate: Estimate, count: int) -> None:
 
 def _draw(options: Locate, frame: Picture, estimate: Estimate) -> None:
     from eagor.drawing import draw_belief
-    from eagor.drawing.words import answer_in_words
+    from eagor.drawing.style import answer_in_words
 
     assert options.picture is not None
     title = f"“{options.query}”: {answer_in_words(estimate)} ({estimate.status})"

@@ -145,9 +145,9 @@ def robot_run(options: RobotRun) -> int:
     """Run the command; returns its exit code."""
     from eagor.live.loop import LiveLoop
     from eagor.robots.run_page import RobotPage
-    from eagor.robots.safety.deadman import DEADMEN
     from eagor.robots.safety.guard import Guard
     from eagor.robots.safety.limits import Limits
+    from eagor.robots.safety.messages import DEADMEN
     from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 
     query = checked_query(options.query)
@@ -249,10 +249,10 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     import numpy as np
 
-    from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2
+    from eagor.robots.go2.house import CameraSettings
+    from eagor.robots.go2.sim import CAMERA, Rehearsal, SimSettings, SimulatedGo2, clear_start
     from eagor.robots.ros.sources import RosCamera
     from eagor.robots.run_page import Plan
-    from eagor.robots.safety.rehearsal import CAMERA, Rehearsal, clear_start
 
     rows = rows_for(spec, options.rows, PICTURE)
     camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)

@@ -559,7 +559,7 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
     Pictures are numbered as the lines of the table, and show at most `most` candidates.
     """
     from eagor.drawing import Mosaic, draw_belief
-    from eagor.drawing.words import answer_in_words
+    from eagor.drawing.style import answer_in_words
 
     checked_folder(folder, "--pictures")
     numbers, mosaic = count(), Mosaic()

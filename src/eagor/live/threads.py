@@ -1,7 +1,7 @@
 """The threads of a live loop: those that read its sources, and those that look at the newest picture.
 
 A recording is read at its own speed. Who looks takes the newest picture when done with the one before: for things, and
-for turns. Live poses of robots are in `eagor.robots.poses`.
+for turns. Live poses of robots are in `eagor.robots`.
 """
 
 from __future__ import annotations

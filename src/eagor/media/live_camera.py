@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from eagor._secrets import redacted
+from eagor._files import redacted
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.clocks import StreamClock

@@ -11,7 +11,7 @@ import numpy as np
 
 from eagor._checks import is_twice_as_wide
 from eagor._extras import need
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.defects import fisheye_circles

@@ -11,8 +11,7 @@ import numpy as np
 
 from eagor._arrays import frozen
 from eagor._checks import above, require, whole, within
-from eagor._lazy import lazy
-from eagor._reprs import changed
+from eagor._values import changed, lazy
 from eagor.belief.ranged import log_ranges
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
