@@ -5,8 +5,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import at_most
 
 from eagor.errors import WorldError
 from eagor.tasks.places import UNTARGETED
@@ -47,7 +48,7 @@ def standing(seed):
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=40)
+@at_most(40)
 def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
     plan = draw_plan(np.random.default_rng(seed))
     kinds = {space.kind for space in plan.spaces}
