@@ -26,7 +26,7 @@ from eagor.cli.checks import (
     rows_for,
     tracker_config,
 )
-from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Whole, bare
+from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static, Whole, bare
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ class RobotRun(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
+    static: Static = False
     mask: Mask = None
     force: Force = False
 
@@ -155,7 +156,7 @@ def robot_run(options: RobotRun) -> int:
     # In a rendered house the network for such pictures is better than a colour alone.
     spec = "scout" if options.sim and options.perception is None else perception_for(query, options.perception)
     check_looks(spec)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=FLOOR)
     mask = mask_of(options.mask)
     folder = options.report or (Path("eagor-walk") if options.sim else None)
@@ -236,7 +237,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
             rig = None if options.rig is None else read_rig(options.rig)
             network = {"domain": options.domain, "interface": options.interface}
             return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, rig=rig, **network)
-        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig)
+        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig, stitched=True)
         if not found.live:
             found.close()
             raise DeviceError(f"--source {source} is a recording; a robot that walks needs a live camera")

@@ -59,7 +59,7 @@ class MotionModel:
 
     @classmethod
     def still(cls) -> MotionModel:
-        """Targets that appear and disappear, but never move."""
+        """Targets that never move, appear or disappear."""
         return cls(wander=(), turn=(), start=0.0, stop=0.0, jump=0.0, birth=0.0, death=0.0)
 
     @lazy
