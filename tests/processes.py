@@ -1,4 +1,4 @@
-"""What tests of other processes share: waiting for something, who is alive, and a reader with little memory."""
+"""What tests of processes share: waiting for something, who is alive, little memory, and a disk that is full."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import pytest
 
 
 def wait_for(what: Callable[[], object]) -> None:
@@ -66,3 +68,17 @@ def limited(imports: str, code: str, folder: Path, mebibytes: int) -> list[str]:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
+
+
+@contextmanager
+def little_room(most: int) -> Iterator[None]:
+    """Files of this process, and of those that it starts, may hold so many bytes, as if the disk were full. POSIX."""
+    resource = pytest.importorskip("resource")
+    before, kept = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True  # half a module would stay
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = kept

@@ -11,6 +11,12 @@ from eagor.sphere import rotation
 # Readers of hostile input are tried with a hundred cases in every run, whatever laws are tried with.
 HOSTILE = settings(max_examples=max(100, settings.default.max_examples))
 
+
+def at_most(cases: int) -> settings:
+    """So many cases of a law, but no more than of the others: 25, and all of them with ``make test-slow``."""
+    return settings(max_examples=min(cases, settings.default.max_examples))
+
+
 _ANGLES = st.one_of(
     st.floats(-math.pi, math.pi),
     st.sampled_from([0.0, 1e-8, -1e-8, math.pi / 2, math.pi, -math.pi, math.pi - 1e-8]),

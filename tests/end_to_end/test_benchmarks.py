@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import hstar_data
 import pytest
 import small_benchmark
+from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.errors import EagorError
@@ -348,12 +349,22 @@ def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
         run_units(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
 
 
-def test_ray_does_everything_and_outlives_its_workers(tmp_path, config, monkeypatch):
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
+def test_ray_does_everything_outlives_its_workers_and_leaves_no_process(tmp_path, config, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([ENVIRONMENT["PYTHONPATH"], *sys.path]))  # what its workers import
     trouble = {3: "raise", 5: "die once", 7: "die"}
     given = [*units(12, trouble), Unit("square/unsent", "house 3", lambda: 0)]
-    done = run_units(given, "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
+    sessions, servers = set(), set()
+
+    def look_around(_):
+        sessions.update(sessions_of(os.getpid()) - {os.getpid(), os.getsid(0)})
+        servers.update(name for name in ("gcs_server", "raylet") if name in str(alive(sessions)))
+
+    folder = tmp_path / "run"
+    done = run_units(given, "units_of_work:squares", config, folder, 2, engine="ray", on_done=look_around)
     assert done == Outcome(10, 3, 0)
+    assert servers == {"gcs_server", "raylet"}
+    wait_for(lambda: not alive(sessions))
     found = {record["key"]: record for record in ledger.read(tmp_path / "run")}
     assert "cannot be sent" in found["square/unsent"]["error"]
     assert found["square/5"]["attempt"] == 2

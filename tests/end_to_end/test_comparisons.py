@@ -21,10 +21,10 @@ from eagor.tasks.tracking import TRACKING
 
 OURS_ALONE = replace(TRACKING, name="mine", title="Mine")  # as a package would bring it
 RULES = {
-    "waypoint": ("--episodes", 2),
+    "waypoint": ("--episodes", 2, "--set", "leg_steps=6"),
     "navigation": ("--episodes", 2, "--set", "max_steps=12"),
-    "tracking": ("--episodes", 2),
-    "mine": ("--episodes", 2),
+    "tracking": ("--episodes", 2, "--set", "steps=8"),
+    "mine": ("--episodes", 2, "--set", "steps=8"),
 }
 
 

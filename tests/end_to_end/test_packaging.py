@@ -174,13 +174,9 @@ def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
     found = json.loads(eagor("locate", "lamp.png", "brightest", "--perception", "brightness", "--json"))
     assert abs(found["azimuth_deg"] - 90) < 2
     assert abs(found["elevation_deg"] - 28.1) < 2
-    assert json.loads(eagor("doctor", "--json"))["perceptions"]["brightness"] == "ready"
     listed = json.loads(eagor("bench", "list", "--json"))["turntable"]
     assert (listed["kind"], listed["title"]) == ("simulated", "Turntable")
     assert "hall" in listed["worlds"]
-    text = eagor("bench", "list")
-    assert "turntable   name the direction of a thing" in text
-    assert "worlds (--world): apartment, habitat, hall, or a GLB file" in text
 
 
 @pytest.mark.slow

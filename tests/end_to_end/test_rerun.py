@@ -92,7 +92,7 @@ def test_the_viewer_shows_it(followed):
 
 def test_episodes_of_a_run_are_played_again_with_the_same_figures(tmp_path, capsys):
     run, log = tmp_path / "run", tmp_path / "worst.rrd"
-    words = ["bench", "run", "tracking", "--perception", "truth", "--episodes", "2", "--seed", "3"]
+    words = ["bench", "run", "tracking", "--perception", "truth", "--episodes", "2", "--seed", "3", "--set", "steps=10"]
     assert main([*words, "--methods", "eagor", "vmf", "--out", str(run)]) == 0
     assert main(["bench", "failures", str(run), "--episode", "3-1", "--rerun", str(log)]) == 0
     records = [json.loads(line) for path in run.rglob("*.jsonl") for line in path.read_text().splitlines()]

@@ -7,7 +7,7 @@ import re
 import signal
 import subprocess
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -29,8 +29,9 @@ def command(*words):
 
 
 def test_a_simulated_robot_walks_to_the_sofa_and_leaves_a_report(tmp_path):
-    words = command("white sofa", "--sim", "--arm", "--seconds", "240", "--report", str(tmp_path / "walk"), "--json")
-    done = subprocess.run(words, capture_output=True, text=True, timeout=400)
+    start = ("--start", "2.05", "6.2", "30")  # two metres from it, which is 60 degrees to the left
+    words = command("white sofa", "--sim", "--arm", *start, "--seconds", "240", "--report", str(tmp_path / "walk"))
+    done = subprocess.run([*words, "--json"], capture_output=True, text=True, timeout=400)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told["ended"] == "arrived"
@@ -68,33 +69,67 @@ def test_a_dry_run_moves_nothing(tmp_path):
     assert max(math.dist(place, places[0]) for place in places) < 1e-6
 
 
-@pytest.mark.parametrize(("how", "everyone"), [
-    (signal.SIGKILL, False),
-    pytest.param(signal.SIGINT, True, marks=pytest.mark.slow),
-    pytest.param(signal.SIGINT, False, marks=pytest.mark.slow),
-    pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow),
-])  # fmt: skip
-def test_a_walk_that_is_ended_leaves_no_process(tmp_path, how, everyone):
-    words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "600", "--report", str(tmp_path / "walk"))
+@contextmanager
+def walking(folder):
+    """The command in a session of its own, its robot on the way, and what it says of that, line by line."""
+    words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "600", "--report", str(folder))
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert child.stderr is not None
-    said = ""
-    for line in child.stderr:
-        said += line
-        if " armed, " in line:
-            break
-    sessions = sessions_of(child.pid)
-    assert len(alive(sessions)) >= 4, said  # the command, the robot, its camera, the perception, the guard
-    if everyone:  # as a terminal does at Ctrl-C
-        os.killpg(child.pid, how)
-    else:
-        os.kill(child.pid, how)
-    child.stderr.read()
-    code = child.wait(60)
-    assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -signal.SIGKILL}[how]
-    child.stderr.close()
-    wait_for(lambda: not alive(sessions))
-    assert (tmp_path / "walk" / "report.html").exists() == (how != signal.SIGKILL)
+    try:
+        heard(child.stderr, " armed, ")
+        yield child
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        child.stderr.close()
+
+
+def heard(lines, *words):
+    """Wait for a line with all these words."""
+    said = []
+    for line in lines:
+        said.append(line)
+        if all(word in line for word in words):
+            return
+    raise AssertionError("".join(said))
+
+
+def hang_the_perception(child):
+    """Of the processes that were spawned, by whatever thread, the perception's is the youngest."""
+    spawned = {}
+    for listed in Path(f"/proc/{child.pid}/task").glob("*/children"):
+        for pid in map(int, listed.read_text().split()):
+            if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                spawned[int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19])] = pid
+    os.kill(spawned[max(spawned)], signal.SIGSTOP)
+
+
+def test_a_perception_that_hangs_stops_the_robot_and_a_killed_walk_leaves_no_process(tmp_path):
+    with walking(tmp_path / "walk") as child:
+        hang_the_perception(child)
+        heard(child.stderr, " standing, ", "look of the perception is")
+        sessions = sessions_of(child.pid)
+        assert len(alive(sessions)) >= 5, alive(sessions)  # the command, the robot, its camera, perception, guard
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait(60)
+        wait_for(lambda: not alive(sessions))
+    assert not (tmp_path / "walk" / "report.html").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "everyone"), [(signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False)])
+def test_a_walk_that_is_ended_leaves_a_report_and_no_process(tmp_path, how, everyone):
+    with walking(tmp_path / "walk") as child:
+        sessions = sessions_of(child.pid)
+        if everyone:  # as a terminal does at Ctrl-C
+            os.killpg(child.pid, how)
+        else:
+            os.kill(child.pid, how)
+        child.stderr.read()
+        assert child.wait(60) == {signal.SIGINT: 130, signal.SIGTERM: 143}[how]
+        wait_for(lambda: not alive(sessions))
+    assert (tmp_path / "walk" / "report.html").exists()
 
 
 @pytest.mark.slow
@@ -124,41 +159,18 @@ def test_a_robot_that_is_simulated_elsewhere_is_walked_as_a_real_one(tmp_path):
         robot.stdout.close()
 
 
-@pytest.mark.slow  # the gate and the live loop are tried with looks that do not come, too
-def test_a_perception_that_hangs_stops_the_robot(tmp_path):
-    words = command("white sofa", "--sim", "--arm", "--stay", "--seconds", "120", "--report", str(tmp_path / "walk"))
-    child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    assert child.stderr is not None
-    try:
-        said = ""
-        for line in child.stderr:
-            said += line
-            if " armed, " in line:
-                break
-        else:
-            raise AssertionError(said)
-        # Of the processes that were spawned, the perception's is the youngest.
-        started = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
-        spawned = [int(pid) for pid in started if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-        os.kill(max(spawned), signal.SIGSTOP)
-        for line in child.stderr:
-            said += line
-            if "look of the perception is" in line:
-                break
-        else:
-            raise AssertionError(said)
+@pytest.mark.slow  # that it stands then is tried above
+def test_a_report_tells_of_a_perception_that_hung(tmp_path):
+    with walking(tmp_path / "walk") as child:
+        hang_the_perception(child)
+        heard(child.stderr, "look of the perception is")
         os.kill(child.pid, signal.SIGINT)
         child.stderr.read()
         assert child.wait(60) == 130
-        samples = json.loads((tmp_path / "walk" / "run.json").read_text())["samples"]
-        hung = [sample for sample in samples if any("look of the perception is" in why for why in sample["reasons"])]
-        assert hung
-        assert all(sample["sent"] is None for sample in hung)
-    finally:
-        with suppress(ProcessLookupError):
-            os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
-        child.stderr.close()
+    samples = json.loads((tmp_path / "walk" / "run.json").read_text())["samples"]
+    hung = [sample for sample in samples if any("look of the perception is" in why for why in sample["reasons"])]
+    assert hung
+    assert all(sample["sent"] is None for sample in hung)
 
 
 @pytest.mark.parametrize(("words", "said"), [

@@ -153,7 +153,7 @@ def worst(got, topic, ball, count=20):
     return max(errors) if len(errors) >= count // 2 else math.inf
 
 
-def test_directions_of_a_turning_robot(robot):
+def test_directions_of_a_turning_robot_and_a_query_on_a_topic(robot):
     domain = robot(10.0)
     heard = Heard(domain)
     process = node(domain, "red")
@@ -171,6 +171,16 @@ def test_directions_of_a_turning_robot(robot):
         assert (picture.encoding, picture.height, picture.width) == ("mono8", 64, 128)
         assert picture.header.frame_id == "x3_link"
         assert len(got["/eagor/belief"][-1].data) == 256
+        heard.link.publish("/eagor/query", m.TEXT, transient=True).write(m.text_message("blue"))
+        heard.until(
+            lambda got: (
+                {(k.ns, k.action) for each in got["/eagor/markers"] for k in each.markers} >= {("red", 2), ("blue", 0)}
+            ),
+            "markers of old queries are taken away",
+        )
+        with heard.news:
+            heard.got["/eagor/direction"].clear()
+        heard.until(lambda got: worst(got, "/eagor/direction", 1) < 5, "the blue ball is found")
     finally:
         code, _, err = ended(process, signal.SIGTERM)
         heard.link.close()
@@ -178,6 +188,7 @@ def test_directions_of_a_turning_robot(robot):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_queries_come_on_a_topic_and_faults_are_told(robot):
     domain = robot(0.0)
     heard = Heard(domain)

@@ -20,6 +20,7 @@ import pytest
 from clips import clip
 from PIL import Image
 
+from eagor.cli import main
 from eagor.sphere import angular_distance, world_R_body
 from tests.studio_pages import PATIENCE, Watched, browser, need_browser, serious
 
@@ -53,11 +54,7 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
     need_browser()
     folder = tmp_path_factory.mktemp("studio")
     play = ("bench", "run", "navigation", "--perception", "truth", "--methods", "eagor", "centroid", "--episodes", "1")
-    done = subprocess.run(
-        [*COMMAND, *play, "--seed", "602", "--set", "max_steps=8", "--out", str(folder / "runs" / "short")],
-        capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert main([*play, "--seed", "602", "--set", "max_steps=8", "--out", str(folder / "runs" / "short")]) == 0
     (folder / "runs" / "half").mkdir()
     (folder / "runs" / "half" / "run.json").write_text((folder / "runs" / "short" / "run.json").read_text())
     (folder / "frames").mkdir()

@@ -35,7 +35,7 @@ SAMPLE = {
 def runs(tmp_path_factory):
     """A folder with a run of one short episode, a robot's report, and a run that was only begun."""
     root = tmp_path_factory.mktemp("runs")
-    common = ["--perception", "truth", "--episodes", "1", "--seed", "602", "--set", "max_steps=20"]
+    common = ["--perception", "truth", "--episodes", "1", "--seed", "602", "--set", "max_steps=8"]
     assert main(["bench", "run", "navigation", *common, "--methods", "eagor", "vmf", "--out", str(root / "nav")]) == 0
     (root / "walk").mkdir()
     samples = [SAMPLE | {"time": 0.1 * number} for number in range(300)]

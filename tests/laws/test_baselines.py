@@ -8,7 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import directions, random_directions, rotations
+from strategies import at_most, directions, random_directions, rotations
 
 from eagor.baselines import GRID as FILTER_GRID
 from eagor.baselines import (
@@ -389,7 +389,7 @@ def test_a_lost_target_is_found_again(name):
 
 
 @given(rotations(), directions())
-@settings(max_examples=30)
+@at_most(30)
 def test_resampling_reads_across_the_seam_and_over_the_poles(turn, axis):
     """The field axis . omega is the same everywhere on the sphere; bilinear interpolation errs by spacing^2 / 8."""
     turned = GridFilter(FILTER_GRID.directions @ axis).predict(turn)

@@ -116,9 +116,11 @@ def fitted(found, base):
 
 def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
     monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
+    monkeypatch.setattr("eagor.evaluation.calibration.DRAWS", 8)
     rounds, trials = [], []
-    best = fit("a detector", [recording(s) for s in range(8)], 32, 1, lambda: trials.append(1), rounds.append)
-    assert len(trials) == 32
+    looked = [recording(seed, steps=12) for seed in range(8)]
+    best = fit("a detector", looked, 16, 1, lambda: trials.append(1), rounds.append)
+    assert len(trials) == 16
     assert len(rounds) == 2
     before, after = best.found_by["before"], best.found_by["after"]
     assert after["log score"][0] > before["log score"][0]
@@ -172,7 +174,7 @@ def test_posters_and_what_a_place_keeps_are_counted():
 
 def test_a_detector_is_fitted_as_a_detector(monkeypatch):
     monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
-    best = fit("a detector", [detecting(seed, steps=16) for seed in range(6)], 8, 1)
+    best = fit("a detector", [detecting(seed, steps=12) for seed in range(6)], 6, 1)
     assert best.calibration is None
     assert {"detector", "forgetting"} <= best.as_json().keys()
     assert (

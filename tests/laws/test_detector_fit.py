@@ -55,7 +55,7 @@ def share(model):
         pytest.param({"habit": (9.0, 1.0), "alarms": 3.0, "spread": 0.03}, marks=pytest.mark.slow),
         pytest.param({"habit": (2.0, 4.0), "alarms": 0.1, "spread": 0.2}, marks=pytest.mark.slow),
         pytest.param({"targets": (3, 2), "groups": 10, "each": 12}, marks=pytest.mark.slow),
-        {"posed": False},
+        pytest.param({"posed": False}, marks=pytest.mark.slow),
     ],
     ids=["usual", "sharp among many false alarms", "blunt", "three at once", "without poses"],
 )
@@ -85,7 +85,9 @@ def test_each_number_lies_in_its_interval(truth):
     assert held >= 7, "of 9 intervals of 95 %"
 
 
-@pytest.mark.parametrize("habit", [(0.6, 0.6), (6.0, 2.0)], ids=["all or nothing", "alike everywhere"])
+@pytest.mark.parametrize(
+    "habit", [(0.6, 0.6), pytest.param((6.0, 2.0), marks=pytest.mark.slow)], ids=["all or nothing", "alike everywhere"]
+)
 def test_the_habit_of_places_is_told_from_chance(habit):
     model = fit_detector(looks_of(np.random.default_rng(1), groups=40, habit=habit, targets=(1, 2)), resamples=0).model
     assert share(model) == pytest.approx(habit[0] / sum(habit), abs=0.07)
@@ -115,7 +117,8 @@ def test_look_alikes_are_told_from_false_alarms_that_pass(alikes, alike):
 
 
 @pytest.mark.parametrize(
-    ("spread", "offset"), [(0.03, 0.06), pytest.param(0.06, 0.03, marks=pytest.mark.slow), (0.05, 0.0)]
+    ("spread", "offset"),
+    [(0.03, 0.06), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.06, 0.03), (0.05, 0.0)))],
 )
 def test_what_a_place_keeps_is_told_from_what_each_look_errs(spread, offset):
     looks = looks_of(np.random.default_rng(3), groups=40, spread=spread, offset=offset, targets=(1, 2))
@@ -272,7 +275,7 @@ def test_several_targets_are_assigned_as_an_enumeration_says():
     ("truth", "habit_within", "alikes_within"),
     [
         ({"alikes": 0.7, "alarms": 0.2, "spread": 0.03}, 0.15, 0.35),
-        ({"alikes": 0.0, "alarms": 0.5}, 0.12, 0.2),
+        pytest.param({"alikes": 0.0, "alarms": 0.5}, 0.12, 0.2, marks=pytest.mark.slow),
         pytest.param({"alikes": 0.7, "alarms": 0.1, "habit": (4.0, 2.0)}, 0.15, 0.35, marks=pytest.mark.slow),
     ],
     ids=["sharp", "no look-alikes", "often found"],

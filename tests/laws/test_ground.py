@@ -8,6 +8,7 @@ import pytest
 from box_scenes import scene_of, shell, thing
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from strategies import at_most
 
 from eagor.errors import WorldError
 from eagor.worlds.ground import Ground, touched
@@ -53,7 +54,7 @@ def length(path):
 # --- occupancy ---
 
 
-@settings(max_examples=40)
+@at_most(40)
 @given(seeds, st.sampled_from([0.05, 0.4, 3.0]))
 def test_all_that_lies_in_the_slab_is_marked_and_nothing_else(seed, size):
     rng = np.random.default_rng(seed)
@@ -204,7 +205,7 @@ def test_no_way_leads_through_a_closed_corner():
     assert (opened.move([0.585, 0.585], [0.03, 0.03])[0] > 0.6).all()
 
 
-@settings(max_examples=40)
+@at_most(40)
 @given(seeds)
 def test_round_the_end_of_a_wall_it_is_two_tangents_and_an_arc(seed):
     ground = divided()
@@ -228,7 +229,7 @@ def divided():
     return plan(thing("wall", (3.95, 0, 0), (4.05, 4.5, 2.5)))
 
 
-@settings(max_examples=40)
+@at_most(40)
 @given(worlds, seeds)
 def test_distances_are_a_metric(ground, seed):
     rng = np.random.default_rng(seed)
@@ -337,7 +338,7 @@ def test_no_footprint_is_ever_nan_and_its_field_is_finite_where_any_way_leads(gr
 # --- paths and steps ---
 
 
-@settings(max_examples=40)
+@at_most(40)
 @given(worlds, seeds)
 def test_a_path_is_as_long_as_the_field_says_and_can_be_walked_without_touching_anything(ground, seed):
     rng = np.random.default_rng(seed)
@@ -369,7 +370,7 @@ def test_a_path_down_the_field_of_a_footprint_ends_beside_it():
         ground.path([1.0, 1.0], [5.5, 2.5])
 
 
-@settings(max_examples=30)
+@at_most(30)
 @given(worlds, seeds, st.booleans(), st.sampled_from([0.05, 0.25, 1.0]))
 def test_no_walk_goes_through_anything_or_farther_than_its_steps(ground, seed, slide, stride):
     rng = np.random.default_rng(seed)

@@ -33,7 +33,7 @@ def turned():
 
 
 def test_pictures_of_a_camera_that_turns_give_its_lenses_everywhere(turned):
-    """The issue's bar: within 0.3 degrees everywhere, from pictures alone; the start is off by several degrees."""
+    """The bar: within 0.3 degrees everywhere, from pictures alone; the start is off by several degrees."""
     steps = []
     found = calibrate(turned, turned=True, on_step=lambda: steps.append(1))
     assert rigs.off(first_rig(turned, math.radians(200)), TRUE).max() > 2

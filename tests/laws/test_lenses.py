@@ -151,7 +151,7 @@ def test_a_panorama_survives_an_ideal_dual_fisheye():
     assert stitcher.unseen is None
 
 
-@pytest.mark.parametrize("rows", [None, 128, 300])
+@pytest.mark.parametrize("rows", [None, 128, pytest.param(300, marks=pytest.mark.slow)])
 def test_what_a_distorted_rig_saw_is_put_together_at_any_size(rows):
     rig = rigs.distorted_rig(256)
     room = cv2.GaussianBlur(painted_room(512, 1024), (0, 0), 3)

@@ -17,8 +17,8 @@ MODEL = DetectorModel(detection_probability=0.9, false_alarms_per_look=0.1, spre
 CONFIG = TrackerConfig(degree=7, detector=MODEL)
 ODOMETRY, PICTURES = (100.0, 0.01), (10.0, 0.15)  # poses a second, and how late they are at most (seconds)
 
-
 SECONDS = 3.0
+KEPT = ((0, "pictures"), (45, "odometry"), (90, "pictures"))  # each takes seconds: the others are slow tests
 
 
 class Ride:
@@ -60,8 +60,14 @@ def coverage(heading, poses, late, rides=80):
     return np.mean([angular_distance(a.direction, truth) <= a.estimate.credible_angle for a, truth in answers])
 
 
-@pytest.mark.parametrize("poses", [ODOMETRY, PICTURES], ids=["odometry", "pictures"])
-@pytest.mark.parametrize("rate", [0, 15, 45, 90])
+@pytest.mark.parametrize(
+    ("rate", "poses"),
+    [
+        pytest.param(rate, poses, id=f"{rate}-{name}", marks=() if (rate, name) in KEPT else pytest.mark.slow)
+        for rate in (0, 15, 45, 90)
+        for name, poses in (("odometry", ODOMETRY), ("pictures", PICTURES))
+    ],
+)
 def test_regions_of_90_percent_hold_the_truth_while_the_camera_turns(rate, poses):
     assert 0.85 <= coverage(lambda now: math.radians(rate) * now, *poses) <= 0.97
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from strategies import rotations
+from strategies import at_most, rotations
 
 from eagor.worlds.apartment import mesh as m
 from eagor.worlds.scene import Material
@@ -212,6 +212,6 @@ def test_a_part_measures_its_texture_in_repeats():
     assert np.allclose(m.part(face, Material("whole"), (2.0, 1.0)).uv.reshape(-1, 2).max(axis=0), [1, 1])
 
 
-test_a_tube_keeps_its_thickness_round_bends_and_does_not_twist = settings(max_examples=40)(
+test_a_tube_keeps_its_thickness_round_bends_and_does_not_twist = at_most(40)(
     test_a_tube_keeps_its_thickness_round_bends_and_does_not_twist
 )

@@ -8,9 +8,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from osr_apartments import counting, direction, distance, mapping
+from strategies import at_most
 
 from eagor.errors import DirectionError, FormatError
 from eagor.evidence import Evidence
@@ -157,7 +158,7 @@ def test_a_map_is_scored_by_things_that_are_near() -> None:
 NAMED = st.dictionaries(st.sampled_from("abcde"), CELLS, min_size=1, max_size=4)
 
 
-@settings(max_examples=60)
+@at_most(60)
 @given(NAMED, NAMED)
 def test_the_published_f1_lies_between_the_least_and_the_most(layout: dict, said: dict) -> None:
     reply = json.dumps({name: [[column, row] for row, column in where] for name, where in said.items()})

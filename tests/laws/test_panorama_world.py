@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from strategies import at_most
 
 from eagor.errors import EagorError, ImageError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
@@ -62,7 +63,7 @@ def test_turning_there_and_back_returns(yaw, pitch, roll):
 
 
 @given(ANGLES, st.floats(-1.5, 1.5), ANGLES, ANGLES, ANGLES)
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 def test_a_marker_appears_where_the_rotation_says(azimuth, elevation, yaw, pitch, roll):
     new_R_old = world_R_body(yaw, pitch, roll).T
     turned = turn(blob(azimuth, elevation), new_R_old)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import rotations
+from strategies import at_most, rotations
 
 from eagor.errors import GridError, PoseError, RotationError, WorldError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
@@ -126,7 +126,7 @@ def bare(size=SIZE):
 
 
 @given(st.floats(-math.pi, math.pi), st.integers(-70, 70), st.sampled_from([16, 33]))
-@settings(max_examples=40)
+@at_most(40)
 def test_turning_by_whole_columns_rolls_the_panorama_bit_for_bit(renderer, start, columns, height):
     turn = columns * 2 * math.pi / (2 * height)
     before = renderer.panorama(EYE, world_R_body(start), height)

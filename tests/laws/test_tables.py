@@ -67,11 +67,12 @@ def test_means_are_over_the_episodes_that_have_a_case(run):
     for name, row in summary["methods"].items():
         metrics = [r["methods"][name]["metrics"] for r in records if r["status"] == "ok" and name in r["methods"]]
         for key, value in row.items():
+            of = column(summary["task"], key)
             if summary["task"] == "navigation" and key in ("sr", "seam_success"):
                 found = [m["success"] for m in metrics if key == "sr" or m["seam_crossings"] > 0]
             else:
-                found = [m[column(summary["task"], key).metric] for m in metrics]
-            found = [v * column(summary["task"], key).scale for v in found if v is not None]
+                found = [m[of.metric] for m in metrics]
+            found = [v * of.scale for v in found if v is not None]
             assert summary["counts"][name][key] == len(found)
             assert value == (pytest.approx(np.mean(found)) if found else None)
 

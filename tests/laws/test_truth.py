@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import directions, random_directions, rotations
+from strategies import at_most, directions, random_directions, rotations
 
 from eagor.errors import EagorError, GridError, ImageError, QueryError, RotationError
 from eagor.evidence.calibration import Calibration
@@ -250,7 +250,7 @@ def test_a_false_alarm_gets_place_and_score_at_one_time(ids):
 
 
 @given(directions(), st.floats(0.01, 0.5))
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 def test_the_ideal_answer_peaks_where_the_thing_is(centre, radius):
     ids = discs([centre], max(radius, 0.05))
     grid = PatchGrid(18, 36)
@@ -268,7 +268,7 @@ def test_the_ideal_answer_peaks_where_the_thing_is(centre, radius):
 
 
 @given(st.floats(-3, 3), st.floats(-1, 1), st.floats(0, 0.3))
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 def test_the_answer_is_the_gaussian_that_is_reported(azimuth, elevation, spread):
     """A single pixel has no size of its own: what is drawn is round, half a patch and the spread wide."""
     grid = PatchGrid(180, 360)
@@ -300,7 +300,7 @@ def test_the_blob_has_the_shape_of_what_is_visible():
 
 
 @given(rotations(), st.integers(0, 100))
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 def test_a_displaced_blob_keeps_its_size(world_R, seed):
     ids = np.full((90, 180), -1)
     ids[40:46, 60:100] = 0
@@ -356,7 +356,7 @@ def test_a_thing_all_around_has_some_direction():
     st.integers(0, 1000),
     st.sampled_from(["ideal", "", "ideal,spread=20,persistence=0.9,miss=0.4", "false_alarm=1,persistence=0.7"]),
 )
-@settings(max_examples=30, deadline=None)
+@at_most(30)
 def test_turning_the_camera_turns_the_answer_and_its_mistakes(turns, seed, noise):
     """A turn to the left by k patches moves the image k patches to the right, and every mistake with it."""
     still, turning = (TruthPerception(noise).episode(SCENE, seed) for _ in range(2))
@@ -368,7 +368,7 @@ def test_turning_the_camera_turns_the_answer_and_its_mistakes(turns, seed, noise
 
 
 @given(rotations(), st.integers(0, 1000))
-@settings(max_examples=30, deadline=None)
+@at_most(30)
 def test_a_lasting_displacement_keeps_its_place_in_the_world(world_R, seed):
     """Whichever way the camera turns: what is said moves in the image as what is meant does."""
     centre = np.array([0.6, -0.64, 0.48])
@@ -401,7 +401,7 @@ def test_one_error_in_the_world_displaces_a_thing_wherever_it_goes(world_R, seed
 
 
 @given(st.integers(0, 1000), st.floats(0, 1))
-@settings(max_examples=30, deadline=None)
+@at_most(30)
 def test_what_is_hidden_is_not_seen(seed, floor):
     labels = [*SCENE, Thing("toilet", "white")]
     noise = replace(MODERATE, false_alarm=0, confuse_colour=0, floor=floor)

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from strategies import at_most
 
 import eagor
 from eagor import Evidence
@@ -76,7 +77,7 @@ def test_the_picture_fills_its_place_and_nothing_overlaps(width, height):
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-1.4, 1.4))
-@settings(max_examples=60)
+@at_most(60)
 def test_the_arrow_at_the_edge_leads_along_the_great_circle(azimuth, elevation):
     where, grid = direction(np.array(azimuth), np.array(elevation)), TALL
     axis = grid.body_R_view[:, 0]

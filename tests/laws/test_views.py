@@ -227,7 +227,7 @@ def test_a_colour_in_the_query_weighs_the_boxes_of_a_detector_that_knows_none():
 
 def test_wrong_settings_and_pictures_are_refused():
     with pytest.raises(GridError, match="cover the sphere"):
-        Views(red, hfov=60, count=4)
+        Views(red, hfov=120, count=3)
     with pytest.raises(GridError, match="150"):
         Views(red, hfov=170)
     with pytest.raises(EagorError, match="detect"):

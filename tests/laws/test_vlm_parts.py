@@ -477,7 +477,7 @@ LAYOUTS = [
     (80, 10, 30),
     (70, 0, 20),
     (90, 15, 50),
-    (78, 48, 90),  # less than 30 apart where degrees have become radians
+    pytest.param(78, 48, 90, marks=pytest.mark.slow),  # less than 30 apart where degrees have become radians
 ]
 RANDOM = np.random.default_rng(0).normal(size=(20_000, 3))
 RANDOM /= np.linalg.norm(RANDOM, axis=-1, keepdims=True)

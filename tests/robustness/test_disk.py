@@ -5,12 +5,12 @@ A limit on the size of files stands for a full disk: the kernel then refuses to 
 
 import json
 import os
-import subprocess
-import sys
 
+import commands
 import hstar_data
 import pytest
 from PIL import Image
+from processes import little_room
 
 from eagor._files import Lines, written
 from eagor.cli import main
@@ -18,21 +18,13 @@ from eagor.errors import StorageError
 from eagor.evaluation import ledger
 from eagor.worlds.painted import painted_room
 
-resource = pytest.importorskip("resource")  # POSIX
-ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
-    "OPENBLAS_NUM_THREADS": "1"
-}
+pytest.importorskip("resource")  # POSIX
 
 
-def eagor(*words, room=None):
-    """The command in a process whose files may hold so many bytes."""
-
-    def limited():
-        if room is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
-
-    command = [sys.executable, "-B", "-m", "eagor", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=600, env=ENVIRONMENT, preexec_fn=limited)
+def eagor(*words, room):
+    """The command, whose files may hold so many bytes."""
+    with little_room(room):
+        return commands.eagor(*words)
 
 
 def refused(*words, room, says):

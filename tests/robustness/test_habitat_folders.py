@@ -2,13 +2,12 @@
 
 import gzip
 import json
-import os
 import shutil
-import subprocess
-import sys
 
+import commands
 import pytest
 from listed_rooms import content, exported, rewrite, room
+from processes import little_room
 
 from eagor.cli import main
 from eagor.errors import StorageError, WorldError
@@ -90,14 +89,9 @@ def test_a_corrupt_glb_leaves_nothing(refused, tmp_path):
 
 
 def test_a_disk_that_fills_up_leaves_nothing_and_says_where(tmp_path):
-    resource = pytest.importorskip("resource")
     path = export_glb(room(), tmp_path / "made" / "room.glb")
-    command = [sys.executable, "-B", "-m", "eagor", "export", "habitat", str(path), "--out", str(tmp_path / "data")]
-    most = path.stat().st_size // 2
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
-    )  # fmt: skip
+    with little_room(path.stat().st_size // 2):
+        done = commands.eagor("export", "habitat", path, "--out", tmp_path / "data")
     assert (done.returncode, done.stdout) == (1, "")
     (line,) = done.stderr.splitlines()
     assert "cannot be written (File too large)" in line

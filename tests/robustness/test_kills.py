@@ -11,7 +11,10 @@ import pytest
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "kills.py"
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"}
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
+pytestmark = [
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them"),
+    pytest.mark.slow,  # one kill of each kind is in tests/end_to_end: test_benchmarks.py, test_ledger_and_workers.py
+]
 
 
 def kills(*words):
@@ -22,7 +25,6 @@ def kills(*words):
     return done.stdout
 
 
-@pytest.mark.slow
 def test_a_killed_run_of_a_simulated_task_comes_to_the_same():
     said = kills("--kills", 1, "--episodes", 4, "--task", "waypoint")
     assert "1 kills" in said

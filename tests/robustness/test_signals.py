@@ -76,7 +76,7 @@ def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_pat
     check_end(tmp_path / "run", number, whole_session, workers)
 
 
-@pytest.mark.slow  # one on Ray is played in the tests of benchmarks, and the end of others tried above
+@pytest.mark.slow  # that nothing of it is left is tried in the tests of benchmarks, and the end of others above
 def test_a_run_on_ray_leaves_none_of_its_servers(tmp_path):
     check_end(tmp_path / "run", signal.SIGTERM, True, 2, "--engine", "ray")
 
@@ -103,8 +103,8 @@ def test_a_run_on_ray_that_is_killed_leaves_nobody(tmp_path):
 
 
 def check_end(out, number, whole_session, workers, *more):
-    words = ("bench", "run", "waypoint", "--perception", "truth", "--methods", "vmf", "--rows", 32, "--episodes", 500)
-    run = begun(*words, "--workers", workers, "--out", out, "--json", *more)
+    words = ("bench", "run", "tracking", "--perception", "truth", "--methods", "vmf", "--set", "steps=4")
+    run = begun(*words, "--episodes", 500, "--workers", workers, "--out", out, "--json", *more)
     wait_for(lambda: len(kept(out)) >= 2)
     before = kept(out)
     assert ended(run, number, whole_session) == TOLD[number]
