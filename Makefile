@@ -15,9 +15,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TORCH := torch==2.13.0
 # For recipes; make -n would run those that name MAKE itself.
 AGAIN := $(MAKE) --no-print-directory
-# Workers of the test run: on two cores three, since the one with the tests in real time waits for half of its time.
-WORKERS ?= 3
-# The interpreter to build .venv with (found by itself where empty).
+# Workers of the test run, and the interpreter to build .venv with (found by itself where empty).
+WORKERS ?= 2
 PYTHON ?=
 
 # Small matrices: one thread per process is faster than many, and tests run side by side.
