@@ -263,4 +263,4 @@ def page_of(found: Redrawn) -> str:
 
 
 def _as_address(picture: bytes) -> str:
-    return f"data:image/jpeg;base64,{base64.b64encode(picture).decode('ascii')}"
+    return f"data:image/webp;base64,{base64.b64encode(picture).decode('ascii')}"

@@ -75,7 +75,7 @@ def create_app(studio: Studio) -> Starlette:
         found = await studio.library.episode(name, key)
         if isinstance(found, int) or number not in found.pictures:
             raise PageError(f"Step {number} has no picture here.", "Open the episode again.", 404)
-        return Response(found.pictures[number], media_type="image/jpeg", headers={"Cache-Control": "max-age=3600"})
+        return Response(found.pictures[number], media_type="image/webp", headers={"Cache-Control": "max-age=3600"})
 
     async def pictures(request: Request) -> Response:
         declared = request.headers.get("content-length", "")
