@@ -19,7 +19,7 @@ from eagor.drawing.panorama import MASS, backdrop, heat_of, paint_marks
 from eagor.drawing.sheet import DESIGN, FAINT, WORDS, blank, family, ground, over
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, TimeLine, ticks
 from eagor.drawing.view import ViewScene, wipe
-from eagor.drawing.words import answer_in_words, far_in_words
+from eagor.drawing.words import candidates_in_words, far_in_words
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
@@ -233,7 +233,7 @@ class StepPainter:
         told += [f"presence {moment.presence:.2f}", f"{moment.stamp:.2f} s"]
         shown, known = _short(query, LONGEST_QUERY), moment.azimuth is not None
         self._words["query"].set_text(f"“{shown}”" if shown else "")
-        self._words["answer"].set_text(answer_in_words(estimate) if known else "direction not known")
+        self._words["answer"].set_text(candidates_in_words(estimate) if known else "direction not known")
         self._words["status"].set_text(estimate.status)
         self._words["status"].set_color(COLOURS[moment.status])
         self._words["rest"].set_text("   ".join(told))
