@@ -4,7 +4,7 @@ python benchmarks/photographs.py PANORAMAS [--looks looks.jsonl] [--only yaw,tum
 
 The detector is `coco`: CenterNet on MobileNetV3 (eagor models get coco). Truth was marked by hand:
 tests/photographs.json names things, their azimuth, elevation and size, and classes that are certainly absent. Each
-photograph is turned by known rotations, 40 frames a second apart:
+photograph is turned by known rotations, 40 frames a second apart (--labels has the same of other photographs):
 
 - yaw: level, 9 degrees a frame; tumble: all axes, the seam and both poles crossed, 20 degrees a frame.
 - large: as yaw, 5760 x 2880; jpeg: as tumble, JPEG at quality 50.
@@ -64,6 +64,7 @@ FITTED_IN = ("yaw", "tumble")
 BOX = 0.3  # score from which on a single box would be believed
 GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
+Marked = dict[str, dict[str, Any]]  # of each photograph its things and absent classes
 
 
 def poses(condition: str) -> list[np.ndarray]:
@@ -170,15 +171,14 @@ class Case:
         return spread_evidence(self.things[frame], model, View(WHOLE_SPHERE), float(frame))
 
 
-def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Sequence[str]) -> list[Case]:
-    """Every annotated thing and absent class on the `photographs`, in each condition."""
+def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Marked) -> list[Case]:
+    """Every marked thing and absent class on the `photographs`, in each condition."""
     seen: dict[tuple[str, str], dict[int, dict[str, list[Thing]]]] = {}
     for entry in entries(files):
         things = {query: [as_thing(*thing) for thing in found] for query, found in entry["seen"].items()}
         seen.setdefault((entry["photograph"], entry["condition"]), {})[entry["frame"]] = things
     cases = []
-    for photograph in photographs:
-        marked = json.loads(ANNOTATIONS.read_text())[photograph]
+    for photograph, marked in photographs.items():
         names = {name for thing in marked["things"] for name in thing["names"]}
         for condition in conditions:
             frames = seen.get((photograph, LOOKS_OF.get(condition, condition)), {})
@@ -308,7 +308,7 @@ def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[s
         model = parse_model(options.model)
         print(f"all photographs: {model}")
         return dict.fromkeys(photographs, model)
-    fit_on = read_cases(options.looks, FITTED_IN, [*json.loads(ANNOTATIONS.read_text())])
+    fit_on = read_cases(options.looks, FITTED_IN, options.marked)
     models = {name: fitted(fit_on, name) for name in photographs}
     for name, model in models.items():
         print(f"all but {name}: {model}")
@@ -323,13 +323,15 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--looks", type=Path, nargs="+", default=[Path("photographs-looks.jsonl")], help="what was seen"
     )
+    parser.add_argument("--labels", type=Path, default=ANNOTATIONS, help="what is on the photographs, and where")
     parser.add_argument("--only", help="conditions, with commas")
     parser.add_argument("--photographs", help="names of photographs, with commas")
     parser.add_argument("--methods", default=",".join((*box_trackers.NAMES, *NAMES)), help="methods, with commas")
     parser.add_argument("--model", help="read the detector so, without a fit, such as spread=3")
     parser.add_argument("--json", type=Path, help="a file for all figures")
     options = parser.parse_args()
-    known = [*json.loads(ANNOTATIONS.read_text())]
+    options.marked = json.loads(options.labels.read_text())
+    known = [*options.marked]
     options.only = options.only.split(",") if options.only else [*CONDITIONS]
     options.photographs = options.photographs.split(",") if options.photographs else known
     if wrong := [*(set(options.only) - set(CONDITIONS)), *(set(options.photographs) - set(known))]:
@@ -345,9 +347,9 @@ def main() -> None:
     only: list[str] = options.only
     wanted = [(name, LOOKS_OF.get(condition, condition)) for condition in only for name in options.photographs]
     if options.model is None:
-        wanted += [(name, condition) for condition in FITTED_IN for name in json.loads(ANNOTATIONS.read_text())]
+        wanted += [(name, condition) for condition in FITTED_IN for name in options.marked]
     look(options.panoramas, options.looks, wanted)
-    cases = read_cases(options.looks, only, options.photographs)
+    cases = read_cases(options.looks, only, {name: options.marked[name] for name in options.photographs})
     models = models_of(options, options.photographs)
     sight = {}
     if "sight" in only:
