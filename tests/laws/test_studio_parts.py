@@ -368,7 +368,7 @@ def test_words_from_outside_cannot_leave_their_place_in_the_page(monkeypatch, tm
     held = json.loads(text.split('id="episode">')[1].split("</script>")[0])
     assert held["scene"]["title"] == scene["title"]
     assert held["steps"][0]["error_deg"] is None
-    assert held["steps"][0]["panorama"]["url"].startswith("data:image/jpeg;base64,")
+    assert held["steps"][0]["panorama"]["url"].startswith("data:image/webp;base64,")
 
 
 # --- questions ---
