@@ -30,7 +30,7 @@ from footage import FRAMES, LOOKS, SECONDS, pose_at
 
 from eagor import DirectionTracker, TrackerConfig
 from eagor.drawing import paint_belief
-from eagor.drawing.sheet import INK, figure, image, plain
+from eagor.drawing.style import INK, figure, image, plain
 from eagor.drawing.video import Animation
 from eagor.evidence import Evidence
 from eagor.media.panorama import read_panorama, turn

@@ -46,12 +46,11 @@ from eagor.media import ros_messages as ros
 from eagor.media.bags import BagWriter
 from eagor.perception import load
 from eagor.robots.dds import Link
-from eagor.robots.go2.house import House, load_house
+from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, House, load_house
 from eagor.robots.go2.plant import PlantSettings
-from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2, WireSettings
-from eagor.robots.go2.sim_live import TRUTH as TRUTH_POSE
-from eagor.robots.go2.sim_live import TRUTH_THINGS, LiveGo2
-from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
+from eagor.robots.go2.sim import TRUTH_THINGS, LiveGo2, SimSettings, SimulatedGo2
+from eagor.robots.go2.sim_wire import TRUTH as TRUTH_POSE
+from eagor.robots.go2.sim_wire import WireSettings
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.sphere import angular_distance, unit

@@ -35,7 +35,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from eagor.belief.ranged import RangedBelief
-from eagor.evaluation import traces
+from eagor.evaluation import tables
 from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -252,11 +252,11 @@ def play(recording: Recording, player: Player, variant: str) -> dict[str, Any]:
 def figures(record: dict[str, Any], variant: str) -> dict[str, float]:
     """The columns of one record; those without a case are left out."""
     metrics, task = record["methods"][variant]["metrics"], record["task"]
-    made = {part: traces.error_in([record], variant, part) for part in traces.PARTS}
-    away = traces.distance_error([record], variant)
+    made = {part: tables.error_in([record], variant, part) for part in tables.PARTS}
+    away = tables.distance_error([record], variant)
     if task == "waypoint":
         found = {"w.error": metrics["mae"], "w.L4": metrics["L4"], "w.TC": metrics["tc"], "w.log": metrics["log"]}
-        found |= {"w.sight": made[traces.IN_SIGHT], "w.hidden": made[traces.HIDDEN], "w.dist": away}
+        found |= {"w.sight": made[tables.IN_SIGHT], "w.hidden": made[tables.HIDDEN], "w.dist": away}
         found["w.cover"] = None if metrics["coverage"] is None else 100 * metrics["coverage"]
     else:
         found = {"t.error": metrics["error"], "t.TC": metrics["tc"], "t.recov": metrics["recovery"]}
@@ -264,7 +264,7 @@ def figures(record: dict[str, Any], variant: str) -> dict[str, float]:
             "t.log": metrics["log"],
             "t.cover": None if metrics["coverage"] is None else 100 * metrics["coverage"],
         }
-    plain = {key: value.mean if isinstance(value, traces.Part) else value for key, value in found.items()}
+    plain = {key: value.mean if isinstance(value, tables.Part) else value for key, value in found.items()}
     return {key: float(value) for key, value in plain.items() if value is not None}
 
 

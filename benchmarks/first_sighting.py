@@ -18,7 +18,7 @@ from typing import Any
 import common
 import numpy as np
 
-from eagor.evaluation import traces
+from eagor.evaluation import tables
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
 from eagor.tasks.episodes import Slot, slots
@@ -28,7 +28,7 @@ from eagor.tasks.play import Player, Seen
 from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
 OURS, FRAME = "eagor", "frame"
-SHOWN = (traces.SEEN, traces.IN_SIGHT, traces.HIDDEN)
+SHOWN = (tables.SEEN, tables.IN_SIGHT, tables.HIDDEN)
 
 
 def frame_errors(steps: list[Seen]) -> np.ndarray:
@@ -54,7 +54,7 @@ def errors(player: Player, name: str, slot: Slot, steps: list[Seen]) -> np.ndarr
 
 def means(record: dict[str, Any], name: str) -> list[float]:
     """A method's mean in each of `SHOWN`; NaN where the episode has no such step."""
-    found = (traces.error_in([record], name, part) for part in SHOWN)
+    found = (tables.error_in([record], name, part) for part in SHOWN)
     return [math.nan if part is None else part.mean for part in found]
 
 

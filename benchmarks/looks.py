@@ -20,9 +20,10 @@ import cv2
 import numpy as np
 
 from eagor.drawing.video import Movie
-from eagor.media.footage import LEAST_ROWS, FrameCheck, VideoFrames, open_video
+from eagor.media.footage import LEAST_ROWS, FrameCheck, VideoFrames
 from eagor.media.panorama import read_panorama, turn
 from eagor.media.posed_frames import ahead, posed_by_sight
+from eagor.media.rig_videos import open_video
 from eagor.perception.coco import from_text
 from eagor.perception.footage import follow
 from eagor.sphere import world_R_body

@@ -39,8 +39,8 @@ from guard_driving import OTHER, fast_enough, until
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link, free_domain
-from eagor.robots.go2.sim_live import TRUTH
-from eagor.robots.go2.sim_pictures import CAMERA_FRAME, CAMERA_TOPIC
+from eagor.robots.go2.house import CAMERA_FRAME, CAMERA_TOPIC
+from eagor.robots.go2.sim_wire import TRUTH
 from eagor.robots.go2.state import Go2State
 from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.messages import GuardState

@@ -10,10 +10,10 @@ line the same is `eagor bench run tracking --perception truth --episodes 3 --see
 import tempfile
 from pathlib import Path
 
-from eagor.evaluation import bench, ledger, tables
+from eagor.evaluation import ledger, simulated, tables
 from eagor.evaluation.studies import write_report
 
-run = bench.Run(
+run = simulated.Run(
     task="tracking",
     perception="truth",
     episodes=3,
@@ -24,8 +24,8 @@ run = bench.Run(
 
 # %% Play it. The second call finds everything done
 folder = Path(tempfile.mkdtemp(prefix="eagor-example-"))
-first = bench.start(run, folder)
-again = bench.start(run, folder)
+first = simulated.start(run, folder)
+again = simulated.start(run, folder)
 print(f"{first.done} episodes played; the second time {again.done}, since {again.skipped} are recorded already")
 
 # %% The table, and one number out of it

@@ -13,10 +13,8 @@ from dataclasses import dataclass, field
 
 from eagor.robots.dds import Link
 from eagor.robots.go2 import idl
-from eagor.robots.go2.sim import SimSettings, SimulatedGo2
-from eagor.robots.go2.sim_live import LiveGo2
-from eagor.robots.go2.state import Remote
-from eagor.robots.go2.wire import LowFields, SportFields, raw
+from eagor.robots.go2.sim import LiveGo2, SimSettings, SimulatedGo2
+from eagor.robots.go2.state import LowFields, Remote, SportFields, raw
 
 GAINS, LAG, DEAD, EXPIRY = (0.80, 0.74, 0.90), 0.30, 0.15, 1.0
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from PIL.Image import Dither
 
-from eagor.drawing.sheet import GRID_LINE, INK, QUIET, figure, image, plain
+from eagor.drawing.style import GRID_LINE, INK, QUIET, figure, image, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,8 +21,7 @@ import eagor
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import paint_belief
 from eagor.drawing.panorama import OURS, TRUTH
-from eagor.drawing.sheet import INK, QUIET, figure, image
-from eagor.drawing.words import far_in_words
+from eagor.drawing.style import INK, QUIET, far_in_words, figure, image
 from eagor.perception import load
 from eagor.sphere import interpolate_rotation, unit
 from eagor.tasks.episodes import Slot

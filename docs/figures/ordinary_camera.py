@@ -15,7 +15,7 @@ from pathlib import Path
 
 from eagor import DirectionTracker
 from eagor.drawing import Mosaic, draw_belief
-from eagor.drawing.words import answer_in_words
+from eagor.drawing.style import answer_in_words
 from eagor.grids import PerspectiveGrid
 from eagor.media.panorama import cut, read_panorama
 from eagor.perception.coco import from_text

@@ -1,10 +1,15 @@
-"""Safe files: the cache, atomic writes, bounded unpacking, no links or devices."""
+"""Safe files: the cache, atomic writes, bounded unpacking, no links or devices, no keys or passwords.
+
+Code that reads a secret passes it to `keep_out`. Code that writes text to a file, a report or a terminal passes the
+text through `redacted`; `written` does.
+"""
 
 from __future__ import annotations
 
 import errno
 import gzip
 import os
+import re
 import stat
 import tempfile
 import uuid
@@ -12,8 +17,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from eagor._secrets import redacted
 from eagor.errors import FormatError, StorageError
+
+_SHORTEST = 6  # letters: shorter ones occur in ordinary words
+_GONE = "***"
+_LOGIN = re.compile(r"(?<=://)[^/\s@\"']*:[^/\s@\"']*(?=@)")  # user and password in an address
+_secrets: set[str] = set()
 
 
 def cache_folder() -> Path:
@@ -157,3 +166,15 @@ class Lines:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
+
+
+def keep_out(*secrets: str) -> None:
+    """Remember `secrets`, so that `redacted` hides them; very short ones are ignored."""
+    _secrets.update(secret for secret in secrets if len(secret) >= _SHORTEST)
+
+
+def redacted(text: str) -> str:
+    """`text` with stars in place of every secret, and of user and password in every address."""
+    for secret in sorted(_secrets, key=len, reverse=True):  # longest first: one may be part of another
+        text = text.replace(secret, _GONE)
+    return _LOGIN.sub(_GONE, text)

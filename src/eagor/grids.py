@@ -18,8 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._lazy import lazy
-from eagor._reprs import changed
+from eagor._values import changed, lazy
 from eagor.errors import GridError
 from eagor.lenses import FisheyeLens, PinholeLens
 from eagor.sphere import azimuth_elevation, check_rotation, direction

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor._checks import above, within
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import GridError
 from eagor.sphere import check_rotation
 

@@ -55,14 +55,12 @@ const session = new Session(store, {
         { label: words.connection.retry, act: () => session.retry() });
   },
   problem(told) {
+    if (told.asks && view?.question) return view.question(told.problem);
     problems.tell("session", told);
     if (told.fatal) empty(h("strong", {}, told.problem), h("p", {}, told.change));
   },
   status: (told) => badge(told),
   scene() {
-    const lens = store.scene?.lens;
-    shell.stage.classList.toggle("ordinary", lens !== undefined);
-    if (lens) shell.stage.style.setProperty("--aspect", String(lens.plane[0] / lens.plane[1]));
     if (store.waiting === null) {
       problems.clear("session");
       if (store.scene && !drafted && document.activeElement !== shell.query) shell.query.value = store.scene.query;
@@ -86,11 +84,27 @@ function badge(text: string): void {
   say(shell.badge, text);
 }
 
+// An ordinary camera's picture is shown whole: there is nowhere to look around to.
+let keys: string | null = null; // what was said of them before
+store.on("scene", () => {
+  const lens = store.scene?.lens;
+  shell.stage.classList.toggle("ordinary", lens !== undefined);
+  if (lens) shell.stage.style.setProperty("--aspect", String(lens.plane[0] / lens.plane[1]));
+  say(shell.flatHint, lens ? words.panorama.flatHintOrdinary : words.panorama.flatHint);
+  if (lens) {
+    keys ??= shell.keys.textContent;
+    shell.keys.textContent = words.panorama.keysOrdinary;
+  } else if (keys !== null) {
+    shell.keys.textContent = keys;
+    keys = null;
+  }
+});
+
 store.on("panorama", () => { if (store.panorama) empty(); });
 store.on("step", () => {
   if (!store.step) return;
   badge(store.lookingFor !== null ? words.ask.waiting(store.lookingFor) : store.step.goal?.words || store.scene?.words || "");
-  if (store.step.faults?.length) problems.tell("faults", { problem: store.step.faults.join(" "), change: "" });
+  if (store.step.faults?.length) problems.tell("faults", { problem: store.step.faults.join("; "), change: "" });
   else problems.clear("faults");
 });
 
@@ -112,7 +126,9 @@ handle(stage, shell.look, {
   turnCamera: (yaw, pitch) => view?.turnCamera?.(yaw, pitch),
   steer: (key, down, at) => view?.steer?.(key, down, at) ?? false,
 });
-shell.flatMarks.addEventListener("click", (event) => stage.lookAt(stage.under("flat", [event.offsetX, event.offsetY])));
+shell.flatMarks.addEventListener("click", (event) => {
+  if (!stage.lens) stage.lookAt(stage.under("flat", [event.offsetX, event.offsetY]));
+});
 shell.series.canvas.addEventListener("click", (event) => { if (player.active) player.go(panels.momentAt(event.offsetX)); });
 layers(store, shell, {
   degree: (L) => session.send({ type: "degree", L }),
@@ -151,7 +167,6 @@ function enter(name: View): void {
   if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
   store.begin(null);
   stage.hold = false;
-  shell.stage.classList.remove("ordinary");
   stage.lookAt([1, 0, 0]);
   badge("");
   for (const link of shell.tabs.querySelectorAll("a")) {

@@ -156,6 +156,8 @@ export const words = {
     keysCamera: "Arrow keys turn the camera; plus and minus zoom; Home looks ahead.",
     flat: "The whole panorama, flat",
     flatHint: "Click a place to look there.",
+    flatHintOrdinary: "What the camera has shown so far, straight ahead in the middle. The outline is its picture.",
+    keysOrdinary: "The camera's picture as it is. An arrow at its edge leads to an answer that is out of view.",
     ahead: "Look ahead",
     zoomIn: "Zoom in",
     zoomOut: "Zoom out",

@@ -1,6 +1,7 @@
 """Sources of pictures: files, streams, pipes; each keeps the contract, and says in words what is wrong."""
 
 import io
+import math
 import socket
 import struct
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import pairwise
 from types import SimpleNamespace
@@ -18,14 +20,16 @@ import pytest
 from PIL import Image
 
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
+from eagor.lenses import PinholeLens
 from eagor.media import Frame, check_camera
 from eagor.media.camera_sources import Newest, open_camera
 from eagor.media.clocks import PROBATION, StreamClock
 from eagor.media.intrinsics import camera_of
 from eagor.media.live_camera import Feed, LiveCamera
-from eagor.media.rigs import dual_fisheye, write_rig
+from eagor.media.rigs import Rig, dual_fisheye, write_rig
 from eagor.media.stitching import seen_by
 from eagor.media.streams import Stream, device, raw_pipe
+from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
 
 av = pytest.importorskip("av")
@@ -198,6 +202,46 @@ def test_each_lens_may_have_its_own_file(tmp_path):
     assert np.abs(next(iter(whole)).picture.astype(int) - found).mean() < 6
     with pytest.raises(ImageError, match="gives 1 picture at a time, and the rig is for 2"):
         open_camera(str(tmp_path / "frames"), rig=rig)
+
+
+def two_cameras():
+    """A rig of two ordinary cameras, front and back, of 64 x 48 pixels."""
+    ahead = PinholeLens("front", (64, 48), (50.0, 50.0), (32.0, 24.0))
+    return Rig((ahead.size,) * 2, (ahead, replace(ahead, name="back", picture=1, body_R_lens=world_R_body(math.pi))))
+
+
+def test_ordinary_cameras_of_a_rig_each_give_their_own_pictures(tmp_path):
+    rig, grey = two_cameras(), [np.full((48, 64, 3), level, np.uint8) for level in (60, 180)]
+    for name, picture in zip(("front", "back"), grey, strict=True):
+        clips.clip(tmp_path / f"{name}.mp4", [picture] * 4, rate=10, options={"crf": "10"})
+        (tmp_path / name).mkdir()
+        for number in range(4):
+            Image.fromarray(picture).save(tmp_path / name / f"{number}.png")
+    for kind in ("", ".mp4"):
+        both = ",".join(str(tmp_path / f"{name}{kind}") for name in ("front", "back"))
+        check_camera(open_camera(both, rig=rig), 6)
+        frames = list(open_camera(both, rig=rig, rows=24))
+        assert [frame.lens for frame in frames] == [0, 1] * 4
+        for frame in frames:
+            np.testing.assert_allclose(frame.grid.body_R_view, rig.lenses[frame.lens].body_R_lens)
+            assert frame.picture.shape == (24, 32, 3)
+            assert abs(frame.picture.mean() - grey[frame.lens].mean()) < 8
+        whole = open_camera(both, rig=rig, stitched=True)
+        assert whole.unseen.any()
+        assert {frame.grid for frame in whole} == {None}
+
+
+def test_live_cameras_of_a_rig_take_turns_and_one_may_end_first():
+    """The quick one does not push out the slow one, nor does one that has ended end the other."""
+    size, streams = (48, 64), []
+    for stamps in ((100.0, 100.1, 100.2, 100.3), (100.0, 100.1)):
+        data = raw([np.zeros((*size, 3), np.uint8)] * len(stamps), stamps)
+        streams.append(raw_pipe(f"pipe:rgb24:{size[1]}x{size[0]}:stamped", data))
+    camera = LiveCamera(streams, rig=two_cameras())
+    until(lambda: all(feed.seen.number == count for feed, count in zip(camera._feeds, (4, 2), strict=True)), "end")
+    frames = list(camera)
+    assert [(frame.lens, round(frame.stamp, 3)) for frame in frames] == [(0, 100.3), (1, 100.1)]
+    assert camera.dropped == 3 + 1
 
 
 @pytest.mark.parametrize(
@@ -409,8 +453,9 @@ def test_only_the_newest_is_kept_and_the_rest_is_counted():
     opening = raw_pipe("pipe:rgb24:128x64:stamped", raw(clips.rolled(count), [100.0 + k for k in range(count)]))
     feed = Feed(opening)
     until(lambda: feed.dropped == count - 1, "end of the pipe")
-    assert feed.take().stamp == 100.0 + count - 1
-    assert feed.take() is None
+    assert feed.newest().stamp == 100.0 + count - 1
+    assert not feed.waits
+    until(lambda: feed.over, "end of the feed")
     assert feed.error is None
 
 
@@ -521,7 +566,7 @@ def test_newest_stitches_only_what_is_taken():
     opening = raw_pipe("pipe:rgb24:128x64:stamped", raw(clips.rolled(count), [100.0 + k for k in range(count)]))
     camera = LiveCamera([opening])
     made = []
-    make, camera._panoramas.make = camera._panoramas.make, lambda *pictures: made.append(1) or make(*pictures)
+    make, camera._makers[0].make = camera._makers[0].make, lambda *pictures: made.append(1) or make(*pictures)
     with Newest(camera) as newest:
         until(lambda: camera.dropped == count - 1, "end of the pipe")
         assert newest.take(WAIT).stamp == 100.0 + count - 1

@@ -20,11 +20,10 @@ from eagor.grids import ErpGrid
 from eagor.media import Frame, Pose
 from eagor.metrics import angular_error_deg
 from eagor.robots.dds import Link, free_domain
-from eagor.robots.go2.house import BALL_ID, load_house
+from eagor.robots.go2.house import BALL_ID, CAMERA_TOPIC, CameraSettings, load_house
 from eagor.robots.go2.plant import PlantSettings
-from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2, WireSettings
-from eagor.robots.go2.sim_live import TRUTH, TRUTH_THINGS, LiveGo2
-from eagor.robots.go2.sim_pictures import CAMERA_TOPIC
+from eagor.robots.go2.sim import TRUTH_THINGS, LiveGo2, SimSettings, SimulatedGo2
+from eagor.robots.go2.sim_wire import TRUTH, WireSettings
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.sphere import world_R_body
@@ -178,9 +177,8 @@ def test_live_it_walks_sends_pictures_and_tells_the_truth_beside():
 def test_nothing_stays_behind_whatever_ends_it(tmp_path):
     code = f"""
 import sys, time
+from eagor.robots.go2.house import CameraSettings
 from eagor.robots.go2.sim import *
-from eagor.robots.go2.sim import CameraSettings
-from eagor.robots.go2.sim_live import LiveGo2
 if __name__ == "__main__":
     with LiveGo2(SimulatedGo2(SimSettings(seed=3, camera=CameraSettings(rows=16))), {free_domain()}, "lo") as live:
         live.wait_for_camera()

@@ -17,10 +17,8 @@ from eagor.media import PoseSource
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2 import idl, sport
 from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim import WireSettings
-from eagor.robots.go2.sim_live import Go2Server
-from eagor.robots.go2.state import Go2Low, Go2State, Remote
-from eagor.robots.go2.wire import SportFields, raw
+from eagor.robots.go2.sim_wire import Go2Server, WireSettings
+from eagor.robots.go2.state import Go2Low, Go2State, Remote, SportFields, raw
 
 LONG = 20.0  # seconds for an answer: this machine may be busy
 

@@ -11,11 +11,12 @@ import rigs
 from moving_rooms import PatternRoom
 from PIL import Image
 
-from eagor.cli import main
+from eagor.cli import locate, main
 from eagor.grids import PerspectiveGrid
 from eagor.media.panorama import turn, view
 from eagor.media.rigs import dual_fisheye, read_rig, write_rig
 from eagor.media.stitching import seen_by
+from eagor.perception.colour import ColourPerception
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
@@ -197,18 +198,36 @@ lenses:
 """
 
 
+@pytest.fixture
+def two_cameras(tmp_path):
+    """Writes rig.yaml, front.mp4 and back.mp4 of a body that turns by `step` between pictures; returns its poses."""
+
+    def made(step, count=16):
+        (tmp_path / "rig.yaml").write_text(RIG_OF_TWO)
+        with pytest.warns(UserWarning, match=r"lenses\[0\].position is ignored"):
+            lenses = read_rig(tmp_path / "rig.yaml").lenses
+        assert np.allclose(lenses[0].body_R_lens, np.eye(3), atol=1e-9)
+        room, poses = painted_room(512, 1024), [world_R_body(step * k) for k in range(count)]
+        for lens, name in zip(lenses, ("front", "back"), strict=True):
+            grid = PerspectiveGrid.of_lens(lens)
+            pictures = [view(room, replace(grid, body_R_view=pose @ lens.body_R_lens)) for pose in poses]
+            clips.clip(tmp_path / f"{name}.mp4", pictures, rate=10, options={"crf": "10"})
+            Image.fromarray(pictures[0]).save(tmp_path / f"{name}.png")
+        return poses
+
+    return made
+
+
+def red_ball(pose):
+    """Its azimuth, degrees, from the middle of the room."""
+    truth = bearing(Room().balls[0], EYE, pose)[0]
+    return math.degrees(math.atan2(truth[1], truth[0]))
+
+
 # To the right, where the ball stays in the front picture; to the left, out of it and into the back one.
 @pytest.mark.parametrize("step", [-0.06, 0.16])
-def test_track_looks_at_each_picture_of_a_rig_of_ordinary_lenses(capsys, tmp_path, step):
-    (tmp_path / "rig.yaml").write_text(RIG_OF_TWO)
-    with pytest.warns(UserWarning, match=r"lenses\[0\].position is ignored"):
-        lenses = read_rig(tmp_path / "rig.yaml").lenses
-    assert np.allclose(lenses[0].body_R_lens, np.eye(3), atol=1e-9)
-    room, poses = painted_room(512, 1024), [world_R_body(step * k) for k in range(16)]
-    for lens, name in zip(lenses, ("front", "back"), strict=True):
-        grid = PerspectiveGrid.of_lens(lens)
-        pictures = [view(room, replace(grid, body_R_view=pose @ lens.body_R_lens)) for pose in poses]
-        clips.clip(tmp_path / f"{name}.mp4", pictures, rate=10, options={"crf": "10"})
+def test_track_looks_at_each_picture_of_a_rig_of_ordinary_lenses(capsys, tmp_path, two_cameras, step):
+    poses = two_cameras(step)
     videos = f"{tmp_path / 'front.mp4'},{tmp_path / 'back.mp4'}"
     code, out, err = run(capsys, "track", videos, "red", "--rig", tmp_path / "rig.yaml", "--rate", 2, "--json")
     assert code == 0, err
@@ -216,6 +235,53 @@ def test_track_looks_at_each_picture_of_a_rig_of_ordinary_lenses(capsys, tmp_pat
     assert [(round(each["stamp"], 2), each["frame"].split(".")[0]) for each in frames] == [
         (stamp, name) for stamp in (0.0, 0.5, 1.0, 1.5) for name in ("front", "back")
     ]
-    truth = bearing(Room().balls[0], EYE, poses[15])[0]  # whole in one of the last pictures
-    assert abs(math.remainder(frames[-1]["azimuth_deg"] - math.degrees(math.atan2(truth[1], truth[0])), 360)) < 3
+    assert abs(math.remainder(frames[-1]["azimuth_deg"] - red_ball(poses[15]), 360)) < 3  # whole in one of the last
     assert frames[-1]["looks"] == 1, "the poses are sure"
+
+
+class WholeOnly:
+    """Knows panoramas alone; keeps the shapes of what it was shown."""
+
+    def __init__(self):
+        self.shapes, self._colour = [], ColourPerception()
+
+    def __call__(self, panorama, query, *, stamp=None):
+        self.shapes.append(panorama.shape)
+        return self._colour(panorama, query, stamp=stamp)
+
+
+@pytest.mark.filterwarnings("ignore:lenses.0..position is ignored")
+def test_locate_looks_at_a_rig_s_pictures_as_they_are(capsys, tmp_path, two_cameras, monkeypatch):
+    (pose, *_), rig = two_cameras(0.16, 2), ("--rig", tmp_path / "rig.yaml", "--json")
+    for kind in ("png", "mp4"):
+        both = f"{tmp_path / 'front'}.{kind},{tmp_path / 'back'}.{kind}"
+        code, out, err = run(capsys, "locate", both, "red", *rig, "--picture", tmp_path / "drawn.png")
+        assert code == 0, err
+        found = json.loads(out)
+        assert found["frame"] == f"front.{kind}, back.{kind}"
+        assert abs(found["azimuth_deg"] - red_ball(pose)) < 3
+        with Image.open(tmp_path / "drawn.png") as drawn:
+            assert drawn.width > 480
+    assert run(capsys, "locate", tmp_path / "front.png", "red", *rig)[0] == 2
+    whole = WholeOnly()
+    monkeypatch.setattr(locate, "make_perception", lambda spec, busy=False: whole)
+    code, out, err = run(capsys, "locate", both, "red", *rig)
+    assert code == 0, err
+    assert abs(json.loads(out)["azimuth_deg"] - red_ball(pose)) < 3
+    assert [wide == 2 * high for high, wide, _ in whole.shapes] == [True]
+
+
+@pytest.mark.filterwarnings("ignore:lenses.0..position is ignored")
+def test_live_looks_at_each_lens_in_its_turn_and_again(capsys, tmp_path, two_cameras):
+    pytest.importorskip("rosbags")
+    poses, record = two_cameras(0.16, 6), tmp_path / "run"
+    words = ("--rig", tmp_path / "rig.yaml", "--perception", "colour", "--fast", "--json", "--record", record)
+    code, out, err = run(capsys, "live", f"{tmp_path / 'front.mp4'},{tmp_path / 'back.mp4'}", "red", *words)
+    assert code == 0, err
+    assert "12 pictures, 12 looks" in err
+    last = json.loads(out.splitlines()[-1])
+    assert abs(math.remainder(last["azimuth_deg"] - red_ball(poses[-1]), 360)) < 3
+    assert "next_look" not in last
+    code, out, err = run(capsys, "live", "replay", record, "--perception", "colour", "--json")
+    assert code == 0, err
+    assert abs(math.remainder(json.loads(out.splitlines()[-1])["azimuth_deg"] - last["azimuth_deg"], 360)) < 1, "JPEG"

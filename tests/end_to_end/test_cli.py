@@ -26,7 +26,7 @@ from eagor.cli import joined, main, models
 from eagor.cli.answers import SHORT
 from eagor.cli.models import how_to_find
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
-from eagor.drawing.words import distance_in_words, in_words
+from eagor.drawing.style import distance_in_words, in_words
 from eagor.grids import ErpGrid
 from eagor.media.panorama import read_panorama, turn
 from eagor.perception import words as query_words

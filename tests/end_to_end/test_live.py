@@ -1,5 +1,6 @@
 """``eagor live`` from the shell: lines of JSON, ends as it should, errors in a sentence; and a recording again."""
 
+import io
 import json
 import math
 import os
@@ -19,6 +20,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.live.recording import Replay
 from eagor.media.panorama import view
 from eagor.sphere import world_R_body
+from eagor.studio.replays import recorded
 from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -248,10 +250,12 @@ def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
     truth = bearing(Room().balls[0], EYE, world_R_body(-0.63))[0]  # whole in the picture
     azimuth = math.degrees(math.atan2(truth[1], truth[0]))
     assert abs(last["azimuth_deg"] - azimuth) < 3
-    again = ["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]
-    assert main(again) == 2
-    assert "--hfov DEGREES" in capsys.readouterr().err
-    assert main([*again, "--hfov", "80"]) == 0
+    assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]) == 0, "it holds the lens"
+    drawn = recorded(Replay(tmp_path / "run"))  # as the studio shows it
+    assert drawn.scene["lens"]["plane"] == pytest.approx([math.tan(hfov / 2), 0.75 * math.tan(hfov / 2)], abs=1e-5)
+    assert {Image.open(io.BytesIO(jpeg)).size for jpeg in drawn.pictures.values()} == {(240, 180)}
+    number = max(drawn.poses)
+    assert np.allclose(drawn.as_json(str)["steps"][number]["panorama"]["world_R_camera"], drawn.poses[number])
     assert abs(lines(capsys)[-1]["azimuth_deg"] - azimuth) < 3
     assert main(["live", str(tmp_path / "film"), "the red ball", "--fast"]) == 2
     assert "--hfov DEGREES" in capsys.readouterr().err

@@ -3,16 +3,23 @@
 import json
 import math
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from clips import clip
+from PIL import Image
 
 from eagor.cli import look as look_command
 from eagor.cli import main
 from eagor.cli import track as track_command
 from eagor.evidence import DetectorModel
-from eagor.media.panorama import turn
+from eagor.grids import PerspectiveGrid
+from eagor.lenses import PinholeLens
+from eagor.media.panorama import cut, turn
+from eagor.media.rigs import Rig, write_rig
+from eagor.perception.calibrated import Calibrated
 from eagor.perception.views import Views
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
@@ -181,8 +188,6 @@ def test_a_detector_of_any_words_is_asked_once_and_knows_only_that(paints, film,
 
 
 def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, eagor, tmp_path):
-    from PIL import Image
-
     folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
     folder.mkdir()
     room = painted_room(64, 128)
@@ -198,22 +203,55 @@ def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, eagor, tmp_path
     assert [each["frame"] for each in json.loads(out)["frames"]] == ["0.png", "1.png", "2.png", "3.png"]
 
 
-def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path):
-    from PIL import Image
+LENS = PinholeLens("phone", (320, 240), (160.0, 158.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))
 
-    from eagor.grids import PerspectiveGrid
-    from eagor.media.panorama import cut
 
-    folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
-    folder.mkdir()
+@pytest.mark.parametrize(
+    ("told", "view"),
+    [
+        (("--hfov", 90), PerspectiveGrid(240, 320, math.radians(90))),
+        (("--camera", "phone.yaml"), PerspectiveGrid.of_lens(LENS)),
+    ],
+    ids=["hfov", "camera"],
+)
+def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path, monkeypatch, told, view):
+    monkeypatch.chdir(tmp_path)
+    write_rig(Rig((LENS.size,), (LENS,)), "phone.yaml")
     room = painted_room(256, 512)
+    Path("frames").mkdir()
     for k in range(3):
-        view = PerspectiveGrid(240, 320, math.radians(90), world_R_body(-0.6 + 0.1 * k))
-        Image.fromarray(cut(room, view)[0]).save(folder / f"{k}.png")
-    told = ("--perception", "paints", "--hfov", 90)
-    code, _, err = eagor("look", folder, "--out", looks, *told)
+        shown = replace(view, body_R_view=world_R_body(-0.6 + 0.1 * k))
+        Image.fromarray(cut(room, shown)[0]).save(f"frames/{k}.png")
+    told = ("--perception", "paints", *told)
+    code, _, err = eagor("look", "frames", "--out", "looks.jsonl", *told)
     assert code == 0, err
-    found, wanted = (eagor("track", *words, "--json") for words in ((looks, "ball"), (folder, "ball", *told)))
+    found, wanted = (eagor("track", *words, "--json") for words in (("looks.jsonl", "ball"), ("frames", "ball", *told)))
     assert (found[0], wanted[0]) == (0, 0), found[2] + wanted[2]
+    assert json.loads(wanted[1])["frames"][-1]["presence"] > 0.9
     pairs = zip(*(numbers(json.loads(each[1])["frames"]) for each in (found, wanted)), strict=True)
     assert all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)
+
+
+def test_things_that_stand_stay_where_they_were_seen(eagor, tmp_path):
+    """A ball ahead, seen three times; then a minute of looks back, at nothing."""
+    ahead, back = ({"projection": "perspective", "width": 320, "height": 240, "hfov_deg": 70, "yaw_left_deg": yaw}
+                   for yaw in (0, 180))  # fmt: skip
+    ball = {"box": [150, 110, 170, 130], "score": 0.9, "label": "ball"}
+    looks = [(k, ahead, [ball]) for k in range(3)] + [(10.0 + 10 * k, back, []) for k in range(6)]
+    pose = {"qw": 1, "qx": 0, "qy": 0, "qz": 0}
+    lines = [{"footage": {"of": "a.mp4", "perception": "paints", "classes": ["ball"]}}]
+    lines += [
+        {"stamp": at, "pose": pose, "views": [{"image": image, "boxes": boxes}]} for at, image, boxes in looks
+    ]  # fmt: skip
+    file, fitted = tmp_path / "looks.jsonl", tmp_path / "fitted.json"
+    file.write_text("\n".join(map(json.dumps, lines)))
+    Calibrated("paints", None, {"wander": (0.1, 0.3), "start": 0.05}, {}, DetectorModel()).write(fitted)
+    grown = []
+    for options in ((), ("--static",), ("--static", "--calibration", fitted)):
+        code, out, err = eagor("track", file, "ball", "--json", *options)
+        assert code == 0, err
+        frames = json.loads(out)["frames"]
+        grown.append(frames[-1]["credible_angle_deg"] - frames[2]["credible_angle_deg"])
+    assert grown[0] > 5
+    assert grown[1] <= 0
+    assert grown[2] == grown[1], "said, it wins over what was fitted"

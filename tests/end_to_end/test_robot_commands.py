@@ -23,8 +23,7 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim import WireSettings
-from eagor.robots.go2.sim_live import Go2Server
+from eagor.robots.go2.sim_wire import Go2Server, WireSettings
 from eagor.robots.go2.sport import SportClient
 
 pytestmark = pytest.mark.xdist_group("real time")

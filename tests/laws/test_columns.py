@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.cli.answers import SHORT, header, line
-from eagor.drawing.words import distance_in_words
+from eagor.drawing.style import distance_in_words
 from eagor.sphere import direction
 from eagor.tasks.methods import NAMES
 

@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 import eagor.robots
 from eagor.errors import FormatError
 from eagor.robots.go2 import idl
-from eagor.robots.go2.state import BUTTONS, Remote
-from eagor.robots.go2.wire import LONG, LOW, MOTORS, SHORT, LowFields, SportFields, checksum
+from eagor.robots.go2.state import BUTTONS, LONG, LOW, MOTORS, SHORT, LowFields, Remote, SportFields, checksum
 
 KINDS = [getattr(idl, name) for name in idl.__all__]
 octets = st.integers(0, 255)

@@ -25,7 +25,7 @@ from eagor.robots.go2.plant import (
     PlantSettings,
     joint_angles,
 )
-from eagor.robots.go2.sim import sport_fields
+from eagor.robots.go2.sim_wire import sport_fields
 from eagor.robots.go2.state import BodyState
 from eagor.sphere import check_rotation, world_R_body
 

@@ -1,9 +1,11 @@
 """Lines about faults: told when they begin and end, and now and then, however often they come and go."""
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.live.events import AGAIN, CALM, Fault, FaultLog
+from eagor.live.threads import NewestPicture, Picture
 
 
 def poses(age: float) -> Fault:
@@ -67,3 +69,14 @@ def test_no_fault_is_hidden(there):
         for _, bad in news.of([poses(1.0)] if wrong else [], 0.7 * tick):
             open_ = bad
         assert open_ or not wrong
+
+
+def test_the_newest_picture_of_each_lens_waits_and_a_quick_one_pushes_out_no_other():
+    waiting = NewestPicture()
+    for stamp, lens in ((1.0, 0), (1.1, 1), (1.2, 0), (1.3, 0)):
+        waiting.give(Picture(stamp, stamp, np.zeros((1, 1, 3), np.uint8), lens=lens))
+    first = waiting.take()
+    waiting.give(Picture(1.4, 1.4, np.zeros((1, 1, 3), np.uint8)))
+    taken = [first, waiting.take(), waiting.take()]
+    assert [(each.stamp, each.lens) for each in taken] == [(1.3, 0), (1.1, 1), (1.4, 0)]
+    assert waiting.skipped == 2

@@ -18,10 +18,9 @@ from eagor.errors import GridError, PoseError, RotationError, WorldError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.sphere import rotation, world_R_body
 from eagor.worlds import light as light_module
-from eagor.worlds.lattice import Lattice
 from eagor.worlds.light import SKY_GAIN, bake, hemisphere, light_of, sky_radiance
 from eagor.worlds.render import Renderer
-from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
+from eagor.worlds.scene import Instance, Lamp, Lattice, Material, Room, Scene
 
 SIZE = np.array([5.0, 4.0, 2.6])
 EYE = (2.2, 1.7, 1.4)

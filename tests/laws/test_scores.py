@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from eagor.evaluation.benchmarks import Published
-from eagor.evaluation.export import latex
 from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.evaluation.studies import compare
+from eagor.evaluation.study import latex
 from eagor.tasks.benchmark import Figure
 
 FIGURES = (

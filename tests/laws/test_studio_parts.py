@@ -7,6 +7,7 @@ import math
 import struct
 from contextlib import suppress
 from dataclasses import replace
+from multiprocessing import Pipe
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,16 +17,19 @@ from hypothesis import strategies as st
 from PIL import Image
 from starlette.datastructures import Headers
 
-from eagor.errors import EagorError
+from eagor.errors import EagorError, ImageError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
-from eagor.live.events import Answer, Asked, EvidenceCame, Trouble
-from eagor.studio import runs
+from eagor.live.core import LiveCore, LoopSettings
+from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
+from eagor.media import Pose
+from eagor.media.intrinsics import ShapeError
+from eagor.studio import eye, runs
 from eagor.studio.guard import Gate
 from eagor.studio.houses import Body, Walker, outlines
 from eagor.studio.hub import Channel, Slot
-from eagor.studio.live import Shown
+from eagor.studio.live import Shown, Waiting, watch
 from eagor.studio.messages import LONGEST, Blob, Message, PageError, merged, packed, read, rounded
 from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.replays import Redrawn
@@ -368,7 +372,7 @@ def test_words_from_outside_cannot_leave_their_place_in_the_page(monkeypatch, tm
     held = json.loads(text.split('id="episode">')[1].split("</script>")[0])
     assert held["scene"]["title"] == scene["title"]
     assert held["steps"][0]["error_deg"] is None
-    assert held["steps"][0]["panorama"]["url"].startswith("data:image/webp;base64,")
+    assert held["steps"][0]["panorama"]["url"].startswith("data:image/jpeg;base64,")
 
 
 # --- questions ---
@@ -515,6 +519,45 @@ def test_a_live_source_goes_on_with_the_question_before_one_that_is_refused():
     shown.close()
     shown.ask("ball", 9)
     assert (said[-1]["type"], said[-1]["question"]) == ("problem", 9)
+
+
+def test_a_live_source_asks_how_wide_its_camera_sees():
+    ours, theirs = Pipe()
+    tried = []
+
+    def opens(watchers, hfov):
+        tried.append(hfov)
+        raise ShapeError("it gives 4 x 3, not 2:1; wanted more") if hfov is None else ImageError("it is unplugged")
+
+    for told in (("query", "ball", 1), ("hfov", 65.0), None):
+        ours.send(told)
+    watch(theirs, "camera", "colour", opens)
+    theirs.close()
+    first, second = ours.recv().header, ours.recv().header
+    assert tried == [None, 65.0]
+    assert (first["asks"], first["problem"]) == ("hfov", "It gives 4 x 3, not 2:1.")
+    assert ("asks" in second, second["problem"]) == (False, "It is unplugged.")
+
+
+def test_a_live_picture_waits_for_its_pose_but_not_for_ever():
+    waiting, core = Waiting(), LiveCore(LoopSettings(("ball",)))
+    for number in range(4):
+        frame = FrameCame(1.0 + number / 10, 1.0 + number / 10, str(number))
+        core.take(frame)
+        waiting.add(frame)
+    assert waiting.take(core, 1.4) is None
+    core.take(PoseCame(1.4, Pose(1.1, np.eye(3)), of_picture=True))
+    assert waiting.take(core, 1.4).name == "1"
+    assert waiting.take(core, 1.5) is None
+    assert waiting.take(core, 2.5).name == "3"
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_ordinary_photograph_of_the_page_is_opened_without_a_warning(tmp_path):
+    Image.new("RGB", (40, 30)).save(tmp_path / "a.png")
+    said = []
+    eye._build(("picture", 1, tmp_path / "a.png", 1.0), said.append)
+    assert said[0].lens is not None
 
 
 def test_an_ordinary_lens_is_told_in_tangents_and_its_picture_is_sent_as_the_ideal_lens_sees_it() -> None:

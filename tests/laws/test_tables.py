@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError
-from eagor.evaluation import traces
-from eagor.evaluation.export import FIELDS, table_csv
+from eagor.evaluation import tables
 from eagor.evaluation.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
 from eagor.evaluation.sheets import half_width_deg, highest_sidelobe, kernel, main_sheet, ordering_sheet, verdict
+from eagor.evaluation.study import FIELDS, table_csv
 from eagor.evaluation.tables import FIGURES, OURS, as_text, best, mark, ordered, shown, summarise, varied_by
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import direction
@@ -292,40 +292,40 @@ def walk(errors, seam=(), legs=None, seed=1, **more):
 
 def test_errors_are_aligned_at_the_events():
     records = [walk([0, 1, 2, 3, 4, 5, 6, 7], seam=[2, 6]), walk([10, 10, 10, 10, 10, 10, 10, 10], seam=[4], seed=2)]
-    curve = traces.around(records, "m", traces.crossings, 1, 1)
+    curve = tables.around(records, "m", tables.crossings, 1, 1)
     assert curve.x == (-1, 0, 1)
     assert curve.y == pytest.approx((((1 + 5) / 2 + 10) / 2, ((2 + 6) / 2 + 10) / 2, ((3 + 7) / 2 + 10) / 2))
     assert curve.n == (2, 2, 2)
-    assert traces.around([walk([1, 2])], "m", traces.crossings, 1, 1) is None
+    assert tables.around([walk([1, 2])], "m", tables.crossings, 1, 1) is None
 
 
 def test_a_window_about_a_turn_holds_no_step_of_another_turn():
     legs = ["L1"] * 3 + ["L2"] * 2 + ["L3"] * 4
     record = walk([0, 1, 2, 3, 4, 5, 6, 7, None], legs=legs)
-    assert traces.turns(record, "m") == [3, 5]
-    curve = traces.around([record], "m", traces.turns, 4, 3, alone=True)
+    assert tables.turns(record, "m") == [3, 5]
+    curve = tables.around([record], "m", tables.turns, 4, 3, alone=True)
     assert curve.x == tuple(range(-4, 3))  # nothing is known of the third step after either turn
     assert curve.y == (None, 0.0, pytest.approx((1 + 3) / 2), pytest.approx((2 + 4) / 2), 4.0, 5.0, 7.0)
 
 
 def test_a_curve_by_step_ends_where_fewer_than_half_go_on():
     records = [walk([1] * length, seed=length) for length in (3, 5, 5, 9)]
-    assert traces.by_step(records, "m").x == (0, 1, 2, 3, 4)
-    assert traces.by_step(records, "m").n == (4, 4, 4, 3, 3)
+    assert tables.by_step(records, "m").x == (0, 1, 2, 3, 4)
+    assert tables.by_step(records, "m").n == (4, 4, 4, 3, 3)
 
 
 def test_honest_regions_lie_on_the_diagonal():
     rng = np.random.default_rng(0)
     records = [walk([1.0] * 4000, seed=seed, mass_above=rng.random(4000).tolist()) for seed in range(3)]
-    curve = traces.reliability(records, "m")
+    curve = tables.reliability(records, "m")
     assert curve.y == pytest.approx(curve.x, abs=2)
-    assert traces.reliability([walk([1.0])], "m") is None
+    assert tables.reliability([walk([1.0])], "m") is None
 
 
 def test_coverage_in_and_out_of_sight():
     record = walk([1.0] * 6, inside=[True, False, True, False, False, None])
-    assert traces.coverage([record], "m", True).mean == pytest.approx(200 / 3)
-    assert traces.coverage([record], "m", False).mean == 0.0
+    assert tables.coverage([record], "m", True).mean == pytest.approx(200 / 3)
+    assert tables.coverage([record], "m", False).mean == 0.0
 
 
 # Kernels

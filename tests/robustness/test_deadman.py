@@ -14,8 +14,8 @@ from strategies import HOSTILE
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import free_domain
-from eagor.robots.safety.deadman import REPEAT, HeldKey, checked_deadman
 from eagor.robots.safety.guard import Guard
+from eagor.robots.safety.messages import REPEAT, HeldKey, checked_deadman
 
 pytestmark = pytest.mark.xdist_group("real time")
 

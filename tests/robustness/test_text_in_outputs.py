@@ -11,8 +11,9 @@ from PIL import Image
 from eagor._tables import as_csv
 from eagor.cli import main
 from eagor.drawing.still import draw_errors
-from eagor.evaluation import export, ledger
+from eagor.evaluation import ledger
 from eagor.evaluation.sheets import Box, Row, Sheet
+from eagor.evaluation.study import markdown
 from eagor.worlds.painted import painted_room
 
 EVIL = "<script>alert(1)</script> ![x](http://e.x/p) | `a` \\"
@@ -22,13 +23,13 @@ def test_markdown_shows_names_as_they_are():
     sheet = Sheet(
         EVIL, (EVIL, EVIL), (Row(EVIL, (Box(EVIL, EVIL),), "ours"), Row(EVIL, (Box(EVIL),))), (EVIL, "a\n# b")
     )
-    text = export.markdown(EVIL, [(EVIL, EVIL)], [sheet])
+    text = markdown(EVIL, [(EVIL, EVIL)], [sheet])
     assert "<script" not in text
     assert "](" not in text.replace("\\](", "")
     assert "\n# b" not in text
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert [line.replace("\\|", "").count("|") for line in rows] == [3] * 4
-    assert "p < 0.05" in export.markdown("t", [], [Sheet("t", ("a",), (), ("p < 0.05",))])
+    assert "p < 0.05" in markdown("t", [], [Sheet("t", ("a",), (), ("p < 0.05",))])
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "=HYPERLINK(1)"])

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.evidence import Evidence
 from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker

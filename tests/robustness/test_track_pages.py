@@ -14,7 +14,7 @@ from tracks_drawn import PANORAMA, turning
 from eagor.drawing import page as pages
 from eagor.drawing.page import BeliefPage, Step, write_page
 from eagor.drawing.step import ScenePainter
-from eagor.drawing.words import answer_in_words
+from eagor.drawing.style import answer_in_words
 from eagor.errors import EagorError, StorageError, TimeError
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)> \" ' & $x ${title} `"

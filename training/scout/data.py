@@ -75,8 +75,8 @@ def make(job: tuple[int, Path, int, int, bool]) -> tuple[int, float]:
     from eagor.worlds import light
     from eagor.worlds.apartment import generate
     from eagor.worlds.ground import Ground
-    from eagor.worlds.lattice import STEP, Lattice
     from eagor.worlds.render import Renderer, Shader
+    from eagor.worlds.scene import STEP, Lattice
 
     scene = generate(seed)
     place = Place(scene, Ground.from_scene(scene), Renderer(scene))

@@ -10,7 +10,7 @@ import numpy as np
 from balls import with_balls
 from data import classes
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.grids import PatchGrid
 from eagor.queries import COLOURS
 from eagor.tasks.places import UNTARGETED

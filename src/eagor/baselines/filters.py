@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from eagor._arrays import to_numpy
 from eagor._checks import above, require, within
-from eagor._lazy import lazy
-from eagor._reprs import changed
+from eagor._values import changed, lazy
 from eagor.baselines import maps
 from eagor.baselines.maps import GRID
 from eagor.belief import Belief

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eagor._reprs import changed
+from eagor._values import changed
 from eagor.baselines.maps import seen_response, strongest
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import SILENT

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import altered, lazy
+from eagor._values import altered, lazy
 from eagor.evidence.detector import Habits
 from eagor.grids import ErpGrid
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from eagor._lazy import altered, inherited, known, lazy
+from eagor._values import altered, inherited, known, lazy
 from eagor.grids import ErpGrid, ErpWindow, PatchGrid
 
 

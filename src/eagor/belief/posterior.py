@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import Array, to_numpy
-from eagor._lazy import lazy
-from eagor._reprs import where
+from eagor._values import lazy, where
 from eagor.belief.basins import PROMINENCE, basins
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, ErpWindow

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import Array, as_float, namespace, table_like, to_library, to_numpy
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.belief.direction import Belief
 from eagor.belief.posterior import Field, Readable
 from eagor.errors import EagorError, PoseError

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.belief.basins import PROMINENCE, basins
 from eagor.belief.field import FINER, Patch, SphereField, cells_of
 from eagor.harmonics.peaks import refine

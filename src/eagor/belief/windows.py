@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._lazy import altered, known, lazy
+from eagor._values import altered, known, lazy
 from eagor.belief.bank import Bank, mixed
 from eagor.belief.field import EVEN, Nodes, Patch, bent, interpolated
 from eagor.evidence.detections import resolved, tangent_frame

@@ -51,7 +51,7 @@ def line(frame: Answered, begins: float = 0.0) -> str:
 
     With other methods the distance and the number of candidates are left out.
     """
-    from eagor.drawing.words import far_in_words, signed
+    from eagor.drawing.style import far_in_words, signed
 
     e, stamp = frame.estimate, frame.stamp - begins
     azimuth, elevation = signed(e.azimuth), signed(e.elevation)

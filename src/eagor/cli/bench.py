@@ -323,7 +323,7 @@ def score(options: BenchScore) -> int:
 
 def _simulated(options: BenchRun) -> Planned:
     from eagor.cli.checks import calibrated, check_looks, checked_rows
-    from eagor.evaluation import bench
+    from eagor.evaluation.simulated import Run, named, variants
     from eagor.tasks.methods import default_methods
     from eagor.tasks.rules import Disturbances
 
@@ -336,10 +336,10 @@ def _simulated(options: BenchRun) -> Planned:
         raise terminal.UsageError("--engine threads is for models on servers; use processes or ray for simulated tasks")
     perception = options.perception or PERCEPTION
     check_looks(perception)
-    methods = bench.named(options.methods) or default_methods(perception)
+    methods = named(options.methods) or default_methods(perception)
     if options.ablations:
-        methods += tuple(name for name in bench.variants(options.task) if name not in methods)
-    return bench.Run(
+        methods += tuple(name for name in variants(options.task) if name not in methods)
+    return Run(
         task=options.task,
         perception=perception,
         episodes=options.episodes,

@@ -232,7 +232,7 @@ def latency(options: CameraLatency) -> int:
     for name in ("rate", "seconds", "most"):
         if not (math.isfinite(value := getattr(options, name)) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number above 0")
-    source = open_camera(options.source, rig=options.rig, rate=options.rate, rows=512)
+    source = open_camera(options.source, rig=options.rig, rate=options.rate, rows=512, stitched=True)
     try:
         if not source.live:
             check_turning(odometry_of_file(options.poses))  # what is wrong with it is told before the work
@@ -299,7 +299,7 @@ def _film(
     paths: Sequence[Path], rig: Rig | None, start: float, rate: float | None = None
 ) -> Iterator[tuple[np.ndarray, ...]]:
     """The lenses' pictures of a video, from `start` on."""
-    from eagor.media.camera_sources import lens_videos
+    from eagor.media.rig_videos import lens_videos
 
     count = 0
     for frames in lens_videos(paths, None if rig is None else len(rig.sizes), rate=rate, start=start):

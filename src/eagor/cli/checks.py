@@ -131,6 +131,13 @@ def checked_record(path: Path | None) -> Path | None:
     return path
 
 
+def places_of(words: Sequence[str], rig: bool) -> list[Path]:
+    """The files that are named; with a `rig` they may stand with commas between, one for each lens."""
+    if rig:
+        words = [part for word in words for part in ([word] if os.path.exists(word) else word.split(","))]
+    return [Path(word) for word in words]
+
+
 def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:
     """Raise `UsageError` if the output `path` is one of the `inputs`, which would be overwritten."""
     if path is not None and os.path.realpath(path) in map(os.path.realpath, inputs):
@@ -226,6 +233,14 @@ def rows_for(spec: str, rows: int | None = None, least: int | None = None) -> in
     return rows or max(least or NICE, 0 if is_model(spec) else rows_of(make_perception(spec)))
 
 
+def wants_panoramas(spec: str) -> bool:
+    """Whether the perception that ``--perception`` names cannot look at ordinary pictures as they are."""
+    from eagor.perception import is_model
+    from eagor.perception.replay import takes_pictures
+
+    return not (is_model(spec) or takes_pictures(make_perception(spec)))
+
+
 def check_looks(perception: str) -> None:
     """Raise `UsageError` if `perception` is a replay, which knows only its own frames."""
     from eagor.perception import short_name
@@ -238,14 +253,21 @@ def check_looks(perception: str) -> None:
 
 
 def tracker_config(
-    degree: int, perception: str, calibration: Path | None = None, detector: str | None = None, force: bool = False
+    degree: int,
+    perception: str,
+    calibration: Path | None = None,
+    detector: str | None = None,
+    force: bool = False,
+    static: bool = False,
 ) -> TrackerConfig:
-    """The tracker's configuration for ``--degree`` and the result of `calibrated`."""
-    from eagor.tracking.config import TrackerConfig
+    """The tracker's configuration for ``--degree``, the result of `calibrated`, and ``--static``, which wins."""
+    from eagor.tracking.config import MotionModel, TrackerConfig
 
     config = TrackerConfig(degree=checked_degree(degree))
     found = calibrated(perception, calibration, detector, force)
-    return config if found is None else config.fitted(found.calibration, found.detector, found.forgetting)
+    if found is not None:
+        config = config.fitted(found.calibration, found.detector, found.forgetting)
+    return replace(config, target_motion=MotionModel.still()) if static else config
 
 
 def calibrated(perception: str, calibration: Path | None, detector: str | None, force: bool) -> Calibrated | None:

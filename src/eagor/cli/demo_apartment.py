@@ -20,7 +20,7 @@ from eagor.cli import terminal
 from eagor.cli.checks import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
-from eagor.evaluation import traces
+from eagor.evaluation import tables
 from eagor.evaluation.page import rendered
 from eagor.evaluation.tables import OURS
 from eagor.metrics import angular_error_deg
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 PICTURE_ROWS = 320  # of a panorama
 SPOKEN = {PLAIN: "the newest look alone", OURS: "our tracker"}
-PARTS = {traces.SEEN: "once it was seen", traces.IN_SIGHT: "in sight", traces.HIDDEN: "hidden again"}
+PARTS = {tables.SEEN: "once it was seen", tables.IN_SIGHT: "in sight", tables.HIDDEN: "hidden again"}
 # 200 searches in apartments that no setting was chosen on, as docs/results/navigation.md has them: degrees of error in
 # each of `PARTS`, with 95 % intervals.
 STUDY_COMMAND = "python benchmarks/first_sighting.py --seed 8840 --episodes 200"
@@ -101,7 +101,7 @@ class Search:
         """Each method's mean error, degrees, in each of `PARTS`; None where the walk has no such step."""
         here = np.array(self.visible)
         since = np.logical_or.accumulate(here)
-        chosen = {traces.SEEN: since, traces.IN_SIGHT: here, traces.HIDDEN: since & ~here}
+        chosen = {tables.SEEN: since, tables.IN_SIGHT: here, tables.HIDDEN: since & ~here}
         return {
             name: {part: float(errors[steps].mean()) if steps.any() else None for part, steps in chosen.items()}
             for name, errors in self.errors.items()
@@ -186,11 +186,11 @@ def summary(search: Search) -> list[str]:
         f"was out of sight in {away} of {len(search.visible)} looks."
     ]
     means = search.means
-    if means[OURS][traces.HIDDEN] is not None:
-        ours, alone = (_degrees(means[name][traces.HIDDEN]) for name in (OURS, PLAIN))
+    if means[OURS][tables.HIDDEN] is not None:
+        ours, alone = (_degrees(means[name][tables.HIDDEN]) for name in (OURS, PLAIN))
         lines.append(f"While it was hidden again, {SPOKEN[OURS]} was off by {ours}, {SPOKEN[PLAIN]} by {alone}.")
-    if means[OURS][traces.IN_SIGHT] is not None:
-        ours, alone = (_degrees(means[name][traces.IN_SIGHT]) for name in (OURS, PLAIN))
+    if means[OURS][tables.IN_SIGHT] is not None:
+        ours, alone = (_degrees(means[name][tables.IN_SIGHT]) for name in (OURS, PLAIN))
         lines.append(f"In sight: {ours} and {alone}.")
     return lines
 

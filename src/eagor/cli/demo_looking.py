@@ -18,7 +18,7 @@ from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.demo_photo import as_image
 from eagor.cli.terminal import RunError
-from eagor.drawing.words import in_words, sureness
+from eagor.drawing.style import in_words, sureness
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media.panorama import cut, turn

@@ -17,7 +17,7 @@ import numpy as np
 from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.terminal import RunError, UsageError
-from eagor.drawing.words import in_words
+from eagor.drawing.style import in_words
 from eagor.evaluation.tables import OURS
 from eagor.media.panorama import cut
 from eagor.perception import Perception, look, rows_of, short_name

@@ -35,8 +35,23 @@ from eagor.cli.checks import (
     perception_for_all,
     rows_for,
     tracker_config,
+    wants_panoramas,
 )
-from eagor.cli.options import CameraFile, Common, Detector, Flag, Floor, Force, Hfov, Mask, Modes, Rerun, Whole, bare
+from eagor.cli.options import (
+    CameraFile,
+    Common,
+    Detector,
+    Flag,
+    Floor,
+    Force,
+    Hfov,
+    Mask,
+    Modes,
+    Rerun,
+    Static,
+    Whole,
+    bare,
+)
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
@@ -101,6 +116,7 @@ class Live(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
+    static: Static = False
     mask: Mask = None
     force: Force = False
     json: Flag = False
@@ -166,21 +182,27 @@ def asked(options: Live) -> tuple[str, list[str]]:
     return source, queries
 
 
-def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
-    """The loop that the options ask for, with its camera open. Raises `UsageError`, and as `LiveLoop`."""
+def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False) -> LiveLoop:
+    """The loop that the options ask for, with its camera open. Raises `UsageError`, and as `LiveLoop`.
+
+    `whole`: a rig's pictures become panoramas, whatever its lenses and the perception.
+    """
     from eagor.live.loop import LiveLoop
     from eagor.media.camera_sources import open_camera
-    from eagor.robots.poses import ROS
+    from eagor.media.rig_videos import are_ordinary
+    from eagor.media.rigs import read_rig
+    from eagor.robots import ROS
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
     told = ordinary(options.hfov, options.camera, options.rig)
-    opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=options.rig, camera=told)
+    lenses = None if options.rig is None else read_rig(options.rig)
+    stitched = whole or (lenses is not None and are_ordinary(lenses) and wants_panoramas(spec))
+    opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=lenses, camera=told, stitched=stitched)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
-        from eagor.media.rigs import read_rig
         from eagor.robots.ros.sources import RosCamera
 
         topic = source.removeprefix(ROS)
@@ -191,7 +213,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = ()) -> LiveLoop:
             interface=options.interface,
             latency=options.latency,
             rows=rows,
-            rig=None if options.rig is None else read_rig(options.rig),
+            rig=lenses,
             camera=told,
         )
     camera = opens()
@@ -248,7 +270,7 @@ def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
     from eagor.live.threads import GivenPoses, MotionPoses
     from eagor.media.pose_files import odometry_of_file
-    from eagor.robots.poses import GO2, ROS, open_poses
+    from eagor.robots import GO2, ROS, open_poses
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
     text = options.poses
@@ -319,7 +341,7 @@ class _Told:
         return {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
 
     def _next_in_words(self) -> list[str]:
-        from eagor.drawing.words import in_words
+        from eagor.drawing.style import in_words
 
         return [] if self._next is None else [f"look next {in_words(*self._next)}"]
 
@@ -346,7 +368,7 @@ class _Told:
 
 def _in_line(answer: Answer) -> str:
     """An answer for the status line: "red chair: 12 degrees to the left, within 5°, tracking"."""
-    from eagor.drawing.words import answer_in_words
+    from eagor.drawing.style import answer_in_words
 
     e = answer.estimate
     cone = "" if e.direction is None else f", within {math.degrees(e.credible_angle):.0f}°"
@@ -364,8 +386,7 @@ def _replay(options: Live) -> int:
     if options.perception is not None:
         check_looks(options.perception)
         make_perception(options.perception)
-    camera = ordinary(options.hfov, options.camera, None)
-    replay = Replay(folder, options.perception, patience=options.patience, camera=camera)
+    replay = Replay(folder, options.perception, patience=options.patience)
     told = _Told(options, replay.settings.queries)
     try:
         for answer in replay:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from eagor.cli.checks import (
     mask_of,
     ordinary,
     perception_for,
+    places_of,
     say_of_replay,
     say_of_video,
     tracker_config,
@@ -41,8 +43,11 @@ class Locate(Common):
 
     runs: ClassVar[str] = "locate"
 
-    file: Annotated[Path, Positional, arg(metavar="PICTURE")]
-    """An equirectangular image, an ordinary picture (--hfov, --camera), or a video; its centre is forward."""
+    file: Annotated[str, Positional, arg(metavar="PICTURE")]
+    (
+        "An equirectangular image, an ordinary picture (--hfov, --camera), or a video; its centre is forward. Of a rig "
+        "with several cameras FRONT,BACK: a picture or a video of each."
+    )
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
     perception: Annotated[str | None, bare("NAME")] = None
@@ -87,8 +92,9 @@ def locate(options: Locate) -> int:
     query = checked_query(options.query)
     spec = perception_for(query, options.perception)
     checked_modes(options.modes)
-    check_not_read(options.picture, "--picture", [options.file])
-    check_not_read(options.out, "--out", [options.file])
+    places = places_of([options.file], options.rig is not None)
+    check_not_read(options.picture, "--picture", places)
+    check_not_read(options.out, "--out", places)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
     config = replace(config, floor_height=_checked_floor(options.floor))
     if options.picture is not None:
@@ -98,9 +104,16 @@ def locate(options: Locate) -> int:
         if stamp is None:  # a replay answers at its own times
             records = perception.records if isinstance(perception, ReplayPerception) else ()
             stamp = next((record.stamp for record in records if record.answers(query)), 0.0)
-        frame = _frame(options, perception)
-        looks = look(perception, frame.picture, query, stamp, frame.level_R_body, frame.grid)
-        looks = HiddenParts(mask_of(options.mask), terminal.log).covered(looks, frame)
+        frames, hidden = _frames(options, places, perception), HiddenParts(mask_of(options.mask), terminal.log)
+        # A recording has its own views of the moment, whatever the pictures.
+        seen = frames[:1] if isinstance(perception, ReplayPerception) else frames
+        looks = tuple(
+            evidence
+            for frame in seen
+            for evidence in hidden.covered(
+                look(perception, frame.picture, query, stamp, frame.level_R_body, frame.grid), frame
+            )
+        )
         warn_of_detector(options.detector, looks)
         follower, stamps = Follower(config), sorted({float(evidence.stamp or 0.0) for evidence in looks})
         if options.floor is not None:  # the camera is where heights are counted from
@@ -110,9 +123,9 @@ def locate(options: Locate) -> int:
             follower.look(evidence)
         estimate = follower.estimate(stamps[-1])
         if options.picture is not None:
-            _draw(options, frame, estimate)
+            _draw(options, frames, estimate)
         found = {
-            "query": options.query, "perception": spec, "frame": options.file.name, "stamp": stamps[-1],
+            "query": options.query, "perception": spec, "frame": _name(places), "stamp": stamps[-1],
             **estimate.as_dict(options.modes, NEAR),
         }  # fmt: skip
         if write is not None:
@@ -122,24 +135,35 @@ def locate(options: Locate) -> int:
         source = next((evidence.source for evidence in looks if evidence.source is not None), None)
         terminal.emit(found | ({} if source is None else {"source": dict(source)}))
     else:
-        _print(options, spec, estimate)
+        _print(options, _name(places), spec, estimate)
     return terminal.OK
 
 
-def _frame(options: Locate, perception: Perception) -> Picture:
-    """The photograph, or the frame of a video at ``--stamp`` seconds."""
-    from eagor.media.footage import LEAST_ROWS, FrameCheck, LensPictures, is_video, open_video
+def _frames(options: Locate, places: Sequence[Path], perception: Perception) -> tuple[Picture, ...]:
+    """The photograph, or the frame of a video at ``--stamp`` seconds; of a rig's ordinary cameras one of each."""
+    from eagor.media.footage import LEAST_ROWS, FrameCheck, LensPictures, is_video
     from eagor.media.panorama import Picture
+    from eagor.media.rig_videos import LensVideos, open_video
+    from eagor.media.rigs import read_rig
     from eagor.perception import rows_of
+    from eagor.perception.replay import takes_pictures
 
     check = FrameCheck(options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig))
-    if not is_video([options.file]):
-        return check.read(options.file) if options.rig is None else LensPictures(options.rig).read(options.file)
+    rig, stitched = None if options.rig is None else read_rig(options.rig), not takes_pictures(perception)
+    if not is_video(places, rig is not None):
+        return (check.read(places[0]),) if rig is None else LensPictures(rig, stitched).moment(places)
     rows = max(rows_of(perception), LEAST_ROWS)
-    video = open_video([options.file], options.rig, start=options.stamp or 0.0, rows=rows)
-    say_of_video(options.file.name, video.facts, video.duration)
-    first = next(iter(video))
-    return check(Picture(first.picture, video.unseen, video.level_R_body), first.name, video.told)
+    video = open_video(places, rig, stitched=stitched, start=options.stamp or 0.0, rows=rows)
+    say_of_video(places[0].name, video.facts, video.duration)
+    first = video.moment() if isinstance(video, LensVideos) else [next(iter(video))]
+    return tuple(
+        check(Picture(each.picture, video.unseen, video.level_R_body, grid=each.grid), each.name, video.told)
+        for each in first
+    )
+
+
+def _name(places: Sequence[Path]) -> str:
+    return ", ".join(place.name for place in places)
 
 
 def _checked_floor(floor: float | None) -> float | None:
@@ -151,12 +175,12 @@ def _checked_floor(floor: float | None) -> float | None:
     return floor
 
 
-def _print(options: Locate, spec: str, estimate: Estimate) -> None:
-    from eagor.drawing.words import STATUS, answer_in_words, far_in_words, signed
+def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:
+    from eagor.drawing.style import STATUS, answer_in_words, far_in_words, signed
     from eagor.perception import short_name
 
     known = estimate.direction is not None
-    print(f"{options.query}, in {options.file.name}, as {short_name(spec)} sees it")
+    print(f"{options.query}, in {name}, as {short_name(spec)} sees it")
     print(f"  status          {estimate.status}: {STATUS[estimate.status]}")
     print(f"  direction       {answer_in_words(estimate)}")
     if known:
@@ -175,7 +199,7 @@ def _print(options: Locate, spec: str, estimate: Estimate) -> None:
 
 def _print_modes(estimate: Estimate, count: int) -> None:
     """Print the candidates and the remaining probability."""
-    from eagor.drawing.words import in_words, signed
+    from eagor.drawing.style import in_words, signed
 
     shown = estimate.modes[:count]
     print("  candidates      azimuth elevation  weight (probability that it is thereabouts, if it is here)")
@@ -186,12 +210,22 @@ def _print_modes(estimate: Estimate, count: int) -> None:
     print(f"                  {'':17} {100 * elsewhere:5.0f} %  elsewhere")
 
 
-def _draw(options: Locate, frame: Picture, estimate: Estimate) -> None:
-    from eagor.drawing import draw_belief
-    from eagor.drawing.words import answer_in_words
+def _draw(options: Locate, frames: Sequence[Picture], estimate: Estimate) -> None:
+    """Draw the picture that the answer is in, or is nearest to; what the others show is beside it."""
+    from eagor.drawing import Mosaic, draw_belief
+    from eagor.drawing.style import answer_in_words
 
     assert options.picture is not None
+    frame, mosaic = frames[0], Mosaic()
+    for each in frames:
+        if each.grid is None or frame.grid is None:
+            continue
+        mosaic.add(each.picture, each.grid, estimate.world_R_body)
+        nearer = estimate.direction is not None and (
+            each.grid.body_R_view[:, 0] @ estimate.direction > frame.grid.body_R_view[:, 0] @ estimate.direction
+        )
+        frame = each if nearer else frame
     title = f"“{options.query}”: {answer_in_words(estimate)} ({estimate.status})"
     modes = [mode.direction for mode in estimate.modes[: options.modes]]
-    drawn = draw_belief(frame.picture, estimate, modes=modes, title=title, grid=frame.grid)
+    drawn = draw_belief(frame.picture, estimate, modes=modes, title=title, grid=frame.grid, mosaic=mosaic)
     keep_picture(drawn, options.picture)

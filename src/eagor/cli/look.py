@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception
-from eagor.cli.options import Common, Force, Hfov, RigFile, bare
+from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, places_of
+from eagor.cli.options import CameraFile, CameraInfo, Common, Force, Hfov, RigFile, bare
 from eagor.cli.track import Track, journey_of
 from eagor.errors import ImageError, PoseError
 
@@ -29,8 +29,8 @@ class Look(Common):
 
     runs: ClassVar[str] = "look"
 
-    places: Annotated[tuple[Path, ...], Positional, arg(metavar="FRAMES", help_behavior_hint="(required)")]
-    """A panorama, a video, a folder of panoramas, several image files, or a ROS 2 bag."""
+    words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES", help_behavior_hint="(required)")]
+    """A picture, a video, a folder, several image files, or a ROS 2 bag: panoramas, or of an ordinary camera."""
     out: Annotated[Path, arg(metavar="LOOKS.jsonl")]
     """Where to write what was seen: all things in all views, and the poses. Nothing of the pictures is kept."""
     perception: Annotated[str, arg(metavar="NAME")] = "coco"
@@ -49,7 +49,9 @@ class Look(Common):
     """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
+    camera_info: CameraInfo = None
     hfov: Hfov = None
+    camera: CameraFile = None
     rig: RigFile = None
     force: Force = False
 
@@ -61,18 +63,20 @@ def look(options: Look) -> int:
     from eagor.perception.footage import HiddenParts, first_line, looked_at
 
     queries = checked_queries(options.queries)
-    check_not_read(options.out, "--out", [*options.places, Path(options.poses)])
+    places = places_of(options.words, options.rig is not None)
+    check_not_read(options.out, "--out", [*places, Path(options.poses)])
     if options.out.suffix.lower() != ".jsonl":
         raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
     checked_out(options.out)
     views = _views(options, queries)
     asked = Track(
-        words=(*map(str, options.places), "everything"),
+        words=(*options.words, "everything"),
         poses=options.poses, rate=options.rate, start=options.start, end=options.end, image_topic=options.image_topic,
-        odom_topic=options.odom_topic, rig=options.rig, hfov=options.hfov, force=options.force,
+        odom_topic=options.odom_topic, camera_info=options.camera_info, rig=options.rig, hfov=options.hfov,
+        camera=options.camera, force=options.force,
     )  # fmt: skip
-    journey = journey_of(asked, options.places, views)
-    of = ", ".join(place.name for place in options.places[:3]) + (" and more" if len(options.places) > 3 else "")
+    journey = journey_of(asked, places, views)
+    of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
     hidden, looks, bad, broken = HiddenParts(say=terminal.log), 0, 0, None
     labels: Counter[str] = Counter()
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:

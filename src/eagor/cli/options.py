@@ -56,6 +56,10 @@ Floor = Annotated[
         "In locate the camera is at height 0: a floor 1.3 m below it is at -1.3.",
     ),
 ]
+Static = Annotated[
+    bool,
+    bare(help="What is looked for never moves, comes or goes: what is out of view stays where it was seen."),
+]
 Out = Annotated[
     Path | None,
     bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),

@@ -72,7 +72,7 @@ def list_seen(options: Common, replay: ReplayPerception, config: TrackerConfig, 
 
 
 def _line(thing: ThingSeen, begins: float) -> str:
-    from eagor.drawing.words import signed
+    from eagor.drawing.style import signed
 
     e = thing.estimate
     cone = "-" if e.direction is None else signed(e.credible_angle)[1:]

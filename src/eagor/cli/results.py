@@ -125,9 +125,9 @@ def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
-    from eagor.evaluation import bench, studies
+    from eagor.evaluation import simulated, studies
 
-    methods = bench.named(options.methods)
+    methods = simulated.named(options.methods)
     if options.b is None and len(methods) != 2:
         raise terminal.UsageError("name a second run, or two methods of this one with --methods")
     a = studies.read(options.a)

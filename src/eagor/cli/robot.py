@@ -17,9 +17,8 @@ from eagor.cli.options import Common, Flag, Whole, bare
 from eagor.cli.robot_run import RobotRun
 
 if TYPE_CHECKING:
-    from eagor.robots.go2.check import Report
-    from eagor.robots.go2.sim import SimSettings
-    from eagor.robots.go2.sim_live import LiveGo2
+    from eagor.robots.go2.sim import LiveGo2, SimSettings
+    from eagor.robots.go2.sport import Report
 
 
 Domain = Annotated[int | None, bare("N")]
@@ -105,7 +104,7 @@ class Robot:
 def check(options: RobotCheck) -> int:
     """Run the command; exit code 1 if something is wrong."""
     from eagor.robots.dds import Link
-    from eagor.robots.go2.check import examine
+    from eagor.robots.go2.sport import examine
     from eagor.robots.ros.graph import default_domain
 
     if not within(options.seconds, 0.5, 600):
@@ -151,8 +150,7 @@ def _heard(report: Report) -> dict[str, str]:
 
 def sim(options: RobotSim) -> int:
     """Run the command."""
-    from eagor.robots.go2.sim import SimulatedGo2
-    from eagor.robots.go2.sim_live import LiveGo2
+    from eagor.robots.go2.sim import LiveGo2, SimulatedGo2
     from eagor.robots.ros.graph import default_domain
 
     settings = settings_of(options)
@@ -180,8 +178,10 @@ def sim(options: RobotSim) -> int:
 
 def settings_of(options: RobotSim) -> SimSettings:
     """What is simulated with these options. Raises `UsageError`, `DeviceError`."""
+    from eagor.robots.go2.house import CameraSettings
     from eagor.robots.go2.plant import PlantSettings
-    from eagor.robots.go2.sim import CameraSettings, SimSettings, WireSettings
+    from eagor.robots.go2.sim import SimSettings
+    from eagor.robots.go2.sim_wire import WireSettings
 
     if not within(options.speed, 0, 3):
         raise terminal.UsageError(f"--speed {options.speed:g}: wanted 0 to 3 metres per second")

@@ -26,7 +26,7 @@ from eagor.cli.checks import (
     rows_for,
     tracker_config,
 )
-from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Whole, bare
+from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static, Whole, bare
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ class RobotRun(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
+    static: Static = False
     mask: Mask = None
     force: Force = False
 
@@ -145,9 +146,9 @@ def robot_run(options: RobotRun) -> int:
     """Run the command; returns its exit code."""
     from eagor.live.loop import LiveLoop
     from eagor.robots.run_page import RobotPage
-    from eagor.robots.safety.deadman import DEADMEN
     from eagor.robots.safety.guard import Guard
     from eagor.robots.safety.limits import Limits
+    from eagor.robots.safety.messages import DEADMEN
     from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 
     query = checked_query(options.query)
@@ -155,7 +156,7 @@ def robot_run(options: RobotRun) -> int:
     # In a rendered house the network for such pictures is better than a colour alone.
     spec = "scout" if options.sim and options.perception is None else perception_for(query, options.perception)
     check_looks(spec)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=FLOOR)
     mask = mask_of(options.mask)
     folder = options.report or (Path("eagor-walk") if options.sim else None)
@@ -236,7 +237,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
             rig = None if options.rig is None else read_rig(options.rig)
             network = {"domain": options.domain, "interface": options.interface}
             return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, rig=rig, **network)
-        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig)
+        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig, stitched=True)
         if not found.live:
             found.close()
             raise DeviceError(f"--source {source} is a recording; a robot that walks needs a live camera")
@@ -249,10 +250,10 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     import numpy as np
 
-    from eagor.robots.go2.sim import CameraSettings, SimSettings, SimulatedGo2
+    from eagor.robots.go2.house import CameraSettings
+    from eagor.robots.go2.sim import CAMERA, Rehearsal, SimSettings, SimulatedGo2, clear_start
     from eagor.robots.ros.sources import RosCamera
     from eagor.robots.run_page import Plan
-    from eagor.robots.safety.rehearsal import CAMERA, Rehearsal, clear_start
 
     rows = rows_for(spec, options.rows, PICTURE)
     camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)

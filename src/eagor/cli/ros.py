@@ -21,7 +21,7 @@ from eagor.cli.checks import (
     rows_for,
     tracker_config,
 )
-from eagor.cli.options import CameraInfo, Common, Detector, Flag, Floor, Force, Hfov, Whole, bare
+from eagor.cli.options import CameraInfo, Common, Detector, Flag, Floor, Force, Hfov, Static, Whole, bare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +93,7 @@ class Ros(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
+    static: Static = False
     force: Force = False
     json: Flag = False
     """At the end, print one JSON object: what was counted."""
@@ -126,7 +127,7 @@ def ros(options: Ros) -> int:
 
         rig = read_rig(options.rig)
     spec = perception_for_all(queries, options.perception) if queries else options.perception or "colour"
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     settings = NodeSettings(
         image_topic=options.image_topic,
         odom_topic=options.odom_topic,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import secrets
 import socket
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -12,15 +13,16 @@ from tyro.conf import Positional, arg
 
 from eagor._extras import need
 from eagor.cli import terminal
-from eagor.cli.checks import checked_out, make_perception
+from eagor.cli.checks import checked_out, make_perception, ordinary
 from eagor.cli.live import Live, asked, loop_of
-from eagor.cli.options import Common, Flag, RigFile, bare, given
+from eagor.cli.options import CameraFile, Common, Flag, Hfov, RigFile, bare, given
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from eagor.evaluation.study import LoadedRun
+    from eagor.live.loop import LiveLoop, Watcher
     from eagor.studio.hub import LiveSource, Settings
 
 
@@ -56,6 +58,8 @@ class Studio(Common):
     poses: Annotated[str, arg(metavar="SOURCE")] = "auto"
     """With --source: how the camera turns and moves, as for live (auto, level, still, ros:/odom, go2, CSV)."""
     rig: RigFile = None
+    hfov: Hfov = None
+    camera: CameraFile = None
     out: Annotated[Path | None, bare("FILE.html")] = None
     """With export: the page to write."""
     episode: Annotated[str | None, bare("NAME")] = None
@@ -69,7 +73,7 @@ WAITING = 1 << 14  # bytes on their way to a page
 RATE = 10.0  # answers per second of a live source
 LAST_SEED = 9999
 FOR_EXPORT = ("out", "episode", "methods")
-FOR_SOURCE = ("query", "poses", "rig")
+FOR_SOURCE = ("query", "poses", "rig", "hfov", "camera")
 
 
 def studio(options: Studio) -> int:
@@ -130,9 +134,11 @@ def _live(options: Studio, source: str) -> LiveSource:
     if options.query is None:
         raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")
     wanted = Live(
-        words=(source, options.query), poses=options.poses, rig=options.rig, perception=options.perception, rate=RATE
-    )
+        words=(source, options.query), poses=options.poses, rig=options.rig, perception=options.perception, rate=RATE,
+        hfov=options.hfov, camera=options.camera,
+    )  # fmt: skip
     asked(wanted)
+    ordinary(options.hfov, options.camera, options.rig)
     return LiveSource(source, SERVE, (wanted,))
 
 
@@ -155,7 +161,7 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 EPISODE = "episode.html"  # beside a report
-FOR_SERVING = ("port", "open", "host", "token", "folder", "perception", "seed", "source", "query", "poses", "rig")
+FOR_SERVING = ("port", "open", "host", "token", "folder", "perception", "seed", *FOR_SOURCE, "source")
 
 
 def export(options: Studio) -> int:
@@ -223,4 +229,8 @@ def serve(line: Connection, options: Live) -> None:
     from eagor.studio.live import watch
 
     source, _ = asked(options)
-    watch(line, source, options.perception or "", lambda watchers: loop_of(options, watchers))
+
+    def opens(watchers: Sequence[Watcher], hfov: float | None) -> LiveLoop:
+        return loop_of(options if hfov is None else replace(options, hfov=hfov), watchers, whole=True)
+
+    watch(line, source, options.perception or "", opens)

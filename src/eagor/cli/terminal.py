@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from eagor._secrets import redacted
+from eagor._files import redacted
 from eagor.errors import EagorError
 
 OK, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3

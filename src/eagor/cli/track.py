@@ -8,7 +8,6 @@ after every line.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -33,6 +32,7 @@ from eagor.cli.checks import (
     mask_of,
     ordinary,
     perception_for,
+    places_of,
     say_of_replay,
     say_of_video,
     tracker_config,
@@ -52,6 +52,7 @@ from eagor.cli.options import (
     Out,
     Rerun,
     RigFile,
+    Static,
     Whole,
     bare,
     given,
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from eagor.media.footage import FrameCheck, Frames
     from eagor.media.pose_files import FramePose
     from eagor.media.posed_frames import PosedFrame
+    from eagor.media.rigs import Rig
     from eagor.perception import Perception
     from eagor.perception.footage import FollowedFrame, Method
     from eagor.perception.replay import ReplayPerception
@@ -112,6 +114,7 @@ class Track(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
+    static: Static = False
     drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
     """Heading drift of the poses in the first second, degrees; it grows with the square root of time."""
     compare: Flag = False
@@ -150,7 +153,7 @@ def track(options: Track) -> int:
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
     query = checked_query(options.words[-1])
-    places = _places(options)
+    places = places_of(options.words[:-1], options.rig is not None)
     replay = recorded(options, places)
     spec = perception_for(query, options.perception) if replay is None else _seen_by(replay)
     check_not_read(options.out, "--out", [*places, Path(options.poses)])
@@ -158,7 +161,7 @@ def track(options: Track) -> int:
     check_not_read(options.video, "--video", places)
     check_not_read(options.page, "--page", places)
     check_not_read(options.rerun, "--rerun", places)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     checked_modes(options.modes)
     perception = make_perception(spec, busy=True) if replay is None else replay
     journey = journey_of(options, places, perception) if replay is None else _of_looks(replay)
@@ -177,14 +180,6 @@ def track(options: Track) -> int:
                 each(result)
             advance()
     return run.close(journey)
-
-
-def _places(options: Track) -> list[Path]:
-    """What to look at; for a rig, files may stand with commas between."""
-    words = options.words[:-1]
-    if options.rig is not None:
-        words = tuple(part for word in words for part in ([word] if os.path.exists(word) else word.split(",")))
-    return [Path(word) for word in words]
 
 
 def _rival_names() -> tuple[str, ...]:
@@ -225,7 +220,9 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
     from eagor.media.bags import is_bag
     from eagor.media.footage import LEAST_ROWS, is_video
     from eagor.media.pose_files import read_poses
+    from eagor.media.rigs import read_rig
     from eagor.perception import rows_of
+    from eagor.perception.replay import takes_pictures
 
     poses = () if options.poses in SEEN else read_poses(options.poses)
     for name in ("rate", "fps"):
@@ -237,9 +234,11 @@ def journey_of(options: Track, places: Sequence[Path], perception: Perception) -
     if given(options, ("image_topic", "odom_topic", "camera_info")):
         topics = "--image-topic, --odom-topic and --camera-info"
         raise terminal.UsageError(f"{topics} are for a ROS 2 bag; {places[0]} is none")
-    if is_video(places, options.rig):
-        return _of_video(options, places, poses, rows)
-    return _of_images(options, places, poses)
+    rig = None if options.rig is None else read_rig(options.rig)
+    stitched = not takes_pictures(perception)
+    if is_video(places, rig is not None):
+        return _of_video(options, places, poses, rows, rig, stitched)
+    return _of_images(options, places, poses, rig, stitched)
 
 
 def _of_looks(replay: ReplayPerception) -> Journey:
@@ -266,43 +265,40 @@ def _list_seen(options: Track, replay: ReplayPerception) -> int:
     from eagor.perception.footage import HiddenParts
 
     spec, journey = _seen_by(replay), _of_looks(replay)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force)
+    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     floor, drift = _checked_floor(options.floor, journey), checked_drift(options.drift)
     hidden = HiddenParts(mask_of(options.mask), terminal.log)
     return list_seen(options, replay, replace(config, floor_height=floor, drift=drift), hidden, options.modes)
 
 
-def _of_video(options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int) -> Journey:
-    from eagor.media.footage import LensVideos, VideoFrames, are_ordinary, open_video
+def _of_video(
+    options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int, rig: Rig | None, stitched: bool
+) -> Journey:
+    from eagor.media.footage import VideoFrames
     from eagor.media.posed_frames import thinned
-    from eagor.media.rigs import read_rig
+    from eagor.media.rig_videos import LensVideos, open_video
 
     looks, shown = _rates(options)
-    rig = None if options.rig is None else read_rig(options.rig)
-    views = rig if rig is not None and are_ordinary(rig) else None
-
-    def opened(rate: float) -> Any:
-        cut: dict[str, Any] = {"rate": rate, "start": options.start, "end": options.end, "rows": rows}
-        return open_video(places, options.rig, **cut) if views is None else LensVideos(places, views, **cut)
-
-    video = opened(shown)
-    check = None if views is not None else _check(options)
+    opened = partial(open_video, places, rig, stitched=stitched, start=options.start, end=options.end, rows=rows)
+    video, check = opened(rate=shown), _check(options)
+    lenses = len(video.grids) if isinstance(video, LensVideos) else 0
     sighted = not poses and (options.poses == "level" or video.motion is None)
-    ordinary_lens = check is None or (options.rig is None and check.takes_as_ordinary(*video.shape))
+    ordinary_lens = lenses > 0 or (rig is None and check.takes_as_ordinary(*video.shape))
     if sighted and shown < BY_SIGHT and ordinary_lens:
         shown = BY_SIGHT
-        video = opened(shown)
+        video = opened(rate=shown)
     say_of_video(places[0].name, video.facts, video.duration)
-    source = video if check is None else VideoFrames(video, check)
+    source = VideoFrames(video, check)
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
-    lenses = 1 if views is None else len(views.sizes)
-    return Journey(thinned(frames, looks, lenses=lenses), source.count, told, poses, shown, span)
+    return Journey(thinned(frames, looks, lenses=max(1, lenses)), source.count, told, poses, shown, span)
 
 
-def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose]) -> Journey:
+def _of_images(
+    options: Track, places: Sequence[Path], poses: Sequence[FramePose], rig: Rig | None, stitched: bool
+) -> Journey:
     from eagor.media.footage import images
 
     if wrong := given(options, ("start", "end", "fps")):
@@ -310,7 +306,7 @@ def _of_images(options: Track, places: Sequence[Path], poses: Sequence[FramePose
     if poses and options.rate is not None:
         raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
     rate = options.rate or 1.0
-    source = images(places, rate, _check(options), options.rig)
+    source = images(places, rate, _check(options), rig, stitched)
     frames, told = _posed(options, source, poses)
     if poses:
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
@@ -482,7 +478,7 @@ class _Run:
 
     def _say_last(self) -> None:
         """The last answer in words, and what was written."""
-        from eagor.drawing.words import STATUS, candidates_in_words
+        from eagor.drawing.style import STATUS, candidates_in_words
 
         if self.last is not None:
             estimate, at = self.last.estimate, self.last.stamp - self.begins
@@ -576,7 +572,7 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
     Pictures are numbered as the lines of the table, and show at most `most` candidates.
     """
     from eagor.drawing import Mosaic, draw_belief
-    from eagor.drawing.words import answer_in_words
+    from eagor.drawing.style import answer_in_words
 
     checked_folder(folder, "--pictures")
     numbers, mosaic = count(), Mosaic()

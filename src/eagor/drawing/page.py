@@ -22,8 +22,8 @@ import numpy as np
 from eagor._files import written
 from eagor._version import __version__
 from eagor.drawing.step import ScenePainter
+from eagor.drawing.style import STATUS, candidates_in_words, far_in_words, in_words, signed
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, Thinned, TimeLine, ticks
-from eagor.drawing.words import STATUS, candidates_in_words, far_in_words, in_words, signed
 from eagor.errors import EagorError, StorageError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate

@@ -18,8 +18,8 @@ import numpy as np
 
 from eagor._extras import need
 from eagor.drawing.panorama import BEHIND, Heat, arrow, backdrop, heat_of, places, worth_an_arrow
+from eagor.drawing.style import answer_in_words, sureness
 from eagor.drawing.view import Mosaic, edge, heat_in_view, lines_in_view, outline_of, place_in_view
-from eagor.drawing.words import answer_in_words, sureness
 from eagor.errors import EagorError, StorageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import azimuth_elevation, direction

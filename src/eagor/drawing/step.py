@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.drawing.panorama import MASS, backdrop, heat_of, paint_marks
-from eagor.drawing.sheet import DESIGN, FAINT, WORDS, blank, family, ground, over
+from eagor.drawing.style import DESIGN, FAINT, WORDS, blank, candidates_in_words, family, far_in_words, ground, over
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, TimeLine, ticks
 from eagor.drawing.view import ViewScene, wipe
-from eagor.drawing.words import candidates_in_words, far_in_words
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate

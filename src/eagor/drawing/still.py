@@ -10,7 +10,7 @@ import numpy as np
 
 from eagor.belief.posterior import Readable
 from eagor.drawing.panorama import backdrop, heat_of, paint_marks
-from eagor.drawing.sheet import DESIGN, GRID_LINE, INK, QUIET, WORDS, blank, figure, ground, image, over, plain
+from eagor.drawing.style import DESIGN, GRID_LINE, INK, QUIET, WORDS, blank, figure, ground, image, over, plain
 from eagor.drawing.view import Mosaic, ViewScene
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid

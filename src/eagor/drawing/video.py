@@ -21,8 +21,8 @@ import numpy as np
 
 from eagor._extras import need
 from eagor._files import written
-from eagor.drawing.sheet import DESIGN
 from eagor.drawing.step import StepPainter
+from eagor.drawing.style import DESIGN
 from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, StorageError, TimeError
 from eagor.grids import PerspectiveGrid

@@ -30,9 +30,8 @@ from eagor.drawing.panorama import (
     paint_marks,
     worth_an_arrow,
 )
-from eagor.drawing.sheet import DESIGN, FAINT, WORDS, family
+from eagor.drawing.style import DESIGN, FAINT, WORDS, answer_in_words, family, sureness
 from eagor.drawing.timeline import COLOURS, SIDES
-from eagor.drawing.words import answer_in_words, sureness
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.sphere import azimuth_elevation, direction

@@ -209,12 +209,8 @@ def views_sheet(summaries: Sequence[Summary]) -> Sheet | None:
     if not rows:
         return None
     heads = (
-        "views ↓",
-        "views of successes ↓",
-        "submitted because sure",
-        "of those right ↑, %",
-        "calibration error ↓, %",
-    )
+        "views ↓", "views of successes ↓", "submitted because sure", "of those right ↑, %", "calibration error ↓, %",
+    )  # fmt: skip
     note = "Calibration error: mean gap between the stated probability of success and the share that succeeded."
     return Sheet("Views, and stopping", ("agent", *heads), tuple(rows), (note,))
 

@@ -15,7 +15,7 @@ from eagor._files import read_file
 from eagor._json import parsed, shown
 from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import benchmark_tables, export, ledger
+from eagor.evaluation import benchmark_tables, ledger
 from eagor.evaluation.benchmark_tables import OURS, labels_of
 from eagor.evaluation.page import (
     Curve,
@@ -33,7 +33,7 @@ from eagor.evaluation.page import (
     lines_of,
 )
 from eagor.evaluation.samples import LEVEL, RESAMPLES, checked, computing_time, finished, published
-from eagor.evaluation.study import LoadedRun, Report, Settings, Summary, Worst
+from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Summary, Worst, latex, samples, words
 from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
@@ -197,7 +197,7 @@ class Published:
             sections,
             facts,
             sheets,
-            {"tables.csv": _csv(self.benchmark, labels, summaries), "tables.tex": export.latex(sheets[0])},
+            {"tables.csv": _csv(self.benchmark, labels, summaries), "tables.tex": latex(sheets[0])},
         )
 
     def worst(self, run: LoadedRun, method: str | None = None) -> Worst:
@@ -215,10 +215,10 @@ class Published:
     def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
         if to in self.benchmark.exports:
             return self.benchmark.export(to, run.records, run.settings, folder)
-        if to in export.TABLES:
-            return [export.TABLES[to](run, folder)]
+        if to in TABLES:
+            return [TABLES[to](run, folder)]
         cases = self.benchmark.cases(Path(str(run.settings["data"])), run.settings)
-        return [export.samples(cases, run.records, folder)]
+        return [samples(cases, run.records, folder)]
 
 
 def _short(choices: tuple[Any, ...]) -> Any:
@@ -243,7 +243,7 @@ def _outcome(labels: Sequence[str], summaries: Sequence[Summary]) -> str:
 def _facts(run: LoadedRun) -> list[tuple[str, str]]:
     settings = [(key, value) for key, value in run.settings.items() if key != "kind" and value is not None]
     return [
-        *((key.capitalize(), export.words(value)) for key, value in settings),
+        *((key.capitalize(), words(value)) for key, value in settings),
         ("Cases", f"{run.summary['episodes']} with results, {run.summary['failed']} without"),
         ("Computing time", computing_time(run.records)),
         ("Intervals", f"{100 * LEVEL:.0f} %; Wilson's, and {RESAMPLES} resamples of whole clusters"),

@@ -18,17 +18,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from eagor._lazy import lazy
-from eagor.evaluation.detector_places import (
-    ALARMS_PRIOR,
-    Candidates,
-    Errors,
-    Split,
-    fitted_habit,
-    once,
-    scatter,
-    split,
-)
+from eagor._values import lazy
+from eagor.evaluation.detector_places import ALARMS_PRIOR, Candidates, Errors, Split, fitted_habit, once, scatter, split
 from eagor.evaluation.labelled_looks import Assigned, Rows, sums
 from eagor.evidence.detector import LOOK_ALIKES, DetectorModel
 

@@ -143,15 +143,10 @@ def fit_detector(
         drawn.append(fitting.estimate(times[np.searchsorted(names, parts)].astype(float), deviation, found))
         on_step()
     return DetectorFit(
-        found.model(base),
-        len(looks),
-        len({look.group for look in looks}),
-        len(rows.look_of_target),
-        len(rows.scores),
-        found.matched,
-        _intervals(found, drawn, fitting, len(names)),
+        found.model(base), len(looks), len({look.group for look in looks}), len(rows.look_of_target), len(rows.scores),
+        found.matched, _intervals(found, drawn, fitting, len(names)),
         _held_out(looks, fitting, deviation, found, parts) if len(names) > 1 else None,
-    )
+    )  # fmt: skip
 
 
 def fitted_model(looks: Sequence[LabelledLook], base: DetectorModel) -> DetectorModel:

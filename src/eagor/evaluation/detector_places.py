@@ -82,14 +82,9 @@ def candidates(rows: Rows, counts: np.ndarray, spread: float) -> Candidates:
     of_place = np.concatenate([np.zeros(0, dtype=int), *place])
     axes, centre = rows.axes[chosen], middles[of_place]
     return Candidates(
-        which,
-        seen,
-        chosen,
-        of_place,
-        offsets_along(axes, rows.directions[chosen], centre),
-        np.einsum("pij,pkj->pik", axes, tangent_frames(centre)),
-        exposure,
-    )
+        which, seen, chosen, of_place, offsets_along(axes, rows.directions[chosen], centre),
+        np.einsum("pij,pkj->pik", axes, tangent_frames(centre)), exposure,
+    )  # fmt: skip
 
 
 def once(rows: Rows, spread: float) -> np.ndarray:

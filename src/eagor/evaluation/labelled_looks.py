@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from eagor._checks import checked_stamp
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import DirectionError, EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections, bump_norms, tangent_frames
@@ -34,16 +34,8 @@ from eagor.tasks.places import APARTMENT, DEVELOPMENT, Place, load_place
 from eagor.tasks.rules import Camera
 
 __all__ = [
-    "Assigned",
-    "LabelledLook",
-    "Rows",
-    "Truth",
-    "joined",
-    "read_truth",
-    "replayed_looks",
-    "rows_of",
-    "stretches",
-]
+    "Assigned", "LabelledLook", "Rows", "Truth", "joined", "read_truth", "replayed_looks", "rows_of", "stretches",
+]  # fmt: skip
 
 IN_VIEW = 0.5  # share v of a target's direction from which on the look counts as having looked at it
 ROUNDS, SETTLED = 100, 1e-6  # of belief propagation: most rounds, and the change of a message at which it ends
@@ -241,22 +233,13 @@ def rows_of(looks: Sequence[LabelledLook], base: DetectorModel) -> Rows:
     at, every = np.concatenate(seen), np.arange(len(looks))
     stretch = stretches(looks, base)
     return Rows(
-        tuple(looks),
-        np.array([found.area for found in read]),
-        stretch,
-        np.repeat(every, counts),
-        np.repeat(every, targets),
-        _places(looks, stretch, seen),
-        directions,
-        axes,
-        np.concatenate([found.scores for found in read]),
-        np.concatenate([found.clutter for found in read]),
-        np.maximum(lengths**-2 - base.spread**2, 0.0),
-        detection,
-        target,
+        tuple(looks), np.array([found.area for found in read]), stretch, np.repeat(every, counts),
+        np.repeat(every, targets), _places(looks, stretch, seen), directions, axes,
+        np.concatenate([found.scores for found in read]), np.concatenate([found.clutter for found in read]),
+        np.maximum(lengths**-2 - base.spread**2, 0.0), detection, target,
         offsets_along(axes[detection], directions[detection], at[target]),
         np.einsum("pij,pkj->pik", axes[detection], tangent_frames(at)[target]),
-    )
+    )  # fmt: skip
 
 
 def offsets_along(axes: np.ndarray, directions: np.ndarray, centres: np.ndarray) -> np.ndarray:

@@ -16,16 +16,27 @@ import numpy as np
 from scipy import ndimage
 
 from eagor.conventions import rotation_from_wxyz
-from eagor.errors import WorldError
-from eagor.evaluation.page import blank, colour_of, finished, look_of, style_of
+from eagor.errors import EagorError, WorldError
+from eagor.evaluation.page import (
+    Heading,
+    Part,
+    Pictures,
+    Text,
+    blank,
+    colour_of,
+    finished,
+    legend,
+    look_of,
+    style_of,
+)
 from eagor.evaluation.samples import Record, played_by
-from eagor.evaluation.tables import OURS, is_rival, ordered
+from eagor.evaluation.tables import OURS, is_ablation, is_rival, ordered, shown
 from eagor.tasks.floor_map import CELL, FLOOR, FloorMap
+from eagor.tasks.rules import Camera, from_dict
 from eagor.tasks.search_space import looked_along
 
 if TYPE_CHECKING:
     from eagor.tasks.places import Place
-    from eagor.tasks.rules import Camera
     from eagor.tasks.task import Task
     from eagor.worlds.walkable import Walkable
 
@@ -341,3 +352,59 @@ def _png(pixels: np.ndarray, colours: int | None = None) -> str:
     buffer = io.BytesIO()
     image.save(buffer, format="PNG", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+
+
+def three(records: Sequence[Record], task: Task, config: Mapping[str, Any], open_place: OpenPlace | None) -> list[Part]:
+    """The best, the median and the worst episode of our default method: a map, and six moments."""
+    found = chosen(records, task)
+    if not found:
+        return [Text(f"There is no episode with a result of {OURS}.")]
+    if open_place is None:
+        from eagor.tasks.places import load_place as open_place
+    radius = float(config.get("camera", {}).get("radius", Camera().radius))
+    by = f"Chosen by the error of {OURS}" + (", after success and path length." if task.walked else ".")
+    parts: list[Part] = [Text(by, "note")]
+    for kind, record in found.items():
+        episode = record["episode"]
+        parts.append(Heading(f"The {kind}: {episode['query']}, episode {episode['id']}"))
+        parts.append(Text(figures_of(record, task)))
+        try:
+            place = open_episode(record, radius, open_place)
+            parts += _pictures(place, record, records, task, search_of(place, record, _camera(config)))
+        except (EagorError, ImportError, OSError) as error:
+            parts.append(Text(f"No pictures: {error}", "note"))
+        except (KeyError, IndexError) as error:  # only pictures need it: its place, its balls
+            lacks = f"the record {record['key']!r} does not hold all that they need ({type(error).__name__}: {error})"
+            parts.append(Text(f"No pictures: {lacks}", "note"))
+    return parts
+
+
+def _camera(config: Mapping[str, Any]) -> Camera | None:
+    """The camera of a run; None if it is one of another version."""
+    try:
+        return from_dict(Camera, dict(config.get("camera", {})))
+    except EagorError:
+        return None
+
+
+def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task, search: Search | None) -> list[Part]:
+    """The map and the strip of one episode, with a legend; with a key to its `search`, if it was one."""
+    others = []
+    if task.walked:
+        same = [r for r in records if r["episode"]["id"] == record["episode"]["id"]]
+        others = [r for r in same if (name := next(iter(r["methods"]))) != OURS and not is_ablation(name)]
+    names = ordered([*(next(iter(r["methods"])) for r in others), *(n for n in record["methods"] if is_rival(n))])
+    above = [
+        (floor_map(place, record, others, search), "From above; numbers: the moments."),
+        *([(key_to_search(search, str(record["key"])), search.caption)] if search is not None else []),
+        (legend(names, OURS, str(record["key"])), "Each method's line and mark."),
+    ]
+    caption = "White ring: the truth. Marks: what each method says. The middle is straight ahead, the edges are behind."
+    return [Pictures(above, "map"), Pictures(strip(place, record), "strip"), Text(caption, "note")]
+
+
+def figures_of(record: Record, task: Task, method: str = OURS) -> str:
+    """The figures of a method in an episode, in words."""
+    values = [(column, column.of(record, method)) for column in task.columns]
+    told = ", ".join(f"{c.title} {shown(value, c)}{c.unit}" for c, value in values if value is not None)
+    return f"{method}: {told}."

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor.evaluation import traces
+from eagor.evaluation import tables
 from eagor.evaluation.page import (
     Box,
     Curve,
@@ -213,7 +213,7 @@ def coverage_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet 
     for name, row in summary["methods"].items():
         if is_ablation(name) or row["coverage"] is None:
             continue
-        found = [_part_box(traces.coverage(records, name, visible)) for visible in (True, False)]
+        found = [_part_box(tables.coverage(records, name, visible)) for visible in (True, False)]
         rows.append(_row(name, [_box(summary, name, column), *found]))
     if not rows:
         return None
@@ -231,10 +231,10 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
     for name in summary["methods"]:
         if is_ablation(name):
             continue
-        found = {part: traces.error_in(records, name, part) for part in traces.PARTS}
+        found = {part: tables.error_in(records, name, part) for part in tables.PARTS}
         shares |= {part: value.share for part, value in found.items() if value is not None and name == OURS}
-        after = traces.error_in(records, name, traces.SEEN)
-        boxes = [_part_box(value) for value in (*found.values(), after, traces.distance_error(records, name))]
+        after = tables.error_in(records, name, tables.SEEN)
+        boxes = [_part_box(value) for value in (*found.values(), after, tables.distance_error(records, name))]
         rows.append(_row(name, boxes))
     if not rows:
         return None
@@ -244,14 +244,14 @@ def parts_sheet(records: Sequence[Record], summary: dict[str, Any]) -> Sheet | N
         "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "
         "an estimator that made no mistake would have the others at 0. The fourth column is the second and the third."
         + (f" Of the steps of {OURS}: {steps}." if steps else ""),
-        f"Distance: mean relative error once the camera has moved by {100 * traces.BASELINE:.0f} % of it since the "
+        f"Distance: mean relative error once the camera has moved by {100 * tables.BASELINE:.0f} % of it since the "
         "first sighting, for methods that state one.",
     )
-    heads = ("method", *(f"{p} ↓, °" for p in (*traces.PARTS, traces.SEEN)), "distance ↓, %")
+    heads = ("method", *(f"{p} ↓, °" for p in (*tables.PARTS, tables.SEEN)), "distance ↓, %")
     return Sheet("What the errors are made of", heads, tuple(rows), notes)
 
 
-def _part_box(value: traces.Part | None) -> Box:
+def _part_box(value: tables.Part | None) -> Box:
     return box(value.mean, (value.low, value.high)) if value else box(None)
 
 
@@ -335,13 +335,13 @@ def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
         return _by_kind(records, task)
     seam = _panels(
         records,
-        lambda method: traces.around(records, method, traces.crossings, traces.ABOUT_SEAM, traces.ABOUT_SEAM),
+        lambda method: tables.around(records, method, tables.crossings, tables.ABOUT_SEAM, tables.ABOUT_SEAM),
         "Error around seam crossings",
         "steps from the crossing",
         "seam",
     )
     if task.walked:
-        steps = _panels(records, partial(traces.by_step, records), "Error by step")
+        steps = _panels(records, partial(tables.by_step, records), "Error by step")
         note = Text(
             "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
             "early leave it, so the right end of a line is about the harder episodes.",
@@ -351,7 +351,7 @@ def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
     else:
         turn = _panels(
             records,
-            lambda method: traces.around(records, method, traces.turns, traces.BEFORE, traces.AFTER, alone=True),
+            lambda method: tables.around(records, method, tables.turns, tables.BEFORE, tables.AFTER, alone=True),
             "Error after a turn",
             "steps from the first step of a leg",
             "turn",
@@ -369,7 +369,7 @@ def _by_kind(records: Sequence[Record], task: Task) -> list[Section]:
         some = [r for r in records if r["episode"].get("stratum", {}).get(key) == label]
         said = "all episodes" if label is None else str(label)
         parts.append(Heading(said))
-        parts += _panels(records, lambda name, some=some: traces.by_step(some, name), f"Error by step, {said}")
+        parts += _panels(records, lambda name, some=some: tables.by_step(some, name), f"Error by step, {said}")
     return [Section("steps", "Error by step", parts)] if parts else []
 
 
@@ -430,7 +430,7 @@ def reliability_chart(records: Sequence[Record]) -> list[Part]:
     found = [
         Series(name, curve, look_of(name), name == OURS)
         for name in names
-        if (curve := traces.reliability(records, name)) is not None
+        if (curve := tables.reliability(records, name)) is not None
     ]
     if not found:
         return []

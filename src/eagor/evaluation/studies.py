@@ -16,13 +16,12 @@ import numpy as np
 from eagor import plugins
 from eagor._files import written
 from eagor.errors import EagorError
-from eagor.evaluation import export, ledger, page, tables
+from eagor.evaluation import ledger, page, tables
 from eagor.evaluation.benchmarks import KIND, Published
-from eagor.evaluation.export import words
 from eagor.evaluation.page import in_columns, span
 from eagor.evaluation.samples import FEW, Measured, Record, case_of, gap, lowest_p, played_by, sample
 from eagor.evaluation.simulated import Simulated
-from eagor.evaluation.study import LoadedRun, Study
+from eagor.evaluation.study import LoadedRun, Study, markdown, words
 from eagor.evaluation.tables import OURS, headed, shown
 from eagor.statistics import mcnemar
 from eagor.tasks import benchmark, task
@@ -101,7 +100,7 @@ def write_report(
     if episode is not None:
         lead.append(page.Link("Watch the worst episode, step by step", episode))
     written(path, page.document(told.title, lead, told.sections))
-    written(place / "tables.md", export.markdown(told.title, told.facts, told.sheets))
+    written(place / "tables.md", markdown(told.title, told.facts, told.sheets))
     for name, text in told.files.items():
         written(place / name, text)
     return path

@@ -1,19 +1,28 @@
 """A study: what is played unit by unit, counted, and shown; simulated tasks and published benchmarks are both one.
 
 `eagor.evaluation.studies.load` finds one by its name. Whoever runs, reports or lists goes by this Protocol alone: the
-ledger, the workers, the page and the files are the same for all.
+ledger, the workers, the page and the files are the same for all: tables as Markdown, as LaTeX and as CSV; records as
+CSV, as Parquet and as JSON lines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from eagor.evaluation.page import Part, Section, Sheet
-from eagor.evaluation.samples import Measured, Record
+from eagor._files import written
+from eagor._tables import as_csv, as_parquet
+from eagor.evaluation.page import Box, Part, Section, Sheet
+from eagor.evaluation.samples import Measured, Record, case_of, finished, group_of
+from eagor.evaluation.tables import compared_with
 from eagor.evaluation.workers import Unit
+from eagor.tasks.benchmark import Case
+from eagor.tasks.task import load
 
 Settings = Mapping[str, Any]
 Summary = dict[str, Any]
@@ -129,3 +138,164 @@ class Study(Protocol):
     def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
         """Write what `exports` names `to` into `folder`; returns the files. `run` may have no records."""
         ...
+
+
+# --- what a run is written as -----------------------------------------------------------------------------------------
+
+FIELDS = (
+    "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
+    "reference", "difference", "difference_low", "difference_high", "p", "p_holm",
+)  # fmt: skip
+
+
+def markdown(title: str, facts: Sequence[tuple[str, str]], sheets: Sequence[Sheet]) -> str:
+    """All tables as one Markdown text, in which nothing of a name is taken for markup."""
+    lines = [f"# {_plain(title)}", "", *(f"- {_plain(name)}: {_plain(value)}" for name, value in facts), ""]
+    for sheet in sheets:
+        lines += [
+            f"## {_plain(sheet.title)}",
+            "",
+            _line(map(_plain, sheet.heads)),
+            "|---|" + "---:|" * (len(sheet.heads) - 1),
+        ]
+        for row in sheet.rows:
+            stars = {"paper": "*", "ours": "**"}.get(row.kind, "")
+            lines.append(_line([f"{stars}{_plain(row.head)}{stars}", *map(_cell, row.boxes)]))
+        lines += ["", *(f"{_plain(note)}\n" for note in sheet.notes)]
+    return "\n".join(lines)
+
+
+def words(value: Any) -> str:
+    """A setting as text."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {words(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return " ".join(f"({words(item)})" if isinstance(item, list) else words(item) for item in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def latex(sheet: Sheet) -> str:
+    """The main table as a LaTeX tabular, without its intervals."""
+    marks = str.maketrans({
+        "%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "·": r"$\cdot$", "↑": r"$\uparrow$",
+        "↓": r"$\downarrow$", "–": "--",
+    })  # fmt: skip
+
+    def plain(text: str) -> str:
+        return text.translate(marks)
+
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(sheet.heads) - 1)}}}", r"\toprule"]
+    lines += [" & ".join(map(plain, sheet.heads)) + r" \\", r"\midrule"]
+    lines += [" & ".join([plain(row.head), *(plain(box.text) for box in row.boxes)]) + r" \\" for row in sheet.rows]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def table_csv(summary: dict[str, Any]) -> str:
+    """One row per stratum ("" for all episodes), method and column, at full precision; empty where there is no case."""
+    rows: list[list[Any]] = []
+    parts, columns = {"": summary}, load(summary["task"]).columns
+    for title, labels in summary["strata"].items():
+        parts |= {f"{title}: {label}": part for label, part in labels.items()}
+    for stratum, part in parts.items():
+        for method, values in part["methods"].items():
+            for column in columns:
+                key = column.key
+                ends = part["intervals"][method][key] or (None, None)
+                row = [
+                    summary["task"], stratum, method, key, column.unit, values[key], *ends, part["counts"][method][key],
+                ]  # fmt: skip
+                if found := part.get("differences", {}).get(method, {}).get(key):
+                    row += [compared_with(method, summary["reference"])]
+                    row += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]
+                rows.append(row + [None] * (len(FIELDS) - len(row)))
+    return as_csv([FIELDS, *rows])
+
+
+def records_jsonl(run: LoadedRun, folder: Path) -> Path:
+    """Write the records of a run, one line each; returns the file."""
+    lines = (json.dumps(record, ensure_ascii=False) + "\n" for record in run.records)
+    return written(folder / "records.jsonl", "".join(lines))
+
+
+def records_csv(run: LoadedRun, folder: Path) -> Path:
+    """Write a row per case, and method where there are several, with its figures at full precision; returns the file.
+
+    "" where there is no case; of a unit without a result, why it failed.
+    """
+    return written(folder / "records.csv", as_csv([_heads(run), *_rows(run)]))
+
+
+def records_parquet(run: LoadedRun, folder: Path) -> Path:
+    """Write the rows of `records_csv` as a Parquet file; returns the file. Raises `MissingExtraError`."""
+    return written(folder / "records.parquet", as_parquet(_heads(run), _rows(run)))
+
+
+TABLES = {"csv": records_csv, "parquet": records_parquet}
+
+
+def _heads(run: LoadedRun) -> list[str]:
+    return ["key", "status", "case", "group", "method", "failure", *(column.key for column in run.study.columns)]
+
+
+def _rows(run: LoadedRun) -> list[list[Any]]:
+    columns = run.study.columns
+    rows: list[list[Any]] = []
+    for record in run.records:
+        if record["status"] != "ok":
+            rows.append([record["key"], "failed", None, None, None, record.get("error", ""), *[None] * len(columns)])
+            continue
+        for method in record["methods"] if run.methods else (None,):
+            figures = [column.of(record, method) for column in columns]
+            rows.append([record["key"], "ok", case_of(record), group_of(record), method, None, *figures])
+    return rows
+
+
+def samples(cases: Sequence[Case], records: Sequence[Record], folder: Path) -> Path:
+    """Write one line per case with lmms-eval's keys, and ours beside them; returns the file.
+
+    doc_id is the case's number in the benchmark's own order; resps and filtered_resps hold the answer as text, empty
+    where there is none. Without records, all cases; else those that have one.
+    """
+    by_case = {str(record["case"]): record for record in finished(records)}
+    lines = []
+    for number, case in enumerate(cases):
+        record = by_case.get(case.id, {})
+        if records and not record:
+            continue
+        answer = record.get("answer")
+        text = answer if isinstance(answer, str) else "" if answer is None else json.dumps(answer, ensure_ascii=False)
+        content = json.dumps(case.payload, sort_keys=True)
+        line = {
+            "doc_id": number,
+            "doc_hash": hashlib.sha256(content.encode()).hexdigest(),
+            "input": record.get("words", record.get("question")),
+            "target": record.get("target", record.get("truth")),
+            "resps": [[text]],
+            "filtered_resps": [text],
+            "case": case.id,
+            "cluster": case.cluster,
+        }
+        left_out = ("key", "attempt", "status", "seconds", "case", "cluster")
+        line |= {key: value for key, value in record.items() if key not in left_out and key not in line}
+        lines.append(json.dumps(line, ensure_ascii=False) + "\n")
+    return written(folder / "samples.jsonl", "".join(lines))
+
+
+def _plain(text: str) -> str:
+    """`text` as Markdown shows it: no tag, no link, no code, no cell of a table and no line begins in it."""
+    marked = re.sub(r"([\\`\[\]|])", r"\\\1", " ".join(text.split()))
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", marked)
+
+
+def _line(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _cell(box: Box) -> str:
+    text = f"**{_plain(box.text)}**" if box.best else _plain(box.text)
+    interval = f" ({_plain(box.small)})" if box.small else ""
+    # A dagger stands at the figure, a word at the end.
+    return f"{text}{box.mark}{interval}" if len(box.mark) == 1 else f"{text}{interval} {box.mark}".rstrip()

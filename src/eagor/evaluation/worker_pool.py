@@ -1,4 +1,4 @@
-"""Units of work, and several workers that do them: processes, threads, or Ray's actors (`ray_workers`).
+"""Units of work, and several workers that do them: processes, threads, or Ray's actors (`workers`).
 
 A `Book` knows which units are left to do and how often each was tried. Each worker has a `Seat` here, whose thread
 talks with it; what is given to it comes back in a future. Not the pools of concurrent.futures: one breaks as a whole

@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor._arrays import Array, namespace, table_like, to_numpy
 from eagor._checks import above, require, within
-from eagor._reprs import changed
+from eagor._values import changed
 from eagor.errors import ResponseError
 from eagor.evidence.detector import RESPONSES, Habits
 from eagor.grids import Grid

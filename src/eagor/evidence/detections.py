@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import altered, lazy
+from eagor._values import altered, lazy
 from eagor.evidence.coverage import Region, confine, region, taper
 from eagor.evidence.detector import Alarms, DetectorModel
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid

@@ -18,7 +18,7 @@ import numpy as np
 
 from eagor._arrays import Array, frozen, namespace, table_like, to_numpy
 from eagor._checks import checked_stamp
-from eagor._reprs import changed
+from eagor._values import changed
 from eagor.errors import ResponseError
 from eagor.evidence.averaging import averaged
 from eagor.evidence.calibration import (

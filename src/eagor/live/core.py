@@ -217,6 +217,11 @@ class LiveCore:
         except EagorError:
             return None
 
+    def posed(self, stamp: float) -> bool:
+        """Whether `orientation` at the picture of this stamp is known, and not only held since the newest pose."""
+        ours = self._of_picture(stamp)
+        return not self.has_poses or (ours is not None and ours <= self._pose)
+
     def _follow(self, queries: tuple[str, ...]) -> None:
         for gone in {*self.queries} - {*queries}:
             self._faults.pop(("perception", gone), None)

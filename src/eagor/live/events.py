@@ -120,7 +120,7 @@ def _number(value: float | None, digits: int | None) -> float | None:
 class FrameCame:
     """A picture; `stamp`: its capture. The core needs no `picture` ``(H, W, 3)``; a recording does.
 
-    `grid`: its pixels, if an ordinary camera took it; None for a panorama.
+    `grid`: its pixels, if an ordinary camera took it; None for a panorama. `lens`: which of several took it.
     """
 
     arrival: float
@@ -128,6 +128,7 @@ class FrameCame:
     name: str
     picture: np.ndarray | None = field(default=None, repr=False)
     grid: PerspectiveGrid | None = field(default=None, repr=False)
+    lens: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,18 +242,21 @@ class NextLooks:
     """A watcher of the loop that tells where to look next for the thing of one query: a camera can turn one way only.
 
     It is computed anew with a new look, at most every `APART` seconds, and stands in the world until then. A panorama
-    sees all, so that there is nothing to tell. `of` is for one thread, which may be another than the loop's.
+    sees all, so that there is nothing to tell; several cameras have no one axis to turn. `of` is for one thread, which
+    may be another than the loop's.
     """
 
     def __init__(self) -> None:
         self._grid: PerspectiveGrid | None = None
+        self._alone = True
         self._query, self._looked, self._when = "", -math.inf, -math.inf  # of what was computed last
         self._toward: np.ndarray | None = None  # world axes
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
         if isinstance(event, FrameCame):
-            self._grid = event.grid
+            self._alone = self._alone and event.lens == 0
+            self._grid = event.grid if self._alone else None
         elif isinstance(event, PosesLost):
             self._query = ""
 
@@ -262,7 +266,7 @@ class NextLooks:
     def of(self, answer: Answer) -> np.ndarray | None:
         """The direction ``(3,)``, in the body frame of the answer, to which the camera's axis should turn.
 
-        None before the first look, for panoramas, and for a field that `TurningCamera` refuses.
+        None before the first look, for panoramas and several cameras, and for a field that `TurningCamera` refuses.
         """
         estimate, grid = answer.estimate, self._grid
         looked = estimate.stamp - estimate.age  # when the newest evidence in it was captured

@@ -149,7 +149,7 @@ class LiveLoop:
         self._refused: set[str] = set()
         self._slip = 0.0
         self._problem: str | None = None  # what the camera says of itself
-        self._frozen, self._froze = FrozenCamera(self.core.orientation), ""
+        self._frozen: dict[int, tuple[FrozenCamera, str]] = {}  # by lens, and what was said of it last
 
     def _readers(
         self, open_camera: Callable[[], CameraSource] | None, poses: Poses
@@ -296,8 +296,8 @@ class LiveLoop:
                 yield from self._taken(Asked(tick))
                 ticks += 1
             take_poses(now)
-            self._taken(FrameCame(now, now, frame.name, frame.picture, frame.grid))
-            picture = Picture(now, now, frame.picture, frame.grid)
+            self._taken(FrameCame(now, now, frame.name, frame.picture, frame.grid, frame.lens))
+            picture = Picture(now, now, frame.picture, frame.grid, frame.lens)
             if self._visual_poses is not None:
                 for event in self._visual_poses.of(picture, lambda at=now: at):
                     self._taken(event)
@@ -391,17 +391,23 @@ class LiveLoop:
         frame, told = item
         self._last_frame = self.clock.now()
         shown = frame.picture if self._watchers else None  # who else would hold on to it?
-        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid))
-        if self.live and (froze := self._frozen.take(frame.picture, frame.stamp)) != self._froze:
-            self._froze = froze
-            self._post(Trouble(self._last_frame, "camera", froze, "frozen"))
-        picture = Picture(frame.stamp, told, frame.picture, frame.grid)
+        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid, frame.lens))
+        if self.live:
+            self._check_frozen(frame)
+        picture = Picture(frame.stamp, told, frame.picture, frame.grid, frame.lens)
         if self._seer is not None:
             self._seer.pictures.give(picture)
         assert self._perception is not None
         self._perception.pictures.give(picture)
         if self._on_demand:
             self._perception.pictures.wait(ON_DEMAND)
+
+    def _check_frozen(self, frame: Frame) -> None:
+        watch, said = self._frozen.get(frame.lens) or (FrozenCamera(self.core.orientation), "")
+        froze = watch.take(frame.picture, frame.stamp)
+        self._frozen[frame.lens] = watch, froze
+        if froze != said:
+            self._post(Trouble(self._last_frame, "camera", froze, f"frozen {frame.lens}"))
 
     def _found(self, picture: Picture | None, said: Looked | Failed, now: float) -> None:
         """What the perception says."""

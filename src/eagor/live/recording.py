@@ -22,13 +22,12 @@ import numpy as np
 
 from eagor.errors import EagorError, FormatError
 from eagor.evidence import Evidence
+from eagor.grids import PerspectiveGrid
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked, looks_in_bytes
 from eagor.media import Pose
 from eagor.media.bags import BagWriter, bag_topics, read_bag
-from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
-from eagor.media.panorama import is_whole
 from eagor.media.ros_messages import (
     COMPRESSED,
     ODOMETRY,
@@ -57,11 +56,11 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 2  # of the events
+VERSION = 3  # of the events
 
 Pictures = Literal["jpeg", "png", "none"]
 
-_FRAME, _POSE = struct.Struct("<dd"), struct.Struct("<dd??9d3d")
+_FRAME, _POSE = struct.Struct("<ddII"), struct.Struct("<dd??9d3d")
 _LOOK = struct.Struct("<ddddI")
 
 
@@ -73,7 +72,9 @@ def event_in_bytes(event: Event) -> bytes:
     """
     match event:
         case FrameCame():
-            return b"F" + _FRAME.pack(event.arrival, event.stamp) + event.name.encode()
+            name = event.name.encode()
+            head = _FRAME.pack(event.arrival, event.stamp, event.lens, len(name))
+            return b"F" + head + name + packed(event.grid)
         case PoseCame():
             pose = event.pose
             where = (0.0, 0.0, 0.0) if pose.position is None else np.asarray(pose.position, dtype=np.float64).tolist()
@@ -99,8 +100,11 @@ def event_from(content: bytes) -> Event:
     kind, rest = content[:1], content[1:]
     try:
         if kind == b"F":
-            arrival, stamp = _FRAME.unpack_from(rest)
-            return FrameCame(arrival, stamp, rest[_FRAME.size :].decode())
+            arrival, stamp, lens, length = _FRAME.unpack_from(rest)
+            name, grid = rest[_FRAME.size :][:length].decode(), unpacked(rest[_FRAME.size + length :])
+            if not (grid is None or isinstance(grid, PerspectiveGrid)):
+                raise FormatError("it holds no lens")
+            return FrameCame(arrival, stamp, name, None, grid, lens)
         if kind == b"P":
             arrival, stamp, of_picture, placed, *numbers = _POSE.unpack(rest)
             position = np.array(numbers[9:]) if placed else None
@@ -282,8 +286,7 @@ class Replay:
     """A recording in the folder `path`: iterate for the answers that it gives again; `compared` tells how they differ.
 
     `perception`: look at the recorded pictures anew with this one instead of taking the recorded evidence; each look
-    comes when the recorded one came, and takes `patience` seconds at most. Pictures of an ordinary `camera` need it
-    again, since a recording does not hold the lens. A recording that was cut off is played as
+    comes when the recorded one came, and takes `patience` seconds at most. A recording that was cut off is played as
     far as it goes, with a `UserWarning`. Raises `FormatError` for a folder that is no recording of the live loop.
     """
 
@@ -293,7 +296,6 @@ class Replay:
         perception: str | Perception | None = None,
         *,
         patience: float = PATIENCE,
-        camera: Camera | None = None,
     ) -> None:
         self.path, self.perception, self.patience = Path(path), perception, patience
         topics = bag_topics(self.path)
@@ -303,16 +305,12 @@ class Replay:
             )
         if perception is not None and IMAGES not in topics:
             raise FormatError(f"{path} was recorded without pictures: play it with its own evidence")
-        self.compared, self._camera = Compared(), camera or Camera()
+        self.compared = Compared()
         self.settings = self._settings()
 
     def __iter__(self) -> Iterator[Answer]:
         core, self.compared = LiveCore(self.settings), Compared()
-        anew = (
-            None
-            if self.perception is None
-            else _Anew(self.perception, self.patience, core, self._looked_at(), self._camera)
-        )
+        anew = None if self.perception is None else _Anew(self.perception, self.patience, core, self._looked_at())
         written = self._answers() if anew is None else iter(())
         try:
             for event in self.events(pictures=anew is not None):
@@ -367,32 +365,26 @@ class Replay:
 class _Anew:
     """In place of recorded evidence: looks of another perception at the same pictures."""
 
-    def __init__(
-        self, perception: str | Perception, patience: float, core: LiveCore, wanted: list[float], camera: Camera
-    ) -> None:
-        self._keeper, self._core, self._camera = Keeper(perception, patience=patience), core, camera
+    def __init__(self, perception: str | Perception, patience: float, core: LiveCore, wanted: list[float]) -> None:
+        self._keeper, self._core = Keeper(perception, patience=patience), core
         self._left = Counter(wanted)  # looks at the picture of each stamp
-        self._pictures: dict[float, np.ndarray] = {}
+        self._frames: dict[float, FrameCame] = {}
 
     def instead(self, event: Event) -> Iterator[Event]:
         """What comes in place of an event."""
         if isinstance(event, FrameCame) and event.picture is not None and self._left[event.stamp]:
-            self._pictures[event.stamp] = event.picture
+            self._frames[event.stamp] = event
         if not isinstance(event, EvidenceCame):
             yield event
             return
-        picture = self._pictures.get(event.stamp)
+        frame = self._frames.get(event.stamp)
         self._left[event.stamp] -= 1
         if not self._left[event.stamp]:
-            self._pictures.pop(event.stamp, None)
-        if picture is None:  # it was left out of the recording
+            self._frames.pop(event.stamp, None)
+        if frame is None or frame.picture is None:  # it was left out of the recording
             return
-        height, width = picture.shape[:2]
-        grid = ordinary_grid(self._camera, Told(), (width, height), "the recorded picture")
-        if grid is None and not is_whole(picture):
-            raise FormatError(f"the recorded pictures are {width} x {height}: of an ordinary camera. {ASK}")
         pose = self._core.orientation(event.stamp)
-        for said in self._keeper.look(picture, [event.query], event.told, pose, grid):
+        for said in self._keeper.look(frame.picture, [event.query], event.told, pose, frame.grid):
             if isinstance(said, Looked):
                 yield replace(event, looks=said.looks, seconds=said.seconds)
             elif isinstance(said, Failed):

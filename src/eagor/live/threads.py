@@ -1,7 +1,7 @@
 """The threads of a live loop: those that read its sources, and those that look at the newest picture.
 
 A recording is read at its own speed. Who looks takes the newest picture when done with the one before: for things, and
-for turns. Live poses of robots are in `eagor.robots.poses`.
+for turns. Live poses of robots are in `eagor.robots`.
 """
 
 from __future__ import annotations
@@ -283,29 +283,33 @@ class FrozenCamera:
 class Picture:
     """A picture ``(H, W, 3)`` to look at: a panorama, or an ordinary one with its `grid`.
 
-    `stamp`: of its source; `told`: the stamp that the perception is told.
+    `stamp`: of its source; `told`: the stamp that the perception is told; `lens`: which of several cameras took it.
     """
 
     stamp: float
     told: float
     picture: np.ndarray
     grid: PerspectiveGrid | None = None
+    lens: int = 0
 
 
 class NewestPicture:
-    """Where a thread takes the newest of the pictures that are given; those that it does not come to are `skipped`."""
+    """Where a thread takes the newest of the pictures that are given; those that it does not come to are `skipped`.
+
+    Of several cameras, the newest of each waits, and the one that has waited longest is taken first.
+    """
 
     def __init__(self) -> None:
         self.skipped = 0
         self._changed = threading.Condition()
-        self._waiting: Picture | None = None
+        self._waiting: dict[int, Picture] = {}  # by lens
         self._busy = self._ended = False
 
     def give(self, picture: Picture) -> None:
-        """A picture; it replaces one that still waits."""
+        """A picture; it replaces one of the same lens that still waits."""
         with self._changed:
-            self.skipped += self._waiting is not None
-            self._waiting = picture
+            self.skipped += picture.lens in self._waiting
+            self._waiting[picture.lens] = picture  # in the place of the one before
             self._changed.notify_all()
 
     def take(self) -> Picture | None:
@@ -313,8 +317,8 @@ class NewestPicture:
         with self._changed:
             self._busy = False
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._waiting is not None or self._ended)
-            picture, self._waiting = self._waiting, None
+            self._changed.wait_for(lambda: self._waiting or self._ended)
+            picture = self._waiting.pop(next(iter(self._waiting))) if self._waiting else None
             self._busy = picture is not None
             return picture
 
@@ -328,12 +332,12 @@ class NewestPicture:
     def idle(self) -> bool:
         """Whether every picture has been dealt with or skipped."""
         with self._changed:
-            return self._waiting is None and not self._busy
+            return not self._waiting and not self._busy
 
     def wait(self, seconds: float) -> None:
         """Wait so long, or until the next picture is wanted."""
         with self._changed:
-            self._changed.wait_for(lambda: self._ended or (self._waiting is None and not self._busy), seconds)
+            self._changed.wait_for(lambda: self._ended or not (self._waiting or self._busy), seconds)
 
 
 class PerceptionThread:

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from io import FileIO
-from itertools import pairwise, zip_longest
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +22,20 @@ import numpy as np
 
 from eagor import plugins
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import CameraSource, Frame
 from eagor.media.bags import is_bag, split_bag
-from eagor.media.intrinsics import Camera, Told
+from eagor.media.intrinsics import Camera
 from eagor.media.live_camera import LiveCamera
-from eagor.media.metadata import read_metadata
 from eagor.media.panorama import pictures_in, read_panorama, read_photograph
+from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, open_video
 from eagor.media.rigs import Rig, read_rig, sizes_of
 from eagor.media.stitching import Panoramas
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
 from eagor.media.video import Video
 
 __all__ = [
-    "BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "Newest", "StitchedVideo", "VideoCamera", "lens_files",
-    "lens_videos",
-    "open_camera", "partner_of",
+    "BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "Newest", "VideoCamera", "open_camera",
 ]  # fmt: skip
 
 GROUP = "eagor.cameras"
@@ -52,9 +50,7 @@ _ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
 _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
 
 RATE = 1.0  # pictures per second of a folder whose files do not tell times
-APART = 0.02  # seconds by which the pictures of two lenses may differ in time, beside half an interval
 _TIME = re.compile(r"\d+\.\d+")  # a file's name without its ending that is a time: 12.350.png
-_LENS = re.compile(r"(VID_\d+_\d+_)(00|10)(_\d+\.insv)$", re.IGNORECASE)
 
 PATIENCE = 5.0  # seconds that `close` waits for the thread; one that hangs in a driver is left behind
 
@@ -70,6 +66,7 @@ def open_camera(
     rig: Rig | str | os.PathLike[str] | None = None,
     rate: float | None = None,
     camera: Camera | None = None,
+    stitched: bool = False,
 ) -> CameraSource:
     """The source of pictures that `text` names (`SOURCES`), or that another package brings (``NAME:REST``).
 
@@ -77,6 +74,7 @@ def open_camera(
     lenses (`eagor.media.rigs`) or their YAML file, if the pictures are not panoramas; for a rig with several
     pictures, `text` is as many sources with commas between, unless one gives all. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
+    `stitched`: make a panorama also of pictures of a rig's ordinary lenses, which are otherwise given as they are.
 
     Other packages add cameras under the entry points ``eagor.cameras``: a name, and a function ``(rest, *, latency,
     rows, rig, rate) -> CameraSource``. Raises `DeviceError`, `ImageError`, `FormatError` for the rig, and
@@ -93,15 +91,16 @@ def open_camera(
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
     if kinds[0] == "folder":
-        return FolderCamera([Path(part) for part in parts], **settings)
+        return FolderCamera([Path(part) for part in parts], **settings, stitched=stitched)
     if kinds[0] == "file":
-        return VideoCamera([Path(part) for part in parts], **settings)
+        return VideoCamera([Path(part) for part in parts], **settings, stitched=stitched)
     if kinds[0] == "bag":
         return plugins.bring(plugins.known(GROUP, BUILT_IN)["bag"], "camera")(text, **settings)
     if kinds[0] == "plugin":
         name, _, rest = text.partition(":")
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
-    return LiveCamera([_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)], **settings)
+    streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
+    return LiveCamera(streams, **settings, stitched=stitched)
 
 
 def _kind(text: str) -> str:
@@ -150,94 +149,6 @@ _STREAMS: dict[str, Callable[[str], Any]] = {
 # --- videos and folders; with a rig, those of lenses ---
 
 
-def partner_of(path: Path) -> Path | None:
-    """The recording of the other lens, as Insta360 names the two of one moment (``_00_``, ``_10_``), if it is there."""
-    found = _LENS.search(path.name)
-    if found is None:
-        return None
-    other = path.with_name(path.name[: found.start(2)] + ("10" if found[2] == "00" else "00") + found[3])
-    return other if other.is_file() else None
-
-
-class StitchedVideo:
-    """A video of lenses, stitched: iterate over it as over `eagor.media.video.Video`, and with the same attributes.
-
-    `paths`: one file, or one per picture of the `rig`. One file may also hold a track for each picture, and of two
-    Insta360 recordings of the same moment one path is enough. `rows`: the most rows of the panoramas; `rate`, `start`,
-    `end`: as for `Video`. Raises `ImageError`, also where the pictures do not fit the rig.
-    """
-
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        rig: Rig,
-        *,
-        rate: float | None = None,
-        start: float = 0.0,
-        end: float | None = None,
-        rows: int | None = None,
-    ) -> None:
-        files = lens_files([Path(path) for path in paths], len(rig.sizes))
-        settings = {"rate": rate, "start": start, "end": end, "lenses": True}
-        videos = [Video(path, track=track, **settings) for path, track in files]
-        self.path = str(paths[0])
-        self.panoramas = Panoramas(tuple((v.shape[1], v.shape[0]) for v in videos), rig, rows, self.path)
-        self._videos = [
-            Video(path, track=track, rows=height, **settings)
-            for (path, track), (height, _) in zip(files, self.panoramas.wanted, strict=True)
-        ]
-        first = self._videos[0]
-        self.shape, self.unseen = self.panoramas.grid.shape, self.panoramas.unseen
-        self.duration, self.frame_rate, self.count = first.duration, first.frame_rate, first.count
-        self.facts, self.motion, self.level_R_body, self.told = first.facts, first.motion, None, Told()
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frames in _together(self._videos):
-            pictures = (frame.picture for frame in frames)
-            yield Frame(frames[0].stamp, self.panoramas.make(*pictures), frames[0].name)
-
-
-def lens_videos(
-    paths: Sequence[Path], count: int | None = None, *, rate: float | None = None, start: float = 0.0
-) -> Iterator[tuple[Frame, ...]]:
-    """The lenses' pictures as they are, of each moment of a video; `count`: how many there are, if known.
-
-    Unless it is, a file with several tracks has as many, and of two Insta360 recordings both are taken.
-    """
-    found = [Path(path) for path in paths]
-    if count is None and len(found) == 1 and found[0].is_file():
-        tracks = read_metadata(str(found[0]), lenses=True).tracks
-        count = tracks if tracks > 1 else 2 if partner_of(found[0]) else 1
-    files = lens_files(found, len(found) if count is None else count)
-    yield from _together([Video(path, track=track, lenses=True, rate=rate, start=start) for path, track in files])
-
-
-def _together(videos: Sequence[Video]) -> Iterator[tuple[Frame, ...]]:
-    """The frames of several lenses at each moment. Raises `ImageError` where their times differ."""
-    interval = 1 / (videos[0].frame_rate or 25.0)
-    for frames in zip_longest(*videos):
-        if None in frames:
-            name = videos[0].path
-            raise ImageError(f"{name}: the video of one lens ends before that of the other; what both have was taken")
-        stamps = [frame.stamp for frame in frames]
-        if max(stamps) - min(stamps) > interval / 2 + APART:
-            raise ImageError(
-                f"{frames[0].name} and {frames[1].name} are {max(stamps) - min(stamps):.3f} s apart: these are not the "
-                "two lenses of one recording. Give the two files of one moment"
-            )
-        yield frames
-
-
-def lens_files(paths: Sequence[Path], count: int) -> list[tuple[Path, int]]:
-    """Path and track of each of `count` pictures: files of their own, tracks of one, or a file and its partner."""
-    if len(paths) == 1 and count > 1:
-        if paths[0].is_file() and read_metadata(str(paths[0]), lenses=True).tracks >= count:
-            return [(paths[0], track) for track in range(count)]
-        if count == 2 and (other := partner_of(paths[0])) is not None:
-            return [(path, 0) for path in sorted([paths[0], other])]
-    return [(path, 0) for path in paths]
-
-
 class VideoCamera:
     """A `CameraSource` of a video file: each iteration begins at its start. `latency` is taken off its stamps."""
 
@@ -252,33 +163,34 @@ class VideoCamera:
         rate: float | None = None,
         latency: float = 0.0,
         camera: Camera | None = None,
+        stitched: bool = False,
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed = False
         self._panoramas: Panoramas | None = None  # of a video without a rig: checks its pictures
-        if rig is not None:
-            self.video: StitchedVideo | Video = StitchedVideo(paths, rig, rate=rate, rows=rows)
-        else:
-            if len(paths) > 1:
-                raise ImageError(f"{len(paths)} files are given, and no rig says how they belong together: --rig FILE")
-            self.video = Video(paths[0], rate=rate, rows=rows)
-            height, width = self.video.shape
+        self.video: Video | StitchedVideo | LensVideos = open_video(paths, rig, stitched=stitched, rate=rate, rows=rows)
+        height, width = self.video.shape
+        self.grid: ErpGrid | PerspectiveGrid = ErpGrid(height, width)
+        self.unseen, self.motion = self.video.unseen, self.video.motion
+        if isinstance(self.video, LensVideos):
+            self.grid = self.video.grids[0]
+        if rig is None:
             self._panoramas = Panoramas(((width, height),), None, rows, self.video.path, camera)
-        self.grid, self.unseen, self.motion = ErpGrid(*self.video.shape), self.video.unseen, self.video.motion
-        if self._panoramas is not None:
             self.grid = self._panoramas.grid
             self.unseen = self.unseen if self._panoramas.unseen is None else self._panoramas.unseen
 
     def __iter__(self) -> Iterator[Frame]:
+        last = -math.inf
         for number, frame in enumerate(self.video):
             if self._closed:
                 return
-            picture, view = frame.picture, None
+            picture, view = frame.picture, frame.grid
             if self._panoramas is not None:
                 if number == 0:
                     self._panoramas.check(picture)
                 picture, view = self._panoramas.make(picture), self._panoramas.view
-            yield Frame(frame.stamp - self.latency, picture, frame.name, view)
+            last = _after(last, frame.stamp - self.latency)
+            yield Frame(last, picture, frame.name, view, frame.lens)
 
     def close(self) -> None:
         self._closed = True
@@ -302,6 +214,7 @@ class FolderCamera:
         rate: float | None = None,
         latency: float = 0.0,
         camera: Camera | None = None,
+        stitched: bool = False,
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed, self._rig, self._camera = False, rig, camera
@@ -312,11 +225,13 @@ class FolderCamera:
         self._moments = list(zip(*lists, strict=True))
         self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
         first = self._read(self._moments[0])
-        self._panoramas = Panoramas(sizes_of(first), rig, rows, str(folders[0]), camera)
-        self._panoramas.check(*first)
-        self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
+        self._makers = makers(sizes_of(first), rig, rows, str(folders[0]), camera, stitched)
+        if len(self._makers) == 1:
+            self._makers[0].check(*first)
+        self.grid, self.unseen = self._makers[0].grid, self._makers[0].unseen
 
     def __iter__(self) -> Iterator[Frame]:
+        last = -math.inf
         for moment, stamp in zip(self._moments, self._stamps, strict=True):
             if self._closed:
                 return
@@ -324,23 +239,30 @@ class FolderCamera:
                 pictures = self._read(moment)
                 if self._rig is None:  # raises for another shape
                     Panoramas(sizes_of(pictures), None, None, str(moment[0]), self._camera)
-                panorama = self._panoramas.make(*pictures)
+                made = made_of(self._makers, pictures)
             except EagorError as error:
                 if not self.dropped:
                     warnings.warn(f"a picture is left out: {error}", UserWarning, stacklevel=2)
                 self.dropped += 1
                 continue
-            yield Frame(stamp - self.latency, panorama, moment[0].name, self._panoramas.view)
+            for lens, picture in enumerate(made):
+                last = _after(last, stamp - self.latency)
+                yield Frame(last, picture, moment[lens].name, self._makers[lens].view, lens)
 
     def _read(self, moment: tuple[Path, ...]) -> list[np.ndarray]:
+        if self._rig is None:
+            return [read_photograph(moment[0], warn=False).picture]
         with warnings.catch_warnings():  # of shapes, which are checked here
             warnings.simplefilter("ignore")
-            if self._rig is None:
-                return [read_photograph(moment[0]).picture]
             return [read_panorama(path) for path in moment]
 
     def close(self) -> None:
         self._closed = True
+
+
+def _after(last: float, stamp: float) -> float:
+    """The stamp, or the next one after the last: lenses see at the same moment, and no two frames have one stamp."""
+    return max(stamp, math.nextafter(last, math.inf))
 
 
 def _stamps(paths: Sequence[Path], rate: float) -> list[float]:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from eagor._extras import need
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.media.consensus import SPHERE

@@ -1,17 +1,11 @@
 """Frames of footage in order of time: images, a video, the pictures of a bag; each read when it is its turn.
 
 A long video needs no more memory than a short one. Frames are whole panoramas, are stitched from pictures of lenses, or
-are ordinary pictures with the grid of their lens.
-
-Videos of a rig's ordinary lenses (`LensVideos`) are looked at picture by picture, with no panorama in between: a
-picture is what its lens saw at its own time. So the lenses need not be synchronous, they may overlap or leave gaps, and
-nothing is resampled. Where a rig has a fisheye, or several lenses share a picture, it is stitched instead
-(`eagor.media.camera_sources.StitchedVideo`).
+are ordinary pictures with the grid of their lens (`eagor.media.rig_videos`).
 """
 
 from __future__ import annotations
 
-import heapq
 import math
 import os
 import warnings
@@ -19,27 +13,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
-from eagor.grids import PerspectiveGrid
-from eagor.lenses import Lens, PinholeLens
 from eagor.media.defects import fisheye_circles, problems
-from eagor.media.intrinsics import ASK, PLANE_WIDEST, Camera, Told, in_words, ordinary_grid, told_by_photograph
+from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
 from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
-from eagor.media.rigs import Rig, read_rig
-
-if TYPE_CHECKING:
-    from eagor.media.camera_sources import StitchedVideo
-    from eagor.media.stitching import Panoramas
-    from eagor.media.video import Video
+from eagor.media.rig_videos import are_ordinary, ordinary_cameras
+from eagor.media.rigs import Rig, sizes_of
+from eagor.media.stitching import Panoramas
 
 __all__ = [
-    "LEAST_ROWS", "VIDEOS", "BagFrames", "FrameCheck", "Frames", "ImageFrames", "LensPictures", "LensVideos",
-    "Read", "ShapeError", "VideoFrames", "are_ordinary", "images", "is_video", "open_video",
+    "LEAST_ROWS", "VIDEOS", "BagFrames", "FrameCheck", "Frames", "ImageFrames", "LensPictures", "Read",
+    "ShapeError", "VideoFrames", "images", "is_video",
 ]  # fmt: skip
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
@@ -48,10 +37,6 @@ LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 NOTHING = Told()
 Read = Callable[[], Picture]
 Say = Callable[[str], object]
-
-
-class ShapeError(ImageError):
-    """A picture is neither a whole panorama, 2:1, nor known to be that of an ordinary lens."""
 
 
 @dataclass
@@ -71,17 +56,17 @@ class FrameCheck:
 
     def read(self, path: Path) -> Picture:
         """The picture in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = read_photograph(path)
+        found = read_photograph(path, warn=False)
         return self(found, str(path), told_by_photograph(path) if self._is_ordinary(found) else NOTHING)
 
     def __call__(self, frame: Picture, name: str, told: Told = NOTHING) -> Picture:
-        """`frame`, with its grid if it is an ordinary picture; `told`: what its file says of the lens.
+        """`frame`, with its grid if it is an ordinary picture; `told`: what its file says of the lens, if it has none.
 
         Raises `ShapeError` if nothing is known of the lens, and it is not 2:1, or shows the circles of fisheye lenses,
         unless `force`.
         """
+        if frame.grid is not None:
+            return frame
         if self._is_ordinary(frame):
             return self._ordinary(frame, name, told)
         self._check_shape(frame.picture, name)
@@ -123,8 +108,6 @@ class FrameCheck:
         return replace(frame, grid=grid)
 
     def _stitched(self, frame: Picture, name: str) -> Picture:
-        from eagor.media.stitching import Panoramas
-
         assert self.camera is not None
         assert self.camera.rig is not None
         size = (frame.picture.shape[1], frame.picture.shape[0])
@@ -184,7 +167,7 @@ class ImageFrames:
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """The frames of a video: an `eagor.media.video.Video`, or that of lenses (`open_video`)."""
+    """The frames of a video, as `eagor.media.rig_videos.open_video` gives it."""
 
     video: Any
     check: FrameCheck
@@ -199,7 +182,7 @@ class VideoFrames:
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for frame in self.video:
-            found = Picture(frame.picture, self.video.unseen)
+            found = Picture(frame.picture, self.video.unseen, grid=frame.grid)
             yield frame.stamp, frame.name, partial(self.check, found, frame.name, self.video.told)
 
 
@@ -235,20 +218,27 @@ class BagFrames:
         return self.check(Picture(read(), self.camera.unseen), name)
 
 
-def is_video(places: Sequence[Path], rig: Path | None = None) -> bool:
+def is_video(places: Sequence[Path], rig: bool = False) -> bool:
     """Whether the one place is a video, by its name; with a `rig` there may be one for each lens."""
-    many = len(places) > 1 and rig is None
+    many = len(places) > 1 and not rig
     return not many and all(map(_is_film, places))
 
 
-def images(places: Sequence[Path], rate: float, check: FrameCheck, rig: Path | None = None) -> ImageFrames:
+def images(
+    places: Sequence[Path], rate: float, check: FrameCheck, rig: Rig | None = None, stitched: bool = False
+) -> ImageFrames:
     """The pictures in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
 
-    With a `rig` they are pictures of its lenses. Raises `ImageError` for anything else.
+    With a `rig` they are pictures of its lenses, as `LensPictures` reads them. Raises `ImageError` for anything else.
     """
+    if rig is not None and len(rig.sizes) > 1:
+        raise ImageError(
+            f"the rig is for {len(rig.sizes)} pictures at a time, one for each lens; give a video, or pictures with "
+            "all lenses in one. One moment alone: eagor locate FRONT,BACK"
+        )
     if films := list(filter(_is_film, places)):
         raise ImageError(f"{films[0]} is a video, beside other files; give one video, a folder, or image files")
-    read = check.read if rig is None else LensPictures(rig).read
+    read = check.read if rig is None else LensPictures(rig, stitched).read
     if len(places) == 1 and os.path.isdir(places[0]):
         return ImageFrames(pictures_in(places[0]), rate, read)
     for place in places:  # os.path returns False where Path would raise: a name too long, a closed folder
@@ -264,121 +254,31 @@ def _is_film(place: Path) -> bool:
 
 
 class LensPictures:
-    """Reads pictures of lenses as panoramas, with the lenses of the YAML file `rig`; `rows`: the most of them."""
+    """Reads pictures of a `rig`: as panoramas, or those of ordinary lenses as they are, unless `stitched`."""
 
-    def __init__(self, rig: Path, rows: int | None = None) -> None:
-        self.path, self.rig, self.rows = rig, read_rig(rig), rows
+    def __init__(self, rig: Rig, stitched: bool = False) -> None:
+        self.rig = rig
+        self._cameras = () if stitched or not are_ordinary(rig) else ordinary_cameras(rig)
         self._sizes: tuple[tuple[int, int], ...] = ()
         self._panoramas: Panoramas | None = None
-        if len(self.rig.sizes) > 1:
-            raise ImageError(
-                f"--rig {rig} is for {len(self.rig.sizes)} pictures at a time, one for each lens; give a video, or "
-                "pictures with all circles in one"
-            )
 
     def read(self, path: Path) -> Picture:
-        """The panorama of the picture at `path`. Raises `ImageError`."""
-        from eagor.media.stitching import Panoramas
+        """The picture at `path`, which shows all lenses. Raises `ImageError`."""
+        (found,) = self.moment([path])
+        return found
 
-        with warnings.catch_warnings():  # of its shape: it is no panorama
+    def moment(self, paths: Sequence[Path]) -> tuple[Picture, ...]:
+        """The pictures at `paths`, of one moment: one panorama, or one picture for each lens. Raises `ImageError`."""
+        with warnings.catch_warnings():  # of their shapes: they are no panoramas
             warnings.simplefilter("ignore")
-            picture = read_panorama(path)
-        sizes = ((picture.shape[1], picture.shape[0]),)
+            pictures = [read_panorama(path) for path in paths]
+        sizes, name = sizes_of(pictures), str(paths[0])
+        if self._cameras and len(paths) == len(self._cameras):
+            grids = [
+                ordinary_grid(camera, told_by_photograph(path), size, str(path))
+                for camera, path, size in zip(self._cameras, paths, sizes, strict=True)
+            ]
+            return tuple(Picture(picture, grid=grid) for picture, grid in zip(pictures, grids, strict=True))
         if self._panoramas is None or sizes != self._sizes:
-            self._panoramas, self._sizes = Panoramas(sizes, self.rig, self.rows, str(path)), sizes
-        return Picture(self._panoramas.make(picture), self._panoramas.unseen)
-
-
-def open_video(
-    paths: Sequence[Path],
-    rig: Path | None = None,
-    *,
-    rate: float | None = None,
-    start: float = 0.0,
-    end: float | None = None,
-    rows: int | None = None,
-) -> Video | StitchedVideo:
-    """A video of panoramas or of an ordinary camera; or of the lenses of a `rig`, in a file, or one for each picture.
-
-    Raises `ImageError`, `FormatError`.
-    """
-    if rig is None:
-        from eagor.media.video import Video
-
-        return Video(paths[0], rate=rate, start=start, end=end, rows=rows)
-    from eagor.media.camera_sources import StitchedVideo
-
-    lenses = read_rig(rig)
-    if len(paths) > len(lenses.sizes):
-        raise ImageError(f"{len(paths)} videos are given, and {rig} is for {len(lenses.sizes)}; give one per lens")
-    return StitchedVideo(paths, lenses, rate=rate, start=start, end=end, rows=rows)
-
-
-# --- pictures of lenses, each on its own ---
-
-
-def are_ordinary(rig: Rig) -> bool:
-    """Whether each picture of the rig is that of one ordinary lens, which need not be stitched."""
-    alone = sorted(lens.picture for lens in rig.lenses) == list(range(len(rig.sizes)))
-    return alone and all(
-        isinstance(lens, PinholeLens) and PerspectiveGrid.of_lens(lens).hfov <= PLANE_WIDEST for lens in rig.lenses
-    )
-
-
-class LensVideos:
-    """`Frames` of a rig's ordinary lenses, in order of time: each picture with the grid of its lens in the body.
-
-    `paths`: one video with a track for each picture of the `rig`, or as many videos; they begin at the same moment.
-    `rate`, `start`, `end`, `rows`: as for `eagor.media.video.Video`, of each lens. The attributes are those of a video.
-    Raises `ImageError`, also where the pictures do not fit the rig.
-    """
-
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        rig: Rig,
-        *,
-        rate: float | None = None,
-        start: float = 0.0,
-        end: float | None = None,
-        rows: int | None = None,
-    ) -> None:
-        from eagor.media.camera_sources import lens_files
-        from eagor.media.video import Video
-
-        files = lens_files([Path(path) for path in paths], len(rig.sizes))
-        if len(files) != len(rig.sizes):
-            raise ImageError(
-                f"{len(files)} videos are given, and the rig lists {len(rig.sizes)} pictures; wanted a video for each, "
-                "in its order"
-            )
-        self.videos = [
-            Video(path, track=track, lenses=True, rate=rate, start=start, end=end, rows=rows) for path, track in files
-        ]
-        lenses = sorted(rig.lenses, key=lambda lens: lens.picture)
-        self.grids = [_grid(*each) for each in zip(lenses, self.videos, strict=True)]
-        first, counts = self.videos[0], [video.count for video in self.videos]
-        self.path, self.facts, self.duration, self.motion = first.path, first.facts, first.duration, first.motion
-        self.count = None if None in counts else sum(count for count in counts if count is not None)
-
-    @property
-    def level_R_body(self) -> np.ndarray | None:
-        """None: the files of a rig's lenses do not say it."""
-        return None
-
-    def frames(self) -> Iterator[tuple[float, str, Read]]:
-        """Each picture of each lens: its stamp, its name, and what gives it."""
-        for stamp, _, name, found in heapq.merge(*map(self._of, range(len(self.videos)))):
-            yield stamp, name, lambda found=found: found
-
-    def _of(self, index: int) -> Iterator[tuple[float, int, str, Picture]]:
-        for frame in self.videos[index]:
-            yield frame.stamp, index, frame.name, Picture(frame.picture, grid=self.grids[index])
-
-
-def _grid(lens: Lens, video: Video) -> PerspectiveGrid:
-    """The pixels of a lens in its video. Raises `ImageError` where they have another shape."""
-    assert isinstance(lens, PinholeLens)  # `are_ordinary`
-    height, width = video.shape
-    Rig((lens.size,), (replace(lens, picture=0),)).factor_of(((width, height),), video.path)
-    return PerspectiveGrid.of_lens(lens).resized(height, width)
+            self._panoramas, self._sizes = Panoramas(sizes, self.rig, None, name), sizes
+        return (Picture(self._panoramas.make(*pictures), self._panoramas.unseen),)

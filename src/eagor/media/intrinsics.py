@@ -40,7 +40,7 @@ from eagor.lenses import WIDEST, FisheyeLens, Lens, PinholeLens
 from eagor.media.rigs import SHAPE, Place, Rig, read_rig, read_yaml
 
 __all__ = [
-    "Camera", "Told", "camera_of", "in_words", "ordinary_grid", "read_camera", "rig_of_info",
+    "Camera", "ShapeError", "Told", "camera_of", "in_words", "ordinary_grid", "read_camera", "rig_of_info",
     "told_by_photograph", "told_by_video",
 ]  # fmt: skip
 
@@ -62,6 +62,10 @@ QUARTERS = {3: 2, 6: 3, 8: 1}  # quarter turns, counterclockwise, of Exif's orie
 FOCAL_KEY = re.compile(r"focal_?length[._]?(in)?_?35mm", re.IGNORECASE)
 STEADY_KEY = re.compile(r"stabili[sz]|steadi", re.IGNORECASE)
 OFF = ("", "0", "off", "no", "none", "false", "disabled")
+
+
+class ShapeError(ImageError):
+    """A picture is neither a whole panorama, 2:1, nor known to be that of an ordinary lens."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""A camera that is there now: frames of one or several live streams, newest first, made to panoramas.
+"""A camera that is there now: frames of one or several live streams, newest first: panoramas, or ordinary pictures.
 
 A thread of its own decodes all that comes of a stream and keeps the newest picture. What nobody took in time is
 counted. A stream that breaks off is opened again after a pause that grows; meanwhile `problem` says what is wrong.
@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from eagor._secrets import redacted
+from eagor._files import redacted
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.clocks import StreamClock
 from eagor.media.intrinsics import Camera
+from eagor.media.rig_videos import makers
 from eagor.media.rigs import Rig
-from eagor.media.stitching import Panoramas
 from eagor.media.video import to_rgb
 
 if TYPE_CHECKING:
@@ -71,14 +71,22 @@ class PictureStream(Protocol):
 class Feed:
     """The newest picture of a stream. `latency`: seconds; `rate`: the most pictures per second to keep, or None.
 
+    `changed`: told of whatever comes, so that one may wait for several feeds; None: one of its own.
     `problem`: what is wrong now, in words, or None. `dropped`: pictures that nobody took in time, that were damaged, or
     that could not be put in order. Raises `DeviceError` if the stream cannot be opened or no picture comes.
     """
 
-    def __init__(self, stream: PictureStream, *, latency: float = 0.0, rate: float | None = None) -> None:
+    def __init__(
+        self,
+        stream: PictureStream,
+        *,
+        latency: float = 0.0,
+        rate: float | None = None,
+        changed: threading.Condition | None = None,
+    ) -> None:
         self.stream, self.dropped = stream, 0
         self._clock, self._rate = StreamClock(latency), rate
-        self._changed = threading.Condition()
+        self._changed = changed or threading.Condition()
         self._shot: Shot | None = None
         self._taken = 0  # the number of the shot that was taken last
         self._count = 0
@@ -118,17 +126,15 @@ class Feed:
                 self._taken = self._shot.number
             return self._shot
 
-    def take(self) -> Shot | None:
-        """The newest picture that was not taken yet; waits for one. None where no more can come, or after `close`."""
-        with self._changed:
-            while not self._closed:
-                if self._shot is not None and self._shot.number != self._taken:
-                    self._taken = self._shot.number
-                    return self._shot
-                if self._ended:
-                    break
-                self._changed.wait()
-            return None
+    @property
+    def waits(self) -> bool:
+        """Whether there is a picture that was not taken yet."""
+        return not self._closed and self._shot is not None and self._shot.number != self._taken
+
+    @property
+    def over(self) -> bool:
+        """Whether no more can come."""
+        return self._closed or (self._ended and not self.waits)
 
     @property
     def error(self) -> EagorError | None:
@@ -219,7 +225,8 @@ class Feed:
 class LiveCamera:
     """A `CameraSource` of one stream, of panoramas or of an ordinary `camera`; or of one per picture of a `rig`.
 
-    Only the newest picture is kept (`keeps_newest`): it is made a panorama when it is asked for. `dropped` counts those
+    Pictures of a rig's ordinary lenses come as they are, each lens in its turn, unless `stitched`. Only the newest
+    picture is kept (`keeps_newest`): it is made a panorama when it is asked for. `dropped` counts those
     that nobody took in time and those that were damaged; `rate`: the most pictures per second to take, which are not
     counted. Streams that break off are opened again. `problem`: what is wrong right now, in words, or None. Iterating
     twice shares the frames.
@@ -240,6 +247,7 @@ class LiveCamera:
         rate: float | None = None,
         latency: float = 0.0,
         camera: Camera | None = None,
+        stitched: bool = False,
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to arrival, 0 or more")
@@ -253,22 +261,26 @@ class LiveCamera:
         self._unfit = 0
         self._warned: set[str] = set()
         self._feeds: list[Feed] = []
+        self._changed = threading.Condition()
         try:
             for stream in streams:
-                self._feeds.append(Feed(stream, latency=latency, rate=rate))
+                self._feeds.append(Feed(stream, latency=latency, rate=rate, changed=self._changed))
             shots = [shot for feed in self._feeds if (shot := feed.seen) is not None]
             sizes = tuple((shot.picture.width, shot.picture.height) for shot in shots)
             self._sizes = sizes
-            self._panoramas = Panoramas(sizes, rig, rows, self._name, camera)
-            self._panoramas.check(*self._pictures(shots))
+            self._makers = makers(sizes, rig, rows, self._name, camera, stitched)
+            self._wanted = [size for each in self._makers for size in each.wanted]
+            if len(self._makers) == 1:
+                self._makers[0].check(*map(self._picture, range(len(shots)), shots))
         except BaseException:
             self.close()
             raise
-        self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
+        self.grid, self.unseen = self._makers[0].grid, self._makers[0].unseen
+        self._turn = [*range(len(self._makers))]  # the lenses, that which waited longest first
 
     @property
     def dropped(self) -> int:
-        return sum(feed.dropped for feed in self._feeds[:1]) + self._unfit
+        return sum(feed.dropped for feed in self._feeds[: len(self._makers)]) + self._unfit
 
     @property
     def problem(self) -> str | None:
@@ -276,34 +288,55 @@ class LiveCamera:
         return next((said for feed in self._feeds if (said := feed.problem)), self._broken)
 
     def __iter__(self) -> Iterator[Frame]:
-        first, *others = self._feeds
-        while (shot := first.take()) is not None:
-            shots = [shot, *(found for feed in others if (found := feed.newest()) is not None)]
+        last = -math.inf
+        while (lens := self._next()) is not None:
+            feeds = self._feeds if len(self._makers) == 1 else [self._feeds[lens]]
+            shots = [found for feed in feeds if (found := feed.newest()) is not None]
             try:
-                panorama = self._panorama(shots)
+                picture = self._made(lens, shots)
             except EagorError as error:
                 self._unfit += 1
                 self._broken = f"{self._name}: a picture is left out: {error}"
                 self._warn(self._broken)
                 continue
-            if first.timeless:
+            name, stamp = feeds[0].stream.name, shots[0].stamp
+            if feeds[0].timeless:
                 self._warn(
-                    f"{self._name} tells no times, or not those of the pictures: each is stamped with its arrival less "
-                    f"the latency ({self.latency:g} s), and carries the jitter of its way"
+                    f"{name} tells no times, or not those of the pictures: each is stamped with its arrival less the "
+                    f"latency ({self.latency:g} s), and carries the jitter of its way"
                 )
-            yield Frame(shot.stamp, panorama, f"{self._name} {_clock(shot.stamp)}", self._panoramas.view)
-        if first.error is not None:
-            raise first.error
+            if stamp == last:  # of another lens: no two frames have one stamp
+                stamp = math.nextafter(stamp, math.inf)
+            last = stamp
+            yield Frame(stamp, picture, f"{name} {_clock(stamp)}", self._makers[lens].view, lens)
+        for feed in self._feeds[: len(self._makers)]:
+            if feed.error is not None:
+                raise feed.error
 
     def close(self) -> None:
         for feed in self._feeds:
             feed.close()
 
-    def _panorama(self, shots: Sequence[Shot]) -> np.ndarray:
+    def _next(self) -> int | None:
+        """Wait for a picture; the lens that took it. None where no more can come, or after `close`."""
+        with self._changed:
+            while True:
+                lens = next((each for each in self._turn if self._feeds[each].waits), None)
+                if lens is not None:
+                    self._turn.remove(lens)
+                    self._turn.append(lens)
+                    return lens
+                if all(self._feeds[each].over for each in self._turn):
+                    return None
+                self._changed.wait()
+
+    def _made(self, lens: int, shots: Sequence[Shot]) -> np.ndarray:
+        """The frame of these pictures: of all streams, or of the one with this number."""
         sizes = tuple((shot.picture.width, shot.picture.height) for shot in shots)
-        if len(sizes) != len(self._sizes):
+        first = self._sizes if len(self._makers) == 1 else self._sizes[lens : lens + 1]
+        if len(sizes) != len(first):
             raise ImageError("one of the lenses' streams gave no picture")
-        for now, before in zip(sizes, self._sizes, strict=True):
+        for now, before in zip(sizes, first, strict=True):
             if abs(now[0] * before[1] - now[1] * before[0]) > 0.02 * before[1] * now[0]:
                 raise ImageError(
                     f"it is {now[0]} x {now[1]}, and the first was {before[0]} x {before[1]}: another camera or mode? "
@@ -313,10 +346,10 @@ class LiveCamera:
         self._broken = None
         if apart > APART:
             self._broken = f"{self._name}: the pictures of its lenses are {apart:.2f} s apart"
-        return self._panoramas.make(*self._pictures(shots))
+        return self._makers[lens].make(*(self._picture(lens + k, shot) for k, shot in enumerate(shots)))
 
-    def _pictures(self, shots: Sequence[Shot]) -> list[np.ndarray]:
-        return [to_rgb(shot.picture, *size) for shot, size in zip(shots, self._panoramas.wanted, strict=True)]
+    def _picture(self, number: int, shot: Shot) -> np.ndarray:
+        return to_rgb(shot.picture, *self._wanted[number])
 
     def _warn(self, text: str) -> None:
         """Once for each source and kind of trouble."""

@@ -29,7 +29,7 @@ from typing import BinaryIO
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.errors import FormatError, PoseError
 from eagor.media.containers import Movie, samples

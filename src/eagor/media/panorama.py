@@ -320,11 +320,12 @@ def _natural(name: str) -> list[tuple[int, str | int]]:
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
-def read_photograph(path: str | os.PathLike[str]) -> Picture:
+def read_photograph(path: str | os.PathLike[str], warn: bool = True) -> Picture:
     """The photograph in the file at `path` (JPEG, PNG, WebP, ...).
 
     As `eagor.media.panorama.read_panorama` where the file says nothing of itself, with its warning about pictures that
-    are not 2:1. Raises `ImageError` if there is no readable image, or if it says that it is not equirectangular.
+    are not 2:1, unless `warn` is False: for who knows the camera, or says it otherwise. Raises `ImageError` if there is
+    no readable image, or if it says that it is not equirectangular.
     """
     name = os.fspath(path)
     with warnings.catch_warnings(record=True) as warned:
@@ -332,7 +333,7 @@ def read_photograph(path: str | os.PathLike[str]) -> Picture:
         image = read_panorama(name)
     found = None if _is_hdr(name) else of_photograph(properties(_xmp(name), GPANO))
     if found is None:
-        for warning in warned:
+        for warning in warned if warn else ():
             warnings.warn(str(warning.message), UserWarning, stacklevel=2)
         return Picture(image, facts=(TONE_MAPPED,) if _is_hdr(name) else ())
     found.check(name)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.media.consensus import Inertia

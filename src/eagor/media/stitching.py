@@ -11,11 +11,11 @@ import numpy as np
 
 from eagor._checks import is_twice_as_wide
 from eagor._extras import need
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.defects import fisheye_circles
-from eagor.media.intrinsics import ASK, Camera, Told, ordinary_grid
+from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, ordinary_grid
 from eagor.media.panorama import checked_picture, resized
 from eagor.media.rigs import Rig
 
@@ -238,7 +238,7 @@ class Panoramas:
             self.wanted = (self.grid.shape,)
             return
         if not is_twice_as_wide(height, width):
-            raise ImageError(
+            raise ShapeError(
                 f"{name} gives pictures of {width} x {height}, not 2:1; wanted whole panoramas, twice as wide as high. "
                 f"Set the camera to 360-degree (equirectangular) pictures. If these are pictures of lenses: {MAKE}. An "
                 f"ordinary camera? {ASK}"

@@ -23,7 +23,7 @@ import numpy as np
 
 from eagor._checks import above
 from eagor._extras import need
-from eagor._secrets import redacted
+from eagor._files import redacted
 from eagor.errors import DeviceError
 from eagor.media.video import Damage, pictures
 

@@ -294,11 +294,6 @@ def looked_at(
         at |= {"frame": frame.frame} | ({"lost": True} if frame.lost else {})
         try:
             picture = frame.read()
-            if picture.grid is not None and picture.grid.optics is not None:
-                raise ShapeError(
-                    f"{frame.frame} has a lens that a file of looks cannot hold (distortion, or an axis beside the "
-                    "middle); follow the footage itself: eagor track FRAMES QUERY. Of an ideal lens give --hfov"
-                )
             mask = hidden.of(picture)
             if mask is not None:
                 at["unseen"] = _runs(mask)
@@ -331,7 +326,11 @@ def _quaternion(turn: np.ndarray) -> dict[str, float]:
 def _view(seen: Seen) -> dict[str, Any]:
     grid, (boxes, scores, labels) = seen
     image = {"projection": "perspective", "width": grid.width, "height": grid.height}
-    image |= {"hfov_deg": round(math.degrees(grid.hfov), TURNS)} | _quaternion(grid.body_R_view)
+    if (lens := grid.optics) is None:
+        image |= {"hfov_deg": round(math.degrees(grid.hfov), TURNS)}
+    else:  # exactly: a millionth of distortion may be pixels at the border
+        image |= {"focal": list(lens.focal), "centre": list(lens.centre), "distortion": list(lens.distortion)}
+    image |= _quaternion(grid.body_R_view)
     inside = np.clip(boxes, 0, [grid.width, grid.height] * 2).round(PIXELS)
     real = np.all(inside[:, 2:] > inside[:, :2], axis=1).tolist()
     found = [

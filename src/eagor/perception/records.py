@@ -22,6 +22,7 @@ from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
+from eagor.lenses import PinholeLens
 from eagor.media.pose_files import FramePose
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.views import Boxes, Seen, combined
@@ -61,11 +62,14 @@ _Label = Annotated[str, Meta(description="text")]
 _PROJECTION = Meta(description='"equirectangular" or "perspective"')
 _SCORES = Meta(description='"probability" (the default) or "logit"')
 _FIELD = "a number from 0.1 to 179"
+_DISTORTION = "up to eight numbers: k1, k2, p1, p2, k3, k4, k5, k6"
 _QUERY = "words, or no such key"
 _LOOK = "text or a whole number, the same for all views of a moment"
 _OBJECTS = Meta(description="a list of objects")
 _LEAN, _TURN = ("yaw_left_deg", "pitch_up_deg", "roll_right_deg"), ("qw", "qx", "qy", "qz")
-_OF_VIEWS = ("hfov_deg", *_LEAN, *_TURN)
+_OF_LENS = ("focal", "centre", "distortion")
+_OF_VIEWS = ("hfov_deg", *_OF_LENS, *_LEAN, *_TURN)
+_PAIR = "two numbers, {}, in pixels of an image of width and height"
 
 
 class _Image(msgspec.Struct, forbid_unknown_fields=True):
@@ -73,6 +77,9 @@ class _Image(msgspec.Struct, forbid_unknown_fields=True):
     width: _Pixels | None = None
     height: _Pixels | None = None
     hfov_deg: Annotated[float, Meta(ge=0.1, le=179, description=_FIELD)] | None = None
+    focal: Annotated[tuple[Finite, Finite], Meta(description=_PAIR.format("of x and of y"))] | None = None
+    centre: Annotated[tuple[Finite, Finite], Meta(description=_PAIR.format("x and y"))] | None = None
+    distortion: Annotated[list[Finite], Meta(max_length=8, description=_DISTORTION)] | None = None
     yaw_left_deg: Turn | None = None
     pitch_up_deg: Tilt | None = None
     roll_right_deg: Turn | None = None
@@ -103,7 +110,7 @@ class _Response(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _View(msgspec.Struct, forbid_unknown_fields=True):
-    image: Annotated[_Image, Meta(description="an object with projection, width, height and hfov_deg")]
+    image: Annotated[_Image, Meta(description="an object with projection, width, height, hfov_deg")]
     boxes: Annotated[list[_Box], _OBJECTS]
 
 
@@ -420,8 +427,26 @@ def _view_of(image: _Image, rows: int = 0, columns: int = 0) -> PerspectiveGrid 
         return None
     height, width = (rows, columns) if rows else _size(image)
     need(max(height, width) <= LONGEST * min(height, width), "image", (width, height), f"sides up to {LONGEST}:1")
+    turn = _body_R_view({key: told[key] for key in (*_LEAN, *_TURN) if key in told})
+    if lens := [key for key in _OF_LENS if key in told]:
+        return _of_lens(image, lens, turn).resized(height, width)
     need("hfov_deg" in told, "hfov_deg", None, _FIELD)
-    return PerspectiveGrid(height, width, math.radians(told.pop("hfov_deg")), _body_R_view(told))
+    return PerspectiveGrid(height, width, math.radians(told["hfov_deg"]), turn)
+
+
+def _of_lens(image: _Image, told: Sequence[str], body_R_view: np.ndarray) -> PerspectiveGrid:
+    """The pixels of a calibrated lens."""
+    if image.hfov_deg is not None:
+        raise FormatError(f"has hfov_deg and {told[0]}; wanted one of them: focal and centre tell the field")
+    need(image.focal is not None, "focal", None, _PAIR.format("of x and of y"))
+    need(image.centre is not None, "centre", None, _PAIR.format("x and y"))
+    assert image.focal is not None
+    assert image.centre is not None
+    height, width = _size(image)
+    distortion = tuple(image.distortion or ())
+    return PerspectiveGrid.of_lens(
+        PinholeLens("view", (width, height), image.focal, image.centre, distortion, body_R_view)
+    )
 
 
 def _body_R_view(told: Mapping[str, float]) -> np.ndarray:

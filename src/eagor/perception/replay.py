@@ -23,7 +23,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
 from eagor.perception import look as one_look
 from eagor.perception.colour import colour_in
-from eagor.perception.partial import look_at_view
+from eagor.perception.partial import ViewPerception, look_at_view
 from eagor.perception.records import Record, fitting, parse_record, read_looks, read_records, write_record
 from eagor.perception.words import meant
 from eagor.tracking.tracks import SAME_MOMENT
@@ -35,6 +35,7 @@ __all__ = [
     "look_if_recorded",
     "parse_record",
     "read_records",
+    "takes_pictures",
     "write_record",
 ]
 
@@ -186,6 +187,11 @@ class ReplayPerception:
                 "If they are views of one moment, use each of looks(query, stamp)"
             )
         return record.evidence(query, self.calibration, self.detector, self.labels, self._wanted(query))
+
+
+def takes_pictures(perception: Perception) -> bool:
+    """Whether it looks at ordinary pictures as they are, or needs none; else it knows panoramas alone."""
+    return isinstance(perception, ViewPerception | ReplayPerception)
 
 
 def look(

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.evidence import Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel

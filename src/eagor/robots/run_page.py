@@ -69,7 +69,7 @@ class RobotPage:
         return Template((templates / "robot.html").read_text(encoding="utf-8")).substitute(
             title=escape(f"To “{query}”"),
             css=(templates / "track.css").read_text(encoding="utf-8"),
-            answer=escape(self._answer()),
+            answer=escape(f"At the end: {self.samples[-1].words}." if self.samples else "No answer was given."),
             summary=escape(self._summary()),
             map=svg,
             map_key=escape(said),
@@ -80,12 +80,6 @@ class RobotPage:
             used="".join(f"<dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd>" for k, v in self.used.items()),
             version=__version__,
         )
-
-    def _answer(self) -> str:
-        if not self.samples:
-            return "No answer was given."
-        last = self.samples[-1]
-        return f"At the end: {last.words}."
 
     def _summary(self) -> str:
         facts = summary(self.samples)

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -183,7 +183,7 @@ def _eye(home: _Home) -> np.ndarray:
 
 
 _homes = Kept(_furnished, HOMES)
-_photograph = Kept(read_photograph, PHOTOS)
+_photograph = Kept(partial(read_photograph, warn=False), PHOTOS)  # the page asks of what camera it is
 
 
 def _serve(

@@ -140,7 +140,8 @@ class Channel:
             self._said[message.header["type"]] = message
             if message.header["type"] == "scene":
                 self._step = None
-                self._said.pop("status", None)  # what was said while it was being opened
+                for kind in ("status", "problem"):  # what was said while it was being opened
+                    self._said.pop(kind, None)
         for slot in self.slots:
             slot.put(message)
 
@@ -281,6 +282,8 @@ class Studio:
         self.hide(page)
         page.slot.clear()
         page.watches = True
+        if message["hfov"] is not None:
+            self._live.tell(("hfov", message["hfov"]))
         if message["query"]:
             self._live.tell(("query", message["query"], message["question"]))
         self._channel.join(page.slot)

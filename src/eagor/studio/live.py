@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -12,16 +13,41 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
+from eagor.live.core import LiveCore
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.live.loop import LiveLoop, Watcher
+from eagor.media.intrinsics import ShapeError
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.steps import FLOATS, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
 
-__all__ = ["Shown", "watch"]
+__all__ = ["Shown", "Waiting", "watch"]
 
 PICTURES = 0.2  # seconds between two panoramas that are sent, at least
 ROWS = 384  # of them, at most
 ORDINARY = 480  # rows of an ordinary camera's picture
+WAITING = 6  # pictures that wait for their pose, at least half of `PICTURES` apart
+LATE = 1.0  # seconds after which a picture is shown without
+
+
+class Waiting:
+    """Pictures that wait for their pose: one that is shown before it would be drawn where the camera pointed before."""
+
+    def __init__(self) -> None:
+        self._frames: deque[FrameCame] = deque(maxlen=WAITING)
+
+    def add(self, frame: FrameCame) -> None:
+        """A picture has come."""
+        if not self._frames or frame.arrival - self._frames[-1].arrival >= PICTURES / 2:
+            self._frames.append(frame)
+
+    def take(self, core: LiveCore, now: float) -> FrameCame | None:
+        """The newest picture whose pose is known; after `LATE` seconds, the newest. None: there is none yet."""
+        frames = self._frames
+        last = max((number for number, each in enumerate(frames) if core.posed(each.stamp)), default=-1)
+        if last < 0 and frames and now - frames[0].arrival > LATE:
+            last = len(frames) - 1
+        taken = [frames.popleft() for _ in range(last + 1)]
+        return taken[-1] if taken else None
 
 
 class Shown:
@@ -29,7 +55,7 @@ class Shown:
 
     def __init__(self, say: Callable[[Message], Any], source: str, perception: str) -> None:
         self._say, self._source, self._perception = say, source, perception
-        self._picture: FrameCame | None = None
+        self._waiting = Waiting()
         self._sent = -math.inf
         self._position: np.ndarray | None = None
         self._fresh = False
@@ -78,7 +104,7 @@ class Shown:
         with self._lock:
             self._tried(event)
         if isinstance(event, FrameCame) and event.picture is not None:
-            self._picture = event
+            self._waiting.add(event)
             lens = lens_of(event.grid)
             if lens != self._lens:
                 self._lens = lens
@@ -119,9 +145,10 @@ class Shown:
             self._shown = estimate.hypotheses
             header["belief"], coefficients = belief_of(estimate, answer.stamp, estimate.config.degree)
             blobs["belief"] = Blob(FLOATS, coefficients)
-        picture = self._picture
-        if picture is not None and answer.stamp - self._sent >= PICTURES:
-            self._picture, self._sent = None, answer.stamp
+        soon = answer.stamp - self._sent < PICTURES
+        picture = None if soon else self._waiting.take(self.loop.core, answer.stamp)
+        if picture is not None:
+            self._sent = answer.stamp
             pose = self.loop.core.orientation(picture.stamp)
             pose = estimate.world_R_body if pose is None else pose
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
@@ -142,12 +169,16 @@ class Shown:
 
 
 def watch(
-    line: Connection, source: str, perception: str, opens: Callable[[Sequence[Watcher]], LiveLoop]
-) -> None:  # fmt: skip
+    line: Connection,
+    source: str,
+    perception: str,
+    opens: Callable[[Sequence[Watcher], float | None], LiveLoop],
+) -> None:
     """Run the loop that `opens` makes and say what happens, until the line or the parent ends.
 
     It is told ``("query", text, number)``: the number of the question, which answers carry. What cannot be opened is
-    said as a fatal problem.
+    said as a fatal problem. Where the pictures are those of an ordinary camera of which nothing is known, the page is
+    asked; it is told ``("hfov", degrees)``, which `opens` gets (None at first).
     """
     lock = threading.Lock()
 
@@ -156,25 +187,41 @@ def watch(
             line.send(message)
 
     shown = Shown(say, source, perception)
-    try:
-        loop = opens([shown])
-    except (EagorError, OSError) as error:
-        _problem(say, str(error))
-        _until_told_to_end(line, None)
-        return
+    loop, hfov = None, None
+    while loop is None:
+        try:
+            loop = opens([shown], hfov)
+        except ShapeError as error:
+            _problem(say, str(error).partition("; ")[0], asks="hfov")
+            if (hfov := _field_told(line)) is None:
+                return
+        except (EagorError, OSError) as error:
+            _problem(say, str(error))
+            _until_told_to_end(line, None)
+            return
     shown.loop = loop
-    threading.Thread(target=_until_told_to_end, args=(line, shown), daemon=True).start()
+    listening = threading.Thread(target=_until_told_to_end, args=(line, shown), daemon=True)
+    listening.start()
     say(Message({"type": "status", "words": f"Opening {source}. The perception is being loaded."}))
     try:
         loop.run(lambda _: None)
     except EagorError as error:
         _problem(say, str(error))
-    _until_told_to_end(line, None)
+    listening.join()  # questions to a source that has ended are refused there
 
 
-def _problem(say: Callable[[Message], None], text: str) -> None:
+def _problem(say: Callable[[Message], None], text: str, asks: str = "") -> None:
     words = {"problem": f"{text[:1].upper()}{text[1:]}.", "change": "Start eagor studio with another --source."}
-    say(Message({"type": "problem", **words, "fatal": True}))
+    say(Message({"type": "problem", **words, "fatal": True, **({"asks": asks} if asks else {})}))
+
+
+def _field_told(line: Connection) -> float | None:
+    """Wait for the field of view that a page tells, degrees; None if the line ends before."""
+    with suppress(EOFError, OSError):
+        while (told := line.recv()) is not None:
+            if told[0] == "hfov":
+                return float(told[1])
+    return None
 
 
 def _until_told_to_end(line: Connection, shown: Shown | None) -> None:

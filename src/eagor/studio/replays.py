@@ -7,6 +7,7 @@ the live core again; of a robot's walk its report is read.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -24,12 +25,13 @@ from eagor.evaluation.simulated import player_of
 from eagor.evaluation.study import LoadedRun
 from eagor.evaluation.tables import OURS
 from eagor.live.core import LiveCore
-from eagor.live.events import FrameCame, PoseCame
+from eagor.live.events import Answer, FrameCame, PoseCame
 from eagor.live.recording import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.houses import plan_of
+from eagor.studio.live import Waiting
 from eagor.studio.messages import rounded, webp
-from eagor.studio.steps import belief_in_json, believed, calibration_of, scene_of, seen_webp
+from eagor.studio.steps import belief_in_json, believed, calibration_of, lens_of, scene_of, seen_webp, shown_jpeg
 from eagor.tasks.episodes import Episode
 from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
 from eagor.tasks.places import Place, load_place
@@ -44,18 +46,23 @@ Advance = Callable[[int], object]
 
 @dataclass(eq=False)
 class Redrawn:
-    """An episode for the page: its `scene`, its `steps`, and WebP `pictures` by the number of their step."""
+    """An episode for the page: its `scene`, its `steps`, and `pictures` (WebP or JPEG) by the number of their step.
+
+    `poses`: world_R_camera of a picture, row by row, where it was not taken at its step.
+    """
 
     scene: dict[str, Any]
     steps: list[dict[str, Any]] = field(default_factory=list)
     pictures: dict[int, bytes] = field(default_factory=dict)
+    poses: dict[int, list[float]] = field(default_factory=dict)
 
     def as_json(self, address: Callable[[int], str]) -> dict[str, Any]:
         """The EPISODE of the page; `address` says where the picture of a step is."""
         steps = []
         for number, step in enumerate(self.steps):
             if number in self.pictures:
-                shown = {"stamp": step["stamp"], "world_R_camera": step["world_R_camera"], "url": address(number)}
+                pose = self.poses.get(number, step["world_R_camera"])
+                shown = {"stamp": step["stamp"], "world_R_camera": pose, "url": address(number)}
                 step = step | {"panorama": shown}
             steps.append(step)
         return {"scene": self.scene, "steps": steps, "methods": [each["name"] for each in self.scene["methods"]]}
@@ -188,6 +195,7 @@ def _said(entry: Mapping[str, Any], number: int) -> dict[str, Any] | None:
 REPORT = "run.json"  # of a robot's walk
 KEPT = 120  # steps of a recording or of a walk that are shown
 APART = 0.2  # seconds between two of them, at least
+ORDINARY = 320  # rows of an ordinary camera's pictures
 
 
 def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda _: None) -> Redrawn:
@@ -199,46 +207,65 @@ def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda
     asked = query or queries[0]
     if asked not in queries:
         raise FormatError(f"{folder} has no query {asked!r}; it has {', '.join(map(repr, queries))}")
-    core, kept = LiveCore(replay.settings), Thinned(KEPT)
+    core, kept, lens = LiveCore(replay.settings), Thinned(KEPT), _lens(replay)
+    waiting = Waiting()
     panorama: FrameCame | None = None
     place: np.ndarray | None = None
     last = -math.inf
     for event in replay.events(pictures=True):
         if isinstance(event, FrameCame) and event.picture is not None:
-            panorama = event
+            waiting.add(event)
         elif isinstance(event, PoseCame) and event.pose.position is not None:
             place = event.pose.position
         for answer in core.take(event):
             if answer.query != asked or answer.stamp - last < APART:
                 continue
             last = answer.stamp
+            panorama = waiting.take(core, last) or panorama
             advance(kept.count)
             # Only what is kept is computed: a recording may be long.
-            kept.add(_answered(answer, panorama, place, core) if kept.wants else None)
+            kept.add(_answered(answer, panorama, place, core, lens) if kept.wants else None)
     if not kept.items:
         raise FormatError(f"{folder} holds no answers about {asked!r}: the run was ended before the first")
     found = Redrawn(
         _scene_of_recording(f"Recording {folder.name}", asked, calibration_of(None, replay.settings.config))
     )
     begun = kept.items[0][0]["stamp"]
+    if lens is not None:
+        found.scene["lens"] = lens
     shown: bytes | None = None
-    for number, (step, picture) in enumerate(kept.items):
+    for number, (step, picture, pose) in enumerate(kept.items):
         step["stamp"] = rounded(step["stamp"] - begun, 3)
         step["frame"] = {"n": number, "of": len(kept.items), "stamp": step["stamp"]}
         found.steps.append(step)
         if picture is not None and picture != shown:  # the camera may be slower than the answers
             found.pictures[number] = shown = picture
+            if pose is not None:
+                found.poses[number] = rounded(pose.reshape(9), 6)
     found.scene["targets"] = list(queries)
     return found
 
 
-def _answered(answer: Any, panorama: FrameCame | None, place: np.ndarray | None, core: LiveCore) -> Any:
+def _lens(replay: Replay) -> dict[str, Any] | None:
+    """What the scene says of a recording's one ordinary camera; None for panoramas, and for several cameras."""
+    frames = (event for event in replay.events(pictures=False) if isinstance(event, FrameCame))
+    lenses = {json.dumps(lens_of(frame.grid)) for frame in frames}
+    return json.loads(lenses.pop()) if len(lenses) == 1 else None
+
+
+def _answered(
+    answer: Answer, frame: FrameCame | None, place: np.ndarray | None, core: LiveCore, lens: dict[str, Any] | None
+) -> tuple[dict[str, Any], bytes | None, np.ndarray | None]:
+    """A step, the newest picture, and the camera's orientation there; with a `lens` the picture is shown as it is."""
     estimate = answer.estimate
     step = believed(estimate, answer.stamp, place)
     step["estimate"]["status_words"] = answer.status_words
     step["belief"] = belief_in_json(estimate, answer.stamp, core.config.degree)
     step["look"] = {"age": rounded(answer.look_age, 3), "fresh": False}
-    return step, None if panorama is None else seen_webp(panorama, ROWS)
+    if frame is None or frame.picture is None:
+        return step, None, None
+    picture = seen_webp(frame, ROWS) if lens is None else shown_jpeg(frame.picture, frame.grid, ORDINARY)
+    return step, picture, core.orientation(frame.stamp)
 
 
 def walked(folder: Path) -> Redrawn:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from eagor.drawing.style import STATUS, answer_in_words, far_in_words, sureness
 from eagor.drawing.view import Mosaic
-from eagor.drawing.words import STATUS, answer_in_words, far_in_words, sureness
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.harmonics import RealHarmonics

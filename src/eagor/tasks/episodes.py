@@ -333,18 +333,12 @@ def plan_listed(slot: FileSlot, file: str, camera: Camera, rules: NavigationRule
     if rules.goal == "footprint" and not targets:
         raise WorldError(f"{name}: {place.scene.source} names no {episode.category}; leave goal at view_points")
     planned = FileEpisode(
-        slot=slot,
-        scene=place.scene.source,
-        scene_hash=place.scene.hash,
-        query=episode.category,
-        targets=targets,
-        start=(float(start[0]), float(start[1])),
-        yaw=heading(episode.world_R_body),
-        shortest=math.inf,
+        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=episode.category, targets=targets,
+        start=(float(start[0]), float(start[1])), yaw=heading(episode.world_R_body), shortest=math.inf,
         goals=np.array([thing.position for thing in near or things]) - [0.0, 0.0, zero],
         view_points=views - [0.0, 0.0, zero],
         listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
-    )
+    )  # fmt: skip
     way = place.way_to_views(planned.view_points) if rules.goal == "view_points" else place.way_to(targets)
     shortest = float(way.distance(start))
     if not math.isfinite(shortest):

@@ -100,9 +100,12 @@ def shared(perception: str) -> Perception:
 
     `release` frees it. Raises as `eagor.perception.load`, and errors of its server.
     """
-    made = load(perception)
-    check = getattr(made, "check", None)
-    if check is not None:
+    return _checked(load(perception))
+
+
+def _checked(made: Any) -> Any:
+    """`made`, once it has made sure by itself that it works, where it can."""
+    if (check := getattr(made, "check", None)) is not None:
         check()
     return made
 
@@ -181,10 +184,7 @@ def shared_chat(spec: str) -> Chat:
         raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
     if not inspect.signature(made).parameters:
         raise EagorError(f"the model {spec!r} takes no argument; wanted the messages of a conversation")
-    check = getattr(made, "check", None)
-    if check is not None:
-        check()
-    return made
+    return _checked(made)
 
 
 def digest(messages: Sequence[Message]) -> str:

@@ -48,16 +48,9 @@ def plan(slot: Slot, camera: Camera, rules: NavigationRules) -> Episode:
                     "category": place.scene.instances[target].category,
                 }
                 return Episode(
-                    slot=slot,
-                    scene=place.scene.source,
-                    scene_hash=place.scene.hash,
-                    query=query,
-                    targets=(target,),
-                    start=(float(xy[0]), float(xy[1])),
-                    yaw=yaw,
-                    shortest=shortest,
-                    stratum=kind,
-                )
+                    slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,),
+                    start=(float(xy[0]), float(xy[1])), yaw=yaw, shortest=shortest, stratum=kind,
+                )  # fmt: skip
     raise WorldError(
         f"{place.scene.source} has no target that is {rules.nearest} to {rules.farthest} m away; "
         "widen the rules, or leave this world out"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from eagor import worlds
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.evidence import BodyMask
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.queries import COLOURS, Query
@@ -48,7 +48,7 @@ class Place:
     _ways: dict[Any, Way] = field(default_factory=dict, init=False, repr=False)  # they go when the place goes
 
     def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
-        """The camera ``(3,)`` at this height (metres) above the ground under a point ``(2,)``."""
+        """The point ``(3,)`` at this height (metres) above the ground at a point ``(2,)``: of a camera, say."""
         return np.array([xy[0], xy[1], height + self.ground.height(xy)])
 
     def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:

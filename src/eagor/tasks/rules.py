@@ -229,7 +229,7 @@ Rules = TypeVar("Rules")
 
 
 def as_dict(rules: Any) -> dict[str, Any]:
-    """Rules as plain JSON."""
+    """Rules, or another dataclass, as plain JSON."""
     return json.loads(json.dumps(asdict(rules)))  # tuples become lists
 
 

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.belief.information import information
 from eagor.conventions import rotation_from_wxyz
 from eagor.evidence import Evidence

@@ -63,20 +63,12 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
         raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
     seen, first, route, balls = best
     return TrackingEpisode(
-        slot=slot,
-        scene=place.scene.source,
-        scene_hash=place.scene.hash,
-        query=f"{colour} ball",
-        targets=(len(place.scene.instances),),
-        start=(float(route[0, 0]), float(route[0, 1])),
-        yaw=float(route[0, 2]),
+        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
+        targets=(len(place.scene.instances),), start=(float(route[0, 0]), float(route[0, 1])), yaw=float(route[0, 2]),
         shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
-        stratum={"scenario": scenario, "in view": round(seen, 3)},
-        route=tuple(tuple(row) for row in route.tolist()),
-        balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls),
-        radius=radius,
-        colour=colour,
-    )
+        stratum={"scenario": scenario, "in view": round(seen, 3)}, route=tuple(tuple(row) for row in route.tolist()),
+        balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls), radius=radius, colour=colour,
+    )  # fmt: skip
 
 
 def _drawn(
@@ -93,7 +85,7 @@ def _drawn(
     still = np.tile([*xy, yaw], (rules.steps, 1))
     if scenario == "moving target":
         rolling = islice(stroll(place.ground, first[:2], rules.speed * camera.seconds, rng), rules.steps)
-        return first, still, [_on_the_ground(place, spot, radius) for spot in rolling]
+        return first, still, [place.eye(spot, radius) for spot in rolling]
     if scenario == "moving camera":
         route = _walk(place, xy, yaw, camera, rules.steps, rng)
         return None if route is None else (first, route, [first] * rules.steps)
@@ -124,7 +116,7 @@ def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.r
     position = place.eye(xy, camera.height)
     frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
     for _ in range(10):
-        spot = _on_the_ground(place, place.ground.sample(rng), radius)
+        spot = place.eye(place.ground.sample(rng), radius)
         near = 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0
         if near and _pixels(frame, position, spot, radius) >= SEEN_PIXELS:
             return spot
@@ -135,11 +127,6 @@ def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float)
     """The number of pixels in which a frame from `position`, unturned, would show a ball at `ball` ``(3,)``."""
     shown = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), _BALL)
     return int(np.count_nonzero(shown.ids == _BALL))
-
-
-def _on_the_ground(place: Place, xy: np.ndarray, radius: float) -> np.ndarray:
-    """The centre ``(3,)`` of a ball that lies on the ground at a point ``(2,)``."""
-    return np.array([xy[0], xy[1], radius + place.ground.height(xy)])
 
 
 def _walk(

@@ -73,24 +73,17 @@ def plan(slot: Slot, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
     if best is None:
         raise WorldError(f"{place.scene.source} has no route of four legs of {rules.leg_steps} steps; shorten the legs")
     fault, target, query, route, hidden = best
-    start = route.poses[0]
+    x, y, yaw = route.poses[0].tolist()
+    kind = {
+        "category": place.scene.instances[target].category,
+        "occluded": round(hidden, 3),
+        "by design": fault == 0,
+    }
     return WaypointEpisode(
-        slot=slot,
-        scene=place.scene.source,
-        scene_hash=place.scene.hash,
-        query=query,
-        targets=(target,),
-        start=(float(start[0]), float(start[1])),
-        yaw=float(start[2]),
-        shortest=float(place.way_to((target,)).distance(start[:2])),
-        stratum={
-            "category": place.scene.instances[target].category,
-            "occluded": round(hidden, 3),
-            "by design": fault == 0,
-        },
-        route=tuple(tuple(row) for row in route.poses.tolist()),
-        legs=tuple(route.legs),
-    )
+        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,), start=(x, y),
+        yaw=yaw, shortest=float(place.way_to((target,)).distance(route.poses[0, :2])), stratum=kind,
+        route=tuple(tuple(row) for row in route.poses.tolist()), legs=tuple(route.legs),
+    )  # fmt: skip
 
 
 def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng: np.random.Generator) -> _Route | None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor._files import open_regular, written
-from eagor._lazy import state_of
+from eagor._values import state_of
 from eagor.errors import FormatError
 
 VERSION = 5

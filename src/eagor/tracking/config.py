@@ -11,8 +11,7 @@ import numpy as np
 
 from eagor._arrays import frozen
 from eagor._checks import above, require, whole, within
-from eagor._lazy import lazy
-from eagor._reprs import changed
+from eagor._values import changed, lazy
 from eagor.belief.ranged import log_ranges
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -60,7 +59,7 @@ class MotionModel:
 
     @classmethod
     def still(cls) -> MotionModel:
-        """Targets that appear and disappear, but never move."""
+        """Targets that never move, appear or disappear."""
         return cls(wander=(), turn=(), start=0.0, stop=0.0, jump=0.0, birth=0.0, death=0.0)
 
     @lazy

@@ -9,8 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._lazy import lazy
-from eagor._reprs import where
+from eagor._values import lazy, where
 from eagor.belief.field import cells_of
 from eagor.belief.reading import NEAR, Reading
 from eagor.evidence.detector import Alarms

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import altered, lazy
+from eagor._values import altered, lazy
 from eagor.belief.bank import Bank, linear, log_detected
 from eagor.belief.field import LARGEST, Patch, SphereField, bent, blurred
 from eagor.belief.ranged import RangedBelief

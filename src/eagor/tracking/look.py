@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.belief.bank import Bank, Shown, linear, mixed
 from eagor.belief.field import SphereField
 from eagor.evidence import Evidence

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from eagor._arrays import frozen
 from eagor._checks import above, require, within
-from eagor._reprs import where
+from eagor._values import where
 from eagor.belief.information import even_and_usual, information
 from eagor.errors import GridError
 from eagor.evidence.detector import Alarms

@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._lazy import altered, lazy
+from eagor._values import altered, lazy
 from eagor.belief.bank import mixed
 from eagor.belief.field import Patch, SphereField
 from eagor.evidence.detections import LOWEST, bump_norms, scaled_frames, tangent_frames

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._lazy import altered, given, inherited, known, lazy
+from eagor._values import altered, given, inherited, known, lazy
 from eagor.belief.bank import Bank, log_detected, log_over
 from eagor.belief.basins import Places, labelled, log_sums
 from eagor.belief.direction import Belief

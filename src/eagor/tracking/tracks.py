@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from eagor._lazy import altered, bare
+from eagor._values import altered, bare
 from eagor.belief.ranged import RangedBelief
 from eagor.errors import TimeError
 from eagor.evidence.detector import Alarms

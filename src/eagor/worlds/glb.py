@@ -443,14 +443,10 @@ def _joined(
     return Scene(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]).astype(np.int32),
-        np.repeat(owners, counts).astype(np.int32),
-        np.repeat(looks, counts).astype(np.int32),
-        np.concatenate([part.uv for part in parts]),
-        tuple(instances),
-        tuple(materials),
-        source=f"glb {path.name}",
+        np.repeat(owners, counts).astype(np.int32), np.repeat(looks, counts).astype(np.int32),
+        np.concatenate([part.uv for part in parts]), tuple(instances), tuple(materials), source=f"glb {path.name}",
         **more,
-    )
+    )  # fmt: skip
 
 
 def _check_tree(tree: Any, size: int) -> None:

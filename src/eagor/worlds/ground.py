@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.worlds.scene import STRUCTURE, Instance, Room, Scene
 from eagor.worlds.walkable import CellGraph, Field, Walls, cells_of, pulled

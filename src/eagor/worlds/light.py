@@ -24,9 +24,8 @@ import numpy as np
 from eagor._files import cache_folder, written
 from eagor._srgb import to_linear
 from eagor.errors import StorageError
-from eagor.worlds.lattice import Lattice
 from eagor.worlds.raycast import Raycaster, make_raycaster
-from eagor.worlds.scene import Material, Scene
+from eagor.worlds.scene import Lattice, Material, Scene
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

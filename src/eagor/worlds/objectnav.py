@@ -172,16 +172,11 @@ def _goal_from_json(entry: dict[str, Any]) -> Goal:
     places = _table([view["agent_state"]["position"] for view in views], 3)
     turns = _table([view["agent_state"]["rotation"] for view in views], 4)
     return Goal(
-        read_category(entry["object_category"]),
-        int(entry["object_id"]),
-        from_gltf(_numbers(entry["position"], 3)),
-        str(entry.get("object_name") or ""),
-        entry.get("room_name"),
-        from_gltf(places),
+        read_category(entry["object_category"]), int(entry["object_id"]), from_gltf(_numbers(entry["position"], 3)),
+        str(entry.get("object_name") or ""), entry.get("room_name"), from_gltf(places),
         pose_from_habitat(rotation_from_xyzw(turns)) if len(turns) else np.zeros((0, 3, 3)),
-        np.array([float(view.get("iou") or 0.0) for view in views]),
-        entry.get("radius"),
-    )
+        np.array([float(view.get("iou") or 0.0) for view in views]), entry.get("radius"),
+    )  # fmt: skip
 
 
 def _episode_from_json(entry: dict[str, Any], index: int) -> Episode:
@@ -240,14 +235,9 @@ def goal_of(scene: Scene, ground: Walkable, index: int, spacing: float = 0.25) -
     turns[:, 1, 0], turns[:, 0, 1], turns[:, 2, 2] = np.sin(azimuth), -np.sin(azimuth), 1.0
     places = np.column_stack([points, np.full(len(points), ground.floor)])
     return Goal(
-        thing.category,
-        index,
-        thing.centre,
-        room=thing.room,
-        view_positions=places,
-        view_rotations=turns,
+        thing.category, index, thing.centre, room=thing.room, view_positions=places, view_rotations=turns,
         view_overlap=np.zeros(len(points)),
-    )
+    )  # fmt: skip
 
 
 def check_scene(episode: Episode, scene: Scene, ground: Walkable) -> None:

@@ -117,7 +117,6 @@ class EmbreeRaycaster:
         self._mesh = TriangleMesh(self._scene, vertices, triangles)
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """See `Raycaster.cast`."""
         origins, directions = _checked(origins, directions)
         found = self._scene.run(origins, directions, output=True)
         missed = found["primID"] < 0
@@ -127,7 +126,6 @@ class EmbreeRaycaster:
         return Hits(found["tfar"], found["primID"], found["u"], found["v"])
 
     def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """See `Raycaster.occluded`."""
         origins, directions = _checked(origins, directions)
         # embreex writes into the array of limits and does not support infinity.
         limits = np.minimum(np.broadcast_to(np.asarray(reach, dtype=np.float32), len(origins)), _FAR)
@@ -154,11 +152,9 @@ class NumpyRaycaster:
         self._boxes = _boxes(pieces[order], starts, self._levels)
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """See `Raycaster.cast`."""
         return self._within(np.inf, origins, directions)
 
     def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
-        """See `Raycaster.occluded`."""
         return self._within(reach, origins, directions).triangle >= 0
 
     def _within(self, reach: float | np.ndarray, origins: np.ndarray, directions: np.ndarray) -> Hits:

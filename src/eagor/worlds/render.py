@@ -16,16 +16,15 @@ import numpy as np
 from PIL import Image
 
 from eagor._arrays import frozen
-from eagor._lazy import lazy
 from eagor._srgb import to_coded, to_linear
+from eagor._values import lazy
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.media.panorama import checked_picture, turn
 from eagor.sphere import check_rotation
-from eagor.worlds.lattice import Lattice, unseen
 from eagor.worlds.light import light_of, look_up, painted_sky
 from eagor.worlds.raycast import Hits, Raycaster, make_raycaster
-from eagor.worlds.scene import Material, Scene
+from eagor.worlds.scene import Lattice, Material, Scene, unseen
 
 BRIGHTEST = 5.0  # light is clipped to this; 1 shows a white surface at the edge of the shoulder's range
 _KNEE = 0.4  # display values up to here are linear

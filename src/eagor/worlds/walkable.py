@@ -22,7 +22,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 
 if TYPE_CHECKING:
     from eagor.worlds.scene import Instance

@@ -33,6 +33,7 @@ export class Stage {
   follows = false; // the view stays with the answer, until a person looks elsewhere
   private mosaic: Mosaic | null = null; // of an ordinary camera
   private mosaicOf = "";
+  private mosaicUntil = 0; // stamp of the newest picture in it
   private drawnFrom: number[] = []; // where the camera was, and where one looked, when they moved last
   private textures: object | null = null;
   private drawnSent: number | null = null;
@@ -77,11 +78,12 @@ export class Stage {
   private pasted(image: TexImageSource): TexImageSource {
     const { lens } = this;
     const { panorama, scene } = this.store;
-    if (!lens || !panorama || !(image instanceof ImageBitmap)) return image;
+    if (!lens || !panorama || !(image instanceof ImageBitmap || image instanceof HTMLImageElement)) return image;
     this.mosaic ??= new Mosaic();
     const of = JSON.stringify([scene?.title, lens]);
-    if (of !== this.mosaicOf) this.mosaic.clear();
-    this.mosaicOf = of;
+    const { stamp } = panorama.head;
+    if (of !== this.mosaicOf || stamp < this.mosaicUntil) this.mosaic.clear(); // a recording may be played again
+    [this.mosaicOf, this.mosaicUntil] = [of, stamp];
     this.mosaic.paste(image, lens, panorama.head.world_R_camera);
     return this.mosaic.canvas;
   }
@@ -106,6 +108,12 @@ export class Stage {
     const { yaw, pitch } = this.store.look;
     const base = pose(yaw, pitch);
     return this.store.hold ? times(inverse(this.world_R_body), base) : base;
+  }
+
+  /** Whence it is drawn: an ordinary camera's picture stays in its frame, and what is believed is where it shows it. */
+  private seenFrom(which: "inside" | "flat"): Matrix {
+    const shown = this.lens && which === "inside" ? this.store.panorama?.head.world_R_camera : null;
+    return shown ?? this.world_R_body;
   }
 
   private get world_R_belief(): Matrix {
@@ -253,7 +261,7 @@ export class Stage {
   private camera(which: "inside" | "flat"): Camera {
     const { store } = this;
     const body_R_view = which === "flat" ? IDENTITY : this.body_R_view;
-    const world_R_view = times(this.world_R_body, body_R_view);
+    const world_R_view = times(this.seenFrom(which), body_R_view);
     const body = store.panorama?.head.world_R_camera ?? this.world_R_body;
     const { lens } = this;
     const seen = !lens ? body : which === "flat" ? IDENTITY : times(body, lens.body_R_view);
@@ -272,8 +280,8 @@ export class Stage {
 
   private marks(which: "inside" | "flat"): Marks {
     const { store } = this;
-    const view_R_body = which === "flat" ? IDENTITY : inverse(this.body_R_view);
-    const view_R_world = times(view_R_body, inverse(this.world_R_body));
+    const view_R_world = inverse(times(this.seenFrom(which), which === "flat" ? IDENTITY : this.body_R_view));
+    const view_R_body = times(view_R_world, this.world_R_body);
     const { inside } = this;
     return {
       border: store.layers.has("border") && store.heat ? store.heat.border : [],

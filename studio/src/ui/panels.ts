@@ -113,6 +113,7 @@ export class Panels {
           h("span", { class: "where" }), h("span", { class: "weight" }), h("i", { "aria-hidden": "true" }, h("b"))));
         list.append(row);
       }
+      row.querySelector("button")!.disabled = this.stage.lens !== null; // there is nowhere to look to
       say(row.querySelector(".where")!, this.where(direction));
       say(row.querySelector(".weight")!, words.percent(weight));
       row.querySelector("b")!.style.inlineSize = `${Math.round(100 * weight)}%`;

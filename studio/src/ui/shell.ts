@@ -62,7 +62,8 @@ export function shell(root: HTMLElement) {
 
   const flatView = h("canvas", { class: "scene", "aria-hidden": "true" });
   const flatMarks = h("canvas", { class: "marks", role: "img", "aria-label": words.panorama.flat, "aria-describedby": "stage-told" });
-  const flat = card("flat", words.panorama.flat, h("div", { class: "flat-frame" }, flatView, flatMarks), h("p", { class: "hint" }, words.panorama.flatHint));
+  const flatHint = h("p", { class: "hint" }, words.panorama.flatHint);
+  const flat = card("flat", words.panorama.flat, h("div", { class: "flat-frame" }, flatView, flatMarks), flatHint);
 
   const series = plot("series", words.series.label, "");
   series.card.querySelector(".hint")!.remove();
@@ -95,7 +96,7 @@ export function shell(root: HTMLElement) {
   );
   return {
     tabs, theme, problems, news, ask, query, targets, controls, stage, look, insideView, insideMarks, empty, badge, tools, stick, keys, looking,
-    told, legend, player, flat, flatView, flatMarks, series, polar, plan, status, sentence, means, facts, choice, candidates, list,
+    told, legend, player, flat, flatView, flatMarks, flatHint, series, polar, plan, status, sentence, means, facts, choice, candidates, list,
     calibration, calibrationFacts, calibrationWords, ICONS,
   };
 }

@@ -29,6 +29,8 @@ export interface ViewHandler {
   ask?(query: string): void;
   /** The scene of the session has come. */
   scene?(): void;
+  /** The server wants to know how wide the camera sees, and says why. */
+  question?(why: string): void;
   steer?(key: string, down: boolean, at: number): boolean;
   turnsCamera?(): boolean;
   turnCamera?(yaw: number, pitch: number): void;

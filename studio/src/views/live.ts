@@ -1,6 +1,7 @@
 /** A live source that the server was started with. */
 
 import { h } from "../ui/dom";
+import { fieldQuestion } from "../ui/field";
 import type { Page, ViewHandler } from "../ui/view";
 import { words } from "../words";
 
@@ -22,6 +23,14 @@ export function live(page: Page): ViewHandler {
     leave: () => session.close(),
     ask(query) {
       if (!session.ask(query)) session.open({ view: "live", query });
+    },
+    question(why) {
+      const form = fieldQuestion((hfov) => {
+        page.empty(words.panorama.waiting);
+        session.open({ view: "live", hfov });
+      }, why);
+      page.empty(form);
+      form.querySelector("input")!.focus();
     },
   };
 }

@@ -2,6 +2,7 @@
 
 import { IDENTITY, pose, RADIANS } from "../math/rotation";
 import { field, h, say, segmented } from "../ui/dom";
+import { fieldQuestion } from "../ui/field";
 import type { Page, ViewHandler } from "../ui/view";
 import { Refused, upload } from "../wire/api";
 import type { Picture } from "../wire/messages";
@@ -97,17 +98,14 @@ export function picture(page: Page): ViewHandler {
 
   /** The one question about an ordinary camera whose file does not tell it. */
   function question(): void {
-    const { least, most, usual } = words.picture.field;
-    const width = h("input", { type: "number", id: "hfov", min: least, max: most, step: "any", value: usual, required: true });
-    page.empty(h("form", { class: "question", onsubmit: (event: Event) => {
-      event.preventDefault();
-      hfov = Number(width.value);
+    const form = fieldQuestion((degrees) => {
+      hfov = degrees;
       page.empty(h("strong", {}, words.picture.ready));
       if (shell.query.value.trim()) open();
       else shell.query.focus();
-    } }, h("label", { for: "hfov" }, words.picture.field.ask), h("p", { class: "hint" }, words.picture.field.hint), width,
-      h("button", { type: "submit", class: "primary" }, words.picture.field.submit)));
-    width.focus();
+    });
+    page.empty(form);
+    form.querySelector("input")!.focus();
   }
 
   /** The photograph is shown before anything is asked: nothing of the server is needed for it. */

@@ -135,6 +135,7 @@ export interface Problem {
   change: string;
   fatal?: boolean;
   question?: number; // that is refused
+  asks?: "hfov"; // what the server has to be told to go on
 }
 
 export interface ServerState {

@@ -18,8 +18,8 @@ import numpy as np
 from PIL import Image
 
 from eagor._checks import whole, within
-from eagor._lazy import lazy
-from eagor._secrets import keep_out, redacted
+from eagor._files import keep_out, redacted
+from eagor._values import lazy
 from eagor.errors import AnswerError, EagorError, QueryError, ServerError
 from eagor.perception.vlm.answers import Token, means, without_thoughts
 

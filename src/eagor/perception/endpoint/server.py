@@ -21,7 +21,7 @@ import numpy as np
 
 from eagor._checks import above, require, whole, within
 from eagor._extras import need
-from eagor._secrets import redacted
+from eagor._files import redacted
 from eagor.errors import AnswerError, EagorError, QueryError
 from eagor.perception.endpoint.client import (
     DEFAULT_SERVER,

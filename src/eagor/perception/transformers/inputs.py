@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import EagorError, ImageError
 from eagor.media.panorama import resized
 from eagor.perception.vlm import Family, exact_size, nearest_size

@@ -26,7 +26,7 @@ import torch
 
 from eagor._files import read_file, written
 from eagor._json import parsed
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.panorama import cut, resized

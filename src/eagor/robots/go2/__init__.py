@@ -1,10 +1,10 @@
 """Unitree's Go2: its state, its commands, its remote control, and a simulated one that speaks the same wire.
 
-- `idl`: the messages as DDS types; `wire`: the same as bytes, quickly.
-- `state`: where the robot is (`Go2State`), its battery and remote control; `sport`: what it is told (`SportClient`),
-  and by whom else; `check`: whether all that works.
-- `plant`: how a Go2 answers commands, with its legs; `sim`: a simulated Go2 and its camera in a simulated `house`, on a
-  clock of its own; `sim_live`: the same on DDS in real time (`sim_pictures`: the camera's process).
+- `idl`: the messages as DDS types.
+- `state`: where the robot is (`Go2State`), its battery and remote control, from its messages as bytes; `sport`: what it
+  is told (`SportClient`), by whom else, and whether all that works.
+- `plant`: how a Go2 answers commands, with its legs; `house`: where a simulated one walks, and its camera; `sim`: a
+  simulated Go2 there, on a clock of its own, or on DDS in real time, with the wire of a real one (`sim_wire`).
 
 Nothing here decides to move: `eagor.robots.safety` does.
 """

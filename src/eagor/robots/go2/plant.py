@@ -20,12 +20,7 @@ from eagor.media import Pose
 
 __all__ = ["JOINTS", "STANDING", "WALKING", "Ahead", "Motion", "Plant", "PlantSettings", "Slide", "joint_angles"]
 
-LEGS = (
-    "FR",
-    "FL",
-    "RR",
-    "RL",
-)  # the order of the motors in ``LowState``: front right, front left, rear right, rear left
+LEGS = "FR", "FL", "RR", "RL"  # the order of the motors in ``LowState``: front right, front left, rear right, rear left
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
 LINK = 0.213  # metres of thigh and calf alike (Unitree's description of the Go2)
 CALF = -2.7227, -0.83776  # radians that the calf's joint can reach; the others' limits are not met here

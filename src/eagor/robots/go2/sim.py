@@ -1,232 +1,60 @@
 """A simulated Go2 with a 360-degree camera in a simulated house: on a clock of its own, or live over DDS.
 
 `SimulatedGo2` alone has a simulated clock: `advance` gives what arrives meanwhile, as fast as it can be computed, and
-the same again for the same seed. `eagor.robots.go2.sim_live.LiveGo2` puts the same robot on DDS, in real time.
+the same again for the same seed. `LiveGo2` puts the same robot on DDS, in real time; `Rehearsal` is that in a process
+of its own, to walk with before a real one.
 """
 
 from __future__ import annotations
 
-import heapq
-import itertools
+import json
 import math
-from collections.abc import Callable, Iterator
+import signal
+import time
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from multiprocessing.connection import Connection
+from typing import Any, Self
 
 import numpy as np
 
-from eagor._checks import require, stretch, whole, within
-from eagor._lazy import lazy
+from eagor._processes import Worker, WorkerEnded, WorkerSilent
+from eagor._values import lazy
+from eagor.conventions import rotation_from_wxyz
 from eagor.errors import DeviceError
-from eagor.media import Frame, Pose
+from eagor.media import Frame
 from eagor.media.clocks import RelatedClock
-from eagor.robots.go2.house import BALL_ID, House, Thing, ball_of, load_house
-from eagor.robots.go2.plant import GRAVITY, LIFT, WALKING, Motion, Plant, PlantSettings
+from eagor.media.ros_messages import TEXT, text_message
+from eagor.robots.dds import Link, free_domain
+from eagor.robots.go2.house import (
+    CAMERA_TOPIC,
+    CameraSettings,
+    House,
+    Moment,
+    PictureProcess,
+    SimulatedCamera,
+    Thing,
+    ball_of,
+    load_house,
+)
+from eagor.robots.go2.plant import Motion, Plant, PlantSettings
+from eagor.robots.go2.sim_wire import TRUTH, Go2Server, SimulatedWire, WireSettings, sport_fields
 from eagor.robots.go2.sport import OK, checked_velocity
-from eagor.robots.go2.state import BodyState
-from eagor.robots.go2.wire import SportFields
-from eagor.worlds.render import Ball, Renderer, with_ball
-from eagor.worlds.scene import Scene
+from eagor.robots.go2.state import SOURCES, BodyState, SportFields
 
-__all__ = [
-    "CameraSettings", "SimSettings", "SimulatedCamera", "SimulatedGo2", "SimulatedWire", "WireSettings", "odometry_of",
-    "sport_fields",
-]  # fmt: skip
+__all__ = ["CAMERA", "INTERFACE", "TRUTH_THINGS", "LiveGo2", "Rehearsal", "SimSettings", "SimulatedGo2", "clear_start"]
 
-MOUNT = (0.0, 0.0, 0.40)  # metres from the body's centre to the camera, body frame: a short stick on its back
-FIELD = math.radians(200.0)  # of each fisheye of an X3
+TRUTH_THINGS = f"{TRUTH}/things"  # std_msgs/String: JSON of all things and where they are; no robot has this topic
+LISTENING = 1.0  # seconds to hear whether another robot is there
+THINGS_EVERY = 0.2  # seconds
 
-
-@dataclass(frozen=True)
-class WireSettings:
-    """How a simulated Go2's wire behaves.
-
-    `clock_offset`: seconds by which the robot's clock is ahead of this machine's at first; `clock_drift`: seconds per
-    second by which it gains. `drop`: share of messages that get lost, in both directions. `delay`: from and to how many
-    seconds messages take. `short`: states without the planned path. `battery`: per cent at the start.
-    """
-
-    clock_offset: float = 0.0
-    clock_drift: float = 0.0
-    drop: float = 0.0
-    delay: tuple[float, float] = (0.0, 0.0)
-    short: bool = False
-    battery: int = 87
-
-    def __post_init__(self) -> None:
-        require(
-            self,
-            {
-                "clock_offset": (within(self.clock_offset, -1e8, 1e8), "seconds"),
-                "clock_drift": (within(self.clock_drift, -0.01, 0.01), "at most 0.01 s per second"),
-                "drop": (within(self.drop, 0, 1), "a share, 0 to 1"),
-                "delay": (stretch(self.delay, 0, 10), "seconds (from, to), at most 10"),
-                "battery": (within(self.battery, 0, 100), "0 to 100"),
-            },
-            DeviceError,
-        )
-
-    def robot_time(self, host: float, seconds: float) -> float:
-        """The robot's clock at `host` on ours, `seconds` after its start."""
-        return host + self.clock_offset + self.clock_drift * seconds
-
-
-class SimulatedWire:
-    """What is on its way to or from a simulated robot; `rng` draws what gets lost, and how long the rest takes.
-
-    Not for several threads.
-    """
-
-    def __init__(self, settings: WireSettings, rng: np.random.Generator) -> None:
-        self.settings, self._rng = settings, rng
-        self._numbers = itertools.count()
-        self._late: list[tuple[float, int, Any]] = []
-
-    def loses(self) -> bool:
-        """Whether the next message gets lost."""
-        return self.settings.drop > 0 and bool(self._rng.random() < self.settings.drop)
-
-    def delay(self) -> float:
-        """Seconds that the next message takes."""
-        low, high = self.settings.delay
-        return float(self._rng.uniform(low, high)) if high > 0 else 0.0
-
-    def put(self, when: float, message: Any) -> None:
-        """A message that arrives then."""
-        heapq.heappush(self._late, (when, next(self._numbers), message))
-
-    def arrived(self, now: float) -> Iterator[tuple[float, Any]]:
-        """What has arrived by now, in order, each with its time; it is taken away."""
-        while self._late and self._late[0][0] <= now:
-            when, _, message = heapq.heappop(self._late)
-            yield when, message
-
-
-def sport_fields(motion: Motion, stamp: float, error_code: int = 0) -> SportFields:
-    """The state message of a body that moves so, at `stamp` seconds of the robot's clock."""
-    pose = motion.pose
-    assert pose.position is not None
-    (m00, _, _), (m10, _, _), (m20, m21, m22) = pose.world_R_body.tolist()
-    roll, pitch, yaw = math.atan2(m21, m22), -math.asin(max(-1.0, min(1.0, m20))), math.atan2(m10, m00)
-    second = math.floor(stamp)
-    return SportFields(
-        second,
-        min(int(1e9 * (stamp - second)), 999_999_999),
-        error_code,
-        _wxyz(roll, pitch, yaw),
-        tuple(motion.rates.tolist()),
-        (GRAVITY * m20, GRAVITY * m21, GRAVITY * m22),
-        (roll, pitch, yaw),
-        motion.mode,
-        gait_type=1 if motion.mode == WALKING else 0,
-        foot_raise_height=LIFT,
-        position=tuple(pose.position.tolist()),
-        body_height=float(pose.position[2]),
-        velocity=tuple(motion.velocity.tolist()),
-        yaw_speed=motion.yaw_rate,
-    )
-
-
-def _wxyz(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion of a body turned by `yaw`, then `pitch`, then `roll`: half angles, multiplied out."""
-    a, b, c = math.cos(roll / 2), math.cos(pitch / 2), math.cos(yaw / 2)
-    x, y, z = math.sin(roll / 2), math.sin(pitch / 2), math.sin(yaw / 2)
-    return a * b * c + x * y * z, x * b * c - a * y * z, a * y * c + x * b * z, a * b * z - x * y * c
-
-
-def odometry_of(motion: Motion, stamp: float, frame: str = "odom") -> Any:
-    """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
-    from eagor.media.ros_messages import odometry_message
-
-    pose = Pose(stamp, motion.pose.world_R_body, motion.pose.position)
-    return odometry_message(
-        pose, frame, velocity=pose.world_R_body.T @ motion.velocity, turning=np.asarray(motion.rates)
-    )
-
-
-@dataclass(frozen=True)
-class CameraSettings:
-    """A simulated Insta360 X3.
-
-    `kind`: what its pictures are: "erp" (equirectangular) or "fisheye" (both circles side by side, the front one left).
-    `rows`: of its panoramas, and of the circles. `rate`: pictures per second. `latency`: seconds from capture to
-    arrival. `mount` ``(3,)``: where it is on the body, metres. `quality`: of the JPEG, 1 to 100.
-    """
-
-    kind: Literal["erp", "fisheye"] = "erp"
-    rows: int = 128
-    rate: float = 5.0
-    latency: float = 0.15
-    mount: tuple[float, float, float] = MOUNT
-    quality: int = 90
-
-    def __post_init__(self) -> None:
-        require(
-            self,
-            {
-                "kind": (self.kind in ("erp", "fisheye"), "erp or fisheye"),
-                "rows": (whole(self.rows, 16, 4096) and self.rows % 2 == 0, "an even number of rows, 16 to 4096"),
-                "rate": (within(self.rate, 0.01, 60), "0.01 to 60 pictures per second"),
-                "latency": (within(self.latency, 0, 60), "0 to 60 s"),
-                "quality": (whole(self.quality, 1, 100), "1 to 100"),
-            },
-            DeviceError,
-        )
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of its pictures."""
-        return 2 * self.rows, self.rows
-
-    def pose(self, body: Pose) -> Pose:
-        """The camera's pose on a body at this pose."""
-        assert body.position is not None
-        return Pose(body.stamp, body.world_R_body, body.position + body.world_R_body @ np.asarray(self.mount))
-
-
-class SimulatedCamera:
-    """Pictures of a scene, as the camera sends them."""
-
-    def __init__(self, scene: Scene, settings: CameraSettings) -> None:
-        self.settings = settings
-        self._renderer = Renderer(scene)
-        self._rig = None
-        if settings.kind == "fisheye":
-            from eagor.media.rigs import dual_fisheye
-
-            self._rig = dual_fisheye(*settings.size, FIELD)
-
-    def panorama(self, camera: Pose, ball: Ball | None = None) -> np.ndarray:
-        """The panorama ``(rows, 2 rows, 3)`` uint8 from the camera's pose, with the ball where there is one."""
-        return self._rendered(camera, ball, self.settings.rows)
-
-    def picture(self, camera: Pose, ball: Ball | None = None) -> np.ndarray:
-        """What it sends ``(H, W, 3)`` uint8: the panorama, or both fisheye circles."""
-        if self._rig is None:
-            return self.panorama(camera, ball)
-        from eagor.media.stitching import seen_by
-
-        (picture,) = seen_by(self._rig, self._rendered(camera, ball, self._rig.rows))
-        return picture
-
-    def received(self, picture: np.ndarray) -> np.ndarray:
-        """The panorama ``(rows, 2 rows, 3)`` that whoever receives such a picture makes of it."""
-        return picture if self._rig is None else self._stitcher.stitch(picture)
-
-    @lazy
-    def _stitcher(self):
-        from eagor.media.stitching import Stitcher
-
-        assert self._rig is not None
-        return Stitcher(self._rig, self.settings.rows)
-
-    def _rendered(self, camera: Pose, ball: Ball | None, rows: int) -> np.ndarray:
-        assert camera.position is not None
-        seen = self._renderer.panorama(camera.position, camera.world_R_body, rows, range=ball is not None, ids=False)
-        if ball is not None:
-            seen = with_ball(seen, camera.position, camera.world_R_body, ball, BALL_ID)
-        assert seen.rgb is not None
-        return seen.rgb
+INTERFACE = "lo"  # of a rehearsal
+CAMERA = "ros:" + CAMERA_TOPIC.removeprefix("rt")
+STARTING = 300.0  # seconds for the house and its light, on a busy machine
+ENDING = 10.0
+TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
+BEFORE = 0.8  # metres before the target's centre at which the way may end: things fill some floor
 
 
 @dataclass(frozen=True)
@@ -406,3 +234,206 @@ class SimulatedGo2:
         panorama = self.camera.received(self.camera.picture(pose, ball))
         frame = Frame(self.now, panorama, f"picture {self._pictures}")
         self._messages.put(self.now + self.settings.camera.latency, frame)
+
+
+class LiveGo2:
+    """`robot` on DDS domain `domain`, in real time; a context manager.
+
+    Raises `DeviceError` if a robot, real or simulated, already speaks there: commands would reach both.
+    """
+
+    def __init__(self, robot: SimulatedGo2, domain: int = 0, interface: str | None = "lo") -> None:
+        self.robot = robot
+        self.pictures: PictureProcess | None = None
+        self._told = 0.0
+        self._broken = False
+        self.link = Link(domain, interface)
+        try:
+            self._alone()
+            settings = robot.settings
+            if settings.world is not None and settings.camera is not None:
+                self.pictures = PictureProcess(settings.world, settings.seed, settings.camera, domain, interface)
+            self._things = self.link.publish(TRUTH_THINGS, TEXT, transient=True, depth=1)
+            self.server = Go2Server(
+                robot.plant, self.link, settings.wire, rng=robot.wire_rng, every_step=self._every_step
+            )
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        try:
+            self.robot.begun = time.time() - self.robot.plant.seconds
+            self.server.__enter__()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the robot, its camera and its place on the network. May be called twice."""
+        if (server := getattr(self, "server", None)) is not None:
+            server.close()
+        if self.pictures is not None:
+            self.pictures.close()
+            self.pictures = None
+        self.link.close()
+
+    def wait_for_camera(self) -> None:
+        """Wait until pictures come. Raises `DeviceError` if they cannot."""
+        if self.pictures is not None:
+            self.pictures.wait()
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """The topics for other programs, in words."""
+        found = {
+            "rt/sportmodestate": "state, 200 per second",
+            "rt/lf/sportmodestate": "state, 20 per second",
+            "rt/utlidar/robot_odom": "odometry (nav_msgs/Odometry), 20 per second",
+            "rt/lowstate": "battery, remote control, 200 per second",
+            "rt/lf/lowstate": "battery, remote control, 20 per second",
+            "rt/api/sport/request": "commands",
+            "rt/api/obstacles_avoid/request": "commands that heed obstacles",
+        }
+        camera = self.robot.settings.camera
+        if camera is not None and self.robot.house is not None:
+            what = "both fisheyes" if camera.kind == "fisheye" else "panorama"
+            wide, high = camera.size
+            found[CAMERA_TOPIC] = f"camera ({what}, {wide} x {high}, JPEG), {camera.rate:g} per second"
+        found[TRUTH] = "the true pose, which no robot has"
+        if self.robot.house is not None:
+            found[TRUTH_THINGS] = "the true places of things, which no robot has"
+        return found
+
+    def _alone(self) -> None:
+        taken = self.link.topics(LISTENING)
+        if there := sorted({*SOURCES.values()} & {*taken}):
+            where = f"domain {self.link.domain} on {self.link.interface or 'an automatic interface'}"
+            raise DeviceError(
+                f"a robot already speaks on DDS {where} ({', '.join(there)}), and commands would reach both: take "
+                "another --domain, or end the other one if it is simulated"
+            )
+
+    def _every_step(self, motion: Motion, host: float) -> None:
+        """In the server's thread: offer a picture if one is due, tell where things are."""
+        if self.pictures is not None and not self._broken and self.robot.picture_due():
+            self._offer(motion, host)
+        if self.robot.house is not None and host - self._told >= THINGS_EVERY:
+            if self._told == 0.0 or self.robot.house.ball is not None:
+                self._things.write(text_message(json.dumps(self._truth(host))))
+            self._told = host
+
+    def _offer(self, motion: Motion, host: float) -> None:
+        camera, house = self.robot.settings.camera, self.robot.house
+        assert camera is not None
+        assert house is not None
+        assert self.pictures is not None
+        ball = None if house.ball is None else house.ball.at(motion.pose.stamp)
+        try:
+            self.pictures.offer(Moment(host, camera.pose(motion.pose), ball))
+        except DeviceError as error:
+            self._broken = True
+            warnings.warn(str(error), stacklevel=2)
+
+    def _truth(self, host: float) -> dict[str, Any]:
+        things = [
+            {"id": each.id, "category": each.category, "colour": each.colour, "position": each.centre.round(4).tolist()}
+            for each in self.robot.things()
+        ]
+        targets = [thing.id for thing in self.robot.targets]
+        return {"stamp": host, "target": self.robot.settings.target, "targets": targets, "things": things}
+
+
+class Rehearsal:
+    """A simulated Go2 on a free DDS domain of this machine; a context manager. It ends with this process.
+
+    `truth()` is the camera's true place ``(3,)`` and orientation ``(3, 3)``, None before the first message;
+    `targets()` the true places ``(n, 3)`` of the things that were asked for. Raises what the simulation raises.
+    """
+
+    def __init__(self, settings: SimSettings, domain: int | None = None) -> None:
+        self.settings = settings
+        self.domain = free_domain() if domain is None else domain
+        self._pose: tuple[np.ndarray, np.ndarray] | None = None
+        self._things: dict[str, Any] = {"targets": [], "things": []}
+        self._worker: Worker | None = None
+
+    def __enter__(self) -> Self:
+        self._worker = Worker(_robot, self.settings, self.domain, name="simulated Go2", parent=True)
+        try:
+            self._worker.receive(STARTING)
+        except WorkerSilent:
+            self.close()
+            raise DeviceError("the simulated robot does not start: it is not ready in time") from None
+        except WorkerEnded:
+            how = f"its process ended by itself (exit code {self._worker.close(ENDING)})"
+            raise DeviceError(f"the simulated robot does not start: {how}") from None
+        except BaseException:
+            self.close()
+            raise
+        self._link = Link(self.domain, INTERFACE)
+        self._link.subscribe(TRUTH, "nav_msgs/msg/Odometry", self._told_pose)
+        self._link.subscribe(TRUTH_THINGS, TEXT, self._told_things, reliable=True, transient=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._link.close()
+        self.close()
+
+    def close(self) -> None:
+        """End the robot."""
+        if self._worker is not None:
+            self._worker.close(ENDING)
+
+    def truth(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where the camera really is, and how it is turned."""
+        return self._pose
+
+    def targets(self) -> np.ndarray:
+        """Where the things that were asked for really are."""
+        asked = {*self._things["targets"]}
+        places = [thing["position"] for thing in self._things["things"] if thing["id"] in asked]
+        return np.array(places, dtype=np.float64).reshape(-1, 3)
+
+    def _told_pose(self, message: Any, _: float) -> None:
+        pose = message.pose.pose
+        turned = pose.orientation
+        world_R_body = rotation_from_wxyz(np.array([turned.w, turned.x, turned.y, turned.z]))
+        place = np.array([pose.position.x, pose.position.y, pose.position.z])
+        mount = (0.0, 0.0, 0.0) if self.settings.camera is None else self.settings.camera.mount
+        self._pose = place + world_R_body @ np.asarray(mount), world_R_body
+
+    def _told_things(self, message: Any, _: float) -> None:
+        self._things = json.loads(message.data)
+
+
+def clear_start(house: House, targets: Sequence[Thing], rng: np.random.Generator) -> tuple[float, float, float] | None:
+    """A place (x, y in metres) and a heading (radians) some metres from a target, with a straight way there.
+
+    The policy goes straight, and around nothing. None if no such place was found.
+    """
+    ground = house.ground
+    for _ in range(TRIES):
+        spot = ground.sample(rng, min(ROOM, float(ground.clearance[ground.free].max())))
+        for thing in targets:
+            way = thing.centre[:2] - spot
+            far = float(np.hypot(*way))
+            if not NEAR <= far <= FAR:
+                continue
+            steps = np.arange(0.0, far - BEFORE, ground.cell / 2)[:, None] * way / far
+            if bool(ground.is_free(spot + steps).all()):
+                return float(spot[0]), float(spot[1]), float(rng.uniform(-math.pi, math.pi))
+    return None
+
+
+def _robot(line: Connection, settings: SimSettings, domain: int) -> None:
+    """The life of the process."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
+    with LiveGo2(SimulatedGo2(settings), domain, INTERFACE) as robot:
+        robot.wait_for_camera()
+        line.send(None)
+        line.recv()  # until the parent closes it

@@ -96,11 +96,8 @@ class TransformTree:
 
     def between(self, parent: str, child: str) -> list[str] | None:
         """The frames whose links lead from `child` to `parent`, in no order; None if these are not connected."""
-        up, down = self._ancestors(_named(child)), self._ancestors(_named(parent))
-        common = next((frame for frame in up if frame in down), None)
-        if common is None:
-            return None
-        return up[: up.index(common)] + down[: down.index(common)]
+        ways = self._ways(parent, child)
+        return ways and ways[0] + ways[1]
 
     def moving(self, parent: str, child: str) -> list[str]:
         """Those of `between` that move."""
@@ -119,16 +116,19 @@ class TransformTree:
 
         Moving transforms are interpolated; the newest one holds beyond its stamp.
         """
-        up, down = self._ancestors(_named(child)), self._ancestors(_named(parent))
-        common = next((frame for frame in up if frame in down), None)
-        if common is None:
+        if (ways := self._ways(parent, child)) is None:
             return None
         try:
-            below = self._climbed(up[: up.index(common)], stamp)
-            above = self._climbed(down[: down.index(common)], stamp)
+            below, above = (self._climbed(way, stamp) for way in ways)
         except EagorError:
             return None
         return composed(inverse(above), below)
+
+    def _ways(self, parent: str, child: str) -> tuple[list[str], list[str]] | None:
+        """The frames whose links lead from `child`, and from `parent`, to the first frame that both lie in."""
+        up, down = self._ancestors(_named(child)), self._ancestors(_named(parent))
+        common = next((frame for frame in up if frame in down), None)
+        return None if common is None else (up[: up.index(common)], down[: down.index(common)])
 
     def _climbed(self, frames: list[str], stamp: float) -> Transform:
         found = IDENTITY

@@ -216,27 +216,16 @@ def _marker(
 ) -> Any:
     nothing, lasting = np.zeros(0, np.uint8), time_message(LASTING)
     return message(
-        MARKER,
-        header=header(stamp, body),
-        ns=query,
-        id=number,
-        type=kind,
-        action=action,
-        pose=pose_part(np.eye(3) if turn is None else turn, place),
-        scale=vector(scale),
+        MARKER, header=header(stamp, body), ns=query, id=number, type=kind, action=action,
+        pose=pose_part(np.eye(3) if turn is None else turn, place), scale=vector(scale),
         color=message("std_msgs/msg/ColorRGBA", **dict(zip("rgba", map(float, colour), strict=True))),
         lifetime=message("builtin_interfaces/msg/Duration", sec=lasting.sec, nanosec=lasting.nanosec),
-        frame_locked=False,
-        points=list(points),
-        colors=[],
-        texture_resource="",
+        frame_locked=False, points=list(points), colors=[], texture_resource="",
         texture=message("sensor_msgs/msg/CompressedImage", header=header(0.0, ""), format="", data=nothing),
-        uv_coordinates=[],
-        text=text,
-        mesh_resource="",
+        uv_coordinates=[], text=text, mesh_resource="",
         mesh_file=message("visualization_msgs/msg/MeshFile", filename="", data=nothing),
         mesh_use_embedded_materials=False,
-    )
+    )  # fmt: skip
 
 
 class Stamps:

@@ -8,6 +8,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,32 +19,31 @@ from eagor.media import Frame, Pose
 from eagor.media.bags import Bag, split_bag
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
-from eagor.media.ros_messages import TRANSFORMS, panorama_of, stamp_of
-from eagor.media.stitching import Panoramas
-from eagor.robots.ros.camera_info import lacks_lens, told_in_bag, told_on_graph
-from eagor.robots.ros.graph import MOTION, PICTURES, TF, TF_STATIC, DdsGraph, Graph, GraphReader, find_topic, pick
+from eagor.media.ros_messages import TRANSFORMS, stamp_of
+from eagor.robots.ros.graph import (
+    MOTION,
+    PICTURES,
+    TF,
+    TF_STATIC,
+    WAITING,
+    Graph,
+    GraphReader,
+    TopicPictures,
+    find_topic,
+    joined,
+    pick,
+    told_in_bag,
+    told_on_graph,
+)
 from eagor.robots.ros.odometry import BACK, BODY, PoseReader
 
-__all__ = ["BagCamera", "BagPoses", "RosCamera", "RosPoses", "address", "apart", "bag_odometry"]
+__all__ = ["BagCamera", "BagPoses", "RosCamera", "RosPoses", "apart", "bag_odometry"]
 
 FIRST = 10.0  # seconds in which the first message has to come
 SETTLING = 1.0  # seconds for transforms that were said before to come, once a topic is found
-WAITING = 0.1  # seconds after which who waits for the first message looks whether to go on
 LATEST = 4000  # poses that wait to be taken: ten seconds at 400 per second
 BEFORE = 0.2  # seconds of poses from before anybody asks: pictures that wait are not older
 COUNTED = 1.0  # seconds between two looks at who writes the odometry
-
-
-def address(text: str) -> tuple[str | None, dict[str, Any]]:
-    """Topic and settings of a text such as ``/image?domain=3&interface=eth0``. Raises `DeviceError`."""
-    topic, _, query = text.partition("?")
-    settings: dict[str, Any] = {}
-    for pair in filter(None, query.split("&")):
-        name, _, value = pair.partition("=")
-        if name not in ("domain", "interface") or (name == "domain" and not value.isdigit()):
-            raise DeviceError(f"ros:{text}: {pair!r}; wanted ros:/topic?domain=N&interface=NAME, both optional")
-        settings[name] = int(value) if name == "domain" else value
-    return topic or None, settings
 
 
 class RosCamera:
@@ -83,33 +83,26 @@ class RosCamera:
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
-        asked, settings = address(topic or "")
+        asked, self._graph, self._own = joined(topic, domain, interface, graph)
         self.latency, self.problem, self._now = latency, None, now
         self._apart = apart(rate)
         self._changed = threading.Condition()
         self._newest: tuple[Any, float] | None = None
         self._closed, self._dropped = False, 0
         self._last, self._said = -math.inf, set[str]()
-        self._own = None if graph else DdsGraph(settings.get("domain", domain), settings.get("interface", interface))
-        self._graph: Graph = graph or self._own  # type: ignore[assignment]
         self._reader: GraphReader | None = None
         try:
             self.topic, self.kind, _ = find_topic(self._graph, PICTURES, asked, option="--image-topic", ended=ended)
             self._reader = self._graph.subscribe(self.topic, self.kind, self._received, depth=5)
-            first = self._first(wait, ended)
-            picture = panorama_of(first)
-            self.frame: str = first.header.frame_id
-            if info is not None or lacks_lens(picture, rig, camera):
-                told = told_on_graph(self._graph, self.topic, info, wait, ended)
-                if told is not None:
-                    camera, self.frame = told.camera, self.frame or told.frame
-            self._panoramas = Panoramas(((picture.shape[1], picture.shape[0]),), rig, rows, self.topic, camera)
-            self._panoramas.check(picture)
+            self._pictures = TopicPictures(
+                self._first(wait, ended), self.topic, rows, rig, camera, info,
+                lambda: told_on_graph(self._graph, self.topic, info, wait, ended),
+            )  # fmt: skip
         except BaseException:
             self.close()
             raise
-        self._size = picture.shape
-        self.grid, self.unseen = self._panoramas.grid, self._panoramas.unseen
+        self.frame = self._pictures.frame
+        self.grid, self.unseen = self._pictures.panoramas.grid, self._pictures.panoramas.unseen
 
     @property
     def dropped(self) -> int:
@@ -120,13 +113,7 @@ class RosCamera:
             received, when = taken
             try:
                 stamp = self._stamp(received, when)
-                picture = panorama_of(received)
-                if picture.shape != self._size:
-                    raise DeviceError(
-                        f"it is {picture.shape[1]} x {picture.shape[0]}, and the first was {self._size[1]} x "
-                        f"{self._size[0]}: another camera or mode? Set it back, or start again"
-                    )
-                panorama = self._panoramas.make(picture)
+                panorama = self._pictures.panorama(received, ": another camera or mode? Set it back, or start again")
             except EagorError as error:
                 self._dropped += 1
                 self.problem = f"{self.topic}: a picture is left out: {error}"
@@ -138,7 +125,7 @@ class RosCamera:
             if 0 < stamp - self._last < self._apart:
                 continue
             self._last, self.problem = stamp, None
-            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s", self._panoramas.view)
+            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s", self._pictures.panoramas.view)
 
     def close(self) -> None:
         with self._changed:
@@ -214,13 +201,11 @@ class RosPoses:
         wait: float = FIRST,
         ended: Callable[[], bool] = lambda: False,
     ) -> None:
-        asked, settings = address(topic or "")
+        asked, self._graph, self._own = joined(topic, domain, interface, graph)
         self._changed = threading.Condition()
         self._poses: deque[Pose] = deque(maxlen=LATEST)
         self._error: DeviceError | None = None
         self._closed, self._counted, self.dropped = False, 0.0, 0
-        self._own = None if graph else DdsGraph(settings.get("domain", domain), settings.get("interface", interface))
-        self._graph: Graph = graph or self._own  # type: ignore[assignment]
         self._readers: list[GraphReader] = []
         self._main: GraphReader | None = None  # messages come before it is there
         try:
@@ -231,10 +216,10 @@ class RosPoses:
             )
             subscribe = self._graph.subscribe
             self._readers.append(
-                subscribe(TF_STATIC, TRANSFORMS, self._fixed, reliable=True, depth=100, transient=True)
+                subscribe(TF_STATIC, TRANSFORMS, partial(self._moved, True), reliable=True, depth=100, transient=True)
             )
             if self.kind != TRANSFORMS:
-                self._readers.append(subscribe(TF, TRANSFORMS, self._moved, depth=100))
+                self._readers.append(subscribe(TF, TRANSFORMS, partial(self._moved, False), depth=100))
                 self._settle(ended)
             self._main = subscribe(self.topic, self.kind, self._received, depth=100)
             self._readers.append(self._main)
@@ -278,11 +263,8 @@ class RosPoses:
         if self._own is not None:
             self._own.close()
 
-    def _fixed(self, message: Any, _: float) -> None:
-        self._take(lambda: self.reader.transforms(message, True))
-
-    def _moved(self, message: Any, _: float) -> None:
-        self._take(lambda: self.reader.transforms(message, False))
+    def _moved(self, fixed: bool, message: Any, _: float) -> None:
+        self._take(lambda: self.reader.transforms(message, fixed))
 
     def _received(self, message: Any, _: float) -> None:
         self._take(lambda: self.reader.take(message))
@@ -385,19 +367,13 @@ class BagCamera:
         if first is None:
             raise FormatError(f"{self.bag.path} has no message on {self.topic}")
         self.begins = self._stamp(first[3], first[0])
-        self.frame: str = first[3].header.frame_id
-        picture = panorama_of(first[3])
-        self._size = picture.shape
-        if info is not None or lacks_lens(picture, rig, camera):
-            told = told_in_bag(self.bag, self.topic, info)
-            if told is not None:
-                camera, self.frame = told.camera, self.frame or told.frame
+        self._pictures = TopicPictures(
+            first[3], f"{self.topic} of {bag}", rows, rig, camera, info,
+            lambda: told_in_bag(self.bag, self.topic, info),
+        )  # fmt: skip
+        self.frame, camera, made = self._pictures.frame, self._pictures.camera, self._pictures.panoramas
         self.lens = camera if camera is not None and camera.known else None
-        self._panoramas = Panoramas(
-            ((picture.shape[1], picture.shape[0]),), rig, rows, f"{self.topic} of {bag}", camera
-        )
-        self._panoramas.check(picture)
-        self.grid, self.unseen, self.view = self._panoramas.grid, self._panoramas.unseen, self._panoramas.view
+        self.grid, self.unseen, self.view = made.grid, made.unseen, made.view
 
     def __iter__(self) -> Iterator[Frame]:
         for stamp, read in self.pictures():
@@ -408,7 +384,7 @@ class BagCamera:
                     warnings.warn(f"a picture of {self.topic} is left out: {error}", UserWarning, stacklevel=2)
                 self.dropped += 1
                 continue
-            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s", self._panoramas.view)
+            yield Frame(stamp, panorama, f"{self.topic} at {stamp:.3f} s", self.view)
 
     def pictures(self) -> Iterator[tuple[float, Any]]:
         """Stamp of each picture, in order of time, and a function that gives the panorama or raises `ImageError`."""
@@ -430,18 +406,10 @@ class BagCamera:
             if stamp < last + self._apart:
                 continue
             last = stamp
-            yield stamp, lambda received=received: self._panorama(received)
+            yield stamp, lambda received=received: self._pictures.panorama(received)
 
     def close(self) -> None:
         self._closed = True
-
-    def _panorama(self, received: Any) -> Any:
-        picture = panorama_of(received)
-        if picture.shape != self._size:
-            raise FormatError(
-                f"it is {picture.shape[1]} x {picture.shape[0]}, and the first was {self._size[1]} x {self._size[0]}"
-            )
-        return self._panoramas.make(picture)
 
     def _stamp(self, received: Any, when: float) -> float:
         stamp = stamp_of(received)

@@ -14,20 +14,8 @@ import numpy as np
 from eagor._checks import above, require, whole, within
 
 __all__ = [
-    "STILL",
-    "Body",
-    "CommandResponse",
-    "Fault",
-    "Inputs",
-    "Limits",
-    "Rhythm",
-    "Velocity",
-    "faults_of",
-    "heard",
-    "look_age",
-    "picture_age",
-    "responded",
-    "stamp_of",
+    "STILL", "Body", "CommandResponse", "Fault", "Inputs", "Limits", "Rhythm", "Velocity", "faults_of", "heard",
+    "look_age", "picture_age", "responded", "stamp_of",
 ]  # fmt: skip
 
 INTERVALS, LEAST = 3, 0.5  # usual intervals that may pass since the newest look; seconds that are always allowed

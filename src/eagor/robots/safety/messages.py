@@ -1,8 +1,10 @@
-"""What a program and the guard's process tell each other, in lines that a torn write cannot confuse.
+"""What a program and the guard's process tell each other, in lines that a torn write cannot confuse; and the switch.
 
 The process is told its `GuardSettings` when it starts, and then again and again all that the program knows
 (`inputs_from`). It answers with a `GuardState` after every step of the gate. A line is a checksum, then JSON. One that
 is cut, joined with another or damaged fails its checksum and is dropped; the next line break starts anew.
+
+The robot moves only while somebody holds the dead-man switch.
 """
 
 from __future__ import annotations
@@ -11,35 +13,34 @@ import json
 import math
 import os
 import select
+import sys
 import time
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
-from eagor.robots.safety.deadman import Deadman
+from eagor.errors import DeviceError
 from eagor.robots.safety.gate import Mode, Output
 from eagor.robots.safety.limits import Body, Inputs, Limits, Velocity, stamp_of
 
 __all__ = [
-    "LONGEST",
-    "REASONS",
-    "WORDS",
-    "GateClient",
-    "GuardSettings",
-    "GuardState",
-    "LineReader",
-    "as_line",
-    "cut",
-    "inputs_from",
-    "read_now",
-    "write_now",
+    "DEADMEN", "LONGEST", "REASONS", "WORDS", "Deadman", "GateClient", "GuardSettings", "GuardState", "HeldKey", "Keys",
+    "LineReader", "Terminal", "as_line", "checked_deadman", "cut", "inputs_from", "read_now", "write_now",
 ]  # fmt: skip
 
 LONGEST = select.PIPE_BUF  # bytes: a pipe takes so many as a whole, or not at all (POSIX)
 REASONS, WORDS = 5, 150  # faults, and as many remarks, that are passed on; bytes of each
 _CHUNK = 65536
+
+Deadman = Literal["key", "remote", "none"]
+DEADMEN: dict[str, str] = {
+    "key": "hold the space bar in this terminal; x stops for good, r releases that",
+    "remote": "hold L1 on the robot's remote control; B stops for good, start releases that",
+    "none": "nobody holds anything: only for a simulated robot",
+}
 
 
 @dataclass(frozen=True)
@@ -123,16 +124,11 @@ class GuardState:
         """After a step of the gate at `now`; `body`: the robot's state then; `problem`: of the last command."""
         seen = {} if body is None else {name: getattr(body, name) for name in ("roll", "pitch", "speed", "turn")}
         return cls(
-            now,
-            output.mode,
-            output.send if isinstance(output.send, Velocity) else None,
-            output.would if isinstance(output.would, Velocity) else None,
-            stops,
+            now, output.mode, output.send if isinstance(output.send, Velocity) else None,
+            output.would if isinstance(output.would, Velocity) else None, stops,
             tuple((fault.name, fault.words) for fault in output.faults),
-            output.remarks + ((problem,) if problem else ()),
-            posture=posture,
-            **seen,
-        )
+            output.remarks + ((problem,) if problem else ()), posture=posture, **seen,
+        )  # fmt: skip
 
     def as_message(self) -> dict[str, Any]:
         """For a line: with the first reasons, shortened."""
@@ -187,13 +183,9 @@ class GateClient(ABC):
         """
         now = time.monotonic()
         self._say(
-            image=stamp_of(now, image_age),
-            pose=stamp_of(now, pose_age),
-            belief=stamp_of(now, belief_age),
-            presence=presence,
-            stated=tuple(faults),
-            heartbeat=now,
-        )
+            image=stamp_of(now, image_age), pose=stamp_of(now, pose_age), belief=stamp_of(now, belief_age),
+            presence=presence, stated=tuple(faults), heartbeat=now,
+        )  # fmt: skip
 
     def pose(self, age: float) -> None:
         """A pose that was true `age` seconds ago has come; between two calls of `status`."""
@@ -269,3 +261,113 @@ def write_now(fd: int, line: bytes) -> bool:
         return os.write(fd, line) == len(line)
     except BlockingIOError:
         return False
+
+
+# --- the dead-man switch ----------------------------------------------------------------------------------------------
+
+# A terminal tells of a held key by repeating it: after 0.25 to 0.7 s the first time, then 10 to 35 times a second.
+REPEAT = 0.2  # seconds: a key that does not come again within this time is released
+HOLD, EMERGENCY, RELEASE = b" ", b"xX", b"rR"
+
+
+class HeldKey:
+    """Whether a key is held, from the times at which a terminal says it. Held counts from the first repeat on."""
+
+    def __init__(self, repeat: float = REPEAT) -> None:
+        self.repeat = repeat
+        self._last: float | None = None
+        self._repeats = False
+
+    def press(self, now: float) -> None:
+        """The key came once, at `now` (seconds)."""
+        self._repeats = self._last is not None and now - self._last <= self.repeat
+        self._last = now
+
+    def held(self, now: float) -> bool:
+        return self._repeats and self._last is not None and now - self._last <= self.repeat
+
+
+class Keys:
+    """The keys of the terminal of this process, as they come; a context manager. Ctrl-C still interrupts.
+
+    Raises `DeviceError` if there is no terminal.
+    """
+
+    def __init__(self) -> None:
+        try:
+            self._fd = os.open("/dev/tty", os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        except OSError as error:
+            raise DeviceError(
+                f"there is no terminal to hold a key in ({error.strerror}): take --deadman remote, or start it from one"
+            ) from error
+        self._before: list[Any] | None = None
+
+    def __enter__(self) -> Keys:
+        import termios
+        import tty
+
+        self._before = termios.tcgetattr(self._fd)
+        tty.setcbreak(self._fd)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import termios
+
+        if self._before is not None:
+            with suppress(termios.error, OSError):
+                termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
+        os.close(self._fd)
+
+    def read(self) -> bytes:
+        """The keys since the last call."""
+        with suppress(BlockingIOError, OSError):
+            return os.read(self._fd, 1024)
+        return b""
+
+
+class Terminal:
+    """How the terminal was set, to set it so again where the process that reads keys was killed."""
+
+    def __init__(self) -> None:
+        self._before: list[Any] | None = None
+        with self._open() as fd:
+            if fd is not None:
+                import termios
+
+                self._before = termios.tcgetattr(fd)
+
+    def restore(self) -> None:
+        """Set it as it was."""
+        with self._open() as fd:
+            if fd is not None and self._before is not None:
+                import termios
+
+                with suppress(termios.error):
+                    termios.tcsetattr(fd, termios.TCSANOW, self._before)
+
+    @contextmanager
+    def _open(self) -> Iterator[int | None]:
+        """The terminal; None if there is none, which the process that reads keys says."""
+        try:
+            fd = os.open("/dev/tty", os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        except OSError:
+            yield None
+            return
+        try:
+            yield fd
+        finally:
+            os.close(fd)
+
+
+def checked_deadman(deadman: str, armed: bool, interface: str | None) -> Deadman:
+    """`deadman`, if it can be had here. Raises `DeviceError` otherwise."""
+    if deadman not in DEADMEN:
+        raise DeviceError(f"dead-man switch {deadman!r}; wanted one of {', '.join(DEADMEN)}")
+    if armed and deadman == "none" and interface != "lo":
+        raise DeviceError(
+            f"no dead-man switch, but {interface or 'an automatic interface'} may lead to a real robot: take key or "
+            "remote (none is for a simulated robot on the interface lo)"
+        )
+    if armed and deadman == "key" and not sys.platform.startswith(("linux", "darwin")):
+        raise DeviceError("keys cannot be held in a terminal of this system: take --deadman remote")
+    return deadman  # type: ignore[return-value]

@@ -24,9 +24,7 @@ from eagor.robots.safety.messages import GateClient, GuardState
 from eagor.sphere import azimuth_elevation, heading
 from eagor.tracking.estimate import Estimate, Status
 
-__all__ = [
-    "Doing", "Odometer", "Sight", "Steering", "Step", "Walk", "WalkSettings", "Wish", "steer", "walk",
-]  # fmt: skip
+__all__ = ["Doing", "Odometer", "Sight", "Steering", "Step", "Walk", "WalkSettings", "Wish", "steer", "walk"]
 
 Doing = Literal["searching", "turning", "walking", "arrived", "holding"]
 STEEP = math.radians(70)  # of elevation: beyond, an azimuth says little about where to go
@@ -110,9 +108,7 @@ class Sight:
             far = estimate.distance, estimate.distance_spread
         distance, spread = (None, None) if far is None or estimate.azimuth is None else far
         yaw = heading(estimate.world_R_body)
-        return cls(
-            estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation, distance, spread, xy, yaw
-        )  # fmt: skip
+        return cls(estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation, distance, spread, xy, yaw)
 
     @property
     def ground(self) -> float | None:
@@ -197,7 +193,7 @@ def _wish(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[Walk, Wish
     if sight.elevation is not None and abs(sight.elevation) > STEEP:
         where = "above" if sight.elevation > 0 else "below"
         return state, Wish(STILL, "arrived", f"the thing is right {where} the camera")
-    turn = _clipped(settings.turn_gain * sight.azimuth, settings.turn)
+    turn = min(max(settings.turn_gain * sight.azimuth, -settings.turn), settings.turn)
     away = abs(sight.azimuth)
     if away > (settings.cone if state.doing == "walking" else settings.ahead):
         # What was in the way may not be on the new heading.
@@ -224,10 +220,8 @@ def _speed(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[float, st
     if not _known(settings, sight) or sight.ground is None or sight.spread is None:
         if state.blind >= settings.blind:
             return 0.0, f"the distance is still not known after {settings.blind:g} m: it stands"
-        return (
-            settings.blind_speed,
-            f"it walks slowly: the distance is not known ({settings.blind - state.blind:.1f} m left)",
-        )
+        more = settings.blind - state.blind
+        return settings.blind_speed, f"it walks slowly: the distance is not known ({more:.1f} m left)"
     left = sight.ground - settings.distance
     least = sight.ground * math.exp(-sight.spread)
     told = f"{sight.ground:.1f} m (68 %: {least:.1f} to {sight.ground * math.exp(sight.spread):.1f} m)"
@@ -236,13 +230,8 @@ def _speed(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[float, st
     if left <= (settings.again if state.doing == "arrived" else 0.0):
         return 0.0, f"it is there: {told}"
     # The cautious distance sets the speed, the likely one where to stop.
-    return max(
-        min(settings.speed, settings.speed_gain * (least - settings.distance)), settings.slowest
-    ), f"it walks: {told}"
-
-
-def _clipped(value: float, most: float) -> float:
-    return min(max(value, -most), most)
+    speed = min(settings.speed, settings.speed_gain * (least - settings.distance))
+    return max(speed, settings.slowest), f"it walks: {told}"
 
 
 @dataclass(frozen=True, eq=False)

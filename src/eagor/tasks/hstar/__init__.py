@@ -8,14 +8,6 @@ from eagor.tasks.hstar.data import Episode, read_episodes
 from eagor.tasks.hstar.rules import Action, Reply, View, Window, parse_action, render_view, submit_succeeds, window_of
 
 __all__ = [
-    "Action",
-    "Episode",
-    "Reply",
-    "View",
-    "Window",
-    "parse_action",
-    "read_episodes",
-    "render_view",
-    "submit_succeeds",
+    "Action", "Episode", "Reply", "View", "Window", "parse_action", "read_episodes", "render_view", "submit_succeeds",
     "window_of",
-]
+]  # fmt: skip

@@ -9,12 +9,11 @@ the first ``*.jpg``. As in the published environment, ``.PNG`` and ``.jpeg`` are
 from __future__ import annotations
 
 import io
-import json
 import random
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -23,10 +22,11 @@ import numpy as np
 
 from eagor._files import most_unpacked
 from eagor._json import number, parsed, shown
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.tasks.benchmark import picture_size
 from eagor.tasks.hstar.rules import FARTHEST, View, level_of, window_of
+from eagor.tasks.rules import as_dict
 
 Kind = Literal["hos", "hps"]
 Box = tuple[tuple[float, float], tuple[float, float] | None]  # yaw and pitch, from and to, degrees
@@ -119,7 +119,7 @@ class Episode:
 
     def as_json(self) -> dict[str, Any]:
         """Plain JSON, for `from_json`."""
-        return json.loads(json.dumps(asdict(self)))
+        return as_dict(self)
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> Episode:

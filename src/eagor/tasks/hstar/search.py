@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import above, require, whole, within
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.belief import Belief
 from eagor.belief.information import even_and_usual, information
 from eagor.evidence import Evidence

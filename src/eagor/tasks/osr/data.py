@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from eagor._json import parsed, shown
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import FormatError
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS, layout_of, mirrored, swapped
 

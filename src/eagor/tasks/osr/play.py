@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import EagorError
 from eagor.perception.vlm import IMAGE, Chat, Message
 from eagor.tasks.benchmark import case_seed

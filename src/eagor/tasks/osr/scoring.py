@@ -346,20 +346,11 @@ def _compared(there: dict[str, list[list[int]]], said: dict[str, list[list[int]]
     right = int(sum(each["tp"] for each in categories.values()))
     absent = tuple(sorted({*said} - {*there}))
     return MapScore(
-        right / named,
-        right / true,
-        _f1(right, named, true),
-        _f1(right, sum(len(said[name]) for name in common), sum(len(there[name]) for name in common)),
-        right,
-        named - right,
-        true - right,
-        total / pairs,
-        len(absent) / len(said),
-        sum(len(said[name]) for name in absent) / named,
-        absent,
-        rotation,
-        categories,
-    )
+        right / named, right / true, _f1(right, named, true),
+        _f1(right, sum(len(said[name]) for name in common), sum(len(there[name]) for name in common)), right,
+        named - right, true - right, total / pairs, len(absent) / len(said),
+        sum(len(said[name]) for name in absent) / named, absent, rotation, categories,
+    )  # fmt: skip
 
 
 def _f1(right: int, named: int, true: int) -> float:

@@ -136,18 +136,10 @@ def _made_of(things: Sequence[Thing], rooms: Sequence[Room], source: str, facts:
     counts = [len(part.triangles) for thing in things for part in thing.parts]
     owners = np.repeat(np.arange(len(things)), [len(thing.parts) for thing in things])
     return Scene(
-        whole.vertices,
-        whole.triangles,
-        np.repeat(owners, counts).astype(np.int32),
-        np.repeat(looks, counts).astype(np.int32),
-        whole.uv,
-        tuple(instances),
-        tuple(materials),
-        tuple(rooms),
-        tuple(lamp for thing in things for lamp in thing.lamps),
-        source=source,
-        facts=facts,
-    )
+        whole.vertices, whole.triangles, np.repeat(owners, counts).astype(np.int32),
+        np.repeat(looks, counts).astype(np.int32), whole.uv, tuple(instances), tuple(materials), tuple(rooms),
+        tuple(lamp for thing in things for lamp in thing.lamps), source=source, facts=facts,
+    )  # fmt: skip
 
 
 def generate(seed: int) -> Scene:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.worlds.apartment.families import FAMILIES, Layout, Rectangle
 from eagor.worlds.scene import Room

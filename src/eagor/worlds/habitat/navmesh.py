@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.worlds.ground import BESIDE, STOREY, Ground, checked_goals, largest_area
 from eagor.worlds.habitat.simulator import Frames, import_habitat

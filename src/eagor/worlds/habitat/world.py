@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._lazy import lazy
+from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.worlds import World, WorldOf
 from eagor.worlds.habitat.navmesh import LEVEL, NavMesh, Storey, main_storey

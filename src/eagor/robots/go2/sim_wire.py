@@ -1,32 +1,39 @@
-"""A simulated Go2 on DDS in real time: the topics, services and faults of a real one's wire, and the truth beside.
+"""The wire of a simulated Go2: how it delays and loses messages, and a body on DDS in real time.
 
-Programs of Unitree's SDK that command motors release the mode of motion first, or switch off ``sport_mode``; the joints
-are limp then, and nobody answers commands to walk until a mode is selected again.
+`Go2Server` has the topics, services and faults of a real one's wire, and the truth beside. Programs of Unitree's SDK
+that command motors release the mode of motion first, or switch off ``sport_mode``; the joints are limp then, and nobody
+answers commands to walk until a mode is selected again.
 """
 
 from __future__ import annotations
 
+import heapq
+import itertools
 import json
+import math
 import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self
 
 import numpy as np
 
+from eagor._checks import require, stretch, within
 from eagor.errors import DeviceError
+from eagor.media import Pose
 from eagor.robots.dds import Link
-from eagor.robots.go2.plant import LIMP, Motion, Plant
-from eagor.robots.go2.sim import SimulatedGo2, SimulatedWire, WireSettings, odometry_of, sport_fields
-from eagor.robots.go2.sim_pictures import CAMERA_TOPIC, Moment, PictureProcess
+from eagor.robots.go2.plant import GRAVITY, LIFT, LIMP, WALKING, Motion, Plant
 from eagor.robots.go2.sport import API_VERSION, Avoid, Sport, checked_velocity
-from eagor.robots.go2.state import SOURCES, Remote
-from eagor.robots.go2.wire import LowFields, raw
+from eagor.robots.go2.state import LowFields, Remote, SportFields, raw
 
-__all__ = ["SERVICES", "TRUTH", "TRUTH_THINGS", "VERSIONS", "Go2Server", "LiveGo2", "ServiceError", "ServiceSwitches"]
+__all__ = [
+    "SERVICES", "TRUTH", "VERSIONS", "Go2Server", "ServiceError", "ServiceSwitches", "SimulatedWire", "WireSettings",
+    "odometry_of", "sport_fields",
+]  # fmt: skip
 
 VERSIONS = {
     "sport": "1.0.0.1", "obstacles_avoid": "1.0.0.2", "robot_state": "1.0.0.1", "motion_switcher": "1.0.0.1",
@@ -35,19 +42,111 @@ MOTION_MODES = ("normal", "ai", "mcf", "advanced")  # of motion; the first is on
 # Names of services, and whether they are protected from being switched off.
 SERVICES = {"sport_mode": False, "obstacles_avoid": False, "robot_state": True, "motion_switcher": True}
 WALKS = {"sport": "sport_mode", "obstacles_avoid": "obstacles_avoid"}  # the service behind a topic
-NOT_KNOWN = 3203
+NOT_KNOWN, NOT_UNDERSTOOD = 3203, 3204
 SWITCH_FAILED, MODE_NOT_KNOWN = 5201, 7004
 PROTECTED = 5  # status of a service that cannot be switched
 
 TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry): no robot has this topic
 SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
-NOT_UNDERSTOOD = 3204
 KEPT = 1000  # requests
 LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
 
-TRUTH_THINGS = f"{TRUTH}/things"  # std_msgs/String: JSON of all things and where they are; no robot has this topic
-LISTENING = 1.0  # seconds to hear whether another robot is there
-THINGS_EVERY = 0.2  # seconds
+
+@dataclass(frozen=True)
+class WireSettings:
+    """How a simulated Go2's wire behaves.
+
+    `clock_offset`: seconds by which the robot's clock is ahead of this machine's at first; `clock_drift`: seconds per
+    second by which it gains. `drop`: share of messages that get lost, in both directions. `delay`: from and to how many
+    seconds messages take. `short`: states without the planned path. `battery`: per cent at the start.
+    """
+
+    clock_offset: float = 0.0
+    clock_drift: float = 0.0
+    drop: float = 0.0
+    delay: tuple[float, float] = (0.0, 0.0)
+    short: bool = False
+    battery: int = 87
+
+    def __post_init__(self) -> None:
+        require(
+            self,
+            {
+                "clock_offset": (within(self.clock_offset, -1e8, 1e8), "seconds"),
+                "clock_drift": (within(self.clock_drift, -0.01, 0.01), "at most 0.01 s per second"),
+                "drop": (within(self.drop, 0, 1), "a share, 0 to 1"),
+                "delay": (stretch(self.delay, 0, 10), "seconds (from, to), at most 10"),
+                "battery": (within(self.battery, 0, 100), "0 to 100"),
+            },
+            DeviceError,
+        )
+
+    def robot_time(self, host: float, seconds: float) -> float:
+        """The robot's clock at `host` on ours, `seconds` after its start."""
+        return host + self.clock_offset + self.clock_drift * seconds
+
+
+class SimulatedWire:
+    """What is on its way to or from a simulated robot; `rng` draws what gets lost, and how long the rest takes.
+
+    Not for several threads.
+    """
+
+    def __init__(self, settings: WireSettings, rng: np.random.Generator) -> None:
+        self.settings, self._rng = settings, rng
+        self._numbers = itertools.count()
+        self._late: list[tuple[float, int, Any]] = []
+
+    def loses(self) -> bool:
+        """Whether the next message gets lost."""
+        return self.settings.drop > 0 and bool(self._rng.random() < self.settings.drop)
+
+    def delay(self) -> float:
+        """Seconds that the next message takes."""
+        low, high = self.settings.delay
+        return float(self._rng.uniform(low, high)) if high > 0 else 0.0
+
+    def put(self, when: float, message: Any) -> None:
+        """A message that arrives then."""
+        heapq.heappush(self._late, (when, next(self._numbers), message))
+
+    def arrived(self, now: float) -> Iterator[tuple[float, Any]]:
+        """What has arrived by now, in order, each with its time; it is taken away."""
+        while self._late and self._late[0][0] <= now:
+            when, _, message = heapq.heappop(self._late)
+            yield when, message
+
+
+def sport_fields(motion: Motion, stamp: float, error_code: int = 0) -> SportFields:
+    """The state message of a body that moves so, at `stamp` seconds of the robot's clock."""
+    pose = motion.pose
+    assert pose.position is not None
+    (m00, _, _), (m10, _, _), (m20, m21, m22) = pose.world_R_body.tolist()
+    roll, pitch, yaw = math.atan2(m21, m22), -math.asin(max(-1.0, min(1.0, m20))), math.atan2(m10, m00)
+    second = math.floor(stamp)
+    return SportFields(
+        second, min(int(1e9 * (stamp - second)), 999_999_999), error_code, _wxyz(roll, pitch, yaw),
+        tuple(motion.rates.tolist()), (GRAVITY * m20, GRAVITY * m21, GRAVITY * m22), (roll, pitch, yaw), motion.mode,
+        gait_type=1 if motion.mode == WALKING else 0, foot_raise_height=LIFT, position=tuple(pose.position.tolist()),
+        body_height=float(pose.position[2]), velocity=tuple(motion.velocity.tolist()), yaw_speed=motion.yaw_rate,
+    )  # fmt: skip
+
+
+def _wxyz(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion of a body turned by `yaw`, then `pitch`, then `roll`: half angles, multiplied out."""
+    a, b, c = math.cos(roll / 2), math.cos(pitch / 2), math.cos(yaw / 2)
+    x, y, z = math.sin(roll / 2), math.sin(pitch / 2), math.sin(yaw / 2)
+    return a * b * c + x * y * z, x * b * c - a * y * z, a * y * c + x * b * z, a * b * z - x * y * c
+
+
+def odometry_of(motion: Motion, stamp: float, frame: str = "odom") -> Any:
+    """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
+    from eagor.media.ros_messages import odometry_message
+
+    pose = Pose(stamp, motion.pose.world_R_body, motion.pose.position)
+    return odometry_message(
+        pose, frame, velocity=pose.world_R_body.T @ motion.velocity, turning=np.asarray(motion.rates)
+    )
 
 
 class ServiceError(Exception):
@@ -333,119 +432,3 @@ class Go2Server:
             due = [*self._way.arrived(time.monotonic())]
         for _, send in due:
             send()
-
-
-class LiveGo2:
-    """`robot` on DDS domain `domain`, in real time; a context manager.
-
-    Raises `DeviceError` if a robot, real or simulated, already speaks there: commands would reach both.
-    """
-
-    def __init__(self, robot: SimulatedGo2, domain: int = 0, interface: str | None = "lo") -> None:
-        from eagor.media.ros_messages import TEXT
-
-        self.robot = robot
-        self.pictures: PictureProcess | None = None
-        self._told = 0.0
-        self._broken = False
-        self.link = Link(domain, interface)
-        try:
-            self._alone()
-            settings = robot.settings
-            if settings.world is not None and settings.camera is not None:
-                self.pictures = PictureProcess(settings.world, settings.seed, settings.camera, domain, interface)
-            self._things = self.link.publish(TRUTH_THINGS, TEXT, transient=True, depth=1)
-            self.server = Go2Server(
-                robot.plant, self.link, settings.wire, rng=robot.wire_rng, every_step=self._every_step
-            )
-        except BaseException:
-            self.close()
-            raise
-
-    def __enter__(self) -> Self:
-        try:
-            self.robot.begun = time.time() - self.robot.plant.seconds
-            self.server.__enter__()
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the robot, its camera and its place on the network. May be called twice."""
-        if (server := getattr(self, "server", None)) is not None:
-            server.close()
-        if self.pictures is not None:
-            self.pictures.close()
-            self.pictures = None
-        self.link.close()
-
-    def wait_for_camera(self) -> None:
-        """Wait until pictures come. Raises `DeviceError` if they cannot."""
-        if self.pictures is not None:
-            self.pictures.wait()
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """The topics for other programs, in words."""
-        found = {
-            "rt/sportmodestate": "state, 200 per second",
-            "rt/lf/sportmodestate": "state, 20 per second",
-            "rt/utlidar/robot_odom": "odometry (nav_msgs/Odometry), 20 per second",
-            "rt/lowstate": "battery, remote control, 200 per second",
-            "rt/lf/lowstate": "battery, remote control, 20 per second",
-            "rt/api/sport/request": "commands",
-            "rt/api/obstacles_avoid/request": "commands that heed obstacles",
-        }
-        camera = self.robot.settings.camera
-        if camera is not None and self.robot.house is not None:
-            what = "both fisheyes" if camera.kind == "fisheye" else "panorama"
-            wide, high = camera.size
-            found[CAMERA_TOPIC] = f"camera ({what}, {wide} x {high}, JPEG), {camera.rate:g} per second"
-        found[TRUTH] = "the true pose, which no robot has"
-        if self.robot.house is not None:
-            found[TRUTH_THINGS] = "the true places of things, which no robot has"
-        return found
-
-    def _alone(self) -> None:
-        taken = self.link.topics(LISTENING)
-        if there := sorted({*SOURCES.values()} & {*taken}):
-            where = f"domain {self.link.domain} on {self.link.interface or 'an automatic interface'}"
-            raise DeviceError(
-                f"a robot already speaks on DDS {where} ({', '.join(there)}), and commands would reach both: take "
-                "another --domain, or end the other one if it is simulated"
-            )
-
-    def _every_step(self, motion: Motion, host: float) -> None:
-        """In the server's thread: offer a picture if one is due, tell where things are."""
-        if self.pictures is not None and not self._broken and self.robot.picture_due():
-            self._offer(motion, host)
-        if self.robot.house is not None and host - self._told >= THINGS_EVERY:
-            from eagor.media.ros_messages import text_message
-
-            if self._told == 0.0 or self.robot.house.ball is not None:
-                self._things.write(text_message(json.dumps(self._truth(host))))
-            self._told = host
-
-    def _offer(self, motion: Motion, host: float) -> None:
-        camera, house = self.robot.settings.camera, self.robot.house
-        assert camera is not None
-        assert house is not None
-        assert self.pictures is not None
-        ball = None if house.ball is None else house.ball.at(motion.pose.stamp)
-        try:
-            self.pictures.offer(Moment(host, camera.pose(motion.pose), ball))
-        except DeviceError as error:
-            self._broken = True
-            warnings.warn(str(error), stacklevel=2)
-
-    def _truth(self, host: float) -> dict[str, Any]:
-        things = [
-            {"id": each.id, "category": each.category, "colour": each.colour, "position": each.centre.round(4).tolist()}
-            for each in self.robot.things()
-        ]
-        targets = [thing.id for thing in self.robot.targets]
-        return {"stamp": host, "target": self.robot.settings.target, "targets": targets, "things": things}

@@ -1,4 +1,4 @@
-"""Properties that are computed at first use and cached, without a lock.
+"""Immutable values: properties that are computed at first use, altered copies, and short `repr` texts.
 
 Why not `functools.cached_property`: in Python 3.11 it holds one lock per class while it computes. Threads with
 unrelated objects then wait for each other, and two such properties that use one another can deadlock. Here, at worst,
@@ -7,9 +7,14 @@ two threads compute the same value.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+
+_LONGEST = 6  # in a repr; longer rows of numbers are cut
 
 Value = TypeVar("Value")
 Owner = TypeVar("Owner")
@@ -78,3 +83,43 @@ def state_of(owner: Any) -> dict[str, Any]:
     """The attributes of `owner` without its lazy values."""
     kind, found = type(owner), owner.__dict__.copy()
     return {name: value for name, value in found.items() if type(getattr(kind, name, None)) is not lazy}
+
+
+# --- repr: only fields that differ from the default, arrays by their shape --------------------------------------------
+
+
+def changed(self: Any) -> str:
+    """`__repr__` of a dataclass: only the fields that differ from their defaults."""
+    told = []
+    for field in fields(self):
+        value = getattr(self, field.name)
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        if field.repr and (default is MISSING or not _same(value, default)):
+            told.append(f"{field.name}={_value(value)}")
+    return f"{type(self).__name__}({', '.join(told)})"
+
+
+def where(azimuth: float, elevation: float) -> str:
+    """A direction (radians): 29° left, +6° up."""
+    side = "left" if azimuth >= 0 else "right"
+    return f"{abs(math.degrees(azimuth)):.0f}° {side}, {math.degrees(elevation):+.0f}° up"
+
+
+def _same(value: Any, default: Any) -> bool:
+    if value is default:
+        return True
+    if isinstance(value, np.ndarray) or isinstance(default, np.ndarray):
+        return np.array_equal(value, default)
+    return bool(value == default)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        if value.size <= _LONGEST:
+            return str([float(f"{number:.3g}") for number in value.reshape(-1).tolist()])
+        return f"<{' x '.join(map(str, value.shape))} numbers>"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, tuple | list) and len(value) > _LONGEST and all(isinstance(one, int | float) for one in value):
+        return f"({_value(value[0])}, {_value(value[1])}, ..., {_value(value[-1])})"
+    return repr(value)

@@ -1,0 +1,212 @@
+"""How answers read and pictures look: directions, distances and statuses in words; colours, fonts, figures.
+
+Figures are made without pyplot; matplotlib is imported for the first one.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from PIL.Image import Image
+
+    from eagor.tracking.estimate import Estimate
+
+STATUS = {
+    "searching": "it may not be here, or lie anywhere",
+    "tracking": "more likely than not it is here, within 15 degrees of the answer or half its own size",
+    "ambiguous": "it is likely here, and several directions fit",
+    "stale": "there was an answer, and nothing has been looked at for a while",
+}
+
+_SIGMAS_90 = 1.645  # standard deviations on either side that hold 90 % of a normal distribution
+
+
+def in_words(azimuth: float, elevation: float) -> str:
+    """A direction (radians, azimuth positive left) such as "64 degrees to the left, 33 degrees down".
+
+    Within 4 degrees of an axis it counts as on the axis; within 5 degrees of a pole it is only up or down.
+    """
+    side, height = round(math.degrees(math.remainder(azimuth, math.tau))), round(math.degrees(elevation))
+    if abs(height) >= 85:
+        return "straight up" if height > 0 else "straight down"
+    where, hand = abs(side), "left" if side > 0 else "right"
+    if where <= 4:
+        level = "straight ahead"
+    elif where <= 112:
+        level = f"{where} degrees to the {hand}"
+    elif where <= 157:
+        level = f"behind you, to the {hand} ({where} degrees)"
+    elif where <= 175:
+        level = f"behind you, slightly {hand} ({where} degrees)"
+    else:
+        level = "straight behind you"
+    if abs(height) <= 4:
+        return level
+    return f"{level}, {abs(height)} degrees {'up' if height > 0 else 'down'}"
+
+
+def answer_in_words(estimate: Estimate) -> str:
+    """The answer of an estimate as `in_words`, or "not known"."""
+    if estimate.azimuth is None or estimate.elevation is None:
+        return "not known"
+    return in_words(estimate.azimuth, estimate.elevation)
+
+
+def candidates_in_words(estimate: Estimate) -> str:
+    """The answer as `answer_in_words`; where it is ambiguous, with the next candidate: "straight ahead; or ..."."""
+    said = answer_in_words(estimate)
+    if estimate.status != "ambiguous" or len(estimate.modes) < 2:
+        return said
+    second = estimate.modes[1]
+    return f"{said}; or {in_words(second.azimuth, second.elevation)}"
+
+
+def sureness(estimate: Estimate) -> str:
+    """How likely it is that the thing is here, and where the answer says, such as "80 %"; the status follows from it.
+
+    That is within 15 degrees of the answer, or half its own size, where that is more. Never 0 % or 100 %.
+    """
+    return f"{min(max(round(100 * estimate.sureness), 1), 99)} %"
+
+
+def distance_in_words(distance: float | None, spread: float | None) -> str:
+    """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "-" if not even its order of magnitude is known.
+
+    `distance` is its mean in metres, `spread` the standard deviation of its logarithm, as an `Estimate` gives them. The
+    distance counts as log-normal, so its median is below its mean.
+    """
+    if distance is None or spread is None or not math.isfinite(distance * spread):
+        return "-"
+    half = _SIGMAS_90 * spread
+    if 2 * half > math.log(10):
+        return "-"
+    median = distance * math.exp(-(spread**2) / 2)
+    nearest, farthest = _rounded(median * math.exp(-half)), _rounded(median * math.exp(half))
+    return f"{nearest} m" if nearest == farthest else f"{nearest} to {farthest} m"
+
+
+def far_in_words(estimate: Estimate) -> str:
+    """The distance of the answer as `distance_in_words`; "" while searching, without positions, or if unknown."""
+    if estimate.status == "searching":
+        return ""
+    found = distance_in_words(estimate.distance, estimate.distance_spread)
+    return "" if found == "-" else found
+
+
+def signed(angle: float | None) -> str:
+    """An angle (radians) in degrees with sign and one decimal: "+62.9"; "-" for None."""
+    return "-" if angle is None else f"{math.degrees(angle):+.1f}"
+
+
+def _rounded(metres: float) -> str:
+    """Two digits, and at most one after the point from 0.1 m on."""
+    return f"{round(metres, 1):g}" if 0.1 <= metres < 10 else f"{float(f'{metres:.2g}'):g}"
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+INK, PAPER, GRID_LINE, QUIET = "#1f2430", "#ffffff", "#d8dbe2", "#5b6472"
+DESIGN = 1280  # columns that the sizes of dark pictures are for; one of another width is scaled
+DARK, WORDS, FAINT = "#12151b", "#eef1f6", "#a5aebb"  # of dark pictures: ground, words, quiet words
+# Beside matplotlib's own font, for queries in scripts that it lacks; those that are installed are used.
+FONTS = (
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen Hei", "Noto Sans Arabic", "Noto Sans Devanagari",
+    "PingFang SC", "Hiragino Sans", "Microsoft YaHei", "Arial Unicode MS",
+)  # fmt: skip
+
+
+def figure(width: int, height: int) -> Figure:
+    """An empty figure of this size in pixels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=PAPER)
+
+
+def image(drawn: Figure) -> Image:
+    """The figure as an image, RGB."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    _plain_words(drawn)
+    canvas = FigureCanvasAgg(drawn)
+    with _no_complaints():
+        canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A transparent figure that is drawn again and again, over pixels that others made."""
+
+    figure: Figure
+    renderer: Any
+
+
+def blank(width: int, height: int, dpi: float = 100) -> Sheet:
+    """A transparent figure of this size in pixels."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=((width + 0.01) / dpi, (height + 0.01) / dpi), dpi=dpi)
+    made.patch.set_visible(False)
+    return Sheet(made, FigureCanvasAgg(made).get_renderer())
+
+
+def ground(width: int, height: int) -> np.ndarray:
+    """The ground ``(height, width, 3)`` uint8 of a dark picture."""
+    pixels = np.empty((height, width, 3), dtype=np.uint8)
+    pixels[:] = [int(DARK[at : at + 2], 16) for at in (1, 3, 5)]
+    return pixels
+
+
+def over(sheet: Sheet, pixels: np.ndarray) -> np.ndarray:
+    """The figure drawn over `pixels` ``(H, W, 3)`` uint8; a new array of the same shape."""
+    buffer = np.asarray(sheet.renderer.buffer_rgba())
+    buffer[..., :3], buffer[..., 3] = pixels, 255
+    _plain_words(sheet.figure)
+    with _no_complaints():
+        sheet.figure.draw(sheet.renderer)
+    return buffer[..., :3].copy()
+
+
+@lru_cache(maxsize=1)
+def family() -> list[str]:
+    """The fonts for words from outside, such as queries."""
+    from matplotlib.font_manager import fontManager
+
+    installed = {font.name for font in fontManager.ttflist}
+    return ["DejaVu Sans", *(name for name in FONTS if name in installed)]
+
+
+def plain(axes: Axes) -> None:
+    """Unobtrusive ticks and frame."""
+    axes.tick_params(colors=INK, labelsize=9.5, length=3)
+    for spine in axes.spines.values():
+        spine.set_color("#9aa1ad")
+
+
+def _plain_words(drawn: Figure) -> None:
+    """Dollars in queries and names are not formulas."""
+    from matplotlib.text import Text
+
+    for text in drawn.findobj(Text):
+        text.set_parse_math(False)  # type: ignore[attr-defined]
+
+
+@contextmanager
+def _no_complaints() -> Iterator[None]:
+    """A character that no font has is drawn as a box; a warning for each would help nobody."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
+        yield
