@@ -35,10 +35,12 @@ theme(shell.theme, () => {
 const problems = new Problems(shell.problems);
 const stage = new Stage(store, [shell.insideView, shell.insideMarks], [shell.flatView, shell.flatMarks]);
 if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
-// A stored episode begins with a look at the answer, and the view stays with it while the camera turns and walks.
+// A stored episode begins with a look at the answer, and the view stays with it while the camera turns and walks, until
+// a person looks elsewhere.
 const player = new Player(store, shell, () => {
   stage.hold = true;
   stage.lookAt(store.direction ?? [1, 0, 0]);
+  stage.follows = true;
 });
 const panels = new Panels(store, shell, stage, (query) => {
   drafted = false;
@@ -197,7 +199,7 @@ async function connect(): Promise<void> {
   window.addEventListener("hashchange", () => enter(wanted()));
 }
 
-/** The page of one episode, without a server. */
+/** The page of one episode, without a server: it opens with its end, which is the answer; playing begins anew. */
 function replay(text: string): void {
   root.dataset.view = "export";
   shell.ask.hidden = true;
@@ -205,7 +207,7 @@ function replay(text: string): void {
     const episode = JSON.parse(text) as Episode;
     document.title = `${episode.scene.query} – ${words.title}`;
     shell.controls.append(h("p", { class: "source" }, h("strong", {}, `“${episode.scene.query}”`), ` ${episode.scene.title}`));
-    player.load(episode);
+    player.load(episode, episode.steps.length - 1);
   } catch {
     problems.tell("episode", { problem: words.problems.episode, change: words.problems.episodeChange });
   }

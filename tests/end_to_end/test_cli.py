@@ -528,7 +528,9 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     done = eagor(*words)
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) == 3
-    assert done.stderr == ""  # no progress where nobody watches
+    answer, written = done.stderr.splitlines()  # no progress where nobody watches
+    assert answer.startswith("eagor: at 1.00 s “red”: 100 degrees to the left, 29 degrees down (tracking: ")
+    assert written == f"eagor: written: {out}, {pictures}"
     entries = [json.loads(line) for line in out.read_text().splitlines()]
     assert [entry["stamp"] for entry in entries] == [0.0, 1.0]
     assert entries[-1]["distance_m"] is not None

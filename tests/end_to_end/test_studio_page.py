@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from eagor.grids import PatchGrid
-from eagor.sphere import angular_distance
+from eagor.sphere import angular_distance, direction
 from tests.studio_pages import (
     BELIEF,
     POSES,
@@ -42,7 +42,18 @@ def page(open_page: Callable[..., Watched], tmp_path_factory: pytest.TempPathFac
     found.goto(exported(tmp_path_factory.mktemp("studio") / "page.html", known_episode()).as_uri())
     found.until("window.eagorStudio?.summary.stats.firstPicture")
     found.until("window.eagorStudio.summary.peak")
+    # It opens with the answer in view: the end of the episode.
+    found.until(f"window.eagorStudio.store.now === {STEPS - 1}")
+    assert math.degrees(float(angular_distance(gaze(found), BELIEF.mode()))) < 0.5
+    found.locator("input[type=range]").first.fill("0")
+    found.until("window.eagorStudio.store.now === 0")
     return found
+
+
+def gaze(page: Watched) -> np.ndarray:
+    """Where the view looks, in the world's axes, which it holds to."""
+    told = page.summary()
+    return direction(math.radians(told["yaw_deg"]), math.radians(told["pitch_deg"]))
 
 
 def pixels(page: Watched, place: str) -> np.ndarray:

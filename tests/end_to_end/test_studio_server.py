@@ -257,8 +257,8 @@ def test_an_episode_is_played_again_with_the_recorded_figures(served, runs):
         assert step["belief"]["coefficients"]
         assert step["methods"]["eagor"]["error_deg"] == recorded
     picture = served.http.get(episode["steps"][0]["panorama"]["url"])
-    assert picture.headers["content-type"] == "image/jpeg"
-    assert Image.open(io.BytesIO(picture.content)).size == (512, 256)
+    assert picture.headers["content-type"] == "image/webp"
+    assert Image.open(io.BytesIO(picture.content)).size == (1024, 512)
     assert episode["scene"]["paths"]["vmf"]
 
 

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import eagor
+from eagor.belief.field import SphereField
+from eagor.belief.reading import Reading
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.harmonics import RealHarmonics
 from eagor.studio.density import MASS, density_of
@@ -84,6 +86,18 @@ def test_it_is_close_to_the_belief_everywhere(belief):
     _, weights, directions = estimate.posterior.parts
     off = 0.5 * float(np.abs(density(directions) * weights - estimate.posterior.mass).sum())
     assert off < 0.08  # total variation
+
+
+def test_a_narrow_peak_outside_of_all_patches_is_a_term_of_its_own():
+    grid = ErpGrid(64, 128)
+    top = eagor.sphere.direction(math.radians(-40), math.radians(-18))
+    angle = eagor.angular_distance(grid.directions, top)
+    reading = Reading(SphereField(grid, np.log(1 + 2000 * np.exp(-0.5 * (angle / math.radians(2.5)) ** 2))))
+    density = density_of(reading)
+    _, weights, directions = reading.parts
+    assert 0.5 * float(np.abs(density(directions) * weights - reading.mass).sum()) < 0.08
+    drawn = FINE.directions.reshape(-1, 3)[int(density(FINE.directions).argmax())]
+    assert math.degrees(eagor.angular_distance(drawn, top)) < 1
 
 
 def test_the_blob_holds_the_coefficients_of_all_terms(belief):

@@ -429,6 +429,7 @@ class _Run:
         self.frames = self.bad = self.looked = 0
         self.entries: list[dict[str, Any]] = []
         self.broken: str | None = None
+        self.last: FollowedFrame | None = None
 
     def add(self, result: FollowedFrame) -> None:
         """Print and count one result; frames that were not looked at are only drawn."""
@@ -445,6 +446,7 @@ class _Run:
         self.looked += len(result.evidence)
         if not result.told:
             return
+        self.last = result
         if self.options.json:
             self.entries.append(_entry(result, self.options.modes))
         else:
@@ -470,7 +472,22 @@ class _Run:
             )
         if self.bad:
             terminal.log(f"{self.bad} of {self.frames} frames were left out")
+        if not self.options.json:
+            self._say_last()
         return terminal.INCOMPLETE if self.bad or self.broken else terminal.OK
+
+    def _say_last(self) -> None:
+        """The last answer in words, and what was written."""
+        from eagor.drawing.style import STATUS, candidates_in_words
+
+        if self.last is not None:
+            estimate, at = self.last.estimate, self.last.stamp - self.begins
+            said = f"at {at:.2f} s “{self.query}”: {candidates_in_words(estimate)}"
+            terminal.log(f"{said} ({estimate.status}: {STATUS[estimate.status]})")
+        options = self.options
+        files = (options.out, options.picture, options.video, options.rerun, options.page)
+        if written := [str(each) for each in files if each is not None and each.exists()]:
+            terminal.log(f"written: {', '.join(written)}")
 
 
 Sink = Callable[["FollowedFrame"], None]

@@ -22,7 +22,7 @@ import numpy as np
 from eagor._files import written
 from eagor._version import __version__
 from eagor.drawing.step import ScenePainter
-from eagor.drawing.style import STATUS, answer_in_words, far_in_words, in_words, signed
+from eagor.drawing.style import STATUS, candidates_in_words, far_in_words, in_words, signed
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, Thinned, TimeLine, ticks
 from eagor.errors import EagorError, StorageError
 from eagor.grids import PerspectiveGrid
@@ -195,7 +195,7 @@ class BeliefPage:
         assert estimate is not None
         if last.azimuth is None:
             return "No direction is known."
-        words, far = answer_in_words(estimate), far_in_words(estimate)
+        words, far = candidates_in_words(estimate), far_in_words(estimate)
         return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
 
     def _status(self) -> str:

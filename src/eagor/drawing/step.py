@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.drawing.panorama import MASS, backdrop, heat_of, paint_marks
-from eagor.drawing.style import DESIGN, FAINT, WORDS, answer_in_words, blank, family, far_in_words, ground, over
+from eagor.drawing.style import DESIGN, FAINT, WORDS, blank, candidates_in_words, family, far_in_words, ground, over
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, TimeLine, ticks
 from eagor.drawing.view import ViewScene, wipe
 from eagor.errors import EagorError
@@ -232,7 +232,7 @@ class StepPainter:
         told += [f"presence {moment.presence:.2f}", f"{moment.stamp:.2f} s"]
         shown, known = _short(query, LONGEST_QUERY), moment.azimuth is not None
         self._words["query"].set_text(f"“{shown}”" if shown else "")
-        self._words["answer"].set_text(answer_in_words(estimate) if known else "direction not known")
+        self._words["answer"].set_text(candidates_in_words(estimate) if known else "direction not known")
         self._words["status"].set_text(estimate.status)
         self._words["status"].set_color(COLOURS[moment.status])
         self._words["rest"].set_text("   ".join(told))

@@ -63,6 +63,15 @@ def answer_in_words(estimate: Estimate) -> str:
     return in_words(estimate.azimuth, estimate.elevation)
 
 
+def candidates_in_words(estimate: Estimate) -> str:
+    """The answer as `answer_in_words`; where it is ambiguous, with the next candidate: "straight ahead; or ..."."""
+    said = answer_in_words(estimate)
+    if estimate.status != "ambiguous" or len(estimate.modes) < 2:
+        return said
+    second = estimate.modes[1]
+    return f"{said}; or {in_words(second.azimuth, second.elevation)}"
+
+
 def sureness(estimate: Estimate) -> str:
     """How likely it is that the thing is here, and where the answer says, such as "80 %"; the status follows from it.
 

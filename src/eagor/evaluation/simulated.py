@@ -45,7 +45,7 @@ EXPORTS = {
     "csv": "a row per episode and method with its figures",
     "parquet": "the same as a Parquet file (extra parquet)",
 }
-SEEN_ROWS = 256  # of panoramas of an episode that is played again, where the perception needs none
+LOGGED_ROWS = 256  # of panoramas of an episode that is logged
 
 
 @dataclass(frozen=True)
@@ -458,8 +458,8 @@ def log_case(run: LoadedRun, worst: Worst, name: str | None, path: str | Path) -
         def add(seen: Seen) -> None:
             assert isinstance(seen.method, TrackerMethod)
             log.add(
-                seen.panorama, seen.method.estimate, stamp=seen.stamp, query=case["query"], position=seen.position,
-                truth=seen.truth,
+                seen.picture(LOGGED_ROWS), seen.method.estimate, stamp=seen.stamp, query=case["query"],
+                position=seen.position, truth=seen.truth,
             )  # fmt: skip
 
         player.play(slot, [method], add)
@@ -467,10 +467,10 @@ def log_case(run: LoadedRun, worst: Worst, name: str | None, path: str | Path) -
 
 
 def player_of(run: LoadedRun, case: Mapping[str, Any]) -> tuple[Player, Slot]:
-    """What plays a case of a run again, with panoramas. Raises `EagorError` for a benchmark of still pictures."""
+    """What plays a case of a run again. Raises `EagorError` for a benchmark of still pictures."""
     if case.get("unit") is None:
         raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
-    return Player(dict(run.settings), rows=SEEN_ROWS), slot_of(case["unit"]["slot"])
+    return Player(dict(run.settings)), slot_of(case["unit"]["slot"])
 
 
 def _named(run: LoadedRun, worst: Worst, name: str | None) -> Mapping[str, Any]:

@@ -3,7 +3,8 @@
 A belief has peaks of one or two degrees on a broad ground. One set of harmonics would need a degree above 100 for that.
 So a narrow peak is a term of its own, of degree 2: the exponential of a quadratic form of the direction, a lobe that is
 elliptical and Gaussian where it is narrow (Fisher-Bingham; Mardia and Jupp, Directional Statistics, section 9.3). The
-rest of the sphere is one term of the degree that is asked for.
+rest of the sphere is one term of the degree that is asked for. Narrow peaks are those of the patches, and elsewhere
+what this term cannot follow.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import ndimage
 
-from eagor.belief.field import Patch, SphereField
+from eagor.belief.field import SphereField
 from eagor.belief.reading import Reading
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
@@ -26,7 +27,10 @@ DEGREE = 15
 LOBE = 2  # degree of a peak's term
 DEEPEST = 12.0  # nats below the highest value: what lies deeper is nothing that is seen
 LEAST = 1e-4  # of the belief: what holds less is left out
-LOBES = 3  # per patch
+LOBES = 3  # per peak
+PEAKS = 6  # outside of patches, at most
+MISSED = 0.7  # nats by which a peak is higher than the ground that is drawn: it is a term of its own
+NEAR = math.radians(10)  # from the top of such a peak to its end
 ROUNDS = 12  # of expectation maximisation
 WIDEST = 0.5  # radians: the standard deviation of a lobe at most
 MASS = 0.9  # of the region that is drawn
@@ -70,7 +74,13 @@ def density_of(reading: Reading, degree: int = DEGREE) -> Density:
     """
     _, weights, directions = reading.parts
     mass, field = reading.mass, reading.field
-    ground = _ground(field, reading.log_total, degree)
+    values = field.values - reading.log_total
+    hidden = ~field.layout.outside if field.patches else np.zeros(values.shape, dtype=bool)
+    ground = _ground(field, values, hidden, degree)
+    tops = _missed(reading, ground, degree)
+    if len(tops):
+        near = (field.grid.directions @ tops.T > math.cos(NEAR)).any(axis=-1)
+        ground = _ground(field, values, hidden | near, degree)
     under = np.exp(RealHarmonics(degree).synthesise(ground, field.grid)).reshape(-1)[_cell(field.grid, directions)]
     found = under.copy()
     terms = [_normalised(ground, degree)]
@@ -80,7 +90,16 @@ def density_of(reading: Reading, degree: int = DEGREE) -> Density:
         free &= ~own
         above = np.maximum(mass[own] - under[own] * weights[own], 0.0)
         if float(above.sum()) > LEAST:
-            for lobe in _lobes(patch, directions[own], above):
+            for lobe in _lobes(patch.frame, directions[own], above):
+                terms.append(lobe)
+                found += lobe(directions)
+    for top in tops:
+        own = (directions @ top > math.cos(NEAR)) & free
+        free &= ~own
+        above = np.maximum(mass[own] - under[own] * weights[own], 0.0)
+        if float(above.sum()) > LEAST:
+            # A cell of the field is the peak's finest detail; between cells it is linear.
+            for lobe in _lobes(_frame(top), directions[own], above, (math.pi / field.grid.height) ** 2 / 6):
                 terms.append(lobe)
                 found += lobe(directions)
     terms = [term for term in terms if term.weight > LEAST]
@@ -92,12 +111,26 @@ def density_of(reading: Reading, degree: int = DEGREE) -> Density:
     return Density(tuple(terms), float(found[order[place]] / total))
 
 
-def _ground(field: SphereField, log_total: float, degree: int) -> np.ndarray:
-    """Coefficients of the log density outside of the patches; under a patch it goes on as it is around it."""
-    values = field.values - log_total
-    if field.patches:
-        values = _filled(values, ~field.layout.outside)
+def _ground(field: SphereField, values: np.ndarray, hidden: np.ndarray, degree: int) -> np.ndarray:
+    """Coefficients of the log density `values` ``(H, W)``; where it is hidden it goes on as it is around there."""
+    if hidden.any():
+        values = _filled(values, hidden)
     return np.asarray(RealHarmonics(degree).analyse(np.maximum(values, values.max() - DEEPEST), field.grid))
+
+
+def _missed(reading: Reading, ground: np.ndarray, degree: int) -> np.ndarray:
+    """The tops ``(k, 3)`` of the peaks outside of patches that the ground does not follow."""
+    tops, _ = reading.modes(PEAKS, LEAST)
+    outside = np.ones(len(tops), dtype=bool)
+    for patch in reading.field.patches:
+        outside &= ~patch.places(tops)[1]
+    drawn = RealHarmonics(degree).synthesise(ground, tops)
+    return tops[outside & (reading.field(tops) - reading.log_total - drawn > MISSED)]
+
+
+def _frame(top: np.ndarray) -> np.ndarray:
+    """A direction ``(3,)`` and two axes of its tangent plane, as rows ``(3, 3)``."""
+    return np.concatenate([top[None], np.linalg.svd(top[None])[2][1:]])
 
 
 def _cell(grid: ErpGrid, directions: np.ndarray) -> np.ndarray:
@@ -131,18 +164,20 @@ def _fine() -> ErpGrid:
     return ErpGrid(64, 128)
 
 
-def _lobes(patch: Patch, directions: np.ndarray, mass: np.ndarray) -> list[Term]:
-    """A patch as lobes: a mixture of Gaussians on its tangent plane, by expectation maximisation."""
-    frame = patch.frame
+def _lobes(frame: np.ndarray, directions: np.ndarray, mass: np.ndarray, least: float = 1e-7) -> list[Term]:
+    """A peak as lobes: a mixture of Gaussians on its tangent plane, by expectation maximisation.
+
+    `frame`: the plane, as of a patch; `least`: of a variance.
+    """
     local = directions @ frame.T
     plane = local[:, 1:] / np.maximum(local[:, :1], 1e-6)
     weight = float(mass.sum())
     share = mass / weight
-    mixture = _mixture(plane, share)
+    mixture = _mixture(plane, share, least)
     return [_lobe(frame, middle, cover, weight * part) for part, middle, cover in mixture if weight * part > LEAST]
 
 
-def _mixture(plane: np.ndarray, share: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
+def _mixture(plane: np.ndarray, share: np.ndarray, least: float) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Weights, middles ``(2,)`` and covariances ``(2, 2)`` of `LOBES` Gaussians that fit weighted points ``(n, 2)``.
 
     They begin at the highest point, one narrow, others wider: peaks of this package are mixtures of scales.
@@ -153,7 +188,6 @@ def _mixture(plane: np.ndarray, share: np.ndarray) -> list[tuple[float, np.ndarr
     parts = np.full(LOBES, 1 / LOBES)
     middles = np.repeat(top[None], LOBES, axis=0)
     covers = np.array([cover * 4.0 ** (1 - LOBES + index) for index in range(LOBES)])
-    least = 1e-7
     for _ in range(ROUNDS):
         logs = np.stack(
             [_log_gaussian(plane, m, c) + math.log(p) for p, m, c in zip(parts, middles, covers, strict=True)]

@@ -92,6 +92,18 @@ def jpeg(panorama: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
+def webp(picture: np.ndarray) -> bytes:
+    """A picture ``(H, W, 3)`` uint8 as WebP, for what is kept: half the bytes of JPEG, and more time."""
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "WEBP", quality=QUALITY)
+    return buffer.getvalue()
+
+
+def media_type(picture: bytes) -> str:
+    """The media type of a picture by `jpeg` or `webp`."""
+    return "image/webp" if picture.startswith(b"RIFF") else "image/jpeg"
+
+
 LONGEST = 16_384  # bytes of a message
 LATE = 0.5  # seconds that a body moves at once at most: what was held up makes no leap
 NO_CONTROL = r"^[^\x00-\x1f]*\Z"  # a text of one line

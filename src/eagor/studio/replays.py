@@ -30,8 +30,8 @@ from eagor.live.recording import Replay
 from eagor.sphere import direction, world_R_body
 from eagor.studio.houses import plan_of
 from eagor.studio.live import Waiting
-from eagor.studio.messages import jpeg, rounded
-from eagor.studio.steps import belief_in_json, believed, calibration_of, lens_of, scene_of, seen_jpeg, shown_jpeg
+from eagor.studio.messages import rounded, webp
+from eagor.studio.steps import belief_in_json, believed, calibration_of, lens_of, scene_of, seen_webp, shown_jpeg
 from eagor.tasks.episodes import Episode
 from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
 from eagor.tasks.places import Place, load_place
@@ -40,12 +40,13 @@ from eagor.tasks.play import Seen
 __all__ = ["REPORT", "Redrawn", "recorded", "redraw", "walked"]
 
 STEPS = 60  # steps with a panorama, at most: the page of an export is to be sent by mail
+ROWS = 512  # of panoramas
 Advance = Callable[[int], object]
 
 
 @dataclass(eq=False)
 class Redrawn:
-    """An episode for the page: its `scene`, its `steps`, and JPEG `pictures` by the number of their step.
+    """An episode for the page: its `scene`, its `steps`, and `pictures` (WebP or JPEG) by the number of their step.
 
     `poses`: world_R_camera of a picture, row by row, where it was not taken at its step.
     """
@@ -68,8 +69,9 @@ class Redrawn:
 
 
 def redraw(run: LoadedRun, case: str, advance: Advance = lambda _: None) -> Redrawn:
-    """Episode `case` of a run of a simulated task, again. `advance` is called with the number of each step.
+    """Episode `case` of a run of a simulated task, again, with pictures finer than what the perception looked at.
 
+    `advance` is called with the number of each step, and for each picture.
     Raises `EagorError` for an unknown episode, one of a benchmark of still pictures, or a run without a tracker.
     """
     records = [record for record in finished(run.records) if case_of(record) == case]
@@ -94,11 +96,15 @@ def redraw(run: LoadedRun, case: str, advance: Advance = lambda _: None) -> Redr
         advance(len(seen))
         seen.append(each)
         found.steps.append(_step(each, config.degree))
-        if each.panorama is not None:
-            found.pictures[len(seen) - 1] = jpeg(each.panorama)
 
     player.play(slot, [shown], watch)
-    _thin(found)
+    for done, number in enumerate(_spread(len(seen)), len(seen)):
+        advance(done)
+        picture = seen[number].picture(ROWS)
+        assert picture is not None
+        found.pictures[number] = webp(picture)
+    for number, step in enumerate(found.steps):
+        step["frame"] = {"n": number, "of": len(seen), "stamp": step["stamp"]}
     _others(found, methods, shown)
     return found
 
@@ -148,13 +154,11 @@ def _step(seen: Seen, degree: int) -> dict[str, Any]:
     return step | {"belief": belief_in_json(estimate, seen.stamp, degree)}
 
 
-def _thin(found: Redrawn) -> None:
-    """Leave pictures to at most `STEPS` steps, evenly spread, the first and the last among them."""
-    count = len(found.steps)
-    kept = {round(index * (count - 1) / (STEPS - 1)) for index in range(STEPS)} if count > STEPS else {*range(count)}
-    found.pictures = {number: found.pictures[number] for number in sorted(kept & {*found.pictures})}
-    for number, step in enumerate(found.steps):
-        step["frame"] = {"n": number, "of": count, "stamp": step["stamp"]}
+def _spread(count: int) -> list[int]:
+    """The steps with a picture: at most `STEPS`, evenly spread, the first and the last among them."""
+    return sorted(
+        {round(index * (count - 1) / (STEPS - 1)) for index in range(STEPS)} if count > STEPS else range(count)
+    )
 
 
 def _others(found: Redrawn, methods: Mapping[str, Any], shown: str) -> None:
@@ -191,7 +195,7 @@ def _said(entry: Mapping[str, Any], number: int) -> dict[str, Any] | None:
 REPORT = "run.json"  # of a robot's walk
 KEPT = 120  # steps of a recording or of a walk that are shown
 APART = 0.2  # seconds between two of them, at least
-ROWS, ORDINARY = 256, 320  # of panoramas, and of an ordinary camera's pictures
+ORDINARY = 320  # rows of an ordinary camera's pictures
 
 
 def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda _: None) -> Redrawn:
@@ -260,7 +264,7 @@ def _answered(
     step["look"] = {"age": rounded(answer.look_age, 3), "fresh": False}
     if frame is None or frame.picture is None:
         return step, None, None
-    picture = seen_jpeg(frame, ROWS) if lens is None else shown_jpeg(frame.picture, frame.grid, ORDINARY)
+    picture = seen_webp(frame, ROWS) if lens is None else shown_jpeg(frame.picture, frame.grid, ORDINARY)
     return step, picture, core.orientation(frame.stamp)
 
 

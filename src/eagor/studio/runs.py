@@ -27,7 +27,7 @@ from eagor.evaluation.study import LoadedRun
 from eagor.evaluation.tables import OURS
 from eagor.live.recording import Replay
 from eagor.media.bags import is_bag
-from eagor.studio.messages import rounded
+from eagor.studio.messages import media_type, rounded
 from eagor.studio.replays import Advance, Redrawn, recorded, redraw, report_of, walked
 
 __all__ = [
@@ -263,4 +263,4 @@ def page_of(found: Redrawn) -> str:
 
 
 def _as_address(picture: bytes) -> str:
-    return f"data:image/jpeg;base64,{base64.b64encode(picture).decode('ascii')}"
+    return f"data:{media_type(picture)};base64,{base64.b64encode(picture).decode('ascii')}"

@@ -31,7 +31,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from eagor.studio.guard import Guard
 from eagor.studio.hub import Page, Settings, Studio
-from eagor.studio.messages import LONGEST, Message, PageError, packed, read
+from eagor.studio.messages import LONGEST, Message, PageError, media_type, packed, read
 
 __all__ = ["Punctual", "configured", "create_app", "serve"]
 
@@ -75,7 +75,8 @@ def create_app(studio: Studio) -> Starlette:
         found = await studio.library.episode(name, key)
         if isinstance(found, int) or number not in found.pictures:
             raise PageError(f"Step {number} has no picture here.", "Open the episode again.", 404)
-        return Response(found.pictures[number], media_type="image/jpeg", headers={"Cache-Control": "max-age=3600"})
+        picture = found.pictures[number]
+        return Response(picture, media_type=media_type(picture), headers={"Cache-Control": "max-age=3600"})
 
     async def pictures(request: Request) -> Response:
         declared = request.headers.get("content-length", "")

@@ -19,13 +19,13 @@ from eagor.harmonics import RealHarmonics
 from eagor.live.events import FrameCame
 from eagor.sphere import angular_distance
 from eagor.studio.density import DEGREE, MASS, Density, density_of
-from eagor.studio.messages import Blob, jpeg, rounded
+from eagor.studio.messages import Blob, jpeg, rounded, webp
 from eagor.tracking import Estimate, Surroundings, TrackerConfig
 from eagor.worlds.render import Photograph
 
 __all__ = [
     "FLOATS", "LISTED", "Listing", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg",
-    "estimate_json", "evidence_of", "lens_of", "scene_of", "seen_jpeg", "shown_jpeg", "small_jpeg",
+    "estimate_json", "evidence_of", "lens_of", "scene_of", "seen_webp", "shown_jpeg", "small_jpeg",
 ]  # fmt: skip
 
 FLOATS = "float32"
@@ -167,9 +167,13 @@ def scene_of(view: str, title: str, query: str, **about: Any) -> dict[str, Any]:
 
 def small_jpeg(panorama: np.ndarray, rows: int) -> bytes:
     """A panorama ``(H, W, 3)`` uint8 as JPEG, shrunk to so many rows if it has more."""
+    return jpeg(_small(panorama, rows))
+
+
+def _small(panorama: np.ndarray, rows: int) -> np.ndarray:
     small = Photograph(panorama).panorama((0.0, 0.0, 0.0), np.eye(3), min(rows, panorama.shape[0])).rgb
     assert small is not None
-    return jpeg(small)
+    return small
 
 
 def lens_of(grid: PerspectiveGrid | None) -> dict[str, Any] | None:
@@ -198,14 +202,14 @@ def shown_jpeg(picture: np.ndarray, grid: PerspectiveGrid | None, rows: int) -> 
     return jpeg(small)
 
 
-def seen_jpeg(event: FrameCame, rows: int) -> bytes:
-    """What a camera saw, as a panorama in its own axes, JPEG; around an ordinary camera's picture nothing is seen."""
+def seen_webp(event: FrameCame, rows: int) -> bytes:
+    """What a camera saw, as a panorama in its own axes, WebP; around an ordinary camera's picture nothing is seen."""
     assert event.picture is not None
     if event.grid is None:
-        return small_jpeg(event.picture, rows)
+        return webp(_small(event.picture, rows))
     around = Mosaic(rows)
     around.add(event.picture, event.grid, np.eye(3))
-    return jpeg(around.colours)
+    return webp(around.colours)
 
 
 def error_deg(direction: np.ndarray | None, truth: np.ndarray | None) -> float | None:

@@ -24,6 +24,7 @@ Actions are flat, a Box or whole numbers:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -46,6 +47,7 @@ except ImportError as error:
 
 
 Actions = Literal["continuous", "discrete"]
+Picture = Callable[[int], np.ndarray | None]  # a panorama ``(rows, 2 rows, 3)`` uint8, by its rows
 STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order
 # Answers as indices: directions 5 degrees apart, so none is farther than 3.6 degrees from one of them.
 AZIMUTHS, ELEVATIONS = 72, 37
@@ -320,12 +322,12 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
 
     def _seen(self, rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
         """The place from the current camera pose, with the ball, if any, as far as the camera shows it."""
-        pose, ball = self.body.pose, self._ball()
-        range = range or ball is not None  # needed to draw the ball
-        frame = self.place.renderer.panorama(pose.position, pose.world_R_body, rows, rgb=rgb, range=range, ids=ids)
-        if ball is not None:
-            frame = with_ball(frame, pose.position, pose.world_R_body, ball, len(self.place.scene.instances))
-        return cut(frame, self.camera)
+        return _seen(self.place, self.camera, self.body.pose, self._ball(), rows, rgb, range, ids)
+
+    def picture(self) -> Picture:
+        """The panorama at this step, for whoever watches: rendered when it is asked for, also after later steps."""
+        place, camera, pose, ball = self.place, self.camera, self.body.pose, self._ball()
+        return lambda rows: _seen(place, camera, pose, ball, rows).rgb
 
     def _observation(self) -> dict[str, np.ndarray]:
         odometry = self.body.odometry
@@ -390,6 +392,18 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         if self.render_mode != "rgb_array":
             return None
         return self._seen(max(self.rows or 0, 128), range=True).rgb
+
+
+def _seen(
+    place: Place, camera: Camera, pose: Any, ball: Ball | None, rows: int, rgb: bool = True, range: bool = False,
+    ids: bool = False,
+) -> Frame:  # fmt: skip
+    """The place from a pose, with the ball, if any, as far as the camera shows it."""
+    range = range or ball is not None  # needed to draw the ball
+    frame = place.renderer.panorama(pose.position, pose.world_R_body, rows, rgb=rgb, range=range, ids=ids)
+    if ball is not None:
+        frame = with_ball(frame, pose.position, pose.world_R_body, ball, len(place.scene.instances))
+    return cut(frame, camera)
 
 
 class AnsweringEnv(PlaceEnv):

@@ -29,7 +29,7 @@ from eagor.tasks.steering import seeking, steering_for
 from eagor.tasks.task import Played
 
 if TYPE_CHECKING:
-    from eagor.tasks.place_env import PlaceEnv
+    from eagor.tasks.place_env import Picture, PlaceEnv
 
 STANDS = 1e-6  # metres of a step in which the body only turns: no metres at all would call stop
 MASS = 0.9  # of the credible regions whose coverage is measured
@@ -37,28 +37,31 @@ MASS = 0.9  # of the credible regions whose coverage is measured
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One step of an open-loop episode: pose by odometry, evidence that arrives, and that of the `other` query."""
+    """One step of an open-loop episode: pose by odometry, evidence that arrives, and that of the `other` query.
+
+    `picture`: as in `Seen`; None unless somebody watches, since recordings are kept in files.
+    """
 
     stamp: float
     world_R_body: np.ndarray
     position: np.ndarray
     evidence: Evidence | None
     other: Evidence | None = None
-    panorama: np.ndarray | None = None
+    picture: Picture | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
     """One step for whoever watches a method play: the `method` after its answer, and what it was given.
 
-    `panorama` ``(H, W, 3)`` uint8, or None if the perception needs none; `pose` ``(7,)`` by odometry: x, y, z (metres)
-    and a quaternion (w, x, y, z), world_R_body; `evidence` that arrived; `truth` ``(3,)``: the true direction in the
-    body frame, None while the target is away.
+    `picture` renders what the camera shows, with so many rows as it is asked for, whatever the perception looked at;
+    `pose` ``(7,)`` by odometry: x, y, z (metres) and a quaternion (w, x, y, z), world_R_body; `evidence` that arrived;
+    `truth` ``(3,)``: the true direction in the body frame, None while the target is away.
     """
 
     stamp: float
     method: Method | None
-    panorama: np.ndarray | None
+    picture: Picture
     pose: np.ndarray
     evidence: Evidence | None
     truth: np.ndarray | None
@@ -94,12 +97,9 @@ class Player:
 
     `config`: task, perception, rules, camera, disturbances (JSON of `eagor.tasks.rules`), rows of the panorama, and
     optionally calibrated and episodes_file. `perception` and `kind` (the task): the objects, if they exist already.
-    `rows` of panoramas for whoever watches, where the perception needs none.
     """
 
-    def __init__(
-        self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None, rows: int | None = None
-    ) -> None:
+    def __init__(self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None) -> None:
         if perception is None:
             perception = shared(config["perception"])
         self.config = config
@@ -113,7 +113,7 @@ class Player:
             found = from_json(given, "the run's calibration")
             self.ours = BASE.fitted(found.calibration, found.detector, found.forgetting)
         self.ours = seeking(self.rules, self.ours)
-        rows = rows if is_privileged(perception) else int(config["rows"])
+        rows = None if is_privileged(perception) else int(config["rows"])
         self.env: PlaceEnv = self.task.environment(
             rules=self.rules, camera=self.camera, disturbances=self.disturbances, panorama=rows
         )
@@ -133,7 +133,7 @@ class Player:
         body: dict[str, Any] = {"task": self.task.name, "episode": episode.as_json()}
         if self.task.walked:
             return body | {"methods": {name: self._walk(episode, name, watch) for name in names}}
-        recording = self.record(episode, panoramas=watch is not None)
+        recording = self.record(episode, watched=watch is not None)
         judged = {name: self.judge(recording, self.method(name, slot), watch=watch) for name in names}
         looked = {"looked": recording.looked} if recording.looked else {}
         return body | looked | {"truth": recording.truth, "methods": judged}
@@ -173,7 +173,7 @@ class Player:
             _note_truth(trace, info, "true_")
             _note_answer(trace, method, direction, directions[-1])
             if watch is not None:
-                watch(Seen(stamp, method, observation.get("panorama"), pose, due, directions[-1]))
+                watch(Seen(stamp, method, self.env.picture(), pose, due, directions[-1]))
             now = self._steering_input(direction, method, look, pose, info, steering.looks_down)
             turn, metres = steering.walk(now)
             if steering.looks_down:
@@ -213,8 +213,8 @@ class Player:
         """Where the body stands: x, y, z."""
         return [round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)]
 
-    def record(self, episode: Episode, other: str = "", panoramas: bool = False) -> Recording:
-        """An episode that is not walked, as every method gets it; `other`: a second query; with `panoramas` or not."""
+    def record(self, episode: Episode, other: str = "", watched: bool = False) -> Recording:
+        """An episode that is not walked, as every method gets it; `other`: a second query; `watched`: with pictures."""
         observation, info, eye = self._begin(episode)
         second = EpisodePerception(self.perception, episode.slot, info["instances"]["labels"], "other")
         truth: dict[str, list[Any]] = defaultdict(list)
@@ -225,8 +225,8 @@ class Player:
             true, pose = info["truth"], observation["pose"]
             stamp = info["num_steps"] * self.camera.seconds
             also = self._look(second, observation, info, other) if other else None
-            image = observation.get("panorama") if panoramas else None
-            moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, image))
+            picture = self.env.picture() if watched else None
+            moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, picture))
             _note_truth(truth, info, "")
             truth["present"].append(bool(true["present"]))
             if "waypoint" in info:
@@ -259,9 +259,9 @@ class Player:
             said.append(method.direction())
             true = recording.directions[index] if recording.truth["present"][index] else None
             _note_answer(trace, method if regions else None, said[-1], true)
-            if watch is not None:
+            if watch is not None and moment.picture is not None:
                 pose = np.array([*moment.position, *wxyz_from_rotation(moment.world_R_body)])
-                watch(Seen(moment.stamp, method, moment.panorama, pose, moment.evidence, true))
+                watch(Seen(moment.stamp, method, moment.picture, pose, moment.evidence, true))
         played = Played(
             recording.truth, trace, recording.directions, np.array(said), recording.rotations, recording.translations,
             self.rules, self.camera,

@@ -7,7 +7,7 @@ import { field, h, icon, ICONS, say } from "./dom";
 import type { Shell } from "./shell";
 
 const SLOWEST = 1200; // milliseconds that a step is shown at most
-const KEPT = 90; // decoded panoramas
+const KEPT = 60; // decoded panoramas, 2 MB each
 
 export class Player {
   private episode: Episode | null = null;
@@ -39,7 +39,7 @@ export class Player {
     return this.episode !== null;
   }
 
-  load(episode: Episode): void {
+  load(episode: Episode, from = 0): void {
     this.episode = episode;
     this.images.clear();
     const names = [...new Set([...(episode.methods ?? []), ...Object.keys(episode.steps[0]?.methods ?? {})])];
@@ -55,7 +55,7 @@ export class Player {
     this.slider.max = String(Math.max(0, episode.steps.length - 1));
     this.shell.player.hidden = false;
     this.remember();
-    this.go(0, false);
+    this.go(from, false);
     this.loaded();
   }
 

@@ -252,9 +252,10 @@ def _no_room(folder: Path, wanted: int, why: str) -> StorageError:
 
 
 def _in_short(said: str) -> str:
-    """The first lines of npm's errors, without their marks and without where its log is."""
+    """The first lines of npm's errors, without their marks, its stack, and where its log is."""
     lines = [re.sub(r"^npm (error|ERR!)\s*", "", line).strip() for line in said.splitlines() if line.startswith("npm")]
-    told = [line for line in lines if line and not line.startswith(("npm ", "A complete log", "syscall", "errno"))]
+    idle = ("npm ", "A complete log", "syscall", "errno", "at ")
+    told = [line for line in lines if line and not line.startswith(idle)]
     return "; ".join(told[:3])[:300]
 
 
