@@ -48,7 +48,7 @@ from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import ErpGrid
 from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
-from eagor.perception.coco import CLASSES
+from eagor.perception.coco import CLASSES, DETECTOR
 from eagor.perception.things import Thing, spread_evidence
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.tasks.methods import NAMES, Method, TrackerMethod, make_method
@@ -305,7 +305,7 @@ def says(case: Case, sight: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
 def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[str, DetectorModel]:
     """The model that each photograph is played with; without --model, fitted on the other photographs."""
     if options.model is not None:
-        model = parse_model(options.model)
+        model = DETECTOR if options.model == "coco" else parse_model(options.model)
         print(f"all photographs: {model}")
         return dict.fromkeys(photographs, model)
     fit_on = read_cases(options.looks, FITTED_IN, options.marked)
@@ -327,7 +327,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--only", help="conditions, with commas")
     parser.add_argument("--photographs", help="names of photographs, with commas")
     parser.add_argument("--methods", default=",".join((*box_trackers.NAMES, *NAMES)), help="methods, with commas")
-    parser.add_argument("--model", help="read the detector so, without a fit, such as spread=3")
+    parser.add_argument("--model", help="read the detector so, without a fit: spread=3, or coco")
     parser.add_argument("--json", type=Path, help="a file for all figures")
     options = parser.parse_args()
     options.marked = json.loads(options.labels.read_text())
