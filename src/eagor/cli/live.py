@@ -10,7 +10,7 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -199,6 +199,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
     `LiveLoop`.
     """
     from eagor.live.loop import LiveLoop
+    from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_camera
     from eagor.media.rig_videos import are_ordinary
     from eagor.media.rigs import read_rig
@@ -230,7 +231,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
     camera = opens()
     try:
         loop = LiveLoop(
-            _First(camera, opens) if camera.live else camera,
+            already_open(camera, opens) if camera.live else camera,
             spec,
             queries,
             poses=_poses(options, camera),
@@ -251,18 +252,6 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
     return loop
-
-
-class _First:
-    """Opens a camera: the first time, the one that is open already."""
-
-    def __init__(self, camera: CameraSource, opens: Callable[[], CameraSource]) -> None:
-        self._camera: CameraSource | None = camera
-        self._opens = opens
-
-    def __call__(self) -> CameraSource:
-        camera, self._camera = self._camera, None
-        return self._opens() if camera is None else camera
 
 
 def _check(options: Live) -> None:

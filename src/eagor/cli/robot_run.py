@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from eagor.live.loop import LiveLoop
-    from eagor.media import CameraSource, Pose
+    from eagor.media import CameraSource
     from eagor.robots.run_page import Plan, RobotPage, Sample
     from eagor.robots.safety.limits import Limits
     from eagor.robots.safety.walking import Step, WalkSettings
@@ -145,6 +145,7 @@ class Place:
 def robot_run(options: RobotRun) -> int:
     """Run the command; returns its exit code."""
     from eagor.live.loop import LiveLoop
+    from eagor.robots import Go2Poses
     from eagor.robots.run_page import RobotPage
     from eagor.robots.safety.guard import Guard
     from eagor.robots.safety.limits import Limits
@@ -179,7 +180,7 @@ def robot_run(options: RobotRun) -> int:
             place.camera,
             spec,
             [query],
-            poses=lambda: _Poses(place.domain, place.interface, options),
+            poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
             config=config,
             rate=RATE,
             patience=options.patience,
@@ -281,24 +282,6 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
             robot.targets,
             plan,
         )
-
-
-class _Poses:
-    """The camera's poses by the robot's odometry, with the link that they come over."""
-
-    def __init__(self, domain: int, interface: str | None, options: RobotRun) -> None:
-        from eagor.robots.dds import Link
-        from eagor.robots.go2.state import Go2State
-
-        self._link = Link(domain, interface)
-        self._state = Go2State(self._link, options.odometry, mount=options.mount)
-
-    def __iter__(self) -> Iterator[Pose]:
-        return iter(self._state)
-
-    def close(self) -> None:
-        self._state.close()
-        self._link.close()
 
 
 def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:

@@ -179,10 +179,8 @@ class LiveCore:
         self._odometry = RelatedClock("odometry")
         self._tracker = DirectionTracker(settings.config)
         self.around = None if settings.around is None else Surroundings(settings.config)
-        self._apart, self._aside = (
-            settings.around or 0.0,
-            -math.inf,
-        )  # seconds between works on it, and when the last was
+        self._apart = settings.around or 0.0  # seconds between two works on it, at least
+        self._aside = -math.inf  # when the last was
         self._recent = RecentPoses(settings.acceleration)
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
         self._image = self._pose = -math.inf
