@@ -207,7 +207,8 @@ export const words = {
     presence: "Presence",
     sure: "How sure",
     /** Never 0 % or 100 %. */
-    howSure: (share: number) => `${Math.min(Math.max(Math.round(100 * share), 1), 99)} % sure`,
+    howSure: (share: number) => `${Math.min(Math.max(Math.round(100 * share), 1), 99)} %`,
+    isSure: (share: number) => `${words.answer.howSure(share)} sure`,
     cone: (mass: number) => `${whole(100 * mass)} % within`,
     error: "Off the truth by",
     distance: "Distance",

@@ -245,7 +245,9 @@ def images(
         if os.path.isdir(place):
             raise ImageError(f"{place} is a folder; give one folder, or only image files")
         if not os.path.exists(place):
-            raise ImageError(f"there is no file {place}; give a folder of pictures, or image files")
+            raise ImageError(
+                f"there is no file {place}; give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
+            )
     return ImageFrames(in_order(places), rate, read)
 
 

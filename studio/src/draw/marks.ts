@@ -47,13 +47,13 @@ export function drawMarks(context: CanvasRenderingContext2D, to: Projection, mar
     }
   if (marks.answer && marks.pointed) {
     const where = words.candidates.row(degrees(azimuthOf(marks.answer)), degrees(elevationOf(marks.answer)));
-    const said = marks.sure === null ? null : `${where}, ${words.answer.howSure(marks.sure)}`;
+    const said = marks.sure === null ? null : `${where}, ${words.answer.isSure(marks.sure)}`;
     pointer(context, to, apply(marks.view_R_body, marks.answer), said, u);
   }
   if (marks.answer)
     for (const [x, y] of place(marks.answer)) {
       spot(context, x, y, 6.5 * u, ANSWER, u);
-      if (marks.sure !== null) label(context, words.answer.howSure(marks.sure), x + 17 * u, y + 14 * u, u);
+      if (marks.sure !== null) beside(context, to, words.answer.isSure(marks.sure), x, y, u);
       for (const turn of [0, 0.5, 1, 1.5]) tick(context, x, y, 9.5 * u, 14 * u, turn * Math.PI, ANSWER, 2.2 * u);
     }
 }
@@ -88,6 +88,14 @@ function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, s
   const [ax, ay] = [to.width / 2 + (reach - 30 * u) * x, to.height / 2 + (reach - 30 * u) * y];
   const left = Math.max(8 * u, Math.min(to.width - wide - 8 * u, ax - (0.5 + 0.5 * x) * wide));
   label(context, said, left, ay, u);
+}
+
+/** Words to the right of a place and below it; where they would leave the picture, to the left or above. */
+function beside(context: CanvasRenderingContext2D, to: Projection, text: string, x: number, y: number, u: number): void {
+  context.font = `600 ${Math.round(12 * u)}px system-ui, sans-serif`;
+  const wide = context.measureText(text).width;
+  const left = x + 17 * u + wide < to.width ? x + 17 * u : x - 17 * u - wide;
+  label(context, text, left, y + 24 * u < to.height ? y + 14 * u : y - 14 * u, u);
 }
 
 /** Where a direction is drawn: twice if it lies on the seam of a flat panorama. */

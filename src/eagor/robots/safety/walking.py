@@ -19,6 +19,7 @@ import numpy as np
 
 from eagor._checks import above, require, within
 from eagor.live.events import Answer, Event, FrameCame, PoseCame
+from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.limits import STILL, Velocity
 from eagor.robots.safety.messages import GateClient, GuardState
 from eagor.sphere import azimuth_elevation, heading
@@ -139,13 +140,18 @@ class Wish:
     words: str
 
 
-def walk(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[Walk, Wish]:
-    """The next state and the wanted velocity, from what is known now. Call it for every answer."""
+def walk(settings: WalkSettings, state: Walk, sight: Sight, held: bool = False) -> tuple[Walk, Wish]:
+    """The next state and the wanted velocity, from what is known now. Call it for every answer.
+
+    `held`: the gate does not let it move. While it stands for that, nothing is known of what is in its way.
+    """
+    if held:
+        state = replace(state, anchor=None)
     state = _moved(settings, state, sight)
     state, wish = _wish(settings, state, sight)
     walks = wish.velocity.walks
     anchor = state.anchor if walks else None
-    if walks and anchor is None and sight.xy is not None:
+    if walks and anchor is None and sight.xy is not None and not held:
         anchor = sight.stamp, sight.xy
     return replace(state, doing=wish.doing, last=sight, anchor=anchor), wish
 
@@ -298,7 +304,8 @@ class Steering:
         if body_R_camera is not None and estimate.direction is not None:
             azimuth, elevation = azimuth_elevation(body_R_camera @ estimate.direction)
             sight = replace(sight, azimuth=float(azimuth), elevation=float(elevation))
-        self._state, wish = walk(self._settings, self._state, sight)
+        held = self._guard.state.mode is not Mode.ARMED
+        self._state, wish = walk(self._settings, self._state, sight, held)
         late = max(0.0, self._now() - answer.stamp)
         self._guard.status(
             image_age=answer.image_age + late,
