@@ -122,6 +122,8 @@ def tabbed(page: Watched) -> list[str]:
     """What the Tab key reaches, from the page's beginning to its end; all of it can be seen when it has the focus."""
     page.evaluate("(() => { document.activeElement?.blur(); window.scrollTo(0, 0); })()")
     page.locator(".skip").focus()
+    for key in ("Tab", "Shift+Tab"):  # a focus that comes by keys is shown, whatever was done before
+        page.keyboard.press(key)
     names: list[str] = []
     while (told := page.evaluate(_FOCUSED)) is not None:
         wrong = [what for what, holds in told[1].items() if holds]
