@@ -80,14 +80,17 @@ def test_it_gets_there_and_stops_at_the_distance(far, direction):
     assert abs(math.remainder(math.atan2(*(np.array(goal) - path[-1, :2])[::-1]) - path[-1, 2], 2 * math.pi)) < 0.2
 
 
-def test_only_what_the_gate_lets_walk_can_be_stuck():
-    """A robot that stands since the gate holds it, or in a dry run, says nothing about what is in its way."""
-    for held, words in ((True, "walks"), (False, "in the way")):
-        state = Walk()
-        for index in range(int(2 * RULES.stuck / STEP)):
-            sight = Sight(index * STEP, "tracking", 0.0, 0.0, 5.0, 0.1, (0.0, 0.0), 0.0)
-            state, wish = walk(RULES, state, sight, held)
-        assert words in wish.words
+@pytest.mark.parametrize(
+    ("free", "words"), [(0.0, "it walks"), (0.3, "it walks"), (0.7, "in the way"), (1.0, "in the way")]
+)
+def test_only_the_time_that_the_gate_lets_it_walk_counts_as_stuck(free, words):
+    """Ten seconds on the spot, free in that share of each second. The gate, or a dry run, holds it for the rest."""
+    state, said = Walk(), ""
+    for index in range(200):
+        sight = Sight(index * STEP, "tracking", 0.0, 0.0, 5.0, 0.1, (0.0, 0.0), 0.0)
+        state, wish = walk(RULES, state, sight, held=index % 20 >= 20 * free)
+        said = wish.words
+    assert words in said
 
 
 def test_it_turns_in_place_first():

@@ -143,15 +143,16 @@ class Wish:
 def walk(settings: WalkSettings, state: Walk, sight: Sight, held: bool = False) -> tuple[Walk, Wish]:
     """The next state and the wanted velocity, from what is known now. Call it for every answer.
 
-    `held`: the gate does not let it move. While it stands for that, nothing is known of what is in its way.
+    `held`: the gate does not let it move. That time does not count: nothing is known then of what is in its way.
     """
-    if held:
-        state = replace(state, anchor=None)
+    if held and state.anchor is not None and state.last is not None:
+        when, where = state.anchor
+        state = replace(state, anchor=(when + sight.stamp - state.last.stamp, where))
     state = _moved(settings, state, sight)
     state, wish = _wish(settings, state, sight)
     walks = wish.velocity.walks
     anchor = state.anchor if walks else None
-    if walks and anchor is None and sight.xy is not None and not held:
+    if walks and anchor is None and sight.xy is not None:
         anchor = sight.stamp, sight.xy
     return replace(state, doing=wish.doing, last=sight, anchor=anchor), wish
 
