@@ -198,7 +198,7 @@ class Feed:
         pictures = self.stream.pictures(self._damaged)
         try:
             for told, picture in pictures:
-                arrival = self._clock.arrived()
+                arrival = time.monotonic()
                 if self._closed:
                     return
                 stamp = told if self.stream.stamped else self._clock.stamp(told, arrival)

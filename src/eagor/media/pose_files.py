@@ -67,20 +67,17 @@ def read_poses(path: str | Path) -> tuple[FramePose, ...]:
     except (OSError, ValueError) as error:  # UnicodeDecodeError, and null characters in the path
         raise FormatError(f"{path} cannot be read as text ({error}); give a CSV file of poses: {HEADERS}") from error
     lines = _lines(path, text)
-    try:
-        number, header = next(lines)
-    except StopIteration:
-        raise FormatError(f"{path} is empty; wanted a line with the names of the columns: {HEADERS}") from None
+    number, header = next(lines, (0, None))
+    if header is None:
+        raise FormatError(f"{path} is empty; wanted a line with the names of the columns: {HEADERS}")
     names = [name.strip().lower() for name in header]
     try:
         _check_header(names)
     except FormatError as error:
         raise FormatError(f"{path}, line {number}: {error}") from error
     with _collecting_nothing():
-        poses = _at_once(names, _table(names, text.split("\n", number)[-1]))
-        if poses is None:
-            rows = list(lines)
-            poses = _at_once(names, _table_of_rows(names, rows), rows) or _one_by_one(path, names, rows)
+        rows = list(lines)
+        poses = _at_once(names, rows) or _one_by_one(path, names, rows)
     if not poses:
         raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
     if "qw" in names and _is_another_order(poses):
@@ -122,53 +119,27 @@ def _collecting_nothing() -> Iterator[None]:
             gc.enable()
 
 
-def _table(names: Sequence[str], body: str) -> np.ndarray | None:
-    """The numbers of all lines below the header ``(n, columns)``, by NumPy's reader; None where it takes no such file.
-
-    It would take comments within a line, knows no quotes, and has no place for names of frames.
-    """
-    if "frame" in names or not body.strip() or any(mark in body for mark in '#"'):
-        return None
-    try:
-        return np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
-    except ValueError:
-        return None
-
-
-def _table_of_rows(names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> np.ndarray | None:
-    """The same from fields, with NaN in columns of other things; None where a line is wrong."""
-    if not rows or any(len(fields) != len(names) for _, fields in rows):
-        return None
-    columns = []
-    for place, name in enumerate(names):
-        cells = [fields[place] for _, fields in rows]
-        if name not in ("stamp", *QUATERNION, *ANGLES, *POSITION):
-            columns.append(np.full(len(cells), math.nan))
-            continue
-        try:
-            if "_" in ",".join(cells):  # Python would take 1_0 for 10
-                return None
-            columns.append(np.array(list(map(float, cells))))
-        except ValueError:
-            return None
-    return np.array(columns).T
-
-
-def _at_once(
-    names: Sequence[str], table: np.ndarray | None, rows: Sequence[tuple[int, list[str]]] = ()
-) -> tuple[FramePose, ...] | None:
-    """The poses of a `table` ``(n, columns)``, computed together; None where a line is wrong, for `_one_by_one` to say.
-
-    `rows`: the same lines, for the names of their frames.
-    """
+def _at_once(names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[FramePose, ...] | None:
+    """The poses of all lines, computed together; None where a line is wrong, for `_one_by_one` to say."""
     from scipy.spatial.transform import Rotation
 
-    if table is None or table.shape[1] != len(names):
+    def numbers(*wanted: str) -> np.ndarray:
+        """Those of these columns that there are, ``(n, columns)``."""
+        places = [names.index(name) for name in wanted if name in names]
+        columns = [[fields[place] for _, fields in rows] for place in places]
+        if any("_" in ",".join(cells) for cells in columns):  # Python would take 1_0 for 10
+            raise ValueError
+        table = np.array([list(map(float, cells)) for cells in columns]).reshape(len(columns), len(rows))
+        return np.ascontiguousarray(table.T)
+
+    if not rows or any(len(fields) != len(names) for _, fields in rows):
         return None
-    stamps, turns, places = (
-        table[:, [names.index(name) for name in columns if name in names]]
-        for columns in (("stamp",), QUATERNION if "qw" in names else ANGLES, POSITION)
-    )
+    try:
+        stamps, turns, places = (
+            numbers(*columns) for columns in (("stamp",), QUATERNION if "qw" in names else ANGLES, POSITION)
+        )
+    except ValueError:
+        return None
     lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
     if not all(np.isfinite(part).all() for part in (stamps, turns, places)):
         return None
@@ -178,7 +149,7 @@ def _at_once(
         matrices = rotation_from_wxyz(turns / lengths[:, None])
     else:
         matrices = Rotation.from_euler("ZYX", turns, degrees=True).as_matrix()
-    nothing = [None] * len(table)
+    nothing = [None] * len(rows)
     at = names.index("frame") if "frame" in names else None
     frames = nothing if at is None else [fields[at].strip() or None for _, fields in rows]
     return tuple(map(FramePose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, frames))
