@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -118,24 +118,6 @@ class FrameCheck:
         return replace(frame, grid=grid)
 
 
-class Frames(Protocol):
-    """Frames in order of time."""
-
-    @property
-    def count(self) -> int | None:
-        """How many frames will come, if known."""
-        ...
-
-    def frames(self) -> Iterator[tuple[float, str, Read]]:
-        """Each frame: its stamp (seconds), its name, and what reads the panorama, or raises `EagorError`."""
-        ...
-
-    @property
-    def level_R_body(self) -> np.ndarray | None:
-        """The rotation ``(3, 3)`` that makes the first frame level, if the file says so."""
-        ...
-
-
 @dataclass(frozen=True)
 class ImageFrames:
     """Pictures in files, `rate` per second; `read` gives one of them."""
@@ -205,6 +187,12 @@ class BagFrames:
         if self.camera.view is not None:
             return Picture(read(), grid=self.camera.view)
         return self.check(Picture(read(), self.camera.unseen), name)
+
+
+# Frames in order of time. `count`: how many will come, if known. `level_R_body`: the rotation ``(3, 3)`` that makes the
+# first frame level, if the file says so. `frames()`: of each frame its stamp (seconds), its name, and what reads the
+# picture, or raises `EagorError`.
+Frames = ImageFrames | VideoFrames | BagFrames
 
 
 def is_video(places: Sequence[Path], rig: bool = False) -> bool:

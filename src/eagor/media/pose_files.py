@@ -15,13 +15,11 @@ Blank lines, and lines that begin with ``#``, are skipped.
 from __future__ import annotations
 
 import csv
-import gc
 import io
 import math
 import warnings
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
@@ -75,9 +73,7 @@ def read_poses(path: str | Path) -> tuple[FramePose, ...]:
         _check_header(names)
     except FormatError as error:
         raise FormatError(f"{path}, line {number}: {error}") from error
-    with _collecting_nothing():
-        rows = list(lines)
-        poses = _at_once(names, rows) or _one_by_one(path, names, rows)
+    poses = _at_once(names, text.split("\n", number)[-1]) or _one_by_one(path, names, lines)
     if not poses:
         raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
     if "qw" in names and _is_another_order(poses):
@@ -107,39 +103,26 @@ def _is_another_order(poses: Sequence[FramePose]) -> bool:
     return bool((up < 0).all() or ((up < 0.5).any() and ((last > 0.5).all() or (first > 0.5).all())))
 
 
-@contextmanager
-def _collecting_nothing() -> Iterator[None]:
-    """Millions of lists that are made at once are no garbage, and going through them takes half of the time."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
+def _at_once(names: Sequence[str], body: str) -> tuple[FramePose, ...] | None:
+    """The poses of a log of odometry, all lines below the header together: there may be millions.
 
-
-def _at_once(names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[FramePose, ...] | None:
-    """The poses of all lines, computed together; None where a line is wrong, for `_one_by_one` to say."""
+    None where a line is wrong, for `_one_by_one` to say, and for what NumPy's reader does not take as it is meant:
+    names of frames, quotes, comments.
+    """
     from scipy.spatial.transform import Rotation
 
-    def numbers(*wanted: str) -> np.ndarray:
-        """Those of these columns that there are, ``(n, columns)``."""
-        places = [names.index(name) for name in wanted if name in names]
-        columns = [[fields[place] for _, fields in rows] for place in places]
-        if any("_" in ",".join(cells) for cells in columns):  # Python would take 1_0 for 10
-            raise ValueError
-        table = np.array([list(map(float, cells)) for cells in columns]).reshape(len(columns), len(rows))
-        return np.ascontiguousarray(table.T)
-
-    if not rows or any(len(fields) != len(names) for _, fields in rows):
+    if "frame" in names or not body.strip() or any(mark in body for mark in '#"'):
         return None
     try:
-        stamps, turns, places = (
-            numbers(*columns) for columns in (("stamp",), QUATERNION if "qw" in names else ANGLES, POSITION)
-        )
+        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
     except ValueError:
         return None
+    if table.shape[1] != len(names):
+        return None
+    stamps, turns, places = (
+        table[:, [names.index(name) for name in columns if name in names]]
+        for columns in (("stamp",), QUATERNION if "qw" in names else ANGLES, POSITION)
+    )
     lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
     if not all(np.isfinite(part).all() for part in (stamps, turns, places)):
         return None
@@ -149,13 +132,11 @@ def _at_once(names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tup
         matrices = rotation_from_wxyz(turns / lengths[:, None])
     else:
         matrices = Rotation.from_euler("ZYX", turns, degrees=True).as_matrix()
-    nothing = [None] * len(rows)
-    at = names.index("frame") if "frame" in names else None
-    frames = nothing if at is None else [fields[at].strip() or None for _, fields in rows]
-    return tuple(map(FramePose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, frames))
+    nothing = [None] * len(table)
+    return tuple(map(FramePose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, nothing))
 
 
-def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[FramePose, ...]:
+def _one_by_one(path: str | Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> tuple[FramePose, ...]:
     """The same, line by line. Raises the error of the first line that has one."""
     poses: list[FramePose] = []
     for number, fields in rows:
