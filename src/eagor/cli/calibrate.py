@@ -98,12 +98,10 @@ def calibrate(options: Calibrate) -> int:
     if options.words not in (("responses",), ("heads",)):
         return footage(options)
     of_heads, replayed = options.words == ("heads",), bool(given(options, REPLAY))
-    _refuse(
-        options,
-        *((RESPONSES, "is for eagor calibrate responses") if of_heads else (HEADS, "is for eagor calibrate heads")),
-    )
-    theirs = FOOTAGE if replayed else (*FOOTAGE, "poses")
-    _refuse(options, theirs, "is for footage: eagor calibrate FRAMES --queries QUERY ...")
+    other, others = ("responses", RESPONSES) if of_heads else ("heads", HEADS)
+    _refuse(options, others, f"is for eagor calibrate {other}")
+    if wrong := given(options, FOOTAGE if replayed else (*FOOTAGE, "poses")):
+        raise terminal.UsageError(f"--{wrong[0]} is for footage: eagor calibrate FRAMES --queries QUERY ...")
     if replayed:
         return replay(options)
     checked_rows(options.rows)
@@ -113,9 +111,7 @@ def calibrate(options: Calibrate) -> int:
 def _refuse(options: Calibrate, names: Sequence[str], why: str) -> None:
     """Raise `UsageError` if one of these options is given."""
     if wrong := given(options, names):
-        value = getattr(options, wrong[0])
-        told = " ".join(value) if isinstance(value, tuple) else "" if value is True else str(value)
-        raise terminal.UsageError(f"{f'--{wrong[0]} {told}'.rstrip()} {why}")
+        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} {why}")
 
 
 def responses(options: Calibrate) -> int:

@@ -31,6 +31,8 @@ _READ = {_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _STATISTICS}
 _DEFINITIONS = 1 << 24  # bytes of all types' texts and topics' names together
 _WAITING = 200  # bytes that a message takes beside its content until its turn comes
 _Waiting = tuple[int, int, int, int, bytes]  # time, place of the chunk, number in it, channel, content
+_FRAMES = 64  # compressed parts of one chunk; recorders write one
+
 _DEFINITION = 1 << 24  # bytes of one definition of a type
 
 
@@ -274,10 +276,17 @@ def _decompressed(packed: bytes, compression: str, size: int) -> bytes:
             )
     else:
         raise ValueError(f"compression {compression!r}")
-    data = Decompressor().decompress(packed, max_length=size + 1)  # one frame, as recorders write it
-    if len(data) > size:
-        raise ValueError(f"it holds more than the {size} bytes that it declares")
-    return data
+    found, rest, room = [], packed, size
+    for _ in range(_FRAMES):
+        frame = Decompressor()
+        found.append(frame.decompress(rest, max_length=room + 1))
+        room -= len(found[-1])
+        if room < 0:
+            raise ValueError(f"it holds more than the {size} bytes that it declares")
+        rest = frame.unused_data
+        if not frame.eof or not rest:
+            break
+    return found[0] if len(found) == 1 else b"".join(found)
 
 
 # --- SQLite ---
