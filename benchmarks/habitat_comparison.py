@@ -1,6 +1,6 @@
 """Our world against Habitat-Sim, in the same apartments: pictures, distances, steps, speed.
 
-    python benchmarks/habitat_comparison.py [--parts pictures ground speed] [--seeds 3 17] [--json FILE]
+    python benchmarks/habitat_comparison.py [--parts pictures ground speed] [--seeds 3 17]
 
 Needs Habitat-Sim. Each apartment is exported to GLB with `export_glb(annotated=True)` and opened as ``habitat:FILE``.
 
@@ -284,26 +284,18 @@ def main() -> int:
     options.add_argument("--poses", type=int, default=20, help="of each apartment")
     options.add_argument("--pairs", type=int, default=200)
     options.add_argument("--rounds", type=int, default=10)
-    options.add_argument("--json", type=Path)
     given = options.parse_args()
     need_habitat()
-    report: dict[str, Any] = {}
+    parts = {
+        "pictures": lambda both, rng: pictures(both, given.poses, 200, rng),
+        "ground": lambda both, rng: ground(both, given.pairs, 20, rng),
+        "speed": lambda both, rng: speed(both, given.rounds, 8, rng),
+    }
     with tempfile.TemporaryDirectory() as folder:
         both = [opened(seed, Path(folder)) for seed in given.seeds]
         for part in given.parts:
-            report[part] = {}
-            for each in both:
-                rng = np.random.default_rng(each.seed)
-                report[part][each.seed] = (
-                    pictures(each, given.poses, 200, rng)
-                    if part == "pictures"
-                    else ground(each, given.pairs, 20, rng)
-                    if part == "ground"
-                    else speed(each, given.rounds, 8, rng)
-                )
-            print(json.dumps({part: report[part]}, indent=1), flush=True)
-    if given.json:
-        given.json.write_text(json.dumps(report, indent=1) + "\n")
+            found = {each.seed: parts[part](each, np.random.default_rng(each.seed)) for each in both}
+            print(json.dumps({part: found}, indent=1), flush=True)
     return 0
 
 
