@@ -195,6 +195,79 @@ def test_an_ordinary_camera_of_a_bag_has_the_lens_that_is_told(narrow, capsys, w
         assert frame["azimuth_deg"] == pytest.approx(math.degrees(0.15 * k - 0.3), abs=1)
 
 
+YAWS = {"front_optical_frame": 0.0, "side": math.pi / 2}  # of two cameras on the body
+
+
+def of_two_cameras(path, *, placed=True):
+    """A bag of a body that turns the red ball out of its front camera and into the one at its left."""
+    place = np.array([-0.5, 0.2, 1.0])
+    ahead = math.atan2(*bearing(ROOM.balls[0], place, np.eye(3))[0][[1, 0]])
+    grid, axes = PerspectiveGrid(120, 160, math.radians(72)), {"front_optical_frame": OPTICAL_R_BODY.T}
+    k = 80 / math.tan(grid.hfov / 2), 80 / math.tan(grid.hfov / 2), 79.5, 59.5
+    with BagWriter(path) as bag:
+        fixed = [
+            m.transform_message(START, "base_link", frame, world_R_body(yaw) @ axes.get(frame, np.eye(3)), (0.1, 0, 0))
+            for frame, yaw in YAWS.items()
+        ]
+        bag.write("/tf_static", m.TRANSFORMS, m.transforms_message(*fixed[: None if placed else 1]), START)
+        for number in range(9):
+            stamp, turn = START + 0.5 * number, ahead - 0.2 * number
+            pose = Pose(stamp, world_R_body(turn), place)
+            bag.write("/odom", m.ODOMETRY, m.odometry_message(pose), stamp)
+            for late, (frame, yaw) in enumerate(YAWS.items()):  # the cameras are not synchronous
+                at, name = stamp + 0.1 * late, frame.partition("_")[0]
+                seen = paint(ROOM, tuple(place), world_R_body(turn - 0.04 * late + yaw), 256, 512)
+                info = camera_info((160, 120), k, stamp=at, frame=frame)
+                bag.write(f"/{name}/camera_info", m.CAMERA_INFO, info, at)
+                bag.write(f"/{name}/image_raw", m.IMAGE, m.image_message(view(seen, grid), at, frame), at)
+    return path
+
+
+TWO = ("--image-topic", "/front/image_raw,/side/image_raw")
+TWO_YAML = """
+pictures: [{width: 160, height: 120}, {width: 160, height: 120}]
+lenses:
+  - {name: front, kind: pinhole, focal: 110.11, centre: [80, 60]}
+  - {name: side, kind: pinhole, picture: 1, focal: 110.11, centre: [80, 60], rotation: {yaw_deg: 90}}
+"""
+
+
+@pytest.mark.parametrize("words", [(), ("--hfov", "72"), ("--rig", "rig.yaml")])
+def test_a_bag_of_several_cameras_is_looked_at_picture_by_picture(tmp_path, capsys, monkeypatch, words):
+    """Each at its own time, with the lens of its camera_info, and its place by the fixed transforms; or by a rig."""
+    bag = of_two_cameras(tmp_path / "bag")
+    (tmp_path / "rig.yaml").write_text(TWO_YAML)
+    monkeypatch.chdir(tmp_path)
+    code, found, err = track(capsys, bag, "red", "--rate", "2", *TWO, *words)
+    assert code == 0, err
+    assert "18 pictures of /front/image_raw,/side/image_raw" in err
+    named = [each["frame"].split("/")[1] for each in found["frames"]]
+    assert named == ["front", "side"] * 8 + ["front"], "the last one is after the last pose"
+    errors = [each["azimuth_deg"] - math.degrees(0.4 * (each["stamp"] - START)) for each in found["frames"]]
+    assert max(map(abs, errors[:3] + errors[-3:])) < 2  # between, neither camera shows all of it
+
+
+def test_live_takes_several_topics_of_a_bag(tmp_path, capsys):
+    bag = of_two_cameras(tmp_path / "bag")
+    words = ["live", f"{bag}?topic=/front/image_raw,/side/image_raw", "red", "--fast", "--json"]
+    assert main([*words, "--perception", "colour"]) == 0
+    out, err = capsys.readouterr()
+    assert "18 pictures, 18 looks" in err
+    last = json.loads(out.splitlines()[-1])
+    assert last["azimuth_deg"] == pytest.approx(math.degrees(1.6), abs=4)
+    assert "azimuth_deg" in last["next_look"]
+
+
+def test_what_does_not_tell_where_several_cameras_are(tmp_path, capsys):
+    bag = of_two_cameras(tmp_path / "bag", placed=False)
+    code, _, err = track(capsys, bag, "red", *TWO)
+    assert code == 2
+    assert "/tf_static does not tell where side is in front_optical_frame; cameras of a rig are fixed" in err
+    code, _, err = track(capsys, bag, "red", *TWO, "--camera-info", "/front/camera_info")
+    assert code == 2
+    assert "names 1 topics, and 2 have pictures; wanted one for each" in err
+
+
 def test_a_lens_is_told_once(narrow, capsys):
     words = ["--image-topic", "/front/image_raw", "--camera-info", "/front/camera_info", "--hfov", "60"]
     code, _, err = track(capsys, narrow, "red", *words)

@@ -212,7 +212,8 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
     told = ordinary(options.hfov, options.camera, options.rig)
     lenses = None if options.rig is None else read_rig(options.rig)
-    stitched = whole or (lenses is not None and are_ordinary(lenses) and wants_panoramas(spec))
+    several = "," in source if lenses is None else are_ordinary(lenses)  # topics of ROS tell their lenses
+    stitched = whole or (several and wants_panoramas(spec))
     opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=lenses, camera=told, stitched=stitched)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
         from eagor.robots.ros.sources import RosCamera
@@ -227,6 +228,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
             rows=rows,
             rig=lenses,
             camera=told,
+            stitched=stitched,
         )
     camera = opens()
     try:
@@ -272,12 +274,13 @@ def _poses(options: Live, camera: CameraSource) -> Any:
     from eagor.live.threads import GivenPoses, MotionPoses
     from eagor.media.pose_files import odometry_of_file
     from eagor.robots import GO2, ROS, open_poses
-    from eagor.robots.ros.sources import BagCamera, bag_odometry
+    from eagor.robots.ros.pose_sources import bag_odometry
+    from eagor.robots.ros.sources import BagCamera
 
     text = options.poses
     if isinstance(camera, BagCamera) and (text == "auto" or text.startswith(ROS)):
         topic = text.removeprefix(ROS) if text != "auto" else None
-        return bag_odometry(camera.bag, topic, camera) or text
+        return bag_odometry(camera.bag, topic, camera.frame) or text
     motion = getattr(camera, "motion", None)
     if text == "auto" and motion is not None:
         return MotionPoses(motion)

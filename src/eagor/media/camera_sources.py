@@ -72,7 +72,8 @@ def open_camera(
 
     `latency`: seconds from capture to arrival, taken off the stamps. `rows`: the most rows of a panorama. `rig`: the
     lenses (`eagor.media.rigs`) or their YAML file, if the pictures are not panoramas; for a rig with several
-    pictures, `text` is as many sources with commas between, unless one gives all. `rate`: the most pictures per second
+    pictures, `text` is as many sources with commas between, unless one gives all; of topics of ROS or of a bag, as many
+    topics (``ros:/front/image,/back/image``), which may also do without a rig. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
     `stitched`: make a panorama also of pictures of a rig's ordinary lenses, which are otherwise given as they are.
 
@@ -82,7 +83,7 @@ def open_camera(
     """
     lenses = rig if rig is None or isinstance(rig, Rig) else read_rig(rig)
     parts = [text]
-    if lenses is not None and len(lenses.sizes) > 1 and "," in text and not os.path.exists(text):
+    if lenses is not None and len(lenses.sizes) > 1 and "," in text and not (os.path.exists(text) or _has_topics(text)):
         parts = text.split(",")
     kinds = [_kind(part) for part in parts]
     settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
@@ -94,10 +95,10 @@ def open_camera(
         return FolderCamera([Path(part) for part in parts], **settings, stitched=stitched)
     if kinds[0] == "file":
         return VideoCamera([Path(part) for part in parts], **settings, stitched=stitched)
-    if kinds[0] == "bag":
-        return plugins.bring(plugins.known(GROUP, BUILT_IN)["bag"], "camera")(text, **settings)
-    if kinds[0] == "plugin":
-        name, _, rest = text.partition(":")
+    if kinds[0] in ("bag", "plugin"):
+        name, _, rest = ("bag", "", text) if kinds[0] == "bag" else text.partition(":")
+        if stitched and name in BUILT_IN:  # those of other packages need not know of it
+            settings["stitched"] = True
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
     return LiveCamera(streams, **settings, stitched=stitched)
@@ -125,6 +126,11 @@ def _kind(text: str) -> str:
         known = ", ".join(f"{name}:" for name in sorted({*plugins.known(GROUP, BUILT_IN), "v4l2", "pipe", *SCHEMES}))
         raise DeviceError(f"there is no file {text!r}, and no source is called {named[1]}: ({known}). Wanted {SOURCES}")
     raise DeviceError(f"there is no file or folder {text!r}; wanted {SOURCES}")
+
+
+def _has_topics(text: str) -> bool:
+    """Whether commas in a source are those between the topics of a bag or of ROS."""
+    return is_bag(split_bag(text)[0]) or text.partition(":")[0] in BUILT_IN
 
 
 def _device(text: str) -> Any:

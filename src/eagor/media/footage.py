@@ -19,6 +19,7 @@ import numpy as np
 
 from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
+from eagor.grids import PerspectiveGrid
 from eagor.media.defects import fisheye_circles, problems
 from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
 from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
@@ -188,7 +189,7 @@ class VideoFrames:
 
 @dataclass(frozen=True)
 class BagFrames:
-    """The pictures of a bag's `camera`, `rate` of them per second, from `start` to `end` (seconds from the first).
+    """The pictures of a bag's `camera`, `rate` of each lens per second, from `start` to `end` (seconds from the first).
 
     Stamps are those of the messages' headers.
     """
@@ -202,19 +203,19 @@ class BagFrames:
     level_R_body: np.ndarray | None = None
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
-        tick = -math.inf
-        for stamp, read in self.camera.pictures():
+        ticks = [-math.inf] * len(self.camera.views)
+        for stamp, lens, read in self.camera.pictures():
             at = stamp - self.camera.begins
-            if at < self.start or (number := math.floor(at * self.rate + 1e-6)) <= tick:
+            if at < self.start or (number := math.floor(at * self.rate + 1e-6)) <= ticks[lens]:
                 continue
             if self.end is not None and at > self.end:
                 return
-            tick, name = number, f"{self.camera.topic} at {stamp:.3f} s"
-            yield stamp, name, partial(self._checked, read, name)
+            ticks[lens], name = number, f"{self.camera.topics[lens]} at {stamp:.3f} s"
+            yield stamp, name, partial(self._checked, read, name, self.camera.views[lens])
 
-    def _checked(self, read: Callable[[], np.ndarray], name: str) -> Picture:
-        if self.camera.view is not None:
-            return Picture(read(), grid=self.camera.view)
+    def _checked(self, read: Callable[[], np.ndarray], name: str, view: PerspectiveGrid | None) -> Picture:
+        if view is not None:
+            return Picture(read(), grid=view)
         return self.check(Picture(read(), self.camera.unseen), name)
 
 
