@@ -192,11 +192,10 @@ def asked(options: Live) -> tuple[str, list[str]]:
     return source, queries
 
 
-def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False, around: bool = False) -> LiveLoop:
+def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = False) -> LiveLoop:
     """The loop that the options ask for, with its camera open; `around` as of `LiveLoop`.
 
-    `whole`: a rig's pictures become panoramas, whatever its lenses and the perception. Raises `UsageError`, and as
-    `LiveLoop`.
+    Raises `UsageError`, and as `LiveLoop`.
     """
     from eagor.live.loop import LiveLoop
     from eagor.live.threads import already_open
@@ -213,7 +212,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
     told = ordinary(options.hfov, options.camera, options.rig)
     lenses = None if options.rig is None else read_rig(options.rig)
     several = "," in source if lenses is None else are_ordinary(lenses)  # topics of ROS tell their lenses
-    stitched = whole or (several and wants_panoramas(spec))
+    stitched = several and wants_panoramas(spec)
     opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=lenses, camera=told, stitched=stitched)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
         from eagor.robots.ros.sources import RosCamera

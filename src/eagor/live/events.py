@@ -48,8 +48,8 @@ class Answer:
 
     `estimate`: in the body frame of that time. `pose_age`: seconds since the newest pose was true; None if the camera
     is taken to stand still, infinite before the first pose. `look_age`: seconds since the newest evidence about this
-    query was captured, `image_age`: since the newest picture was; infinite before any. `faults`: what is wrong now,
-    longest first; empty if all is well.
+    query was captured, `image_age`: since the newest picture was, of several cameras that of the one which is silent
+    longest; infinite before any. `faults`: what is wrong now, longest first; empty if all is well.
     """
 
     stamp: float
