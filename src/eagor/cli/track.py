@@ -315,7 +315,7 @@ def _of_images(
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
     many = "1 image" if source.count == 1 else f"{source.count} images"
     terminal.log(f"{many}, taken at {rate:g} per second (--rate), {told}")
-    return Journey(frames, source.count, told, poses, rate, (source.count - 1) / rate)
+    return Journey(frames, source.count, told, poses, rate, (len(source.paths) - 1) / rate)
 
 
 def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int, stitched: bool) -> Journey:

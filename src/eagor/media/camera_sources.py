@@ -21,13 +21,14 @@ from typing import Any
 import numpy as np
 
 from eagor import plugins
-from eagor.errors import DeviceError, EagorError, ImageError, TimeError
+from eagor.errors import DeviceError, EagorError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import CameraSource, Frame
 from eagor.media.bags import is_bag, split_bag
+from eagor.media.footage import lens_folders
 from eagor.media.intrinsics import Camera
 from eagor.media.live_camera import LiveCamera
-from eagor.media.panorama import pictures_in, read_panorama, read_photograph
+from eagor.media.panorama import read_panorama, read_photograph
 from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, open_video
 from eagor.media.rigs import Rig, read_rig, sizes_of
 from eagor.media.stitching import Panoramas
@@ -224,11 +225,7 @@ class FolderCamera:
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed, self._rig, self._camera = False, rig, camera
-        lists = [pictures_in(Path(folder)) for folder in folders]
-        if len({len(each) for each in lists}) > 1:
-            counts = ", ".join(f"{len(each)} in {folder}" for each, folder in zip(lists, folders, strict=True))
-            raise ImageError(f"the folders of the lenses hold different numbers of pictures: {counts}")
-        self._moments = list(zip(*lists, strict=True))
+        self._moments = list(zip(*lens_folders(folders), strict=True))
         self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
         first = self._read(self._moments[0])
         self._makers = makers(sizes_of(first), rig, rows, str(folders[0]), camera, stitched)
