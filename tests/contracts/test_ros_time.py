@@ -41,17 +41,14 @@ YAWS = range(0, 360, 15)
 class Robot:
     """A robot that turns, in a process's own graph: `begins` is the stamp at its start, `speed` degrees per second.
 
-    `pace`: seconds of the robot per second of ours; 0: its time stands. `grid`: of an ordinary camera; with `two` there
-    is another one, which looks to the left.
+    `pace`: seconds of the robot per second of ours; 0: its time stands. `grid`: of an ordinary camera.
     """
 
-    def __init__(self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4), frame="base_link", grid=None, two=False):
+    def __init__(self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4), frame="base_link", grid=None):
         self.graph = FakeGraph(
             {"/image": m.IMAGE, "/camera_info": m.CAMERA_INFO, "/odom": m.ODOMETRY, "/clock": m.CLOCK}
         )
-        self.grid, self.two = grid, two
-        if two:
-            self.graph.found |= {"/left/image": (m.IMAGE, 1), "/left/camera_info": (m.CAMERA_INFO, 1)}
+        self.grid = grid
         self.now, self.speed, self.pace, self.silent = begins, speed, pace, False
         self.frame = frame
         self.show(ball)
@@ -81,10 +78,6 @@ class Robot:
                 (high, wide), focal = self.grid.shape, self.grid.shape[1] / 2 / math.tan(self.grid.hfov / 2)
                 k = focal, focal, wide / 2 - 0.5, high / 2 - 0.5
                 self.graph.feed("/camera_info", camera_info((wide, high), k, frame=self.frame))
-                if self.two:
-                    self.graph.feed("/left/camera_info", camera_info((wide, high), k, frame="left"))
-                    turn = m.transform_message(0.0, self.frame, "left", world_R_body(math.pi / 2))
-                    self.graph.feed("/tf_static", m.transforms_message(turn))
             if (
                 number := int(self.speed * self.now // 15)
             ) != shown:  # the camera shows what it saw when it looked there
@@ -92,9 +85,6 @@ class Robot:
                 seen = self._seen[number % len(YAWS)]
                 seen = seen if self.grid is None else view(seen, self.grid)
                 self.graph.feed("/image", m.image_message(seen, 15 * number / self.speed, self.frame))
-                if self.two:
-                    beside = view(self._seen[(number + 6) % len(YAWS)], self.grid)
-                    self.graph.feed("/left/image", m.image_message(beside, 15 * number / self.speed, "left"))
 
     def __enter__(self):
         self._thread.start()
@@ -169,16 +159,6 @@ def test_an_ordinary_camera_is_told_where_to_look_next():
     found = [np.array([each.vector.x, each.vector.y, each.vector.z]) for each in looks]
     world = [robot.pose(m.stamp_of(each)).world_R_body @ toward for each, toward in zip(looks, found, strict=True)]
     assert any(angular_distance(a, b) < 1e-6 for a, b in pairwise(world))
-
-
-def test_two_cameras_are_looked_at_one_by_one_and_the_body_is_told_where_to_turn():
-    """The turn is about the vertical, and level."""
-    grid = PerspectiveGrid(48, 64, math.radians(80))
-    with Robot(12.0, grid=grid, two=True) as robot, running(robot.graph, image_topic="/image,/left/image"):
-        told = lambda: robot.graph.of("~/next_look")  # noqa: E731
-        right = lambda: max(errors_of(robot, robot.graph.of("~/direction")[-10:])[1], default=99) < 8  # noqa: E731
-        robot.graph.until(lambda: len(told()) > 5 and right(), "it is found, and told where to turn")
-        assert max(abs(each.vector.z) for each in told()) < 1e-6
 
 
 def test_a_simulation_at_half_speed_that_goes_back_begins_anew():

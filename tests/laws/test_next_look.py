@@ -11,6 +11,7 @@ import eagor
 from eagor import Evidence
 from eagor.errors import GridError
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.live.events import Answer, FrameCame, NextLooks
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.tracking import Heights, TurningCamera, TurningRig
 from eagor.tracking.looking import tell, views_of
@@ -162,3 +163,16 @@ def test_a_rig_that_sees_all_around_need_not_turn():
     assert estimate.next_look(TurningRig(side(0, 60, 120, 180, 240, 300, fov=80))).turn < math.radians(61)
     nothing = eagor.DirectionTracker().estimate(0.0)
     assert nothing.next_look(TurningRig(side(0, 90, 180, 270, fov=100))).turn == 0.0
+
+
+def test_a_live_loop_with_several_cameras_tells_the_turn_of_the_body():
+    """With the first one alone, it is that of its axis."""
+    looks, estimate = NextLooks(), looked(np.eye(3))
+    answer = Answer(0.0, "ball", estimate, 0.0, 0.0, 0.0)
+    for lens, view in enumerate(side(0, 180)):
+        looks.take(FrameCame(0.0, 0.0, "", None, view, lens), [])
+        camera = TurningCamera.of_view(view) if lens == 0 else TurningRig(side(0, 180))
+        np.testing.assert_allclose(looks.of(answer), estimate.next_look(camera).direction, atol=1e-9)
+        answer = Answer(0.0, "cup", estimate, 0.0, 0.0, 0.0)  # computed anew at once
+    looks.take(FrameCame(0.1, 0.1, "", None, None), [])
+    assert looks.of(answer) is None, "a panorama sees all"
