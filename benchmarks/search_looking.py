@@ -1,6 +1,7 @@
 """How many looks does an ordinary camera need until a thing is found? Ours against sweeps and against the belief alone.
 
-    python benchmarks/search_looking.py [PANORAMAS] [--apartments 30] [--hfov 90]
+    python benchmarks/search_looking.py [PANORAMAS] [--labels FILE] [--apartments 30] [--hfov 90]
+        [--choices next sweep] [--headings 0 90 180 270]
 
 A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows (`eagor.cli.demo_looking`). A
 thing is found once the answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24
@@ -10,9 +11,10 @@ usual heights of things; `follow`, the direction of the estimate; `sweep`, ten v
 
 In the built-in apartments (seeds from 1200 on, which are for development), things that a query names uniquely are
 looked for through `truth`, a detector with moderate noise: 30 % misses, a false alarm in every fifth look, both partly
-lasting, confusions, 8 degrees of error. In the four photographs of the folder PANORAMAS it is `coco`, with truth marked
-by hand (tests/photographs.json). Each thing is looked for from four headings. Brackets are 95 % bootstrap intervals
-over things (the four starts of one together); the last column is the difference to `next`, in pairs.
+lasting, confusions, 8 degrees of error. In the photographs of the folder PANORAMAS it is `coco`, with truth marked by
+hand: of four in tests/photographs.json, or of those that --labels names. Each thing is looked for from each of the
+--headings. Brackets are 95 % bootstrap intervals over things (the starts of one together); the last column is the
+difference to `next`, in pairs.
 """
 
 from __future__ import annotations
@@ -94,8 +96,8 @@ def apartments(count: int) -> Iterator[Case]:
             yield Case(f"{stand.name}, {query}", middle[None], partial(looks, query))
 
 
-def photographs(folder: Path) -> Iterator[Case]:
-    """Things in photographs, seen by `coco`."""
+def photographs(folder: Path, labels: Path) -> Iterator[Case]:
+    """Things in photographs, seen by `coco`; `labels`: what is marked in each."""
     views = from_text()
     detect, known = views.detect, {}
 
@@ -106,7 +108,7 @@ def photographs(folder: Path) -> Iterator[Case]:
         return known[key]
 
     views.detect = remembered
-    for name, marked in json.loads(ANNOTATIONS.read_text()).items():
+    for name, marked in json.loads(labels.read_text()).items():
         picture = read_panorama(folder / name)
 
         def looks(query: str, luck: int, picture: np.ndarray = picture) -> Look:
@@ -122,12 +124,11 @@ def photographs(folder: Path) -> Iterator[Case]:
             yield Case(f"{name}, {query}", direction(*angles.T), partial(looks, query))
 
 
-def table(cases: list[Case], grid: PerspectiveGrid) -> None:
+def table(cases: list[Case], choices: list[str], starts: list[int], grid: PerspectiveGrid) -> None:
     """Search for every thing from every heading with every choice; print the figures."""
-    counts = {
-        choice: np.array([[looks_until_found(c, choice, s, grid) for s in STARTS] for c in cases]) for choice in CHOICES
-    }
-    groups = np.repeat(np.arange(len(cases)), len(STARTS))
+    each = [[[looks_until_found(case, c, s, grid) for s in starts] for c in choices] for case in cases]
+    counts = dict(zip(choices, np.array(each).swapaxes(0, 1), strict=True))
+    groups = np.repeat(np.arange(len(cases)), len(starts))
     print(f"{'':8}{'looks until found':>26}{'found':>8}{'more than next':>26}")
     for choice, all_looks in counts.items():
         looks, ours = (np.minimum(each, MOST).ravel() for each in (all_looks, counts["next"]))
@@ -147,17 +148,21 @@ def main() -> int:
     """Search, print."""
     parser = common.parser(__doc__)
     parser.add_argument("panoramas", type=Path, nargs="?", help="the folder of the photographs")
+    parser.add_argument("--labels", type=Path, default=ANNOTATIONS, help="what is marked in them")
+    parser.add_argument("--choices", nargs="+", default=[*CHOICES], choices=[*CHOICES], help="who chooses, next first")
     parser.add_argument("--apartments", type=int, default=30)
     parser.add_argument("--hfov", type=float, default=90.0)
+    parser.add_argument("--headings", nargs="+", type=int, default=[*STARTS], help="of the first look, degrees")
     options = parser.parse_args()
+    starts = options.headings
     grid = PerspectiveGrid(480, 640, math.radians(options.hfov))
     sets = {"apartments, truth": (apartments(options.apartments), grid.resized(48, 64))}
     if options.panoramas:
-        sets["photographs, coco"] = photographs(options.panoramas), grid
+        sets["photographs, coco"] = photographs(options.panoramas, options.labels), grid
     for name, (cases, pixels) in sets.items():
         if things := list(cases):
-            print(f"\n{name}: {len(things)} things, {len(STARTS)} headings each, {options.hfov:g} degrees", flush=True)
-            table(things, pixels)
+            print(f"\n{name}: {len(things)} things, {len(starts)} headings each, {options.hfov:g} degrees", flush=True)
+            table(things, options.choices, starts, pixels)
     return 0
 
 

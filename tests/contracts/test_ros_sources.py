@@ -20,7 +20,8 @@ from eagor.media.camera_sources import open_camera
 from eagor.media.intrinsics import camera_of
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros.graph import DdsGraph
-from eagor.robots.ros.sources import BagCamera, BagPoses, RosCamera, RosPoses
+from eagor.robots.ros.pose_sources import BagPoses, RosPoses
+from eagor.robots.ros.sources import BagCamera, RosCamera
 from eagor.sphere import world_R_body
 from eagor.worlds.painted import painted_room
 
@@ -136,6 +137,40 @@ def test_an_ordinary_camera_s_lens_is_told_beside_its_pictures():
             camera.close()
         with pytest.raises(DeviceError, match="has no topic /else; it has /front/camera_info"):
             RosCamera(graph=graph, info="/else")
+
+
+def test_several_cameras_take_turns_and_one_that_is_silent_leaves_the_others(monkeypatch):
+    """What panoramas alone can be looked at gets both in one."""
+    monkeypatch.setattr("eagor.robots.ros.sources.SILENT", 0.2)
+    domain, narrow, names = free_domain(), np.zeros((30, 40, 3), np.uint8), ("front", "left")
+    ended, front = threading.Event(), m.transform_message(0.0, "base_link", "front", np.eye(3))
+    left = m.transform_message(0.0, "base_link", "left", world_R_body(math.pi / 2))
+
+    def speak(publish, n):
+        if n == 0:
+            publish("/tf_static", m.TRANSFORMS, m.transforms_message(front, left), transient=True)
+        for name in names[: 1 if ended.is_set() else 2]:
+            publish(f"/{name}/camera_info", m.CAMERA_INFO, camera_info((40, 30), (30, 30, 19.5, 14.5), frame=name))
+            publish(f"/{name}/image", m.IMAGE, m.image_message(narrow, START + n, name))
+
+    topics = "/front/image,/left/image"
+    with speaking(domain, speak), DdsGraph(domain, "lo") as graph:
+        camera = RosCamera(topics, graph=graph, stitched=True)
+        frame = next(iter(camera))
+        assert (frame.grid, frame.picture.shape[1]) == (None, 2 * frame.picture.shape[0])
+        camera.close()
+        check_camera(RosCamera(topics, graph=graph), frames=6)
+        camera = RosCamera(topics, graph=graph)
+        frames = iter(camera)
+        seen = [next(frames) for _ in range(4)]
+        assert [each.lens for each in seen] in ([0, 1, 0, 1], [1, 0, 1, 0])
+        yaws = {each.lens: math.atan2(*each.grid.body_R_view[[1, 0], 0]) for each in seen}
+        assert yaws == {0: pytest.approx(0.0), 1: pytest.approx(math.pi / 2)}
+        ended.set()
+        while camera.problem is None:
+            assert next(frames).stamp
+        assert camera.problem.startswith("no picture on /left/image for ")
+        camera.close()
 
 
 def test_a_lens_that_was_told_once_before_is_heard():

@@ -25,8 +25,9 @@ from eagor.media.panorama import view
 from eagor.robots.ros.graph import find_topic
 from eagor.robots.ros.node import Node, NodeSettings, SimClock
 from eagor.robots.ros.odometry import PoseReader
+from eagor.robots.ros.pose_sources import RosPoses
 from eagor.robots.ros.publishing import Stamps
-from eagor.robots.ros.sources import RosCamera, RosPoses
+from eagor.robots.ros.sources import RosCamera
 from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Ball, Room, bearing, paint
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from eagor.grids import PerspectiveGrid
 from eagor.live.events import Answer, Fault, FrameCame, PoseCame
 from eagor.media import Pose
 from eagor.perception.colour import ColourPerception
@@ -99,7 +100,7 @@ def test_the_odometer_tells_of_poses_as_they_come_but_not_of_each():
     assert odometer.xy == pytest.approx((1.99, 0.0))
     picture = painted_room(16, 32)
     odometer.take(FrameCame(now, now, "1", picture), ())
-    assert odometer.panorama is picture
+    assert odometer.frame.picture is picture
 
 
 def samples(count=100, **changes):
@@ -120,7 +121,7 @@ def test_a_walk_as_a_page(tmp_path):
     page = RobotPage("<b>chair</b> & co", {"robot": "<i>"}, plan)
     estimate = estimate_of()
     for sample in samples():
-        page.add(sample, painted_room(64, 128), estimate)
+        page.add(sample, painted_room(64, 128), estimate, PerspectiveGrid(64, 128, 1.5) if sample.time > 3 else None)
     text = page.write(tmp_path / "report.html").read_text()
     assert "&lt;b&gt;chair&lt;/b&gt; &amp; co" in text
     assert "<b>chair" not in text

@@ -195,6 +195,82 @@ def test_an_ordinary_camera_of_a_bag_has_the_lens_that_is_told(narrow, capsys, w
         assert frame["azimuth_deg"] == pytest.approx(math.degrees(0.15 * k - 0.3), abs=1)
 
 
+YAWS = {"front_optical_frame": 0.0, "side": math.pi / 2}  # of two cameras on the body
+RATE = math.radians(44)  # radians per second, to the right: between the cameras, neither shows a part of it
+
+
+def of_two_cameras(path, frames=tuple(YAWS)):
+    """A bag of a body that turns the red ball out of its front camera and into the one at its left.
+
+    `frames`: those whose places on the body are told.
+    """
+    place = np.array([-0.5, 0.2, 1.0])
+    ahead = math.atan2(*bearing(ROOM.balls[0], place, np.eye(3))[0][[1, 0]])
+    grid = PerspectiveGrid(120, 160, math.radians(60))
+    k = grid.focal, grid.focal, 79.5, 59.5
+    with BagWriter(path) as bag:
+        for frame in frames:
+            turn = world_R_body(YAWS[frame]) @ (OPTICAL_R_BODY.T if "optical" in frame else np.eye(3))
+            fixed = m.transform_message(START, "base_link", frame, turn)
+            bag.write("/tf_static", m.TRANSFORMS, m.transforms_message(fixed), START)
+        for number in range(5):
+            for late, (frame, yaw) in enumerate(YAWS.items()):  # the cameras are not synchronous
+                at, name = START + 0.5 * number + 0.1 * late, frame.partition("_")[0]
+                turn = ahead - RATE * (at - START)
+                pose = Pose(at, world_R_body(turn), place)
+                bag.write("/odom", m.ODOMETRY, m.odometry_message(pose), at)
+                seen = paint(ROOM, tuple(place), world_R_body(turn + yaw), 128, 256)
+                bag.write(f"/{name}/camera_info", m.CAMERA_INFO, camera_info((160, 120), k, stamp=at, frame=frame), at)
+                bag.write(f"/{name}/image_raw", m.IMAGE, m.image_message(view(seen, grid), at, frame), at)
+    return path
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    return of_two_cameras(tmp_path_factory.mktemp("two") / "bag")
+
+
+TWO = ("--image-topic", "/front/image_raw,/side/image_raw")
+TWO_YAML = """
+pictures: [{width: 160, height: 120}, {width: 160, height: 120}]
+lenses:
+  - {name: front, kind: pinhole, focal: 138.56, centre: [80, 60]}
+  - {name: side, kind: pinhole, picture: 1, focal: 138.56, centre: [80, 60], rotation: {yaw_deg: 90}}
+"""
+
+
+@pytest.mark.parametrize("rig", [False, True])
+def test_a_bag_of_several_cameras_is_looked_at_picture_by_picture(two, tmp_path, capsys, rig):
+    """Each at its own time, with the lens of its camera_info, and its place by the fixed transforms; or by a rig."""
+    (tmp_path / "rig.yaml").write_text(TWO_YAML)
+    words = ("--rig", tmp_path / "rig.yaml") if rig else ()
+    code, found, err = track(capsys, two, "red", "--rate", "2", *TWO, *words)
+    assert code == 0, err
+    assert "10 pictures of /front/image_raw,/side/image_raw" in err
+    assert [each["frame"].split("/")[1] for each in found["frames"]] == ["front", "side"] * 5
+    for each in found["frames"]:
+        assert each["azimuth_deg"] == pytest.approx(math.degrees(RATE * (each["stamp"] - START)), abs=2)
+
+
+def test_live_takes_several_topics_of_a_bag(two, capsys):
+    words = ["live", f"{two}?topic=/front/image_raw,/side/image_raw", "red", "--fast", "--json", "--rate", "2"]
+    assert main([*words, "--perception", "colour"]) == 0
+    out, err = capsys.readouterr()
+    assert "10 pictures, 10 looks" in err
+    last = json.loads(out.splitlines()[-1])
+    assert last["azimuth_deg"] == pytest.approx(math.degrees(RATE * 2.1), abs=3)
+    assert "azimuth_deg" in last["next_look"]
+
+
+def test_what_does_not_tell_where_several_cameras_are(two, tmp_path, capsys):
+    code, _, err = track(capsys, of_two_cameras(tmp_path / "bag", ["front_optical_frame"]), "red", *TWO)
+    assert code == 2
+    assert "/tf_static does not tell where side is in front_optical_frame; cameras of a rig are fixed" in err
+    code, _, err = track(capsys, two, "red", *TWO, "--camera-info", "/front/camera_info")
+    assert code == 2
+    assert "names 1 topics, and 2 have pictures; wanted one for each" in err
+
+
 def test_a_lens_is_told_once(narrow, capsys):
     words = ["--image-topic", "/front/image_raw", "--camera-info", "/front/camera_info", "--hfov", "60"]
     code, _, err = track(capsys, narrow, "red", *words)

@@ -11,9 +11,10 @@ import eagor
 from eagor import Evidence
 from eagor.errors import GridError
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.live.events import Answer, FrameCame, NextLooks
 from eagor.sphere import angular_distance, direction, world_R_body
-from eagor.tracking import Heights, TurningCamera
-from eagor.tracking.looking import looks
+from eagor.tracking import Heights, TurningCamera, TurningRig
+from eagor.tracking.looking import tell, views_of
 
 GRID = PerspectiveGrid(48, 64, math.radians(90))
 CAMERA = TurningCamera(math.radians(90))
@@ -31,6 +32,12 @@ def looked(*poses, found=NOTHING):
     return tracker.estimate(max(len(poses) - 1.0, 0.0))
 
 
+def told_by(estimate, camera):
+    """The axes ``(n, 3)`` of the views that are weighed, and what a look at each tells ``(n,)``."""
+    views = views_of(camera, estimate.world_R_body, np.array([1.0, 0.0, 0.0]))
+    return views.axes, tell(estimate._known, views, None)
+
+
 def shows(estimate, toward, where):
     """Whether a level view with its axis `toward` shows directions ``(..., 3)``, all in the body frame."""
     axis = estimate.world_R_body @ toward
@@ -40,7 +47,7 @@ def shows(estimate, toward, where):
 
 def test_before_any_look_all_directions_are_alike_and_the_nearest_is_taken():
     estimate = eagor.DirectionTracker().estimate(0.0)
-    _, told = looks(estimate._known, CAMERA, None)
+    _, told = told_by(estimate, CAMERA)
     assert told.min() > 0.95 * told.max()
     assert estimate.next_look(CAMERA).turn < 1e-6
     assert estimate.next_look(CAMERA, body_R_view=world_R_body(math.pi / 2)).direction[1] == pytest.approx(1.0)
@@ -52,7 +59,7 @@ def test_what_was_looked_at_in_vain_is_not_looked_at_again(turns):
     """The next look tells as much as any, and more than the same look again; it shows mostly what none has shown."""
     estimate = looked(*(world_R_body(*np.radians(turn)) for turn in turns))
     next_look = estimate.next_look(CAMERA)
-    axes, told = looks(estimate._known, CAMERA, None)
+    axes, told = told_by(estimate, CAMERA)
     again = told[np.argmax(axes @ estimate.world_R_body[:, 0])]
     assert 0.97 * told.max() <= next_look.tells <= told.max()
     assert next_look.tells > again
@@ -102,6 +109,8 @@ def test_things_are_looked_for_where_they_usually_are():
         (lambda: TurningCamera(1.5, turn_rate=0), "turn_rate"),
         (lambda: Heights(elsewhere=0), "elsewhere"),
         (lambda: looked(np.eye(3)).next_look(0.1), "hfov"),
+        (lambda: TurningRig([]), "at least one view"),
+        (lambda: TurningRig([PerspectiveGrid(4, 4, 3.0)]), "hfov"),
     ],
 )
 def test_numbers_out_of_range_are_refused(wrong, says):
@@ -115,3 +124,55 @@ def test_directions_are_in_the_body_frame():
         found = looked(pose, found=np.array([[1.0, 0.1, 0.0]])).next_look(CAMERA)
         np.testing.assert_allclose(direction(np.array(found.azimuth), np.array(found.elevation)), found.direction)
         assert found.turn == pytest.approx(float(angular_distance(found.direction, np.array([1.0, 0, 0]))), abs=1e-6)
+
+
+def side(*yaws, fov=60):
+    """Views of cameras at these azimuths of the body, degrees."""
+    return [PerspectiveGrid(48, 64, math.radians(fov), world_R_body(math.radians(yaw))) for yaw in yaws]
+
+
+def test_a_rig_of_one_camera_ahead_turns_to_where_the_camera_does():
+    """A body that turns can tilt nothing, so the camera has no reach either."""
+    tracker = eagor.DirectionTracker()
+    tracker.observe(Evidence.from_points([[-0.2, 1.0, 0.1]], grid=PerspectiveGrid(48, 64, 2.6), stamp=0.0))
+    estimate = tracker.estimate(0.0)
+    level = TurningCamera.of_view(side(0)[0])
+    one, rig = estimate.next_look(TurningCamera(level.hfov, level.vfov, reach=0.0)), TurningRig(side(0))
+    for found in (estimate.next_look(rig), tracker.next_look(rig, 0.0)):
+        np.testing.assert_allclose(found.direction, one.direction, atol=1e-9)
+        assert (found.tells, found.turn) == (pytest.approx(one.tells), pytest.approx(one.turn, abs=1e-6))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 20.0])
+def test_a_rig_turns_the_way_on_which_any_of_its_cameras_sees_more(tilt):
+    """Front and back have looked in vain: a quarter turn shows both sides at once; left and back need no more."""
+    body = world_R_body(math.radians(40), math.radians(tilt))
+    for yaws, quarters in (((0, 180), (1, 3)), ((0, 90), (2,))):
+        tracker = eagor.DirectionTracker()
+        tracker.add_pose(0.0, body)
+        for view in side(*yaws, fov=90):
+            tracker.observe(Evidence.from_points(NOTHING, grid=view, stamp=0.0))
+        found = tracker.estimate(0.0).next_look(TurningRig(side(*yaws, fov=90)))
+        turn = math.degrees(found.turn)
+        assert min(abs(turn - 90 * each if each < 3 else turn - 90) for each in quarters) < 31
+        assert found.elevation != 0 or tilt == 0
+
+
+def test_a_rig_that_sees_all_around_need_not_turn():
+    estimate = looked(np.eye(3), found=np.array([[0.1, 1.0, 0.1]]))
+    assert estimate.next_look(TurningRig(side(0, 60, 120, 180, 240, 300, fov=80))).turn < math.radians(61)
+    nothing = eagor.DirectionTracker().estimate(0.0)
+    assert nothing.next_look(TurningRig(side(0, 90, 180, 270, fov=100))).turn == 0.0
+
+
+def test_a_live_loop_with_several_cameras_tells_the_turn_of_the_body():
+    """With the first one alone, it is that of its axis."""
+    looks, estimate = NextLooks(), looked(np.eye(3))
+    answer = Answer(0.0, "ball", estimate, 0.0, 0.0, 0.0)
+    for lens, view in enumerate(side(0, 180)):
+        looks.take(FrameCame(0.0, 0.0, "", None, view, lens), [])
+        camera = TurningCamera.of_view(view) if lens == 0 else TurningRig(side(0, 180))
+        np.testing.assert_allclose(looks.of(answer), estimate.next_look(camera).direction, atol=1e-9)
+        answer = Answer(0.0, "cup", estimate, 0.0, 0.0, 0.0)  # computed anew at once
+    looks.take(FrameCame(0.1, 0.1, "", None, None), [])
+    assert looks.of(answer) is None, "a panorama sees all"

@@ -25,7 +25,7 @@ from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.media import Pose
 from eagor.media.intrinsics import ShapeError
-from eagor.sphere import angular_distance
+from eagor.sphere import angular_distance, world_R_body
 from eagor.studio import eye, runs
 from eagor.studio.guard import Gate
 from eagor.studio.houses import Body, Walker, outlines
@@ -554,6 +554,32 @@ def test_a_live_picture_waits_for_its_pose_but_not_for_ever():
     assert waiting.take(core, 1.4).name == "1"
     assert waiting.take(core, 1.5) is None
     assert waiting.take(core, 2.5).name == "3"
+
+
+def test_what_several_cameras_show_is_pasted_together():
+    """The page gets one panorama in the body's axes, and no lens; what none has shown is dark."""
+    said, estimate = [], Follower()
+    estimate.move(0.0, np.eye(3))
+    shown = Shown(said.append, "cameras", "colour")
+    shown.loop = Loop()
+    shown.loop.core = LiveCore(LoopSettings(("ball",)))
+    for lens, colour in enumerate((80, 160)):
+        grid = PerspectiveGrid(30, 40, math.radians(80), world_R_body(math.pi * lens))
+        for number in range(3):  # one of each is taken
+            stamp = 1.0 + number / 100 + lens / 1000
+            frame = FrameCame(stamp, stamp, "", np.full((30, 40, 3), colour, np.uint8), grid, lens)
+            shown.loop.core.take(PoseCame(stamp, Pose(stamp, world_R_body(0.3)), of_picture=False))
+            shown.loop.core.take(frame)
+            shown.take(frame, [])
+    shown.take(Asked(2.5), [Answer(2.5, "ball", estimate.estimate(2.5), None, 0.1, 0.1)])
+    scene, step = said
+    assert "lens" not in scene.header
+    with Image.open(io.BytesIO(step.blobs["panorama"].content)) as picture:
+        pixels = np.asarray(picture.convert("L"), dtype=float)
+    row, quarter = len(pixels) // 2, len(pixels) // 2
+    seen = [pixels[row, at] for at in (2 * quarter, 2, quarter, 3 * quarter)]
+    assert seen == pytest.approx([80, 160, 22, 22], abs=6)
+    np.testing.assert_allclose(step.header["panorama"]["world_R_camera"], world_R_body(0.3).reshape(9), atol=1e-5)
 
 
 @pytest.mark.filterwarnings("error")

@@ -201,11 +201,10 @@ def asked(options: Live) -> tuple[str, list[str]]:
     return source, queries
 
 
-def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False, around: bool = False) -> LiveLoop:
+def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = False) -> LiveLoop:
     """The loop that the options ask for, with its camera open; `around` as of `LiveLoop`.
 
-    `whole`: a rig's pictures become panoramas, whatever its lenses and the perception. Raises `UsageError`, and as
-    `LiveLoop`.
+    Raises `UsageError`, and as `LiveLoop`.
     """
     from eagor.live.loop import LiveLoop
     from eagor.live.threads import already_open
@@ -220,14 +219,15 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
     told = ordinary(options.hfov, options.camera, options.rig)
     lenses = rig_of(options.rig)
-    stitched = whole or (lenses is not None and are_ordinary(lenses) and wants_panoramas(spec))
+    several = "," in source if lenses is None else are_ordinary(lenses)  # topics of ROS tell their lenses
+    stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
     opens = partial(open_camera, source, stitched=stitched, **how)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
         from eagor.robots.ros.sources import RosCamera
 
         network = {"domain": options.domain, "interface": options.interface}
-        opens = partial(RosCamera, source.removeprefix(ROS), **network, **how)
+        opens = partial(RosCamera, source.removeprefix(ROS), stitched=stitched, **network, **how)
     camera = opens()
     try:
         loop = LiveLoop(
@@ -249,12 +249,13 @@ def _poses(options: Live, camera: CameraSource) -> Any:
     from eagor.live.threads import GivenPoses, MotionPoses
     from eagor.media.pose_files import odometry_of_file
     from eagor.robots import GO2, ROS, open_poses
-    from eagor.robots.ros.sources import BagCamera, bag_odometry
+    from eagor.robots.ros.pose_sources import bag_odometry
+    from eagor.robots.ros.sources import BagCamera
 
     text = options.poses
     if isinstance(camera, BagCamera) and (text == "auto" or text.startswith(ROS)):
         topic = text.removeprefix(ROS) if text != "auto" else None
-        return bag_odometry(camera.bag, topic, camera) or text
+        return bag_odometry(camera.bag, topic, camera.frame) or text
     motion = getattr(camera, "motion", None)
     if text == "auto" and motion is not None:
         return MotionPoses(motion)

@@ -84,7 +84,8 @@ CameraInfo = Annotated[
     str | None,
     bare(
         "TOPIC",
-        "An ordinary camera: the CameraInfo of its pictures (default: camera_info beside them, if they are not 2:1).",
+        "An ordinary camera: the CameraInfo of its pictures (default: camera_info beside them, if they are not 2:1); "
+        "of several cameras, with commas between.",
     ),
 ]
 Mask = Annotated[

@@ -23,9 +23,9 @@ from eagor.cli.checks import (
     checked_seconds,
     mask_of,
     perception_for,
-    rig_of,
     rows_for,
     tracker_config,
+    wants_panoramas,
 )
 from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static, Whole, bare
 from eagor.errors import DeviceError
@@ -97,7 +97,7 @@ class RobotRun(Common):
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
     """The lenses, if the pictures are those of fisheye or ordinary lenses."""
     rows: Annotated[int | None, bare("N")] = None
-    """Rows of the panoramas at most."""
+    """Rows of the pictures at most."""
     mount: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.4)
     """Where the camera is on the body: metres forward, left and up from the body's centre."""
     odometry: Annotated[Literal["sport", "slow", "lidar"], arg(metavar="NAME")] = "sport"
@@ -209,6 +209,11 @@ def _check(options: RobotRun) -> None:
             raise terminal.UsageError("--sim brings its own camera and network: leave out --source and --interface")
     elif options.source is None:
         raise terminal.UsageError("a robot needs a camera: --source /dev/video0, rtsp://..., ros:/image; or take --sim")
+    elif options.source.startswith(ROS) and "," in options.source and options.rig is None:
+        raise terminal.UsageError(
+            f"--source {options.source} names several cameras; give --rig with their lenses, and where on the "
+            "robot's body these look"
+        )
     elif options.deadman == "none" and options.arm and options.interface != INTERFACE:
         raise terminal.UsageError(
             "--deadman none is only for simulated robots (--sim, --interface lo): a real one moves while somebody "
@@ -221,18 +226,22 @@ def _check(options: RobotRun) -> None:
 @contextmanager
 def _real(options: RobotRun, spec: str) -> Iterator[Place]:
     from eagor.media.camera_sources import open_camera
+    from eagor.media.rig_videos import are_ordinary
+    from eagor.media.rigs import read_rig
 
-    rows = rows_for(spec, options.rows)
     source = options.source
     assert source is not None
+    rig = None if options.rig is None else read_rig(options.rig)
+    stitched = rig is not None and are_ordinary(rig) and wants_panoramas(spec)
+    lenses: dict[str, Any] = {"rows": rows_for(spec, options.rows), "rig": rig, "stitched": stitched}
 
     def camera() -> CameraSource:
         if source.startswith(ROS):  # on the robot's network, not on that of the environment
             from eagor.robots.ros.sources import RosCamera
 
-            network = {"domain": options.domain, "interface": options.interface, "rig": rig_of(options.rig)}
-            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, **network)
-        found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig, stitched=True)
+            network = {"domain": options.domain, "interface": options.interface}
+            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, **lenses, **network)
+        found = open_camera(source, latency=options.latency, **lenses)
         if not found.live:
             found.close()
             raise DeviceError(f"--source {source} is a recording; a robot that walks needs a live camera")
@@ -295,7 +304,9 @@ def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Plac
     for step in steps:
         now = time.monotonic()
         sample = _sample(step, now - begun, place)
-        page.add(sample, step.panorama, step.answer.estimate)
+        frame = step.frame
+        picture, grid = (None, None) if frame is None else (frame.picture, frame.grid)
+        page.add(sample, picture, step.answer.estimate, grid)
         words = f"{sample.mode}, {sample.doing}: {'; '.join(sample.reasons) or sample.words}"
         told = sample.mode, sample.doing, sample.reasons[:1] and sample.reasons[0][:16]
         if told != said and (now - spoke >= QUIET or sample.mode in LOUD):

@@ -20,6 +20,7 @@ from eagor.cli.checks import (
     perception_for_all,
     rows_for,
     tracker_config,
+    wants_panoramas,
 )
 from eagor.cli.options import CameraInfo, Common, Detector, Flag, Floor, Force, Hfov, Static, Whole, bare
 
@@ -37,7 +38,10 @@ class Ros(Common):
     queries: Annotated[tuple[str, ...], Positional, arg(metavar="[QUERY ...]", help_behavior_hint="")] = ()
     """What to look for, each in quotes; more, or others, come on ~/query."""
     image_topic: Annotated[str | None, bare("TOPIC")] = None
-    """The pictures: Image or CompressedImage (default: the only such topic)."""
+    (
+        "The pictures: Image or CompressedImage (default: the only such topic); of several cameras, their topics with "
+        "commas between."
+    )
     camera_info: CameraInfo = None
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """Odometry, PoseStamped, Imu, or /tf (default: the only topic of the first of these kinds)."""
@@ -121,6 +125,12 @@ def ros(options: Ros) -> int:
         raise terminal.UsageError(
             f"--cmd-vel with --poses {options.poses}: a base is driven only by odometry; leave --poses out"
         )
+    several = "," in (options.image_topic or "")
+    if several and options.camera is not None and options.rig is None:
+        raise terminal.UsageError(
+            f"--camera {options.camera} names one frame, and --image-topic {options.image_topic} several cameras: "
+            "leave it out, and each one's pictures name its frame; or give their places with --rig"
+        )
     rig = None
     if options.rig is not None:
         from eagor.media.rigs import read_rig
@@ -144,6 +154,7 @@ def ros(options: Ros) -> int:
         rig=rig,
         lens=ordinary(options.hfov, options.intrinsics, options.rig, options.camera_info),
         camera_info=options.camera_info,
+        stitched=(several or rig is not None) and wants_panoramas(spec),
         record=options.record,
         cmd_vel=options.cmd_vel,
         walking=WalkSettings(speed=options.speed, distance=options.distance),

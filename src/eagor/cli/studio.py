@@ -231,6 +231,6 @@ def serve(line: Connection, options: Live) -> None:
     source, _ = asked(options)
 
     def opens(watchers: Sequence[Watcher], hfov: float | None) -> LiveLoop:
-        return loop_of(options if hfov is None else replace(options, hfov=hfov), watchers, whole=True, around=True)
+        return loop_of(options if hfov is None else replace(options, hfov=hfov), watchers, around=True)
 
     watch(line, source, options.perception or "", opens)

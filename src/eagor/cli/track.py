@@ -178,7 +178,7 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     rows, looks = max(rows_of(perception), LEAST_ROWS), options.rate or RATE
     rates = looks, max(looks, shown or 0)
     if len(places) == 1 and is_bag(places[0]):
-        return _of_bag(options, places[0], poses, rows, *rates)
+        return _of_bag(options, places[0], poses, rows, *rates, not takes_pictures(perception))
     if given(options, ("image_topic", "odom_topic", "camera_info")):
         topics = "--image-topic, --odom-topic and --camera-info"
         raise terminal.UsageError(f"{topics} are for a ROS 2 bag; {places[0]} is none")
@@ -247,28 +247,31 @@ def _of_images(
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
     many = "1 image" if source.count == 1 else f"{source.count} images"
     terminal.log(f"{many}, taken at {rate:g} per second (--rate), {told}")
-    return Journey(frames, source.count, told, poses, rate, (source.count - 1) / rate)
+    return Journey(frames, source.count, told, poses, rate, (len(source.paths) - 1) / rate)
 
 
 def _of_bag(
-    options: Footage, place: Path, poses: Sequence[FramePose], rows: int, looks: float, shown: float
+    options: Footage, place: Path, poses: Sequence[FramePose], rows: int, looks: float, shown: float, stitched: bool
 ) -> Journey:
     from eagor.media.bags import Bag
     from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.intrinsics import in_words
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.media.ros_messages import IMU
-    from eagor.robots.ros.sources import BagCamera, bag_odometry
+    from eagor.robots.ros.pose_sources import bag_odometry
+    from eagor.robots.ros.sources import BagCamera
 
     lens = checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info)
     bag, rig = Bag(place), checks.rig_of(options.rig)
-    camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info)
+    camera = BagCamera(
+        bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info, stitched=stitched
+    )
     if camera.lens is not None:
-        terminal.log(f"{camera.topic}: {in_words(camera.lens.name, camera.view)}")
+        terminal.log(f"{camera.topic}: {in_words(camera.lens.name, camera.views[0])}")
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
-    odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera)
-    if camera.view is not None and not poses and odometry is None:
+    odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera.frame)
+    if camera.views[0] is not None and not poses and odometry is None:
         shown = max(shown, BY_SIGHT)
     source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
     if odometry is not None:
@@ -278,7 +281,9 @@ def _of_bag(
     terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
     terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
     placed = odometry is not None and odometry.kind != IMU
-    return Journey(thinned(frames, looks, camera.begins), None, told, poses, shown, None, camera.begins, placed)
+    return Journey(
+        thinned(frames, looks, camera.begins, len(camera.views)), None, told, poses, shown, None, camera.begins, placed
+    )
 
 
 def _check(options: Footage) -> FrameCheck:

@@ -183,8 +183,8 @@ class LiveCore:
         self._aside = -math.inf  # when the last was
         self._recent = RecentPoses(settings.acceleration)
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
-        self._image = self._pose = -math.inf
-        self._interval = 0.0
+        self._pose = -math.inf
+        self._images: dict[int, tuple[float, float]] = {}  # by lens: the newest stamp, and seconds from the one before
         self._first = math.inf  # stamp of the first pose
         self._beats: deque[float] = deque(maxlen=BEATS)  # seconds between poses
         self._looks: dict[str, float] = {}
@@ -258,9 +258,8 @@ class LiveCore:
         if stamp is not None:
             stamp -= self._later()
             self._pictures.append((event.stamp, stamp))
-            if stamp > self._image > -math.inf:
-                self._interval = stamp - self._image
-            self._image = max(self._image, stamp)
+            newest, interval = self._images.get(event.lens, (stamp, 0.0))
+            self._images[event.lens] = max(newest, stamp), stamp - newest if stamp > newest else interval
 
     def _later(self) -> float:
         """Seconds by which even the quickest picture comes later than the quickest pose of the same robot's clock."""
@@ -405,7 +404,7 @@ class LiveCore:
                     now, query, estimate,
                     pose_age=now - self._pose if self.has_poses else None,
                     look_age=now - self._looks.get(query, -math.inf),
-                    image_age=now - self._image,
+                    image_age=now - min((stamp for stamp, _ in self._images.values()), default=-math.inf),
                     faults=faults,
                 )
             )  # fmt: skip
@@ -450,9 +449,11 @@ class LiveCore:
         """What is wrong at this time: what was reported, what is overdue, what has just happened."""
         begun = now if self._begun is None else self._begun
         found = list(self._faults.values())
-        stale = max(STALE_IMAGE, INTERVALS * self._interval)
-        if now - self._image > stale and now - begun > stale:
-            found.append(_overdue("camera", "picture", now, self._image, begun))
+        for lens, (image, interval) in (self._images or {0: (-math.inf, 0.0)}).items():
+            stale = max(STALE_IMAGE, INTERVALS * interval)
+            if now - image > stale and now - begun > stale:
+                what = "picture" if len(self._images) < 2 else f"picture of camera {lens + 1}"
+                found.append(_overdue("camera", what, now, image, begun))
         held = max(HELD, INTERVALS * median(self._beats)) if self._beats else HELD
         if self.has_poses and now - self._pose > held and (math.isfinite(self._pose) or now - begun > STARTING):
             fault = _overdue("poses", "pose", now, self._pose, begun)

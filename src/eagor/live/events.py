@@ -18,7 +18,7 @@ from eagor.errors import GridError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media import Pose
-from eagor.tracking import Around, TurningCamera
+from eagor.tracking import Around, TurningCamera, TurningRig
 from eagor.tracking.estimate import Estimate
 
 __all__ = [
@@ -48,8 +48,8 @@ class Answer:
 
     `estimate`: in the body frame of that time. `pose_age`: seconds since the newest pose was true; None if the camera
     is taken to stand still, infinite before the first pose. `look_age`: seconds since the newest evidence about this
-    query was captured, `image_age`: since the newest picture was; infinite before any. `faults`: what is wrong now,
-    longest first; empty if all is well.
+    query was captured, `image_age`: since the newest picture was, of several cameras that of the one which is silent
+    longest; infinite before any. `faults`: what is wrong now, longest first; empty if all is well.
     """
 
     stamp: float
@@ -252,21 +252,19 @@ class NextLooks:
     """A watcher of the loop that tells where to look next for the thing of one query: a camera can turn one way only.
 
     It is computed anew with a new look, at most every `APART` seconds, and stands in the world until then. A panorama
-    sees all, so that there is nothing to tell; several cameras have no one axis to turn. `of` is for one thread, which
-    may be another than the loop's.
+    sees all, so that there is nothing to tell. Of several cameras it is the turn of the body for all together. `of` is
+    for one thread, which may be another than the loop's.
     """
 
     def __init__(self) -> None:
-        self._grid: PerspectiveGrid | None = None
-        self._alone = True
+        self._grids: dict[int, PerspectiveGrid] = {}  # by lens
         self._query, self._looked, self._when = "", -math.inf, -math.inf  # of what was computed last
         self._toward: np.ndarray | None = None  # world axes
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
         if isinstance(event, FrameCame):
-            self._alone = self._alone and event.lens == 0
-            self._grid = event.grid if self._alone else None
+            self._grids = {} if event.grid is None else {**self._grids, event.lens: event.grid}
         elif isinstance(event, PosesLost):
             self._query = ""
 
@@ -276,17 +274,21 @@ class NextLooks:
     def of(self, answer: Answer) -> np.ndarray | None:
         """The direction ``(3,)``, in the body frame of the answer, to which the camera's axis should turn.
 
-        None before the first look, for panoramas and several cameras, and for a field that `TurningCamera` refuses.
+        Of several cameras: the body's x axis. None before the first look, for panoramas, and for a field that
+        `TurningCamera` refuses.
         """
-        estimate, grid = answer.estimate, self._grid
+        estimate, grids = answer.estimate, [*self._grids.values()]
         looked = estimate.stamp - estimate.age  # when the newest evidence in it was captured
-        if grid is None or not math.isfinite(looked):
+        if not grids or not math.isfinite(looked):
             return None
         news = looked > self._looked + 1e-6 and estimate.stamp >= self._when + APART
         if answer.query != self._query or news:
             self._query, self._looked, self._when = answer.query, looked, estimate.stamp
             try:
-                found = estimate.next_look(TurningCamera.of_view(grid), body_R_view=grid.body_R_view)
+                if len(grids) > 1:
+                    found = estimate.next_look(TurningRig(grids))
+                else:
+                    found = estimate.next_look(TurningCamera.of_view(grids[0]), body_R_view=grids[0].body_R_view)
             except GridError:
                 self._toward = None
             else:

@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 
 from eagor import plugins
-from eagor.errors import DeviceError, EagorError, ImageError, TimeError
+from eagor.errors import DeviceError, EagorError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import CameraSource, Frame
 from eagor.media.bags import is_bag, split_bag
+from eagor.media.footage import lens_folders
 from eagor.media.intrinsics import Camera
 from eagor.media.live_camera import LiveCamera
-from eagor.media.panorama import pictures_in, read_panorama, read_photograph
+from eagor.media.panorama import read_panorama, read_photograph
 from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, open_video
 from eagor.media.rigs import Rig, read_rig, sizes_of
 from eagor.media.stitching import Panoramas
@@ -65,7 +66,8 @@ def open_camera(
 
     `latency`: seconds from capture to arrival, taken off the stamps. `rows`: the most rows of a panorama. `rig`: the
     lenses (`eagor.media.rigs`) or their YAML file, if the pictures are not panoramas; for a rig with several
-    pictures, `text` is as many sources with commas between, unless one gives all. `rate`: the most pictures per second
+    pictures, `text` is as many sources with commas between, unless one gives all; of topics of ROS or of a bag, as many
+    topics (``ros:/front/image,/back/image``), which may also do without a rig. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
     `stitched`: make a panorama also of pictures of a rig's ordinary lenses, which are otherwise given as they are.
 
@@ -75,7 +77,7 @@ def open_camera(
     """
     lenses = rig if rig is None or isinstance(rig, Rig) else read_rig(rig)
     parts = [text]
-    if lenses is not None and len(lenses.sizes) > 1 and "," in text and not os.path.exists(text):
+    if lenses is not None and len(lenses.sizes) > 1 and "," in text and not (os.path.exists(text) or _has_topics(text)):
         parts = text.split(",")
     kinds = [_kind(part) for part in parts]
     settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
@@ -87,7 +89,9 @@ def open_camera(
         kind = FolderCamera if kinds[0] == "folder" else VideoCamera
         return kind([Path(part) for part in parts], **settings, stitched=stitched)
     if kinds[0] in ("bag", "plugin"):
-        name, rest = ("bag", text) if kinds[0] == "bag" else text.split(":", 1)
+        name, _, rest = ("bag", "", text) if kinds[0] == "bag" else text.partition(":")
+        if stitched and name in BUILT_IN:  # those of other packages need not know of it
+            settings["stitched"] = True
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
     return LiveCamera(streams, **settings, stitched=stitched)
@@ -115,6 +119,11 @@ def _kind(text: str) -> str:
         known = ", ".join(f"{name}:" for name in sorted({*plugins.known(GROUP, BUILT_IN), "v4l2", "pipe", *SCHEMES}))
         raise DeviceError(f"there is no file {text!r}, and no source is called {named[1]}: ({known}). Wanted {SOURCES}")
     raise DeviceError(f"there is no file or folder {text!r}; wanted {SOURCES}")
+
+
+def _has_topics(text: str) -> bool:
+    """Whether commas in a source are those between the topics of a bag or of ROS."""
+    return is_bag(split_bag(text)[0]) or text.partition(":")[0] in BUILT_IN
 
 
 def _device(text: str) -> Any:
@@ -208,11 +217,7 @@ class FolderCamera:
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed, self._rig, self._camera = False, rig, camera
-        lists = [pictures_in(Path(folder)) for folder in folders]
-        if len({len(each) for each in lists}) > 1:
-            counts = ", ".join(f"{len(each)} in {folder}" for each, folder in zip(lists, folders, strict=True))
-            raise ImageError(f"the folders of the lenses hold different numbers of pictures: {counts}")
-        self._moments = list(zip(*lists, strict=True))
+        self._moments = list(zip(*lens_folders(folders), strict=True))
         self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
         first = self._read(self._moments[0])
         self._makers = makers(sizes_of(first), rig, rows, str(folders[0]), camera, stitched)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ import numpy as np
 
 from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
+from eagor.grids import PerspectiveGrid
 from eagor.media.defects import fisheye_circles, problems
 from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
 from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
@@ -28,7 +29,7 @@ from eagor.media.stitching import Panoramas
 
 __all__ = [
     "LEAST_ROWS", "VIDEOS", "BagFrames", "FrameCheck", "Frames", "ImageFrames", "LensPictures", "Read",
-    "ShapeError", "VideoFrames", "images", "is_video",
+    "ShapeError", "VideoFrames", "images", "is_video", "lens_folders",
 ]  # fmt: skip
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
@@ -120,20 +121,31 @@ class FrameCheck:
 
 @dataclass(frozen=True)
 class ImageFrames:
-    """Pictures in files, `rate` per second; `read` gives one of them."""
+    """Pictures in files, `rate` per second; `read` gives one of them.
+
+    `beside`: of each path, the pictures that further cameras of a rig took at the same moment.
+    """
 
     paths: tuple[Path, ...]
     rate: float
     read: Callable[[Path], Picture]
     level_R_body: np.ndarray | None = None
+    beside: Mapping[Path, tuple[Path, ...]] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
-        return len(self.paths)
+        return len(self.paths) + sum(map(len, self.beside.values()))
+
+    def moment(self, path: Path) -> Iterator[tuple[str, Read]]:
+        """Name and reader of each picture of the moment of a path."""
+        others = self.beside.get(path, ())
+        for each in (path, *others):
+            yield f"{each.parent.name}/{each.name}" if others else each.name, partial(self.read, each)
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for number, path in enumerate(self.paths):
-            yield number / self.rate, path.name, partial(self.read, path)
+            for name, read in self.moment(path):
+                yield number / self.rate, name, read
 
 
 @dataclass(frozen=True)
@@ -159,7 +171,7 @@ class VideoFrames:
 
 @dataclass(frozen=True)
 class BagFrames:
-    """The pictures of a bag's `camera`, `rate` of them per second, from `start` to `end` (seconds from the first).
+    """The pictures of a bag's `camera`, `rate` of each lens per second, from `start` to `end` (seconds from the first).
 
     Stamps are those of the messages' headers.
     """
@@ -173,19 +185,19 @@ class BagFrames:
     level_R_body: np.ndarray | None = None
 
     def frames(self) -> Iterator[tuple[float, str, Read]]:
-        tick = -math.inf
-        for stamp, read in self.camera.pictures():
+        ticks = [-math.inf] * len(self.camera.views)
+        for stamp, lens, read in self.camera.pictures():
             at = stamp - self.camera.begins
-            if at < self.start or (number := math.floor(at * self.rate + 1e-6)) <= tick:
+            if at < self.start or (number := math.floor(at * self.rate + 1e-6)) <= ticks[lens]:
                 continue
             if self.end is not None and at > self.end:
                 return
-            tick, name = number, f"{self.camera.topic} at {stamp:.3f} s"
-            yield stamp, name, partial(self._checked, read, name)
+            ticks[lens], name = number, f"{self.camera.topics[lens]} at {stamp:.3f} s"
+            yield stamp, name, partial(self._checked, read, name, self.camera.views[lens])
 
-    def _checked(self, read: Callable[[], np.ndarray], name: str) -> Picture:
-        if self.camera.view is not None:
-            return Picture(read(), grid=self.camera.view)
+    def _checked(self, read: Callable[[], np.ndarray], name: str, view: PerspectiveGrid | None) -> Picture:
+        if view is not None:
+            return Picture(read(), grid=view)
         return self.check(Picture(read(), self.camera.unseen), name)
 
 
@@ -206,13 +218,11 @@ def images(
 ) -> ImageFrames:
     """The pictures in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
 
-    With a `rig` they are pictures of its lenses, as `LensPictures` reads them. Raises `ImageError` for anything else.
+    With a `rig` they are pictures of its lenses, as `LensPictures` reads them; of one for several pictures, a folder
+    for each. Raises `ImageError` for anything else.
     """
     if rig is not None and len(rig.sizes) > 1:
-        raise ImageError(
-            f"the rig is for {len(rig.sizes)} pictures at a time, one for each lens; give a video, or pictures with "
-            "all lenses in one. One moment alone: eagor locate FRONT,BACK"
-        )
+        return _of_folders(places, rate, rig, stitched)
     if films := list(filter(_is_film, places)):
         raise ImageError(f"{films[0]} is a video, beside other files; give one video, a folder, or image files")
     read = check.read if rig is None else LensPictures(rig, stitched).read
@@ -228,6 +238,34 @@ def images(
     return ImageFrames(in_order(places), rate, read)
 
 
+def _of_folders(places: Sequence[Path], rate: float, rig: Rig, stitched: bool) -> ImageFrames:
+    """A folder for each camera of a rig, whose pictures belong together in order of their names."""
+    count = len(rig.sizes)
+    if len(places) != count or not all(map(os.path.isdir, places)):
+        raise ImageError(
+            f"the rig is for {count} pictures at a time, one for each lens; give {count} folders with commas between, "
+            "one for each lens in its order, a video, or pictures with all lenses in one. One moment alone: eagor "
+            "locate FRONT,BACK"
+        )
+    moments = list(zip(*lens_folders(places), strict=True))
+    lenses = LensPictures(rig, stitched)
+    if not lenses.ordinary:
+        together = {moment[0]: moment for moment in moments}
+        return ImageFrames(tuple(together), rate, lambda path: lenses.moment(together[path])[0])
+    lens_of = {path: lens for moment in moments for lens, path in enumerate(moment)}
+    beside = {first: tuple(others) for first, *others in moments}
+    return ImageFrames(tuple(beside), rate, lambda path: lenses.alone(lens_of[path], path), beside=beside)
+
+
+def lens_folders(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
+    """The pictures in the folders of a rig's lenses. Raises `ImageError` where their numbers differ."""
+    lists = [pictures_in(Path(folder)) for folder in folders]
+    if len({len(each) for each in lists}) > 1:
+        counts = ", ".join(f"{len(each)} in {folder}" for each, folder in zip(lists, folders, strict=True))
+        raise ImageError(f"the folders of the lenses hold different numbers of pictures: {counts}")
+    return lists
+
+
 def _is_film(place: Path) -> bool:
     return place.suffix.lower() in VIDEOS and not place.is_dir()
 
@@ -241,6 +279,21 @@ class LensPictures:
         self._sizes: tuple[tuple[int, int], ...] = ()
         self._panoramas: Panoramas | None = None
 
+    @property
+    def ordinary(self) -> bool:
+        """Whether pictures of ordinary lenses stay what they are."""
+        return bool(self._cameras)
+
+    def alone(self, lens: int, path: Path) -> Picture:
+        """The picture at `path` of one ordinary lens. Raises `ImageError`."""
+        with warnings.catch_warnings():  # of its shape: it is no panorama
+            warnings.simplefilter("ignore")
+            return self._with_grid(lens, path, read_panorama(path))
+
+    def _with_grid(self, lens: int, path: Path, picture: np.ndarray) -> Picture:
+        (size,) = sizes_of([picture])
+        return Picture(picture, grid=ordinary_grid(self._cameras[lens], told_by_photograph(path), size, str(path)))
+
     def read(self, path: Path) -> Picture:
         """The picture at `path`, which shows all lenses. Raises `ImageError`."""
         (found,) = self.moment([path])
@@ -253,11 +306,7 @@ class LensPictures:
             pictures = [read_panorama(path) for path in paths]
         sizes, name = sizes_of(pictures), str(paths[0])
         if self._cameras and len(paths) == len(self._cameras):
-            grids = [
-                ordinary_grid(camera, told_by_photograph(path), size, str(path))
-                for camera, path, size in zip(self._cameras, paths, sizes, strict=True)
-            ]
-            return tuple(Picture(picture, grid=grid) for picture, grid in zip(pictures, grids, strict=True))
+            return tuple(self._with_grid(lens, *each) for lens, each in enumerate(zip(paths, pictures, strict=True)))
         if self._panoramas is None or sizes != self._sizes:
             self._panoramas, self._sizes = Panoramas(sizes, self.rig, None, name), sizes
         return (Picture(self._panoramas.make(*pictures), self._panoramas.unseen),)

@@ -53,18 +53,22 @@ def posed_by_file(source: Frames, poses: Sequence[FramePose], name: Path) -> Ite
     """
     near = usable(poses, name)
     if isinstance(source, ImageFrames):
-        return _by_image(pair(poses, source.paths, name), near[0], source.read)
+        return _by_image(pair(poses, source.paths, name), near[0], source)
     return _by_time(source, near, name)
 
 
 def _by_image(
-    pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, read: Callable[[Path], Picture]
+    pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, source: ImageFrames
 ) -> Iterator[PosedFrame]:
-    """Each pose of a file, and the image that was taken there."""
+    """Each pose of a file, and the image that was taken there, of several cameras each one's."""
     for told, image in pairs:
         if told.near:
             pose = told
-            yield PosedFrame(pose) if image is None else PosedFrame(pose, image.name, partial(read, image))
+            if image is None:
+                yield PosedFrame(pose)
+                continue
+            for name, read in source.moment(image):
+                yield PosedFrame(pose, name, read)
         elif image is not None:  # the frame is told of, at the pose before
             here = pose._replace(stamp=told.stamp, frame=told.frame)
             yield PosedFrame(here, image.name, partial(_refused, told))

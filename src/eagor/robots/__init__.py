@@ -54,7 +54,7 @@ def open_poses(
     another text, or if the network cannot be used; `MissingExtraError`.
     """
     if text.startswith(ROS):
-        from eagor.robots.ros.sources import RosPoses
+        from eagor.robots.ros.pose_sources import RosPoses
 
         return RosPoses(text.removeprefix(ROS) or None, domain=domain, interface=interface, camera=camera)
     if text.partition(":")[0] == GO2:

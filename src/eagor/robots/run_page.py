@@ -19,12 +19,13 @@ from eagor._version import __version__
 from eagor.drawing.page import as_address
 from eagor.drawing.step import ScenePainter
 from eagor.drawing.timeline import MODES, Plan, Sample, Thinned, map_of, time_lines
+from eagor.grids import PerspectiveGrid
 from eagor.robots.safety.gate import Mode
 from eagor.tracking.estimate import Estimate
 
 __all__ = ["Plan", "RobotPage", "Sample", "summary"]
 
-PICTURES, WIDTH, KEPT = 24, 800, 1120  # pictures; columns of each, and of what is kept of a panorama
+PICTURES, WIDTH, KEPT = 24, 800, 1120  # pictures; columns of each, and of what is kept of one
 EVERY = 1.0  # seconds between two pictures, at least
 ROWS = 400  # of the table
 SWAY = 0.1  # metres
@@ -48,16 +49,26 @@ class RobotPage:
         self._pictures = Thinned(PICTURES)
         self._due = -math.inf
 
-    def add(self, sample: Sample, panorama: np.ndarray | None = None, estimate: Estimate | None = None) -> None:
-        """Append a sample, with the newest panorama ``(H, W, 3)`` uint8 and the estimate, for a picture."""
+    def add(
+        self,
+        sample: Sample,
+        picture: np.ndarray | None = None,
+        estimate: Estimate | None = None,
+        grid: PerspectiveGrid | None = None,
+    ) -> None:
+        """Append a sample, with the newest picture ``(H, W, 3)`` uint8 and the estimate, to be drawn.
+
+        `grid`: its pixels, if an ordinary camera took it; None: it is a panorama.
+        """
         self.samples.append(sample)
-        if panorama is None or estimate is None or sample.time < self._due:
+        if picture is None or estimate is None or sample.time < self._due:
             return
         self._due = sample.time + EVERY
         if self._pictures.wants:
-            step = max(1, -(-panorama.shape[1] // KEPT))
-            panorama = panorama[::step, ::step].copy()
-        self._pictures.add((sample, panorama, estimate))
+            step = max(1, -(-picture.shape[1] // KEPT))
+            picture = picture[::step, ::step].copy()
+            grid = None if grid is None else grid.resized(*picture.shape[:2])
+        self._pictures.add((sample, picture, estimate, grid))
 
     def write(self, path: Path) -> Path:
         """Write the page, .html; returns its path. Raises `StorageError`."""
@@ -92,10 +103,10 @@ class RobotPage:
 
     def _painted(self) -> str:
         painter, parts = ScenePainter(WIDTH), []
-        for sample, panorama, estimate in self._pictures.items:
+        for sample, picture, estimate, grid in self._pictures.items:
             said = escape(f"{sample.time:.1f} s: {sample.status}, presence {sample.presence:.2f}; {sample.words}")
-            picture = as_address(painter.paint(panorama, estimate))
-            parts.append(f'<figure><img alt="{said}" src="{picture}"><figcaption>{said}</figcaption></figure>')
+            drawn = as_address(painter.paint(picture, estimate, grid=grid))
+            parts.append(f'<figure><img alt="{said}" src="{drawn}"><figcaption>{said}</figcaption></figure>')
         return "".join(parts) or "<p>No picture came.</p>"
 
     def _rows(self) -> list[str]:

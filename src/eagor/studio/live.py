@@ -12,19 +12,31 @@ from typing import Any
 
 import numpy as np
 
+from eagor.drawing import Mosaic
 from eagor.errors import EagorError
 from eagor.live.core import LiveCore
-from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
+from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, PosesLost, Trouble
 from eagor.live.loop import LiveLoop, Watcher
 from eagor.media.intrinsics import ShapeError
 from eagor.studio.messages import Blob, Message, rounded
-from eagor.studio.steps import FLOATS, Listing, belief_of, believed, calibration_of, lens_of, scene_of, shown_jpeg
+from eagor.studio.steps import (
+    FLOATS,
+    Listing,
+    belief_of,
+    believed,
+    calibration_of,
+    lens_of,
+    scene_of,
+    shown_jpeg,
+    small_jpeg,
+)
 
 __all__ = ["Shown", "Waiting", "watch"]
 
 PICTURES = 0.2  # seconds between two panoramas that are sent, at least; also between rows of what else is here
 ROWS = 384  # of them, at most
 ORDINARY = 480  # rows of an ordinary camera's picture
+PASTED, UNSEEN = 256, (20, 23, 29)  # rows of what several cameras show together; where none has looked
 WAITING = 6  # pictures that wait for their pose, at least half of `PICTURES` apart
 LATE = 1.0  # seconds after which a picture is shown without
 
@@ -51,11 +63,15 @@ class Waiting:
 
 
 class Shown:
-    """A watcher of the loop that says what happens, as messages for the page: `say` is called with each."""
+    """A watcher of the loop that says what happens, as messages for the page: `say` is called with each.
+
+    The pictures of several cameras are looked at one by one, and shown pasted together where they looked.
+    """
 
     def __init__(self, say: Callable[[Message], Any], source: str, perception: str) -> None:
         self._say, self._source, self._perception = say, source, perception
-        self._waiting = Waiting()
+        self._waiting: dict[int, Waiting] = {}  # by lens
+        self._mosaic: Mosaic | None = None  # what several cameras have shown
         self._sent = -math.inf
         self._position: np.ndarray | None = None
         self._fresh = False
@@ -106,14 +122,18 @@ class Shown:
         with self._lock:
             self._tried(event, answers)
         if isinstance(event, FrameCame) and event.picture is not None:
-            self._waiting.add(event)
-            lens = lens_of(event.grid)
+            self._waiting.setdefault(event.lens, Waiting()).add(event)
+            if len(self._waiting) > 1 and self._mosaic is None:
+                self._mosaic = Mosaic(PASTED)
+            lens = lens_of(event.grid) if self._mosaic is None else None
             if lens != self._lens:
                 self._lens = lens
                 if self._asked is not None:
                     self._scene()
         elif isinstance(event, PoseCame):
             self._position = event.pose.position
+        elif isinstance(event, PosesLost) and self._mosaic is not None:
+            self._mosaic = Mosaic(PASTED)
         elif isinstance(event, EvidenceCame):
             self._fresh = True
         for answer in answers:
@@ -151,17 +171,27 @@ class Shown:
         if around is not None and around.names and answer.stamp - self._listed >= PICTURES:
             self._listed, header["things"] = answer.stamp, self._listing.renew(around, answer.stamp)
         soon = answer.stamp - self._sent < PICTURES
-        picture = None if soon else self._waiting.take(self.loop.core, answer.stamp)
-        if picture is not None:
-            self._sent = answer.stamp
-            pose = self.loop.core.orientation(picture.stamp)
-            pose = estimate.world_R_body if pose is None else pose
+        if not soon and (found := self._pictured(answer)) is not None:
+            self._sent, (pose, picture) = answer.stamp, found
             header["panorama"] = {"stamp": rounded(answer.stamp), "world_R_camera": rounded(pose.reshape(9), 6)}
-            seen, grid = picture.picture, picture.grid
-            assert seen is not None
-            found = shown_jpeg(seen, grid, ROWS if grid is None else ORDINARY)
-            blobs["panorama"] = Blob("image/jpeg", found)
+            blobs["panorama"] = Blob("image/jpeg", picture)
         self._say(Message(header, blobs))
+
+    def _pictured(self, answer: Answer) -> tuple[np.ndarray, bytes] | None:
+        """The newest picture, and the orientation ``(3, 3)`` that it was taken with; None if there is no new one."""
+        core, pose = self.loop.core, answer.estimate.world_R_body
+        taken = [each for each in (lens.take(core, answer.stamp) for lens in self._waiting.values()) if each]
+        for frame in taken:
+            known = core.orientation(frame.stamp)
+            pose = answer.estimate.world_R_body if known is None else known
+            assert frame.picture is not None
+            if self._mosaic is None:
+                return pose, shown_jpeg(frame.picture, frame.grid, ROWS if frame.grid is None else ORDINARY)
+            if frame.grid is not None:
+                self._mosaic.add(frame.picture, frame.grid, pose)
+        if not taken or self._mosaic is None:
+            return None
+        return pose, small_jpeg(self._mosaic.seen_from(pose, UNSEEN), ROWS)
 
     def _scene(self) -> None:
         assert self._asked is not None

@@ -18,7 +18,7 @@ One look of one target takes this way:
 
 from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import Estimate, Mode, Status
-from eagor.tracking.looking import Heights, NextLook, TurningCamera
+from eagor.tracking.looking import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import PoseHistory
 from eagor.tracking.surroundings import Around, Surroundings, ThingSeen
 from eagor.tracking.tracker import DirectionTracker
@@ -38,4 +38,5 @@ __all__ = [
     "ThingSeen",
     "TrackerConfig",
     "TurningCamera",
+    "TurningRig",
 ]

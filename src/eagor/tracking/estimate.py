@@ -15,10 +15,10 @@ from eagor.belief.reading import NEAR, Reading
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
-from eagor.sphere import angular_distance, azimuth_elevation, check_directions, check_rotation
+from eagor.sphere import azimuth_elevation, check_directions, check_rotation
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.hypotheses import TargetHypotheses
-from eagor.tracking.looking import Heights, Known, NextLook, TurningCamera, best_look
+from eagor.tracking.looking import Heights, Known, NextLook, TurningCamera, TurningRig, best_look
 
 __all__ = ["Estimate", "Mode", "Status"]
 
@@ -264,16 +264,21 @@ class Estimate:
         return "ambiguous" if len(self.modes) > 1 and told >= 0.5 else "searching"
 
     def next_look(
-        self, camera: TurningCamera | float, usual: Heights | None = None, body_R_view: np.ndarray | None = None
+        self,
+        camera: TurningCamera | TurningRig | float,
+        usual: Heights | None = None,
+        body_R_view: np.ndarray | None = None,
     ) -> NextLook:
         """Where a camera that sees only a part of the sphere should look next: where that is expected to tell most.
+
+        Of several cameras on a body (`TurningRig`): to where the body should turn, for all that they see together.
 
         What counts is whether the thing is present, and where (`eagor.tracking.looking`). The world's z axis is up.
 
         Args:
             camera: what it sees and how it turns, or its horizontal field of view in radians.
             usual: at which heights things usually are, if that is known.
-            body_R_view: where the camera looks now ``(3, 3)``; default: straight ahead.
+            body_R_view: where the camera looks now ``(3, 3)``; default: straight ahead. A rig's views have theirs.
 
         Raises `GridError` for numbers out of range.
 
@@ -283,13 +288,12 @@ class Estimate:
             >>> look.direction[1] > math.cos(math.radians(35))  # the thing to the left will be in view
             True
         """
-        camera = camera if isinstance(camera, TurningCamera) else TurningCamera(camera)
+        camera = camera if isinstance(camera, TurningCamera | TurningRig) else TurningCamera(camera)
         view = np.eye(3) if body_R_view is None else np.asarray(check_rotation(body_R_view, "body_R_view"))
-        axis = self.world_R_body @ view[:, 0]
-        to, tells = best_look(self._known, camera, usual, axis)
+        to, tells, turn = best_look(self._known, camera, usual, self.world_R_body, view[:, 0])
         toward = to @ self.world_R_body
         azimuth, elevation = azimuth_elevation(toward)
-        return NextLook(toward, float(azimuth), float(elevation), tells, float(angular_distance(to, axis)))
+        return NextLook(toward, float(azimuth), float(elevation), tells, turn)
 
     @lazy
     def _known(self) -> Known:

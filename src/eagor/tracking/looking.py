@@ -9,7 +9,8 @@ too. Known look-alikes are likely reported again, and that tells less.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,10 +23,11 @@ from eagor.belief.information import even_and_usual, information
 from eagor.errors import GridError
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, PerspectiveGrid, ViewKey, forward_view, view_key
+from eagor.lenses import Lens
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 from eagor.tracking.hypotheses import TargetHypotheses
 
-__all__ = ["Heights", "NextLook", "TurningCamera", "best_look"]
+__all__ = ["Heights", "NextLook", "TurningCamera", "TurningRig", "best_look"]
 
 CELLS = 2000  # of equal area: a square of 4.5 degrees each
 PLACES, SAME = 200, math.radians(15)  # 14 degrees each; of a mode: within this angle a report is of the same place
@@ -97,12 +99,32 @@ class TurningCamera:
         return PerspectiveGrid(max(1, round(1000 * down / across)), 1000, self.hfov)
 
 
+@dataclass(frozen=True)
+class TurningRig:
+    """Cameras that are fixed to a body: it turns about the vertical, and they look at the same time.
+
+    `views`: the pixels of each, with its place on the body (``body_R_view``). They may overlap or leave gaps.
+    `turn_rate`, `look_time`: as of `TurningCamera`. Raises `GridError` for numbers out of range, and without a view.
+    """
+
+    views: Sequence[PerspectiveGrid]
+    turn_rate: float | None = None
+    look_time: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.views:
+            raise GridError("a rig without cameras; wanted at least one view")
+        for view in self.views:
+            TurningCamera(view.hfov, turn_rate=self.turn_rate, look_time=self.look_time)
+
+
 @dataclass(frozen=True, eq=False)
 class NextLook:
-    """Where to look: `direction` ``(3,)`` of the camera's axis, body frame; azimuth and elevation in radians.
+    """Where to look: `direction` ``(3,)``, body frame; azimuth and elevation in radians.
 
-    `tells`: what the look is expected to tell about presence and direction, nats. `turn`: radians from where the camera
-    looks now.
+    It is that of the camera's axis; of a rig, that to which the body's own x axis should turn. `tells`: what the look
+    is expected to tell about presence and direction, nats. `turn`: radians from where the camera, or the body, points
+    now.
     """
 
     direction: np.ndarray
@@ -131,22 +153,47 @@ class Known:
     alarms: Alarms | None
 
 
-def best_look(known: Known, camera: TurningCamera, usual: Heights | None, axis: np.ndarray) -> tuple[np.ndarray, float]:
-    """The axis ``(3,)`` of the look that tells most for its time, world axes, and what it tells, nats.
+@dataclass(frozen=True, eq=False)
+class Views:
+    """The looks that are weighed: `axes` ``(n, 3)``, world axes, and the `turns` ``(n,)`` to them, radians.
 
-    `axis` ``(3,)``: that of the camera now.
+    `seen` ``(n, k)``: the cells that each shows; `shown` ``(n, k)``: how well. Shares from 0 to 1 rise from the border
+    of a view as sin^2; 0 where it has fewer cells than others. `count`: of the pictures that are taken at a time.
     """
-    axes, told = looks(known, camera, usual)
-    turns = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
-    worth = told if camera.turn_rate is None else told / (camera.look_time + turns / camera.turn_rate)
+
+    axes: np.ndarray
+    turns: np.ndarray
+    seen: np.ndarray
+    shown: np.ndarray
+    count: int = 1
+
+
+def best_look(
+    known: Known, camera: TurningCamera | TurningRig, usual: Heights | None, pose: np.ndarray, axis: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """The axis ``(3,)`` of the look that tells most for its time, world axes; what it tells, nats; the turn, radians.
+
+    `pose` ``(3, 3)``: that of the body now; `axis` ``(3,)``: that of a camera on it, body axes.
+    """
+    views = views_of(camera, pose, axis)
+    told = tell(known, views, usual)
+    worth = told if camera.turn_rate is None else told / (camera.look_time + views.turns / camera.turn_rate)
     good = np.flatnonzero(worth >= ALIKE * worth.max())
-    best = int(good[np.argmin(turns[good])])
-    return axes[best], float(told[best])
+    best = int(good[np.argmin(views.turns[good])])
+    return views.axes[best], float(told[best]), float(views.turns[best])
 
 
-def looks(known: Known, camera: TurningCamera, usual: Heights | None) -> tuple[np.ndarray, np.ndarray]:
-    """The axes ``(n, 3)`` of the views that are weighed, and what a look at each is expected to tell ``(n,)``, nats."""
-    axes, seen, shown = _views(view_key(camera.grid), round(camera.reach, 6))
+def views_of(camera: TurningCamera | TurningRig, pose: np.ndarray, axis: np.ndarray) -> Views:
+    """The looks that are weighed; arguments as for `best_look`."""
+    if isinstance(camera, TurningRig):
+        return _views_of_rig(camera, pose)
+    axes, seen, shown = _level_views(view_key(camera.grid), round(camera.reach, 6))
+    return Views(axes, np.arccos(np.clip(axes @ (pose @ axis), -1.0, 1.0)), seen, shown)
+
+
+def tell(known: Known, views: Views, usual: Heights | None) -> np.ndarray:
+    """What a look at each of the `views` is expected to tell ``(n,)``, nats."""
+    seen, shown = views.seen, views.shown
     cells, hypotheses = _cells(CELLS), known.hypotheses
     mass = np.bincount(_nearest(known.directions), known.mass, minlength=CELLS)
     if usual is not None:
@@ -161,13 +208,13 @@ def looks(known: Known, camera: TurningCamera, usual: Heights | None) -> tuple[n
         alike = np.bincount(_cells_of(hypotheses.grid), reports.reshape(-1), minlength=CELLS)
         number = 0.0 if known.alarms is None else float(known.alarms.weights @ known.alarms.numbers)
     here = hypotheses.presence * mass[seen] * (shown > 0)
-    false = number * shown / shown.sum(axis=1, keepdims=True) + alike[seen] * shown
+    false = views.count * number * shown / shown.sum(axis=1, keepdims=True) + alike[seen] * shown
     at = _places(known.modes)[seen]
     here, there, false = (_summed(values, at) for values in (here, here * shown * recall[seen], false))
     expected = false.sum(axis=1, keepdims=True)
     share = np.minimum(there / np.maximum(here, 1e-300), 1.0)
     alarm = -np.expm1(-expected[:, 0])
-    return axes, information(here, share, alarm, false / np.maximum(expected, 1e-300))
+    return information(here, share, alarm, false / np.maximum(expected, 1e-300))
 
 
 def _places(modes: np.ndarray) -> np.ndarray:
@@ -191,24 +238,43 @@ def _summed(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.bincount(flat, values.reshape(-1), minlength=len(values) * count).reshape(len(values), count)
 
 
-@lru_cache(maxsize=8)
-def _views(lens: ViewKey, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The axes ``(n, 3)`` of level views with this lens, the cells in each ``(n, k)``, and how well it shows them.
+def _views_of_rig(rig: TurningRig, pose: np.ndarray) -> Views:
+    """What all cameras of a body show together, each time that it has turned about the vertical by a `STEP`.
 
-    Shares ``(n, k)`` from 0 to 1 rise from the border of the view as sin^2; 0 where it has fewer cells than others.
+    `pose` ``(3, 3)``: that of the body now. A cell counts as the camera shows it that shows it best.
     """
-    grid = forward_view(lens)
+    turns = np.arange(round(2 * math.pi / STEP)) * STEP
+    turned = np.array([world_R_body(turn) @ pose for turn in map(float, turns)])
+    lenses = [(replace(view.lens, body_R_lens=np.eye(3)), view.body_R_view) for view in rig.views]
+    shown = np.max([[_shown(lens, each @ place) for each in turned] for lens, place in lenses], axis=0)
+    away = np.abs(np.remainder(turns + math.pi, 2 * math.pi) - math.pi)
+    return Views(turned[:, :, 0], away, *_packed(shown), len(lenses))
+
+
+@lru_cache(maxsize=8)
+def _level_views(lens: ViewKey, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The axes ``(n, 3)`` of level views with this lens, the cells in each ``(n, k)``, and how well it shows them."""
+    ideal = forward_view(lens).lens
     azimuths = np.arange(round(2 * math.pi / STEP)) * STEP
     elevations = np.linspace(-reach, reach, 2 * math.ceil(reach / (2 * STEP)) + 1)  # the horizon is among them
     poses = [(float(yaw), float(pitch)) for pitch in elevations for yaw in azimuths]
-    margin = min(MARGIN, float(grid.lens.project(np.array([1.0, 0.0, 0.0]))[2]) / 2)
-    shown = np.empty((len(poses), CELLS))
-    for row, (yaw, pitch) in enumerate(poses):
-        depth = grid.lens.project(_cells(CELLS) @ world_R_body(yaw, -pitch))[2]
-        shown[row] = np.sin(np.clip(depth / margin, 0, 1) * (math.pi / 2)) ** 2
+    shown = np.stack([_shown(ideal, world_R_body(yaw, -pitch)) for yaw, pitch in poses])
+    seen, shown = _packed(shown)
+    return frozen(direction(*np.array(poses).T)), frozen(seen), frozen(shown)
+
+
+def _shown(lens: Lens, world_R_view: np.ndarray) -> np.ndarray:
+    """How well a lens that looks forward shows each of the cells ``(CELLS,)`` from this pose."""
+    margin = min(MARGIN, float(lens.project(np.array([1.0, 0.0, 0.0]))[2]) / 2)
+    depth = lens.project(_cells(CELLS) @ world_R_view)[2]
+    return np.sin(np.clip(depth / margin, 0, 1) * (math.pi / 2)) ** 2
+
+
+def _packed(shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The cells that are seen ``(n, k)`` and how well, of what each of n looks shows of all cells ``(n, CELLS)``."""
     most = int(np.count_nonzero(shown, axis=1).max())
     seen = np.argsort(shown == 0, axis=1, kind="stable")[:, :most]
-    return frozen(direction(*np.array(poses).T)), frozen(seen), frozen(np.take_along_axis(shown, seen, axis=1))
+    return seen, np.take_along_axis(shown, seen, axis=1)
 
 
 @lru_cache(maxsize=2)

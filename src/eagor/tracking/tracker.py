@@ -21,7 +21,7 @@ from eagor.evidence.evidence import Evidence
 from eagor.tracking import checkpoint
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.estimate import Estimate
-from eagor.tracking.looking import Heights, NextLook, TurningCamera
+from eagor.tracking.looking import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import HELD, PoseHistory
 from eagor.tracking.tracks import PENDING, Moment, State, Track
 
@@ -182,9 +182,13 @@ class DirectionTracker:
             return Estimate(now, now - state.stamp, state.hypotheses, pose, self.config, state.alarms)
 
     def next_look(
-        self, camera: TurningCamera | float, now: float, target: str = "target", usual: Heights | None = None
+        self,
+        camera: TurningCamera | TurningRig | float,
+        now: float,
+        target: str = "target",
+        usual: Heights | None = None,
     ) -> NextLook:
-        """Where a camera that sees only a part of the sphere, and looks ahead now, should look next.
+        """Where a camera that sees only a part of the sphere, and looks ahead now, should look next, or several.
 
         As `Estimate.next_look` of the `estimate` at time `now`; errors of both.
         """

@@ -7,6 +7,7 @@ queries in; `publishing`: directions, markers, beliefs and diagnostics out; `dri
 
 from __future__ import annotations
 
-from eagor.robots.ros.sources import RosCamera, RosPoses
+from eagor.robots.ros.pose_sources import RosPoses
+from eagor.robots.ros.sources import RosCamera
 
 __all__ = ["RosCamera", "RosPoses"]

@@ -1,6 +1,4 @@
-"""The graph of ROS 2, as far as we need it: topics that are written and read, and what a camera's lens is there.
-
-Over DDS here, or through `rclpy`.
+"""The graph of ROS 2, as far as we need it: topics that are written and read, over DDS here, or through `rclpy`.
 
 Nodes of ROS know each other over DDS by what each participant writes on ``ros_discovery_info``: which nodes it has,
 with the ids of their readers and writers. Ours does, so that ``ros2 node list`` and ``ros2 node info`` show it. Since
@@ -18,18 +16,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
 
 from eagor.errors import DeviceError, EagorError, FormatError
-from eagor.media.bags import Bag, listed
-from eagor.media.intrinsics import Camera, rig_of_info
-from eagor.media.panorama import is_whole
-from eagor.media.rigs import Rig
+from eagor.media.bags import listed
 from eagor.media.ros_messages import (
-    CAMERA_INFO,
     COMPRESSED,
     IMAGE,
     IMU,
@@ -38,17 +31,14 @@ from eagor.media.ros_messages import (
     TRANSFORMS,
     encoded_type,
     hash_of,
-    panorama_of,
     ros_names,
     store,
 )
-from eagor.media.stitching import Panoramas
 from eagor.robots.dds import Link
 
 __all__ = [
     "DISCOVERY", "DISCOVERY_TYPE", "ENCLAVE", "MOTION", "PICTURES", "TF", "TF_STATIC", "Announcement", "DdsGraph",
-    "Graph", "GraphReader", "GraphWriter", "LensTold", "TopicPictures", "announced", "beside", "default_domain",
-    "find_topic", "is_rectified", "joined", "lacks_lens", "pick", "told_in_bag", "told_on_graph",
+    "Graph", "GraphReader", "GraphWriter", "announced", "default_domain", "find_topic", "joined", "pick",
 ]  # fmt: skip
 
 DISCOVERY, DISCOVERY_TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -62,6 +52,7 @@ MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS)  # the best first
 TF, TF_STATIC = "/tf", "/tf_static"
 FOUND = 5.0  # seconds in which a topic that is written must have been found
 LOOK = 0.5  # seconds of each look around
+WAITING = 0.1  # seconds after which who waits for a message looks whether to go on
 
 
 def announced(participant: bytes, node: str, readers: list[bytes], writers: list[bytes], newer: bool) -> bytes:
@@ -328,132 +319,3 @@ def find_topic(
             if time.monotonic() >= end or ended():
                 more = "" if found else ": is the domain (ROS_DOMAIN_ID), or the network interface, another one?"
                 raise DeviceError(f"{error}{more}") from None
-
-
-# --- the lens of an ordinary camera, as its driver tells it: the sensor_msgs/CameraInfo beside its pictures -----------
-
-# By the rule of ``image_transport``, the CameraInfo of ``/ns/image_raw`` is on ``/ns/camera_info``, one with each
-# picture. Some drivers send it once, for whoever comes later (transient local).
-OPTION = "--camera-info"
-RECTIFIED = "image_rect"  # image_rect, image_rect_color: what image_proc publishes
-WAITING = 0.1  # seconds after which who waits for a message looks whether to go on
-
-
-@dataclass(frozen=True, eq=False)
-class LensTold:
-    """The `camera` that a CameraInfo tells, and the `frame` that its header names."""
-
-    camera: Camera
-    frame: str
-
-
-def beside(image_topic: str) -> str:
-    """The topic of the CameraInfo of a topic of pictures, compressed ones as well."""
-    return f"{_plain(image_topic).rpartition('/')[0]}/camera_info"
-
-
-def is_rectified(image_topic: str) -> bool:
-    """Whether the name of a topic says that its pictures have no distortion any more."""
-    return _plain(image_topic).rpartition("/")[2].startswith(RECTIFIED)
-
-
-def lacks_lens(picture: np.ndarray, rig: Rig | None, camera: Camera | None) -> bool:
-    """Whether a picture ``(H, W, 3)`` is no panorama, and neither a `rig` nor a `camera` tells its lens."""
-    return rig is None and not (camera is not None and camera.known) and not is_whole(picture)
-
-
-class TopicPictures:
-    """How the messages of a topic become panoramas; the `first` one, and its lens, say it.
-
-    `told()`: what a CameraInfo says, asked only for the topic `info`, or where nothing else tells the lens. `camera`,
-    `frame`: as these are then known. Raises `ImageError` for pictures that are no panoramas.
-    """
-
-    def __init__(
-        self,
-        first: Any,
-        name: str,
-        rows: int | None,
-        rig: Rig | None,
-        camera: Camera | None,
-        info: str | None,
-        told: Callable[[], LensTold | None],
-    ) -> None:
-        picture = panorama_of(first)
-        self.camera, self.frame = camera, str(first.header.frame_id)
-        if (info is not None or lacks_lens(picture, rig, camera)) and (found := told()) is not None:
-            self.camera, self.frame = found.camera, self.frame or found.frame
-        self._height, self._width, _ = picture.shape
-        self.panoramas = Panoramas(((self._width, self._height),), rig, rows, name, self.camera)
-        self.panoramas.check(picture)
-
-    def panorama(self, received: Any, otherwise: str = "") -> np.ndarray:
-        """The panorama of a message. Raises `ImageError`; `FormatError`, with more words, for another size."""
-        picture = panorama_of(received)
-        height, width, _ = picture.shape
-        if (height, width) != (self._height, self._width):
-            raise FormatError(f"it is {width} x {height}, and the first was {self._width} x {self._height}{otherwise}")
-        return self.panoramas.make(picture)
-
-
-def told_in_bag(bag: Bag, image_topic: str, asked: str | None = None) -> LensTold | None:
-    """What the first CameraInfo of a bag tells, on the topic `asked` for.
-
-    Without one, on that beside the `image_topic`; None if there is none. Raises `FormatError`.
-    """
-    topic = beside(image_topic)
-    if asked is not None:
-        topic, _ = pick(bag.topics, (CAMERA_INFO,), asked, where=str(bag.path), option=OPTION)
-    elif bag.topics.get(topic) != CAMERA_INFO:
-        return None
-    first = next(iter(bag.messages([topic])), None)
-    if first is None:
-        raise FormatError(f"{bag.path} has no message on {topic}; give the lens with --hfov or --camera FILE")
-    return _told(first[3], topic, image_topic)
-
-
-def told_on_graph(
-    graph: Graph,
-    image_topic: str,
-    asked: str | None = None,
-    wait: float = 10.0,
-    ended: Callable[[], bool] = lambda: False,
-) -> LensTold | None:
-    """The same of a graph; the message may take `wait` seconds. Raises `DeviceError` if none comes, `FormatError`."""
-    topic = beside(image_topic)
-    if asked is not None:
-        topic, _, _ = find_topic(graph, (CAMERA_INFO,), asked, option=OPTION, ended=ended)
-    elif graph.topics().get(topic, ("", 0))[0] != CAMERA_INFO:
-        return None
-    came, found = threading.Event(), list[Any]()
-
-    def received(message: Any, _: float) -> None:
-        found.append(message)
-        came.set()
-
-    # A reader of what was said before hears no writer that keeps nothing, so there is one of either kind.
-    readers = [
-        graph.subscribe(topic, CAMERA_INFO, received, reliable=kept, depth=1, transient=kept) for kept in (True, False)
-    ]
-    end = time.monotonic() + wait
-    try:
-        while not (came.wait(WAITING) or ended()) and time.monotonic() < end:
-            pass
-    finally:
-        for reader in readers:
-            reader.close()
-    if not found:
-        raise DeviceError(
-            f"no CameraInfo came on {topic} within {wait:g} s; drivers send one with each picture. Start it, or give "
-            "the lens with --hfov"
-        )
-    return _told(found[0], topic, image_topic)
-
-
-def _plain(image_topic: str) -> str:
-    return image_topic.removesuffix("/compressed")
-
-
-def _told(received: Any, topic: str, image_topic: str) -> LensTold:
-    rig = rig_of_info(received, is_rectified(image_topic), topic)
-    return LensTold(Camera(rig, name=topic), received.header.frame_id)

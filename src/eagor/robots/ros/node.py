@@ -30,8 +30,9 @@ from eagor.perception import Perception
 from eagor.robots.ros.driving import TwistGate
 from eagor.robots.ros.graph import Graph, GraphReader
 from eagor.robots.ros.odometry import BODY, unnamed
+from eagor.robots.ros.pose_sources import RosPoses
 from eagor.robots.ros.publishing import Outbox, OutgoingAnswer, Stamps, trouble
-from eagor.robots.ros.sources import RosCamera, RosPoses
+from eagor.robots.ros.sources import RosCamera
 from eagor.robots.safety.walking import Odometer, Steering, WalkSettings
 from eagor.tracking import TrackerConfig
 
@@ -123,13 +124,14 @@ class SimClock(LoopClock):
 class NodeSettings:
     """What a node reads, and how it answers.
 
-    `image_topic`, `odom_topic`: None is the only one. `poses`: "odom", or without odometry "auto" (rotation from the
-    pictures), "level" (the same for a camera that stays level), "still". `body`: the frame of the answers; `camera`:
-    the camera's (None: as the pictures name it); `world`: of the poses, for transforms. `rate`: answers per second;
-    `belief_rate`: pictures of the belief per second, 0 for none. `cmd_vel`: a topic of velocities that walk the base to
-    the first thing, as `walking` says, by odometry with places; None: the node drives nothing. `lens`: of an ordinary
-    camera; `camera_info`: the topic that tells it. Others as for `LiveLoop` and `RosCamera`. `use_sim_time`: the time
-    is what ``/clock`` says.
+    `image_topic`, `odom_topic`: None is the only one; of several cameras, their topics with commas between. `poses`:
+    "odom", or without odometry "auto" (rotation from the pictures), "level" (the same for a camera that stays level),
+    "still". `body`: the frame of the answers; `camera`: the camera's (None: as the pictures name it, those of the first
+    camera; with a `rig` for several topics, the body's); `world`: of the poses, for transforms. `rate`: answers per
+    second; `belief_rate`: pictures of the belief per second, 0 for none. `cmd_vel`: a topic of velocities that walk the
+    base to the first thing, as `walking` says, by odometry with places; None: the node drives nothing. `lens`: of an
+    ordinary camera; `camera_info`: the topic that tells it. Others as for `LiveLoop` and `RosCamera`. `use_sim_time`:
+    the time is what ``/clock`` says.
     """
 
     image_topic: str | None = None
@@ -147,6 +149,7 @@ class NodeSettings:
     rig: Rig | None = None
     lens: Camera | None = None
     camera_info: str | None = None
+    stitched: bool = False
     record: Path | None = None
     cmd_vel: str | None = None
     walking: WalkSettings = field(default_factory=WalkSettings)
@@ -197,7 +200,7 @@ class Node:
         self._loop: LiveLoop | None = None
         self._spec: str | Perception | None = None
         self._poses: RosPoses | None = None
-        self._frame = ""
+        self._frame: str | None = ""
         self._sim: SimClock | None = None
         self._rewound = ""  # what is to be said of a clock that went back
         self._told = FaultLog()
@@ -341,10 +344,10 @@ class Node:
                 self._poses = None
 
     def _camera(self) -> RosCamera:
-        s = self.settings
+        s, now = self.settings, None if self._sim is None else self._sim.now
         return RosCamera(
             s.image_topic, graph=self.graph, latency=s.latency, rows=s.rows, rig=s.rig, camera=s.lens,
-            info=s.camera_info, now=None if self._sim is None else self._sim.now, ended=self._ended,
+            info=s.camera_info, stitched=s.stitched, ended=self._ended, now=now,
         )  # fmt: skip
 
     def _record(self) -> Path | None:
@@ -417,10 +420,10 @@ class Node:
     def _unplaced(self) -> str | None:
         """What to say of the camera's place on the body, where no odometry is read, and so no transforms."""
         body = self.settings.body
+        if self._frame in (None, body):
+            return None
         if not self._frame:
             return unnamed(body)
-        if self._frame == body:
-            return None
         return f"without odometry no transforms are read: the axes of {self._frame} are taken for those of {body}"
 
     def _tell(self, outbox: Outbox, part: Part, text: str) -> None:

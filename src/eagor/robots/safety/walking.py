@@ -245,12 +245,12 @@ def _speed(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[float, st
 class Step:
     """One answer, and what became of it.
 
-    `panorama`: the newest picture ``(H, W, 3)`` uint8, older than the answer; `sight`: what the policy knew, of the
+    `frame`: the newest picture, of whichever camera, older than the answer; `sight`: what the policy knew, of the
     odometry and the distance too; `wish`: what it wants; `state`: of the guard, at its newest step.
     """
 
     answer: Answer
-    panorama: np.ndarray | None
+    frame: FrameCame | None
     sight: Sight
     wish: Wish
     state: GuardState
@@ -264,14 +264,14 @@ class Odometer:
 
     def __init__(self, guard: GateClient, now: Callable[[], float]) -> None:
         self.xy: tuple[float, float] | None = None
-        self.panorama: np.ndarray | None = None
+        self.frame: FrameCame | None = None
         self._guard, self._now = guard, now
         self._told = -math.inf
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
         if isinstance(event, FrameCame):
-            self.panorama = event.picture
+            self.frame = event
         elif isinstance(event, PoseCame):
             place = event.pose.position
             self.xy = None if place is None else (float(place[0]), float(place[1]))
@@ -316,7 +316,7 @@ class Steering:
             faults=[fault.text for fault in answer.faults if fault.part in PARTS],
         )
         self._guard.command(*wish.velocity.parts)
-        return Step(answer, self._odometer.panorama, sight, wish, self._guard.state)
+        return Step(answer, self._odometer.frame, sight, wish, self._guard.state)
 
 
 def steer(loop: Any, guard: GateClient, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:

@@ -1,0 +1,316 @@
+"""From the messages of cameras to frames: what each one's lens is, and where several are on the body.
+
+By the rule of ``image_transport``, the CameraInfo of ``/ns/image_raw`` is on ``/ns/camera_info``, one with each
+picture. Some drivers send it once, for whoever comes later (transient local). Where several cameras are fixed to each
+other, ``/tf_static`` tells how.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import DeviceError, FormatError
+from eagor.lenses import Lens
+from eagor.media.bags import Bag
+from eagor.media.intrinsics import Camera, Told, ordinary_grid, rig_of_info
+from eagor.media.panorama import is_whole
+from eagor.media.rig_videos import makers
+from eagor.media.rigs import Rig, sizes_of
+from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of
+from eagor.robots.ros.graph import TF_STATIC, WAITING, Graph, find_topic, pick
+from eagor.robots.ros.odometry import TransformTree, optical
+
+__all__ = [
+    "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "placed_in_bag", "placed_on_graph",
+    "told_in_bag", "told_on_graph", "topics_of",
+]  # fmt: skip
+
+OPTION = "--camera-info"
+RECTIFIED = "image_rect"  # image_rect, image_rect_color: what image_proc publishes
+SETTLING = 5.0  # seconds in which the fixed transforms of all cameras have to come
+
+
+def topics_of(text: str | None, option: str) -> tuple[str | None, ...]:
+    """The topics in a text, with commas between; (None,) without one. Raises `FormatError` for one that is empty."""
+    found = (None,) if text is None else tuple(part.strip() for part in text.split(","))
+    if "" in found:
+        raise FormatError(f"{option} {text}: a topic between two commas is empty; wanted /front/image,/back/image")
+    return found
+
+
+@dataclass(frozen=True)
+class Lenses:
+    """What is known of the lenses of topics' pictures before these come.
+
+    `rig`: of all; `camera`: an ordinary one, which each of the topics is; `info`: the topic of its CameraInfo, with
+    commas between those of several. None of them: the CameraInfo beside the pictures tells. `rows`: the most of a
+    frame; `stitched`: make panoramas also of pictures of a rig's ordinary lenses.
+    """
+
+    rig: Rig | None = None
+    camera: Camera | None = None
+    info: str | None = None
+    rows: int | None = None
+    stitched: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class LensTold:
+    """The `camera` that a CameraInfo tells, and the `frame` that its header names."""
+
+    camera: Camera
+    frame: str
+
+
+def beside(image_topic: str) -> str:
+    """The topic of the CameraInfo of a topic of pictures, compressed ones as well."""
+    return f"{_plain(image_topic).rpartition('/')[0]}/camera_info"
+
+
+def is_rectified(image_topic: str) -> bool:
+    """Whether the name of a topic says that its pictures have no distortion any more."""
+    return _plain(image_topic).rpartition("/")[2].startswith(RECTIFIED)
+
+
+def lacks_lens(picture: np.ndarray, rig: Rig | None, camera: Camera | None) -> bool:
+    """Whether a picture ``(H, W, 3)`` is no panorama, and neither a `rig` nor a `camera` tells its lens."""
+    return rig is None and not (camera is not None and camera.known) and not is_whole(picture)
+
+
+class TopicPictures:
+    """How the messages of `topics`, one for each camera, become frames; the `firsts` of them, and the lenses, say it.
+
+    A topic alone gives panoramas, or an ordinary camera's pictures. Several are a rig: each picture stays what it is
+    where all lenses are ordinary, unless they are to be stitched.
+
+    `told(topic, info)`: what a CameraInfo says, asked only for the topic `info`, or where nothing else tells the lens.
+    `placed(frames)`: the rotations ``(3, 3)`` of the axes of cameras (x ahead) in those of the first, asked for
+    several without a rig. `camera`: as it is then known, of a topic alone. `frame`: the frame whose axes the frames'
+    grids are in, as its pictures name it (that of the first camera); None: the body's, where a rig is given for several
+    topics. `makers`: what makes the frames, one for each camera, or one for all. Raises `ImageError` for pictures that
+    are no panoramas, or do not fit the rig, `FormatError` for messages that tell too little.
+    """
+
+    def __init__(
+        self,
+        firsts: Sequence[Any],
+        topics: Sequence[str],
+        lenses: Lenses,
+        told: Callable[[str, str | None], LensTold | None],
+        placed: Callable[[Sequence[str]], Sequence[np.ndarray]],
+    ) -> None:
+        pictures = [panorama_of(each) for each in firsts]
+        self._sizes, rig = sizes_of(pictures), lenses.rig
+        infos = topics_of(lenses.info, OPTION)
+        if lenses.info is not None and len(infos) != len(topics):
+            raise FormatError(
+                f"{OPTION} {lenses.info} names {len(infos)} topics, and {len(topics)} have pictures; wanted one for "
+                "each, in their order"
+            )
+        names = [str(each.header.frame_id) for each in firsts]
+        self.camera: Camera | None = lenses.camera
+        self.frame: str | None = names[0]
+        if len(topics) == 1:
+            asked = infos[0] is not None or lacks_lens(pictures[0], rig, self.camera)
+            if asked and (found := told(topics[0], infos[0])) is not None:
+                self.camera, self.frame = found.camera, names[0] or found.frame
+        elif rig is not None:
+            self.camera, self.frame = None, None
+        else:
+            cameras: list[Camera] = []
+            for at, topic in enumerate(topics):
+                camera, info = lenses.camera, infos[at] if lenses.info is not None else None
+                if camera is None or not camera.known:
+                    if (found := told(topic, info)) is None:
+                        raise FormatError(
+                            f"nothing tells the lens of {topic}: there is no CameraInfo on {beside(topic)}; name it "
+                            f"with {OPTION}, or give all lenses and their places with --rig FILE.yaml"
+                        )
+                    camera, names[at] = found.camera, names[at] or found.frame
+                cameras.append(camera)
+            self.camera, self.frame = None, names[0]
+            rig = _rig_of(topics, names, cameras, self._sizes, placed)
+        self.makers = makers(self._sizes, rig, lenses.rows, ", ".join(topics), self.camera, lenses.stitched)
+        if len(self.makers) == 1:
+            self.makers[0].check(*pictures)
+
+    @property
+    def together(self) -> bool:
+        """Whether the pictures of all topics make one frame."""
+        return len(self.makers) == 1
+
+    def made(self, lens: int, received: Sequence[Any], otherwise: str = "") -> np.ndarray:
+        """The frame of messages: of all topics where these are stitched, else of the camera with the number `lens`.
+
+        Raises `ImageError`; `FormatError`, with more words, for another size.
+        """
+        pictures = [panorama_of(each) for each in received]
+        before = self._sizes if self.together else self._sizes[lens : lens + 1]
+        for (width, height), (wide, high) in zip(sizes_of(pictures), before, strict=True):
+            if (width, height) != (wide, high):
+                raise FormatError(f"it is {width} x {height}, and the first was {wide} x {high}{otherwise}")
+        return self.makers[lens].make(*pictures)
+
+
+def _rig_of(
+    topics: Sequence[str],
+    frames: Sequence[str],
+    cameras: Sequence[Camera],
+    sizes: Sequence[tuple[int, int]],
+    placed: Callable[[Sequence[str]], Sequence[np.ndarray]],
+) -> Rig:
+    """The rig of several cameras, in the axes of the first."""
+    for topic, frame in zip(topics, frames, strict=True):
+        if not frame:
+            raise FormatError(
+                f"the pictures of {topic} name no frame (frame_id is empty), so that nothing tells where this camera "
+                "is on the body; set it in the camera's driver, or give all lenses with --rig FILE.yaml"
+            )
+    found: list[Lens] = []
+    for at, turn in enumerate(placed(frames)):
+        lens = _lens_of(cameras[at], sizes[at], topics[at])
+        found.append(replace(lens, name=frames[at], picture=at, body_R_lens=turn @ lens.body_R_lens))
+    return Rig(tuple(sizes), tuple(found))
+
+
+def _lens_of(camera: Camera, size: tuple[int, int], name: str) -> Lens:
+    """The lens of pictures of a `size` (width, height)."""
+    if camera.wide and camera.rig is not None:
+        return camera.rig.scaled(camera.rig.factor_of((size,), name)).lenses[0]
+    grid = ordinary_grid(camera, Told(), size, name)
+    assert grid is not None  # it is known
+    return grid.lens
+
+
+# --- what CameraInfo and the fixed transforms tell ---
+
+
+def told_in_bag(bag: Bag, image_topic: str, asked: str | None = None) -> LensTold | None:
+    """What the first CameraInfo of a bag tells, on the topic `asked` for.
+
+    Without one, on that beside the `image_topic`; None if there is none. Raises `FormatError`.
+    """
+    topic = beside(image_topic)
+    if asked is not None:
+        topic, _ = pick(bag.topics, (CAMERA_INFO,), asked, where=str(bag.path), option=OPTION)
+    elif bag.topics.get(topic) != CAMERA_INFO:
+        return None
+    first = next(iter(bag.messages([topic])), None)
+    if first is None:
+        raise FormatError(f"{bag.path} has no message on {topic}; give the lens with --hfov or --camera FILE")
+    return _told(first[3], topic, image_topic)
+
+
+def told_on_graph(
+    graph: Graph,
+    image_topic: str,
+    asked: str | None = None,
+    wait: float = 10.0,
+    ended: Callable[[], bool] = lambda: False,
+) -> LensTold | None:
+    """The same of a graph; the message may take `wait` seconds. Raises `DeviceError` if none comes, `FormatError`."""
+    topic = beside(image_topic)
+    if asked is not None:
+        topic, _, _ = find_topic(graph, (CAMERA_INFO,), asked, option=OPTION, ended=ended)
+    elif graph.topics().get(topic, ("", 0))[0] != CAMERA_INFO:
+        return None
+    came, found = threading.Event(), list[Any]()
+
+    def received(message: Any, _: float) -> None:
+        found.append(message)
+        came.set()
+
+    # A reader of what was said before hears no writer that keeps nothing, so there is one of either kind.
+    readers = [
+        graph.subscribe(topic, CAMERA_INFO, received, reliable=kept, depth=1, transient=kept) for kept in (True, False)
+    ]
+    end = time.monotonic() + wait
+    try:
+        while not (came.wait(WAITING) or ended()) and time.monotonic() < end:
+            pass
+    finally:
+        for reader in readers:
+            reader.close()
+    if not found:
+        raise DeviceError(
+            f"no CameraInfo came on {topic} within {wait:g} s; drivers send one with each picture. Start it, or give "
+            "the lens with --hfov"
+        )
+    return _told(found[0], topic, image_topic)
+
+
+def _plain(image_topic: str) -> str:
+    return image_topic.removesuffix("/compressed")
+
+
+def _told(received: Any, topic: str, image_topic: str) -> LensTold:
+    rig = rig_of_info(received, is_rectified(image_topic), topic)
+    return LensTold(Camera(rig, name=topic), received.header.frame_id)
+
+
+def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
+    """The rotations ``(3, 3)`` of the axes of cameras (x ahead) in those of the first, by the frames that name them.
+
+    Raises `FormatError` where ``/tf_static`` does not connect them.
+    """
+    tree = TransformTree()
+    if bag.topics.get(TF_STATIC) == TRANSFORMS:
+        for _, _, _, received in bag.messages([TF_STATIC]):
+            tree.add(received, True)
+    if (missing := _unplaced(tree, frames)) is not None:
+        raise FormatError(f"{bag.path}: {missing}")
+    return _placed(tree, frames)
+
+
+def placed_on_graph(
+    graph: Graph, frames: Sequence[str], wait: float = SETTLING, ended: Callable[[], bool] = lambda: False
+) -> list[np.ndarray]:
+    """The same of a graph, whose transforms may take `wait` seconds. Raises `DeviceError`."""
+    tree, changed = TransformTree(), threading.Condition()
+
+    def received(message: Any, _: float) -> None:
+        with changed:
+            tree.add(message, True)
+            changed.notify_all()
+
+    reader = graph.subscribe(TF_STATIC, TRANSFORMS, received, reliable=True, depth=100, transient=True)
+    end = time.monotonic() + wait
+    try:
+        with changed:
+            while (missing := _unplaced(tree, frames)) is not None:
+                if ended() or (left := end - time.monotonic()) <= 0:
+                    raise DeviceError(missing)
+                changed.wait(min(left, WAITING))
+            return _placed(tree, frames)
+    finally:
+        reader.close()
+
+
+def _unplaced(tree: TransformTree, frames: Iterable[str]) -> str | None:
+    """What is not known of where cameras are, in words."""
+    first, *others = frames
+    missing = next((each for each in others if each != first and tree.between(first, each) is None), None)
+    if missing is None:
+        return None
+    return (
+        f"{TF_STATIC} does not tell where {missing} is in {first}; cameras of a rig are fixed to each other: publish "
+        "it (robot_state_publisher, static_transform_publisher), or give all lenses with --rig FILE.yaml"
+    )
+
+
+def _placed(tree: TransformTree, frames: Sequence[str]) -> list[np.ndarray]:
+    own, found = optical(frames[0]), []
+    for frame in frames:
+        turn = np.eye(3)
+        if frame != frames[0]:
+            between = tree.at(frames[0], frame, 0.0)
+            assert between is not None  # they are connected
+            turn = between[0]
+        found.append(own.T @ turn @ optical(frame))
+    return found
