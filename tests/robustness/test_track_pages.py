@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 from tracks_drawn import PANORAMA, turning
 
+from eagor.drawing import html_parts
 from eagor.drawing import page as pages
 from eagor.drawing.page import BeliefPage, Step, write_page
 from eagor.drawing.step import ScenePainter
@@ -141,8 +142,8 @@ def test_a_long_track_is_thinned_and_bounded_and_says_so(tmp_path, monkeypatch):
 
 def test_a_page_of_the_busiest_pictures_is_at_most_8_mb():
     noise = np.random.default_rng(0).integers(0, 255, (560, 1120, 3), dtype=np.uint8)
-    address = pages.as_address(noise)
-    assert len(address) < 4 / 3 * pages.LARGEST + 100
+    address = html_parts.as_address(noise)
+    assert len(address) < 4 / 3 * html_parts.LARGEST + 100
     assert pages.PICTURES * len(address) < 7.5e6
     assert Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))).width < 1120
 
