@@ -32,7 +32,7 @@ EXTRAS = {
     "studio": {"starlette": "0.41", "uvicorn": "0.36", "websockets": "14"},
     "rerun": {"rerun-sdk": "0.41"},
     "vlm": {"torch": "2.6", "transformers": "5.24", "accelerate": "1.10"},
-    "endpoint": {"openai": "1.98", "tenacity": "9"},
+    "endpoint": {"openai": "1.98"},
     "ray": {"psutil": "6.0", "ray": "2.59"},
     "parquet": {"pyarrow": "18.0"},
 }

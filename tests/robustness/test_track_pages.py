@@ -13,7 +13,7 @@ from tracks_drawn import PANORAMA, turning
 
 from eagor.drawing import html_parts
 from eagor.drawing import page as pages
-from eagor.drawing.page import BeliefPage, Step, write_page
+from eagor.drawing.page import BeliefPage
 from eagor.drawing.step import ScenePainter
 from eagor.drawing.style import answer_in_words
 from eagor.errors import EagorError, StorageError, TimeError
@@ -56,8 +56,9 @@ class Reader(HTMLParser):
 def made(tmp_path, count=5, query="door", **how):
     path = tmp_path / "out.html"
     estimates = turning(count)
-    steps = [Step(PANORAMA, estimate, name=f"{index:04d}.png") for index, estimate in enumerate(estimates)]
-    assert write_page(path, steps, query=query, **how) == path
+    with BeliefPage(path, query=query, **how) as page:
+        for index, estimate in enumerate(estimates):
+            page.add(PANORAMA, estimate, name=f"{index:04d}.png")
     text = path.read_text(encoding="utf-8")
     return estimates, text, Reader(text)
 
@@ -169,8 +170,8 @@ def test_what_cannot_be_written_is_refused(tmp_path):
             BeliefPage(tmp_path / name, query="door")
     with pytest.raises(EagorError, match="there is no folder"):
         BeliefPage(tmp_path / "absent" / "out.html", query="door")
-    with pytest.raises(EagorError, match="there are no steps"):
-        write_page(tmp_path / "out.html", [], query="door")
+    with BeliefPage(tmp_path / "out.html", query="door"):
+        pass  # without frames there is no page
     assert not list(tmp_path.iterdir())
     (tmp_path / "out.html").mkdir()
     page = BeliefPage(tmp_path / "out.html", query="door")

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +24,7 @@ from eagor.errors import EagorError, StorageError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["BeliefPage", "Step", "write_page"]
+__all__ = ["BeliefPage"]
 
 PICTURES = 60  # of `as_address`: 7.4 MB as text, so that the page can be sent by mail
 WIDTH = 1120  # columns of a picture
@@ -35,21 +34,6 @@ COLUMNS = ("frame", "time (s)", "picture", "azimuth (°)", "elevation (°)", "90
 LEFT, WIDE = 64, 914  # user units of the time line: where the axis begins, its width
 AZIMUTH_STRIP, PRESENCE_STRIP, STATUS_STRIP = (8, 148), (158, 186), (194, 206)  # rows: from, to
 TALL = 226  # the whole height
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One frame: its picture ``(H, W, 3)``, or None if it cannot be read; the answer; when; its name; a problem.
-
-    The picture is a panorama, or what an ordinary camera with this `grid` saw.
-    """
-
-    picture: np.ndarray | None
-    estimate: Estimate
-    stamp: float | None = None
-    name: str = ""
-    problem: str | None = None
-    grid: PerspectiveGrid | None = None
 
 
 class BeliefPage:
@@ -82,7 +66,8 @@ class BeliefPage:
         self._painter = ScenePainter(WIDTH)
         self._pictures, self._rows = Thinned(PICTURES), Thinned(ROWS)
         self._problems: list[str] = []
-        self._last: tuple[Step, tuple[int, str, Moment]]
+        self._last: tuple[int, str, Moment]  # what is known of the newest frame, and all that is drawn of it
+        self._newest: tuple[np.ndarray | None, Estimate, str | None, PerspectiveGrid | None]
         self._closed = False
 
     def add(
@@ -95,23 +80,25 @@ class BeliefPage:
         problem: str | None = None,
         grid: PerspectiveGrid | None = None,
     ) -> None:
-        """Append one step, as in `Step`. Raises `TimeError` unless the stamps grow."""
+        """Append one frame: what was seen, the answer, when, its name, why it could not be used.
+
+        `picture` ``(H, W, 3)``: a panorama, or what an ordinary camera with this `grid` saw; None if it cannot be read.
+        Raises `TimeError` unless the stamps grow.
+        """
         moment = Moment.of(estimate, stamp, problem)
         self.line.add(moment)
         name = name or f"frame {self._rows.count}"
         if problem:
             self._problems.append(f"{name}: {problem}")
-        row = (self._rows.count, name, moment)
-        self._last = Step(picture, estimate, stamp, name, problem, grid), row
+        self._last, self._newest = (self._rows.count, name, moment), (picture, estimate, problem, grid)
         if not self._pictures.wants:
             self._painter.look(picture, estimate, grid)
-        self._pictures.add((self._painted() if self._pictures.wants else None, *row))
-        self._rows.add(row)
+        self._pictures.add((self._painted() if self._pictures.wants else None, *self._last))
+        self._rows.add(self._last)
 
     def _painted(self) -> str:
         """The picture of the frame that was added last."""
-        step, _ = self._last
-        return as_address(self._painter.paint(step.picture, step.estimate, step.problem, step.grid))
+        return as_address(self._painter.paint(*self._newest))
 
     def note(self, text: str) -> None:
         """A sentence under "What was left out"."""
@@ -141,9 +128,8 @@ class BeliefPage:
 
     def _page(self) -> str:
         query, pictures = " ".join(self.query.split()), self._pictures.items
-        _, last = self._last
-        if pictures[-1][1] != last[0]:  # the answer above is that of the last frame: it is shown first
-            pictures = [*pictures, (self._painted(), *last)]
+        if pictures[-1][1] != self._last[0]:  # the answer above is that of the last frame: it is shown first
+            pictures = [*pictures, (self._painted(), *self._last)]
         steps = [
             {
                 "picture": picture,
@@ -181,14 +167,14 @@ class BeliefPage:
         )  # fmt: skip
 
     def _answer(self) -> str:
-        estimate = self._last[0].estimate
+        _, estimate, *_ = self._newest
         if estimate.azimuth is None:
             return "No direction is known."
         words, far = candidates_in_words(estimate), far_in_words(estimate)
         return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
 
     def _status(self) -> str:
-        _, (_, _, last) = self._last
+        _, _, last = self._last
         texts = [f"The status is {last.status}: {STATUS[last.status]}."]
         texts.append(f"The probability that it is here at all is {last.presence:.2f}.")
         if last.cone is not None:
@@ -207,26 +193,6 @@ class BeliefPage:
         if self._rows.stride > 1:
             texts.append(f"The table has one of {self._rows.stride} frames.")
         return " ".join(texts)
-
-
-def write_page(
-    path: str | Path,
-    steps: Iterable[Step],
-    *,
-    query: str,
-    used: Mapping[str, str] | None = None,
-    span: float | None = None,
-) -> Path:
-    """Write the page of a whole track; returns its path. Arguments and errors as for `BeliefPage`.
-
-    Raises `EagorError` without steps.
-    """
-    with BeliefPage(path, query=query, used=used, span=span) as page:
-        for step in steps:
-            page.add(**vars(step))
-    if page.line.last is None:
-        raise EagorError(f"{path}: there are no steps; wanted at least one frame")
-    return page.path
 
 
 def time_line(line: TimeLine) -> str:

@@ -19,7 +19,7 @@ from eagor.evaluation import benchmark_tables, ledger, page
 from eagor.evaluation.benchmark_tables import OURS, labels_of
 from eagor.evaluation.page import Curve, Part, Section, Series, Sheet, could_not, line_chart, lines_of
 from eagor.evaluation.samples import LEVEL, RESAMPLES, checked, computing_time, finished, published
-from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Summary, Worst, latex, samples, words
+from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Study, Summary, Worst, latex, samples, words
 from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
@@ -89,7 +89,7 @@ class BenchmarkRun:
         return [Unit(f"{self.task}/{case.id}", case.group, case.payload) for case in self.cases(config)]
 
 
-class Published:
+class Published(Study):
     """See `eagor.evaluation.study.Study`."""
 
     case, several = "case", True

@@ -19,6 +19,7 @@ from eagor.evaluation.study import (
     LoadedRun,
     Report,
     Settings,
+    Study,
     Summary,
     Worst,
     records_jsonl,
@@ -245,7 +246,7 @@ def _like(old: Any, value: Any, key: str) -> Any:
 # --- the study --------------------------------------------------------------------------------------------------------
 
 
-class Simulated:
+class Simulated(Study):
     """See `eagor.evaluation.study.Study`."""
 
     work = WORK

@@ -25,18 +25,9 @@ if TYPE_CHECKING:
     from eagor.perception.views import Views
 
 __all__ = [
-    "Perception",
-    "Views",
-    "check_perception",
-    "is_model",
-    "known",
-    "knows_classes",
-    "load",
-    "look",
-    "parse_options",
-    "rows_of",
-    "short_name",
-]
+    "Perception", "Views", "check_perception", "is_model", "known", "knows_classes", "load", "look", "parse_options",
+    "rows_of", "short_name",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

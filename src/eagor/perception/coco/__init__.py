@@ -39,18 +39,9 @@ if TYPE_CHECKING:
     from eagor.perception.views import Views
 
 __all__ = [
-    "CLASSES",
-    "COCO",
-    "MODELS",
-    "Model",
-    "NpmPackage",
-    "coco_detector",
-    "fetched",
-    "from_text",
-    "install",
-    "members",
+    "CLASSES", "COCO", "MODELS", "Model", "NpmPackage", "coco_detector", "fetched", "from_text", "install", "members",
     "model_named",
-]
+]  # fmt: skip
 
 # How it errs, fitted on four photographs whose things were marked by hand (benchmarks/photographs.py prints it): things
 # are found in nearly every look or in few, and what is taken for them is rarely taken so again.
