@@ -23,6 +23,7 @@ from eagor.cli.checks import (
     checked_seconds,
     mask_of,
     perception_for,
+    rig_of,
     rows_for,
     tracker_config,
 )
@@ -177,16 +178,10 @@ def robot_run(options: RobotRun) -> int:
         loop: LiveLoop
         odometer = Odometer(guard, lambda: loop.clock.now())
         loop = LiveLoop(
-            place.camera,
-            spec,
-            [query],
+            place.camera, spec, [query], config=config, rate=RATE, patience=options.patience, mask=mask,
             poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
-            config=config,
-            rate=RATE,
-            patience=options.patience,
-            mask=mask,
             watchers=[odometer],
-        )
+        )  # fmt: skip
         used = {
             "robot": "simulated Go2" if options.sim else "Go2", "perception": spec,
             "dead-man switch": f"{deadman}: {DEADMEN[deadman]}", "armed": "yes" if options.arm else "no (dry run)",
@@ -232,12 +227,10 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
     def camera() -> CameraSource:
         if source.startswith(ROS):  # on the robot's network, not on that of the environment
-            from eagor.media.rigs import read_rig
             from eagor.robots.ros.sources import RosCamera
 
-            rig = None if options.rig is None else read_rig(options.rig)
-            network = {"domain": options.domain, "interface": options.interface}
-            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, rig=rig, **network)
+            network = {"domain": options.domain, "interface": options.interface, "rig": rig_of(options.rig)}
+            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, **network)
         found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig, stitched=True)
         if not found.live:
             found.close()
