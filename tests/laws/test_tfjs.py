@@ -6,11 +6,8 @@ import json
 import numpy as np
 import onnxruntime
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from eagor.errors import FormatError
-from eagor.perception.coco.tfjs import Output, onnx_from_tfjs, read_weights
+from eagor.perception.coco.tfjs import Output, onnx_from_tfjs
 
 RNG = np.random.default_rng(7)
 SIZE = 9, 12  # of the pictures, unlike in rows and columns, and not a multiple of all strides
@@ -32,11 +29,10 @@ def node(op, name, *inputs, **attr):
     return {"op": op, "name": name, "input": list(inputs), "attr": attr}
 
 
-def convolution(op, name, *inputs, stride=1, dilation=1, padding="SAME", fused=(), layout="NHWC"):
+def convolution(op, name, *inputs, stride=1, padding="SAME", fused=()):
     return node(
-        op, name, *inputs, data_format=encoded(layout), padding=encoded(padding),
-        strides=integers(1, stride, stride, 1), dilations=integers(1, dilation, dilation, 1),
-        fused_ops={"list": {"s": [encoded(text)["s"] for text in fused]}},
+        op, name, *inputs, padding=encoded(padding), strides=integers(1, stride, stride, 1),
+        dilations=integers(1, 1, 1, 1), fused_ops={"list": {"s": [encoded(text)["s"] for text in fused]}},
     )  # fmt: skip
 
 
@@ -77,37 +73,34 @@ def array(*shape):
 # --- what the operations mean, by NumPy ------------------------------------------------------------------------------
 
 
-def padded(x, kernel, stride, dilation, padding, axis):
+def padded(x, kernel, stride, padding, axis):
     """`x` with TensorFlow's zeros along `axis`: SAME gives ceil(n / stride) cells, and the odd zero goes behind."""
     if padding == "VALID":
         return x
-    reach, n = (kernel - 1) * dilation + 1, x.shape[axis]
-    total = max((-(-n // stride) - 1) * stride + reach - n, 0)
+    n = x.shape[axis]
+    total = max((-(-n // stride) - 1) * stride + kernel - n, 0)
     return np.pad(x, [(total // 2, total - total // 2) if each == axis else (0, 0) for each in range(4)])
 
 
-def convolve(x, kernel, stride=1, dilation=1, padding="SAME", by_channel=False):
+def convolve(x, kernel, stride=1, padding="SAME", by_channel=False):
     rows, columns = kernel.shape[:2]
-    x = padded(padded(x, rows, stride, dilation, padding, 1), columns, stride, dilation, padding, 2)
-    high = (x.shape[1] - (rows - 1) * dilation - 1) // stride + 1
-    wide = (x.shape[2] - (columns - 1) * dilation - 1) // stride + 1
-    total = 0
-    for i in range(rows):
-        for j in range(columns):
-            y, z = i * dilation, j * dilation
+    x = padded(padded(x, rows, stride, padding, 1), columns, stride, padding, 2)
+    high, wide = (x.shape[1] - rows) // stride + 1, (x.shape[2] - columns) // stride + 1
+    total = np.zeros(())
+    for y in range(rows):
+        for z in range(columns):
             part = x[:, y : y + (high - 1) * stride + 1 : stride, z : z + (wide - 1) * stride + 1 : stride]
             if by_channel:  # (channels, times): channel c gives the outputs c * times and following
-                total = total + (part[..., None] * kernel[i, j]).reshape(*part.shape[:3], -1)
+                total = total + (part[..., None] * kernel[y, z]).reshape(*part.shape[:3], -1)
             else:
-                total = total + part @ kernel[i, j]
+                total = total + part @ kernel[y, z]
     return total
 
 
-def resize(x, size, corners=False, halves=False):
+def resize(x, size):
     for axis, new in ((1, size[0]), (2, size[1])):
         old = x.shape[axis]
-        scale = (old - 1) / (new - 1) if corners else old / new
-        at = (np.arange(new) + 0.5) * scale - 0.5 if halves else np.arange(new) * scale
+        at = np.arange(new) * (old / new)
         low = np.clip(np.floor(at).astype(int), 0, old - 1)
         share = np.clip(at - low, 0, 1).reshape([-1 if each == axis else 1 for each in range(4)])
         x = x.take(low, axis) * (1 - share) + x.take(np.minimum(low + 1, old - 1), axis) * share
@@ -118,14 +111,14 @@ def resize(x, size, corners=False, halves=False):
 
 
 @pytest.mark.parametrize("padding", ["SAME", "VALID"])
-@pytest.mark.parametrize(("stride", "dilation"), [(1, 1), (2, 1), (3, 1), (1, 2), (1, 3)])
+@pytest.mark.parametrize("stride", [1, 2, 3])
 @pytest.mark.parametrize("op", ["Conv2D", "_FusedConv2D", "DepthwiseConv2dNative", "FusedDepthwiseConv2dNative"])
-def test_convolutions(op, stride, dilation, padding):
+def test_convolutions(op, stride, padding):
     by_channel, fused = "Depthwise" in op, ("BiasAdd",) if "Fused" in op else ()
     kernel = array(3, 2, 3, 2) if by_channel else array(3, 2, 3, 5)
     weights = {"k": kernel} | ({"b": array(6 if by_channel else 5)} if fused else {})
-    wanted = convolve(PICTURE, kernel, stride, dilation, padding, by_channel) + weights.get("b", 0)
-    settings = {"stride": stride, "dilation": dilation, "padding": padding, "fused": fused}
+    wanted = convolve(PICTURE, kernel, stride, padding, by_channel) + weights.get("b", 0)
+    settings = {"stride": stride, "padding": padding, "fused": fused}
     content = converted([convolution(op, "out", "in", *weights, **settings)], weights, wanted.shape[1:])
     np.testing.assert_allclose(run(content), wanted, rtol=1e-5, atol=1e-4)
 
@@ -135,7 +128,6 @@ def test_convolutions(op, stride, dilation, padding):
     [
         (("Relu",), lambda x: np.maximum(x, 0)),
         (("BiasAdd", "Relu"), lambda x: np.maximum(x + 1, 0)),
-        (("BiasAdd", "Relu6"), lambda x: np.clip(x + 1, 0, 6)),
     ],
 )
 def test_what_is_fused_follows(fused, after):
@@ -152,7 +144,7 @@ BY_ELEMENTS = {
     "Sigmoid": ([node("Sigmoid", "out", "in")], np.float32(0), lambda x: 1 / (1 + np.exp(-x))),
     "Identity": ([node("Identity", "out", "in")], np.float32(0), lambda x: x),
     "Add, a constant first": ([node("Add", "out", "c", "in")], np.float32(2), lambda x: 2 + x),
-    "AddV2, by channel": ([node("AddV2", "out", "in", "c")], CHANNELS, lambda x: x + CHANNELS),
+    "Add, by channel": ([node("Add", "out", "in", "c")], CHANNELS, lambda x: x + CHANNELS),
     "Mul, by channel": ([node("Mul", "out", "in", "c")], CHANNELS[None, None, None], lambda x: x * CHANNELS),
     "Mul, with itself": ([node("Mul", "out", "in", "in")], np.float32(0), lambda x: x * x),
     "Mul, after a control input": ([node("Mul", "out", "in", "c", "^in")], np.float32(3), lambda x: 3 * x),
@@ -181,14 +173,10 @@ def test_channels_are_joined(axis):
 
 
 @pytest.mark.parametrize("size", [(18, 24), (27, 12), (18, 18)])
-@pytest.mark.parametrize("way", [{}, {"align_corners": True}, {"half_pixel_centers": True}], ids=str)
-def test_pictures_are_resized(size, way):
-    attr = {key: {"b": value} for key, value in way.items()}
-    content = converted(
-        [node("ResizeBilinear", "out", "in", "size", **attr)], {"size": np.array(size, np.int32)}, (*size, 3)
-    )
-    wanted = resize(PICTURE, size, way.get("align_corners", False), way.get("half_pixel_centers", False))
-    np.testing.assert_allclose(run(content), wanted, rtol=1e-4, atol=1e-5)
+def test_pictures_are_resized(size):
+    nodes = [node("ResizeBilinear", "out", "in", "size")]
+    content = converted(nodes, {"size": np.array(size, np.int32)}, (*size, 3))
+    np.testing.assert_allclose(run(content), resize(PICTURE, size), rtol=1e-4, atol=1e-5)
 
 
 def test_a_network_of_them_whose_weights_are_stored_in_half():
@@ -225,70 +213,3 @@ def test_the_file_says_what_it_takes_and_gives():
     assert (taken.name, taken.type, taken.shape) == ("images", "tensor(float)", [1, 3, *SIZE])
     assert (given_.name, given_.type, given_.shape) == ("found", "tensor(float)", [1, 3, *SIZE])
     assert session.get_modelmeta().custom_metadata_map == {"names": '["a"]', "layout": "centernet"}
-
-
-# --- what is refused -------------------------------------------------------------------------------------------------
-
-REFUSED = {
-    "TopKV2, which is not known": ([node("TopKV2", "out", "in")], {}),
-    "laid out NCHW; wanted NHWC": ([convolution("Conv2D", "out", "in", "k", layout="NCHW")], {"k": array(1, 1, 3, 3)}),
-    "pads by EXPLICIT": ([convolution("Conv2D", "out", "in", "k", padding="EXPLICIT")], {"k": array(1, 1, 3, 3)}),
-    "wanted ones in one": ([convolution("Conv2D", "out", "in", "k", stride=2, dilation=2)], {"k": array(1, 1, 3, 3)}),
-    "followed by .'Elu'": ([convolution("_FusedConv2D", "out", "in", "k", fused=("Elu",))], {"k": array(1, 1, 3, 3)}),
-    "over the axes .3.": ([node("Mean", "out", "in", "n", keep_dims={"b": True})], {"n": np.array([3], np.int32)}),
-    "with size 1": ([node("Mean", "out", "in", "n", keep_dims={"b": False})], {"n": np.array([1, 2], np.int32)}),
-    "joins along axis 1": ([node("ConcatV2", "out", "in", "in", "n")], {"n": np.array(1, np.int32)}),
-    "a constant .9, 12, 3.": ([node("Add", "out", "in", "n")], {"n": array(*SIZE, 3)}),
-    "'nowhere', which is not in it": ([node("Relu", "out", "nowhere")], {}),
-    "need each other": ([node("Relu", "out", "a"), node("Relu", "a", "out")], {}),
-    "takes .1, 2, 2, 4.": ([node("Placeholder", "out", shape={"shape": {"dim": [{"size": s} for s in "1224"]}})], {}),
-    "KeyError: 'n'": ([node("ResizeBilinear", "out", "in", "n"), node("Relu", "n", "in")], {}),
-}
-
-
-@pytest.mark.parametrize("text", REFUSED)
-def test_what_is_not_understood_is_refused_by_name(text):
-    with pytest.raises(FormatError, match=text):
-        converted(*REFUSED[text], (*SIZE, 3))
-
-
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        (lambda topology, data: (topology, data[:-1]), "the weights end within b"),
-        (lambda topology, data: (topology, data + b"0"), "13 bytes of weights; the model speaks of 12"),
-        (lambda topology, data: (topology.replace(b"float32", b"float64"), data), "a is float64 stored as float64"),
-        (lambda topology, data: (topology.replace(b"[2]", b"[-2]"), data), "the weights end within"),
-        (lambda topology, data: (topology[:-9], data), "no TensorFlow.js graph model"),
-        (lambda topology, data: (b"[]", data), "no TensorFlow.js graph model"),
-        (lambda topology, data: (b"\xff\xfe", data), "no TensorFlow.js graph model"),
-        (lambda topology, data: (topology.replace(b'"op"', b'"opus"'), data), "no TensorFlow.js graph model"),
-    ],
-)
-def test_damaged_files_are_refused(change, text):
-    files = change(*model([node("Relu", "out", "in")], {"a": array(2), "b": array(1)}))
-    with pytest.raises(FormatError, match=text):
-        onnx_from_tfjs(*files, (Output("out", "found", (1, 3, *SIZE)),), {}, "small")
-
-
-@given(st.data())
-def test_whatever_is_damaged_ends_in_a_format_error(data):
-    kernel = {"k": np.ones((1, 1, 3, 2), np.float32)}
-    topology, weights = model([convolution("_FusedConv2D", "out", "in", "k", fused=("Relu",))], kernel)
-    at = data.draw(st.integers(0, len(topology) - 1))
-    broken = topology[:at] + data.draw(st.binary(max_size=3)) + topology[at + data.draw(st.integers(0, 40)) :]
-    try:
-        content = onnx_from_tfjs(broken, weights, (Output("out", "found", (1, 2, *SIZE)),), {}, "small")
-    except FormatError:
-        return
-    assert isinstance(content, bytes)
-
-
-def test_weights_are_read_in_the_order_of_the_manifest():
-    values = {"a": np.array([1, 2], np.int32), "b": np.float32([[0.5], [2]]), "c": np.asarray(np.float32(3))}
-    topology, data = model([], values, half=("b",))
-    found = read_weights(json.loads(topology)["weightsManifest"], data)
-    assert list(found) == list(values)
-    for name, wanted in values.items():
-        assert found[name].dtype == wanted.dtype
-        np.testing.assert_array_equal(found[name], wanted)

@@ -11,8 +11,9 @@ import pytest
 from PIL import Image
 from tracks_drawn import PANORAMA, turning
 
+from eagor.drawing import html_parts
 from eagor.drawing import page as pages
-from eagor.drawing.page import BeliefPage, Step, write_page
+from eagor.drawing.page import BeliefPage
 from eagor.drawing.step import ScenePainter
 from eagor.drawing.style import answer_in_words
 from eagor.errors import EagorError, StorageError, TimeError
@@ -55,8 +56,9 @@ class Reader(HTMLParser):
 def made(tmp_path, count=5, query="door", **how):
     path = tmp_path / "out.html"
     estimates = turning(count)
-    steps = [Step(PANORAMA, estimate, name=f"{index:04d}.png") for index, estimate in enumerate(estimates)]
-    assert write_page(path, steps, query=query, **how) == path
+    with BeliefPage(path, query=query, **how) as page:
+        for index, estimate in enumerate(estimates):
+            page.add(PANORAMA, estimate, name=f"{index:04d}.png")
     text = path.read_text(encoding="utf-8")
     return estimates, text, Reader(text)
 
@@ -141,8 +143,8 @@ def test_a_long_track_is_thinned_and_bounded_and_says_so(tmp_path, monkeypatch):
 
 def test_a_page_of_the_busiest_pictures_is_at_most_8_mb():
     noise = np.random.default_rng(0).integers(0, 255, (560, 1120, 3), dtype=np.uint8)
-    address = pages.as_address(noise)
-    assert len(address) < 4 / 3 * pages.LARGEST + 100
+    address = html_parts.as_address(noise)
+    assert len(address) < 4 / 3 * html_parts.LARGEST + 100
     assert pages.PICTURES * len(address) < 7.5e6
     assert Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))).width < 1120
 
@@ -168,8 +170,8 @@ def test_what_cannot_be_written_is_refused(tmp_path):
             BeliefPage(tmp_path / name, query="door")
     with pytest.raises(EagorError, match="there is no folder"):
         BeliefPage(tmp_path / "absent" / "out.html", query="door")
-    with pytest.raises(EagorError, match="there are no steps"):
-        write_page(tmp_path / "out.html", [], query="door")
+    with BeliefPage(tmp_path / "out.html", query="door"):
+        pass  # without frames there is no page
     assert not list(tmp_path.iterdir())
     (tmp_path / "out.html").mkdir()
     page = BeliefPage(tmp_path / "out.html", query="door")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from eagor._extras import need
 from eagor.cli import terminal
 from eagor.cli.checks import check_looks, checked_folder, checked_query, make_perception, perception_for
 from eagor.cli.options import Common, Name, Whole, bare, given
@@ -90,7 +89,6 @@ def _photo(options: Demo, path: Path) -> int:
     if hfov is not None and not NARROWEST <= hfov <= WIDEST:
         raise terminal.UsageError(f"--hfov {hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
     checked_folder(options.out)
-    need("eagor demo --photo", "sim", "jinja2")
     spec = options.perception
     if spec == AUTO:  # without a query the detector chooses one, so it has to be one that knows things
         spec = "coco" if options.query is None else perception_for(checked_query(options.query), None)

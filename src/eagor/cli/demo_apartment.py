@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,8 +20,8 @@ from eagor.cli import terminal
 from eagor.cli.checks import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
-from eagor.evaluation import tables
-from eagor.evaluation.page import rendered
+from eagor.evaluation import page, tables
+from eagor.evaluation.page import Box, Row, Section, Sheet
 from eagor.evaluation.tables import OURS
 from eagor.metrics import angular_error_deg
 from eagor.perception import load, rows_of
@@ -38,6 +38,12 @@ if TYPE_CHECKING:
 
 
 PICTURE_ROWS = 320  # of a panorama
+NEWEST = "the highest response of the newest look"
+PICTURES = (  # what each shows
+    "Four panoramas with our belief as heat, our estimate, the answer of the look alone, and the truth",
+    "Direction error over time of our tracker and of the newest look alone, on a logarithmic axis",
+    "Floor plan with the way of the camera from the start to where it ended",
+)
 SPOKEN = {PLAIN: "the newest look alone", OURS: "our tracker"}
 PARTS = {tables.SEEN: "once it was seen", tables.IN_SIGHT: "in sight", tables.HIDDEN: "hidden again"}
 # 200 searches in apartments that no setting was chosen on, as docs/results/navigation.md has them: degrees of error in
@@ -213,15 +219,42 @@ def write_report(search: Search, folder: Path) -> Path:
     pictures = {"beliefs": _strip(search, place), "errors": _errors(search), "map": _map(search, place)}
     for name, picture in pictures.items():
         keep_picture(picture, folder / f"{name}.png")
-    means = search.means
-    rows = [(name, [_degrees(means[name][part]) for part in PARTS], DESCRIPTIONS.get(name, "")) for name in EVERY]
-    page = rendered(
-        "demo.html", search=search, words=" ".join(summary(search)), rows=rows, ours=OURS, parts=PARTS.values(),
-        study=[(name, [_interval(cell) for cell in cells]) for name, cells in STUDY.items()], spoken=SPOKEN[OURS],
-        said=STUDY_IN_WORDS, command=STUDY_COMMAND, step=Camera().step,
-        **{name: _as_address(picture) for name, picture in pictures.items()},
+    beliefs, errors, above = (
+        page.wide(_as_address(picture), words) for picture, words in zip(pictures.values(), PICTURES, strict=True)
+    )
+    means, rules, parts = search.means, search.rules, tuple(PARTS.values())
+    every = [([_degrees(means[name][part]) for part in PARTS], name) for name in EVERY]
+    rows = [Row(n, _boxes([*cells, DESCRIPTIONS.get(n) or NEWEST]), "ours" if n == OURS else "") for cells, n in every]
+    study = [
+        Row(name, _boxes(map(_interval, cells)), "ours" if name == SPOKEN[OURS] else "")
+        for name, cells in STUDY.items()
+    ]
+    lead = page.text(
+        f"A camera walks through {search.episode['scene']} and looks for it. Heat is what our tracker believes, and "
+        f"the white line holds 90 % of that. {' '.join(summary(search))}"
+    )
+    way = page.text(
+        f"Each step goes {Camera().step} m, sliding along walls; the search is over within {rules.success_distance} m "
+        f"(of walking) of the {search.thing}, or after {rules.max_steps} steps. Our tracker steers, without a map: it "
+        "walks by the floor that its looks have shown. All methods get its looks, through the perception "
+        f"{search.perception}.", "note",
     )  # fmt: skip
-    return written(folder / "report.html", page)
+    repeat = f"The perception is scout, and intervals are of 95 %. Repeat it: {STUDY_COMMAND}"
+    walk = Sheet("Every method on this walk", ("mean error", *parts, "what it is"), tuple(rows))
+    sections = [
+        Section("luck", "Is that luck?", [
+            page.text(STUDY_IN_WORDS), Sheet("200 searches", ("mean error", *parts), tuple(study)),
+            page.text(repeat, "note"),
+        ]),
+        Section("error", "The error on this walk", [
+            errors, page.folded("The way from above, and every method on the same looks", above, way, walk),
+        ]),
+    ]  # fmt: skip
+    return written(folder / "report.html", page.document(f"Where is the {search.thing}?", [lead, beliefs], sections))
+
+
+def _boxes(cells: Iterable[str]) -> tuple[Box, ...]:
+    return tuple(map(Box, cells))
 
 
 def _strip(search: Search, place: Place) -> Image:
@@ -273,8 +306,8 @@ def _map(search: Search, place: Place) -> Image:
     x0, y0 = ground.origin
     target = place.scene.instances[search.episode["targets"][0]].centre
     extent = (float(x0), float(x0 + cols * ground.cell), float(y0), float(y0 + rows * ground.cell))
-    paths = {"the way of the camera": np.array(search.walk["trace"]["pose"])[:, :2]}
-    return draw_map(ground.structure, ground.free, extent, paths, target)
+    way = np.array(search.walk["trace"]["pose"])[:, :2]
+    return draw_map(ground.structure, ground.free, extent, way, target, "the way of the camera")
 
 
 def _as_address(picture: Image) -> str:

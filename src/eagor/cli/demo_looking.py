@@ -225,7 +225,7 @@ def as_json(searches: Searches, spec: str, photo: str) -> dict[str, Any]:
 def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Path:
     """Draw our looks into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import Mosaic, draw_belief
-    from eagor.evaluation.page import Box, Pictures, Row, Section, Sheet, Text, document
+    from eagor.evaluation.page import Box, Row, Section, Sheet, document, pictures, text
 
     mosaic, moments = Mosaic(), []
     for number, (taken, picture) in enumerate(zip(searches.taken[OURS], searches.pictures, strict=True), 1):
@@ -239,9 +239,9 @@ def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Pat
     ]
     heads = ("where to look", "looks until sure", "off the looks all around (°)", "what it is")
     sections = [
-        Section("looks", "What the camera saw, and what we believed", [Pictures(moments, "strip")]),
+        Section("looks", "What the camera saw, and what we believed", [pictures(moments, "strip")]),
         Section("searches", "Each search side by side", [Sheet("Looks until sure", heads, tuple(rows))]),
     ]
-    lead = [Text(f"{photo}, seen by {short_name(spec)} through {searches.hfov:g} degrees. {summary(searches)[0]}")]
-    lead += map(Text, summary(searches)[1:])
+    lead = [text(f"{photo}, seen by {short_name(spec)} through {searches.hfov:g} degrees. {summary(searches)[0]}")]
+    lead += map(text, summary(searches)[1:])
     return written(folder / "report.html", document(f"Where is the {searches.query}?", lead, sections))

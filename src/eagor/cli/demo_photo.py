@@ -95,7 +95,7 @@ def as_json(looks: Looks, spec: str, photo: str) -> dict[str, Any]:
 def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import draw_belief, draw_errors
-    from eagor.evaluation.page import Box, Pictures, Row, Section, Sheet, Text, document
+    from eagor.evaluation.page import Box, Row, Section, Sheet, document, pictures, text
     from eagor.tasks.methods import DESCRIPTIONS
 
     names = sorted(looks.directions, key=lambda name: name != OURS)  # ours first: it is drawn on top
@@ -128,10 +128,10 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
         ),
     ]
     sections = [
-        Section("looks", "What the camera saw, and what we believed", [Pictures(moments, "strip")]),
-        Section("methods", "Each method side by side", [sheet, Pictures(both)]),
+        Section("looks", "What the camera saw, and what we believed", [pictures(moments, "strip")]),
+        Section("methods", "Each method side by side", [sheet, pictures(both)]),
     ]
-    lead = [Text(f"{photo}, seen by {short_name(spec)}. {summary(looks)[0]}"), *map(Text, summary(looks)[1:])]
+    lead = [text(f"{photo}, seen by {short_name(spec)}. {summary(looks)[0]}"), *map(text, summary(looks)[1:])]
     return written(folder / "report.html", document(f"Where is the {looks.query}?", lead, sections))
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import Positional, arg
 
-from eagor._extras import need
 from eagor.cli import terminal
 from eagor.cli.options import Common, DataOfRun, Flag, Whole, bare, pairs_of
 
@@ -90,7 +89,6 @@ def report(options: BenchReport) -> int:
     from eagor.evaluation import studies
     from eagor.evaluation.studies import write_report
 
-    need("a report page", "sim", "jinja2")
     if not options.folders:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
     if options.out is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from eagor.tracking.estimate import Estimate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Heat", "arrow", "backdrop", "heat_of", "paint_marks", "places", "worth_an_arrow"]
+__all__ = ["Heat", "Marks", "arrow", "backdrop", "heat_of", "paint_marks", "places", "worth_an_arrow"]
 
 ROWS = (360, 540)  # of the heat map: more for a small region
 CELLS = 40  # least number of cells in a region, so that its border is not just a few straight lines
@@ -210,14 +210,23 @@ OURS, TRUTH = "#00e5ff", "#39ff6a"
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
 
 
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Directions ``(3,)`` that are marked beside the answer: the truth, other methods' by name, candidates.
+
+    `modes` None: the candidates of the estimate.
+    """
+
+    truth: np.ndarray | None = None
+    others: Mapping[str, np.ndarray | None] = field(default_factory=dict)
+    modes: Sequence[np.ndarray] | None = None
+
+
+ALONE = Marks()
+
+
 def paint_marks(
-    axes: Axes,
-    belief: Estimate | Readable,
-    heat: Heat | None,
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
-    scale: float = 1.0,
+    axes: Axes, belief: Estimate | Readable, heat: Heat | None, more: Marks = ALONE, scale: float = 1.0
 ) -> None:
     """All that is drawn over the heat: the border, the arrow, markers, and a note on what is missing.
 
@@ -235,31 +244,30 @@ def paint_marks(
         border(axes, heat.border, scale)
     if answer is not None and isinstance(belief, Estimate) and worth_an_arrow(belief):
         _arrow(axes, answer, scale)
-    marks(axes, belief, places, truth, others, modes, scale)
+    marks(axes, belief, places, more, scale)
 
 
 def marks(
     axes: Axes,
     belief: Estimate | Readable,
     at: Callable[[np.ndarray], np.ndarray],
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
+    more: Marks,
     scale: float = 1.0,
 ) -> None:
     """A marker for each direction; `at` says where in the axes ``(k, 2)`` one of them ``(3,)`` is drawn."""
     answer = belief.direction if isinstance(belief, Estimate) else None
+    modes = more.modes
     if modes is None:
         modes = [mode.direction for mode in belief.modes] if isinstance(belief, Estimate) else []
     for index, mode in enumerate(modes):
         label = "candidate directions" if index == 0 else None
         _mark(axes, at(mode), "o", "white", 15 * scale, label, hollow=True, width=1.8 * scale)
-    for index, (name, where) in enumerate((others or {}).items()):
+    for index, (name, where) in enumerate(more.others.items()):
         marker, colour = OTHERS[index % len(OTHERS)]
         if where is not None:
             _mark(axes, at(where), marker, colour, 8.5 * scale, name)
-    if truth is not None:
-        _mark(axes, at(truth), "o", TRUTH, 21 * scale, "truth", hollow=True, width=2.6 * scale)
+    if more.truth is not None:
+        _mark(axes, at(more.truth), "o", TRUTH, 21 * scale, "truth", hollow=True, width=2.6 * scale)
     if answer is not None:
         _mark(axes, at(answer), "o", OURS, 8.5 * scale, "estimate")
 

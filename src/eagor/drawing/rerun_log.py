@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -57,6 +57,7 @@ class RerunLog:
             raise EagorError(f"{path} does not end in .rrd; name a file such as run.rrd")
         import rerun
 
+        self._rerun: Any = rerun
         self._log: Any = rerun.RecordingStream("eagor", send_properties=False)
         try:
             with open(self.path, "wb"):
@@ -114,15 +115,13 @@ class RerunLog:
             problem: what went wrong, in words.
             grid: which directions of the body the pixels of an ordinary camera show.
         """
-        import rerun
-
         self._at(stamp)
         heat = heat_of(estimate)
         self._pose(estimate.world_R_body, position)
         if picture is not None:
             self._picture(picture if grid is None else self._looked(picture, grid, estimate, heat), heat)
         elif not self._said:  # the ball has to have some colour before the first picture
-            self._log.log("world/body/ball", rerun.Mesh3D.from_fields(vertex_colors=[BLANK] * len(_vertices())))
+            self._log.log("world/body/ball", self._rerun.Mesh3D.from_fields(vertex_colors=[BLANK] * len(_vertices())))
         name = re.sub(r"[^\w\-]+", "_", query).strip("_") or "target"
         self._marks(name, estimate, heat, truth, others or {})
         self._arrows(name, estimate, truth, others or {})
@@ -145,27 +144,21 @@ class RerunLog:
             self._log.set_time("time", duration=stamp)
 
     def _pose(self, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        import rerun
-
         place = np.zeros(3) if position is None else np.asarray(position, dtype=float)
-        self._log.log("world/body", rerun.Transform3D(translation=place, mat3x3=world_R_body))
+        self._log.log("world/body", self._rerun.Transform3D(translation=place, mat3x3=world_R_body))
         if position is not None and (not self._walked or np.linalg.norm(place - self._walked[-1]) > 0.02):
             self._walked.append(place)
-            self._log.log("world/path", rerun.LineStrips3D([self._walked], colors=OTHER, radii=0.01))
+            self._log.log("world/path", self._rerun.LineStrips3D([self._walked], colors=OTHER, radii=0.01))
 
     def _picture(self, panorama: np.ndarray, heat: Heat | None) -> None:
-        import rerun
-
         pixels = backdrop(panorama, heat, WIDTH, WIDTH // 2)
-        self._log.log("panorama", rerun.Image(pixels).compress(jpeg_quality=QUALITY))
+        self._log.log("panorama", self._rerun.Image(pixels).compress(jpeg_quality=QUALITY))
         x, y, _ = ErpGrid(*pixels.shape[:2]).project(_vertices())
         column, row = x.astype(int) % pixels.shape[1], np.clip(y.astype(int), 0, pixels.shape[0] - 1)
-        self._log.log("world/body/ball", rerun.Mesh3D.from_fields(vertex_colors=pixels[row, column]))
+        self._log.log("world/body/ball", self._rerun.Mesh3D.from_fields(vertex_colors=pixels[row, column]))
 
     def _looked(self, picture: np.ndarray, grid: PerspectiveGrid, estimate: Estimate, heat: Heat | None) -> np.ndarray:
         """Log the picture of an ordinary camera; returns what it has shown so far, a panorama in the body frame."""
-        import rerun
-
         if self._mosaic is None:
             self._mosaic = Mosaic()
             self._log.send_blueprint(_layout(picture=True))
@@ -173,40 +166,32 @@ class RerunLog:
         height, width = _shape_in_view(grid)
         there = None if heat is None else Heat(heat_in_view(heat, grid, height // 2, width // 2))
         pixels = backdrop(picture, there, width, height)
-        self._log.log("picture", rerun.Image(pixels).compress(jpeg_quality=QUALITY))
-        lens = rerun.Pinhole(
-            focal_length=grid.focal, width=grid.width, height=grid.height, camera_xyz=rerun.ViewCoordinates.FLU,
+        self._log.log("picture", self._rerun.Image(pixels).compress(jpeg_quality=QUALITY))
+        lens = self._rerun.Pinhole(
+            focal_length=grid.focal, width=grid.width, height=grid.height, camera_xyz=self._rerun.ViewCoordinates.FLU,
             image_plane_distance=2 * RADIUS,
         )  # fmt: skip
-        self._log.log("world/body/camera", rerun.Transform3D(mat3x3=grid.body_R_view), lens)
+        self._log.log("world/body/camera", self._rerun.Transform3D(mat3x3=grid.body_R_view), lens)
         outline = [_pixels(line) for line in outline_of(grid)]
-        self._log.log("panorama/view", rerun.LineStrips2D(outline, colors=WHITE, draw_order=10))
+        self._log.log("panorama/view", self._rerun.LineStrips2D(outline, colors=WHITE, draw_order=10))
         return self._mosaic.seen_from(estimate.world_R_body, BEHIND)
 
     def _marks_in_view(
         self, name: str, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, truth: np.ndarray | None
     ) -> None:
         """Over the picture of an ordinary camera: the border, the answer, or an arrow at the edge; the truth."""
-        import rerun
-
         height, width = _shape_in_view(grid)
         size, answer = np.array([width, height]), estimate.direction
         lines = [] if heat is None else [size * line for line in lines_in_view(heat.border, grid)]
-        pointed = [(where, colour, label) for where, colour, label in ((answer, OURS, name), (truth, TRUTH, "truth"))
-                   if where is not None]  # fmt: skip
-        marks = [(size * at, colour, label) for where, colour, label in pointed for at in place_in_view(where, grid)]
-        points, colours, labels = zip(*marks, strict=True) if marks else ((), (), ())
-        self._log.log(f"picture/{name}/lines", rerun.LineStrips2D(lines, colors=OURS, draw_order=20))
-        self._log.log(
-            f"picture/{name}/points", rerun.Points2D(points, colors=colours, labels=labels, radii=5, draw_order=30)
-        )
+        pointed = [(answer, OURS, name), (truth, TRUTH, "truth")]
+        self._draw(f"picture/{name}", lines, pointed, lambda where: size * place_in_view(where, grid))
         arrows, said = [], []
         if answer is not None and not len(place_in_view(answer, grid)):
             out = edge(answer, grid, width, height)
             arrows, said = [(out.tip, 0.16 * min(height, width) * out.way)], [f"{out.angle:.0f}°, {sureness(estimate)}"]
         self._log.log(
             f"picture/{name}/edge",
-            rerun.Arrows2D(
+            self._rerun.Arrows2D(
                 vectors=[way for _, way in arrows], origins=[tip - way for tip, way in arrows], colors=OURS, radii=4,
                 labels=said, draw_order=40,
             ),
@@ -216,30 +201,33 @@ class RerunLog:
         self, name: str, estimate: Estimate, heat: Heat | None, truth: np.ndarray | None, others: Mapping[str, Any]
     ) -> None:
         """Over the panorama: the border of the region, the arrow, the candidates, other methods and the truth."""
-        import rerun
-
         lines = [] if heat is None else [_pixels(line) for line in heat.border]
         if estimate.direction is not None and worth_an_arrow(estimate) and len(way := arrow(estimate.direction)):
             jumps = np.flatnonzero(np.abs(np.diff(way[:, 0])) > 180) + 1
             lines += [_pixels(part) for part in np.split(way, jumps)]
-        self._log.log(f"panorama/{name}/lines", rerun.LineStrips2D(lines, colors=OURS, draw_order=20))
         pointed = [(each.direction, MODE, f"{each.weight:.0%}") for each in estimate.modes[1:3]]
-        pointed += [(where, OTHER, method) for method, where in others.items() if where is not None]
-        if estimate.direction is not None:
-            pointed.append((estimate.direction, OURS, name))
-        if truth is not None:
-            pointed.append((truth, TRUTH, "truth"))
-        marks = [(place, colour, label) for where, colour, label in pointed for place in _pixels(places(where))]
+        pointed += [(where, OTHER, method) for method, where in others.items()]
+        pointed += [(estimate.direction, OURS, name), (truth, TRUTH, "truth")]
+        self._draw(f"panorama/{name}", lines, pointed, lambda where: _pixels(places(where)))
+
+    def _draw(
+        self,
+        path: str,
+        lines: Sequence[np.ndarray],
+        pointed: Sequence[tuple[np.ndarray | None, tuple[int, int, int], str]],
+        at: Callable[[np.ndarray], np.ndarray],
+    ) -> None:
+        """Lines, and a point at each place of each direction that is known."""
+        known = [(where, colour, label) for where, colour, label in pointed if where is not None]
+        marks = [(place, colour, label) for where, colour, label in known for place in at(where)]
         points, colours, labels = zip(*marks, strict=True) if marks else ((), (), ())
-        self._log.log(
-            f"panorama/{name}/points", rerun.Points2D(points, colors=colours, labels=labels, radii=5, draw_order=30)
-        )
+        self._log.log(f"{path}/lines", self._rerun.LineStrips2D(lines, colors=OURS, draw_order=20))
+        drawn = self._rerun.Points2D(points, colors=colours, labels=labels, radii=5, draw_order=30)
+        self._log.log(f"{path}/points", drawn)
 
     def _arrows(
         self, name: str, estimate: Estimate, truth: np.ndarray | None, others: Mapping[str, np.ndarray | None]
     ) -> None:
-        import rerun
-
         far = min(max(estimate.distance or ANYWHERE, SHORTEST), LONGEST)
         pointed = [(where, OTHER, 0.005) for where in others.values() if where is not None]
         if truth is not None:
@@ -248,7 +236,7 @@ class RerunLog:
             pointed.append((estimate.direction, OURS, 0.02))
         self._log.log(
             f"world/body/{name}",
-            rerun.Arrows3D(
+            self._rerun.Arrows3D(
                 vectors=[far * np.asarray(where) for where, _, _ in pointed],
                 origins=np.zeros((len(pointed), 3)),
                 colors=[colour for _, colour, _ in pointed],
@@ -258,8 +246,6 @@ class RerunLog:
 
     def _plots(self, name: str, estimate: Estimate, truth: np.ndarray | None) -> None:
         """Angles in degrees; a value that is not known leaves a gap."""
-        import rerun
-
         values: dict[str, float | None] = {"presence/presence": estimate.presence}
         known = estimate.direction is not None
         values["angles/azimuth"] = math.degrees(float(estimate.azimuth)) if estimate.azimuth is not None else None
@@ -271,8 +257,8 @@ class RerunLog:
             path = f"plots/{kind}/{name}/{what}"
             if what in DOTTED and path not in self._said:
                 self._said[path] = what
-                self._log.log(path, rerun.SeriesPoints(marker_sizes=2.5), static=True)
-            self._log.log(path, rerun.Scalars([math.nan if value is None else value]))
+                self._log.log(path, self._rerun.SeriesPoints(marker_sizes=2.5), static=True)
+            self._log.log(path, self._rerun.Scalars([math.nan if value is None else value]))
 
     def _status(self, name: str, query: str, estimate: Estimate, problem: str | None) -> None:
         """A line where the status changes, or something is wrong."""
@@ -284,9 +270,7 @@ class RerunLog:
             self._line(problem, "WARN")
 
     def _line(self, what: str, level: str) -> None:
-        import rerun
-
-        self._log.log("status", rerun.TextLog(what, level=level))
+        self._log.log("status", self._rerun.TextLog(what, level=level))
 
 
 def _shape_in_view(grid: PerspectiveGrid) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Still pictures: beliefs over panoramas, errors over time, paths on a map."""
+"""Still pictures: beliefs over panoramas, errors over time, a path on a map."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.posterior import Readable
-from eagor.drawing.panorama import backdrop, heat_of, paint_marks
+from eagor.drawing.panorama import Marks, backdrop, heat_of, paint_marks
 from eagor.drawing.style import DESIGN, GRID_LINE, INK, QUIET, WORDS, blank, figure, ground, image, over, plain
 from eagor.drawing.view import Mosaic, ViewScene
 from eagor.errors import EagorError
@@ -59,7 +59,7 @@ def draw_belief(
     Raises `EagorError` for a picture of another shape.
     """
     if grid is not None:
-        return _draw_view(picture, belief, truth, others, modes, title, width, grid, mosaic)
+        return _draw_view(picture, belief, Marks(truth, others or {}, modes), title, width, grid, mosaic)
     sheet = figure(width, round(width * 0.595))
     axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
     paint_belief(axes, picture, belief, truth, others, modes)
@@ -73,9 +73,7 @@ def draw_belief(
 def _draw_view(
     picture: np.ndarray,
     belief: Estimate | Readable,
-    truth: np.ndarray | None,
-    others: Mapping[str, np.ndarray | None] | None,
-    modes: Sequence[np.ndarray] | None,
+    more: Marks,
     title: str,
     width: int,
     grid: PerspectiveGrid,
@@ -90,7 +88,7 @@ def _draw_view(
     sheet = blank(width, head + rows, 100 * width / DESIGN)
     pixels = ground(width, head + rows)
     scene = ViewScene(sheet.figure, (width, head + rows), (0, head, width, rows), mosaic)
-    scene.paint(pixels, picture, grid, belief, truth, others, modes)
+    scene.paint(pixels, picture, grid, belief, more)
     sheet.figure.text(
         0.012, 1 - 0.5 * head / (head + rows), title, fontsize=14, color=WORDS, weight="bold", va="center"
     )
@@ -138,7 +136,7 @@ def paint_belief(
     box = axes.get_window_extent()
     ground = backdrop(panorama, heat, max(1, round(box.width)), max(1, round(box.height)))
     axes.imshow(ground, extent=WHOLE, aspect="auto", interpolation="antialiased", zorder=0)
-    paint_marks(axes, belief, heat, truth, others, modes)
+    paint_marks(axes, belief, heat, Marks(truth, others or {}, modes))
 
 
 def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
@@ -173,15 +171,14 @@ def _degrees(angles: Sequence[int]) -> list[str]:
     return [f"{a:+d}°" if a else "0°" for a in angles]
 
 
-# --- errors over time, and paths on a map -----------------------------------------------------------------------------
+# --- errors over time, and a path on a map ----------------------------------------------------------------------------
 
 CURVES = (
     "#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24", "#1565c0",
 )  # fmt: skip
 LEAST = 0.5  # degrees: less than the width of anything that is looked for
 TICKS = (0.5, 1, 2, 5, 10, 20, 50, 100, 180)
-AROUND = 1.2  # metres of the plan around all paths
-PANELS = 4  # maps in a row
+AROUND = 1.2  # metres of the plan around the path
 
 
 def draw_errors(
@@ -259,20 +256,20 @@ def draw_map(
     walls: np.ndarray,
     free: np.ndarray,
     extent: tuple[float, float, float, float],
-    paths: Mapping[str, np.ndarray],
+    path: np.ndarray,
     target: np.ndarray,
+    title: str,
     width: int = 1200,
 ) -> Image:
-    """Paths on a floor plan from above, a panel for each: x to the right, y up, the part of the plan around all paths.
-
-    The first path is drawn into the other panels too, dashed, to compare with.
+    """A path on a floor plan from above: x to the right, y up, the part of the plan around the path.
 
     Args:
         walls: ``(rows, cols)`` bool, row 0 at the lowest y: cells of the building.
         free: ``(rows, cols)`` bool: walkable cells; cells that are neither are furniture, or out of reach.
         extent: x0, x1, y0, y1 of the two rasters, metres.
-        paths: positions ``(n, 2)`` by name, all from the same start.
+        path: positions ``(n, 2)``.
         target: position of the target ``(2,)`` or ``(3,)``.
+        title: what the path is.
         width: of the picture in pixels.
     """
     from matplotlib import patheffects
@@ -280,48 +277,29 @@ def draw_map(
     shade = np.full((*walls.shape, 3), 0.93)
     shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
     shade[~walls & ~free] = (0.87, 0.85, 0.81)
-    (left, right), (bottom, top) = _around([*(path[:, :2] for path in paths.values()), np.reshape(target[:2], (1, 2))])
-    columns = min(PANELS, len(paths))
-    rows = math.ceil(len(paths) / columns)
-    edge, gap, head, foot = 44, 14, 26, 66  # pixels beside, between, above and below the panels
-    wide = (width - edge - gap * columns) / columns
-    high = wide * (top - bottom) / (right - left)
-    height = round(rows * (head + high) + foot)
-    sheet = figure(width, height)
-    first, *_ = paths
-    halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
-    for index, (name, path) in enumerate(paths.items()):
-        row, column = divmod(index, columns)
-        x, y = edge + column * (wide + gap), height - (row + 1) * (head + high)
-        axes = sheet.add_axes((x / width, y / height, wide / width, high / height))
-        axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
-        axes.set_xlim(left, right)
-        axes.set_ylim(bottom, top)
-        colour = CURVES[index % len(CURVES)]
-        axes.set_title(name, loc="left", fontsize=11, color=INK, weight="bold" if name == first else "normal", pad=5)
-        axes.plot(*path[:, :2].T, color=colour, linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")
-        if name != first:
-            style = {"color": CURVES[0], "linewidth": 1.5, "zorder": 5, "linestyle": (0, (3, 2))}
-            axes.plot(*paths[first][:, :2].T, label=f"way of {first}", **style)
-        axes.plot(*path[0, :2], "o", color=INK, markersize=8, zorder=6, linestyle="none", label="start")
-        axes.plot(*path[-1, :2], "s", mfc=colour, mec="white", mew=1.2, markersize=9, zorder=7)
-        axes.plot([], [], "s", color=QUIET, markersize=8, linestyle="none", label="where it ended")
-        axes.plot(*target[:2], "*", color="#c8201f", markersize=17, mec="white", mew=1.2, zorder=6, linestyle="none",
-                  label="target")  # fmt: skip
-        plain(axes)
-        axes.tick_params(labelbottom=index + columns >= len(paths), labelleft=column == 0)
-        if column == 0:
-            axes.set_ylabel("y (m)", color=INK)
-        if index + columns >= len(paths):
-            axes.set_xlabel("x (m)", color=INK, labelpad=2)
-    found = dict(zip(*reversed(sheet.axes[-1].get_legend_handles_labels()), strict=True))
-    sheet.legend(found.values(), found.keys(), loc="lower center", ncols=len(found), frameon=False, fontsize=10)
-    return image(sheet)
-
-
-def _around(points: Sequence[np.ndarray]) -> np.ndarray:
-    """The part of the plan around these points ``(n, 2)``: lowest and highest x, then y; not too narrow for a panel."""
-    every = np.concatenate(points)
+    every = np.concatenate([path, np.reshape(target[:2], (1, 2))])
     low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
-    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2
-    return np.stack([low - lacking, high + lacking], axis=1)
+    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2  # not too narrow for the picture
+    (left, bottom), (right, top) = low - lacking, high + lacking
+    edge, gap, head, foot = 44, 14, 26, 66  # pixels beside, on the other side, above and below the map
+    wide = width - edge - gap
+    tall = wide * (top - bottom) / (right - left)
+    height = round(head + tall + foot)
+    sheet = figure(width, height)
+    axes = sheet.add_axes((edge / width, (height - head - tall) / height, wide / width, tall / height))
+    axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_title(title, loc="left", fontsize=11, color=INK, weight="bold", pad=5)
+    halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
+    axes.plot(*path.T, color=CURVES[0], linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")
+    lone: dict[str, Any] = {"linestyle": "none"}
+    axes.plot(*path[0], "o", color=INK, markersize=8, zorder=6, label="start", **lone)
+    axes.plot(*path[-1], "s", mfc=CURVES[0], mec="white", mew=1.2, markersize=9, zorder=7)
+    axes.plot([], [], "s", color=QUIET, markersize=8, label="where it ended", **lone)
+    axes.plot(*target[:2], "*", color="#c8201f", markersize=17, mec="white", mew=1.2, zorder=6, label="target", **lone)
+    plain(axes)
+    axes.set_xlabel("x (m)", color=INK, labelpad=2)
+    axes.set_ylabel("y (m)", color=INK)
+    sheet.legend(loc="lower center", ncols=3, frameon=False, fontsize=10)
+    return image(sheet)

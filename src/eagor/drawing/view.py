@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.drawing.panorama import (
+    ALONE,
     BEHIND,
     OURS,
     Heat,
+    Marks,
     backdrop,
     border,
     heat_of,
@@ -242,9 +244,7 @@ class ViewScene:
         picture: np.ndarray | None,
         grid: PerspectiveGrid | None,
         estimate: Estimate,
-        truth: np.ndarray | None = None,
-        others: Mapping[str, np.ndarray | None] | None = None,
-        modes: Sequence[np.ndarray] | None = None,
+        more: Marks = ALONE,
     ) -> Axes:
         """Paint a step: its pictures into `pixels` ``(H, W, 3)`` of the figure, the rest as artists.
 
@@ -266,8 +266,8 @@ class ViewScene:
         looked = self.mosaic.seen_from(estimate.world_R_body, BEHIND)
         pixels[top : top + height, left : left + width] = backdrop(looked, heat, width, height)
         self.clear()
-        self._mark_around(estimate, heat, grid, truth, others, modes)
-        self._mark_view(estimate, heat, grid, view[2:], truth, others, modes)
+        self._mark_around(estimate, heat, grid, more)
+        self._mark_view(estimate, heat, grid, view[2:], more)
         self._say(estimate, view, around)
         return self._view
 
@@ -302,15 +302,13 @@ class ViewScene:
         """Pixels from the left upper corner as shares of the figure from the lower one."""
         return x / self._size[0], 1 - (y + high) / self._size[1], wide / self._size[0], high / self._size[1]
 
-    def _mark_around(
-        self, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, truth: Any, others: Any, modes: Any
-    ) -> None:
+    def _mark_around(self, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, more: Marks) -> None:
         """What is drawn on the small panorama: the belief's marks, the outline of the view, the sides."""
         axes = self._around
         for line in outline_of(grid):
             axes.plot(*line.T, color="white", linewidth=1.6, zorder=5, path_effects=outline(3.2))
         quiet = None if heat is None or heat.missing else heat
-        paint_marks(axes, estimate, quiet, truth, others, modes, scale=SMALL)
+        paint_marks(axes, estimate, quiet, more, SMALL)
         for at, name in SIDES[1:-1]:
             axes.annotate(
                 name, (at, 90), xytext=(0, -3), textcoords="offset points", fontsize=8, color="white", ha="center",
@@ -318,9 +316,8 @@ class ViewScene:
             )  # fmt: skip
 
     def _mark_view(
-        self, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, size: tuple[int, int],
-        truth: Any, others: Any, modes: Any,
-    ) -> None:  # fmt: skip
+        self, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, size: tuple[int, int], more: Marks
+    ) -> None:
         """What is drawn on the picture: the border of the region and the marks in view, or an arrow at the edge."""
         axes, answer = self._view, estimate.direction
         pointed = worth_an_arrow(estimate) or estimate.status != "searching"
@@ -338,7 +335,7 @@ class ViewScene:
             self._point(edge(answer, grid, *size), estimate, size)
         else:
             note(axes, "not in view; it may be anywhere")
-        marks(axes, estimate, lambda where: place_in_view(where, grid), truth, others, modes)
+        marks(axes, estimate, lambda where: place_in_view(where, grid), more)
 
     def _point(self, arrow: Edge, estimate: Estimate, size: tuple[int, int]) -> None:
         """An arrow at the edge, with the angle and how sure it is beside it, inside the picture."""
@@ -373,16 +370,10 @@ class ViewScene:
         self._words.set_text(said)
         self._sure.set_text(sureness(estimate) if estimate.direction is not None else "")
         self._sure.set_color(COLOURS[estimate.status])
-        self._looked.set_text(
-            textwrap.fill(
-                f"looked at {100 * self.mosaic.share:.0f} % of all directions", max(12, int(width / (7 * scale)))
-            )
-        )
-        for text, y in (
-            (self._sure, top + downs[0] * scale),
-            (self._words, top + downs[1] * scale),
-            (self._looked, foot),
-        ):
+        looked = f"looked at {100 * self.mosaic.share:.0f} % of all directions"
+        self._looked.set_text(textwrap.fill(looked, max(12, int(width / (7 * scale)))))
+        down, further = (top + each * scale for each in downs)
+        for text, y in ((self._sure, down), (self._words, further), (self._looked, foot)):
             text.set_position(self._share(left, y, 0, 0)[:2])
 
 

@@ -15,25 +15,11 @@ from eagor._files import read_file
 from eagor._json import parsed, shown
 from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import benchmark_tables, ledger
+from eagor.evaluation import benchmark_tables, ledger, page
 from eagor.evaluation.benchmark_tables import OURS, labels_of
-from eagor.evaluation.page import (
-    Curve,
-    Facts,
-    Folded,
-    Items,
-    Part,
-    Pictures,
-    Section,
-    Series,
-    Sheet,
-    Text,
-    could_not,
-    line_chart,
-    lines_of,
-)
+from eagor.evaluation.page import Curve, Part, Section, Series, Sheet, could_not, line_chart, lines_of
 from eagor.evaluation.samples import LEVEL, RESAMPLES, checked, computing_time, finished, published
-from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Summary, Worst, latex, samples, words
+from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Study, Summary, Worst, latex, samples, words
 from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
@@ -103,7 +89,7 @@ class BenchmarkRun:
         return [Unit(f"{self.task}/{case.id}", case.group, case.payload) for case in self.cases(config)]
 
 
-class Published:
+class Published(Study):
     """See `eagor.evaluation.study.Study`."""
 
     case, several = "case", True
@@ -173,7 +159,7 @@ class Published:
         sections = [Section("figures", "Figures", [*sheets])]
         if turns is not None:
             sheets.append(turns)
-            sections.append(Section("turns", "By turn", [_turn_chart(summaries), Folded("The numbers", [turns])]))
+            sections.append(Section("turns", "By turn", [_turn_chart(summaries), page.folded("The numbers", turns)]))
         if views is not None:
             sheets.append(views)
             sections.append(Section("views", "Views, and stopping", [views, *_reliability_charts(summaries)]))
@@ -182,7 +168,7 @@ class Published:
             if found := self.failure_sheets(run.summary):
                 parts: list[Part] = [*found]
                 if lines := self.worst(run).lines[:LISTED]:
-                    parts.append(Folded(f"The cases that failed ({len(lines)} shown)", [Items(lines)]))
+                    parts.append(page.folded(f"The cases that failed ({len(lines)} shown)", page.items(lines)))
                 sections.append(Section(f"failures-{len(sections)}", f"Failures: {label}", parts))
                 sheets += [Sheet(f"{sheet.title}: {label}", sheet.heads, sheet.rows, sheet.notes) for sheet in found]
             if run.summary["failed"]:
@@ -193,7 +179,7 @@ class Published:
         many = f", {len(runs)} runs" if len(runs) > 1 else ""
         return Report(
             f"{self.benchmark.title}: {summaries[0]['episodes']} cases{many}",
-            [Text(_outcome(labels, summaries)), Folded("What was run", [Facts(facts)])],
+            [page.text(_outcome(labels, summaries)), page.folded("What was run", page.facts(facts))],
             sections,
             facts,
             sheets,
@@ -273,7 +259,7 @@ def _curves(summaries: Sequence[Summary], curve_of: Callable[[Summary], Curve | 
             yield Series(label, curve, f"x{index % 8}", summary["agent"] == OURS)
 
 
-def _turn_chart(summaries: Sequence[Summary]) -> Pictures:
+def _turn_chart(summaries: Sequence[Summary]) -> Part:
     def curve(summary: Summary) -> Curve | None:
         if not (told := summary.get("by_turn")):
             return None
@@ -282,7 +268,7 @@ def _turn_chart(summaries: Sequence[Summary]) -> Pictures:
         return Curve(x, tuple(told["success"]), tuple(told["low"]), tuple(told["high"]), (summary["episodes"],) * count)
 
     chart = line_chart(list(_curves(summaries, curve)), "Success by turn", "turn", "success, %", (0.0, 100.0))
-    return Pictures([(chart, "Success had the answer been given at this turn; 95 % bands.")])
+    return page.pictures([(chart, "Success had the answer been given at this turn; 95 % bands.")])
 
 
 def _reliability_charts(summaries: Sequence[Summary]) -> list[Part]:
@@ -303,7 +289,7 @@ def _reliability_charts(summaries: Sequence[Summary]) -> list[Part]:
             counts = "; ".join(f"{line.name}: {' '.join(map(str, line.curve.n))}" for line in series)
             caption = "on the dotted line what is stated is what happens. Cases per mark"
             pictures.append((chart, f"Reliability {title}: {caption}, {counts}."))
-    return [Pictures(pictures)] if pictures else []
+    return [page.pictures(pictures)] if pictures else []
 
 
 # --- predictions that were made elsewhere -----------------------------------------------------------------------------

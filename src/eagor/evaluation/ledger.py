@@ -141,7 +141,7 @@ def _go_on(folder: Path, wanted: dict[str, Any], inputs: Mapping[str, Any] | Non
     """Make sure that `folder` holds the run that is wanted, or fewer units of it."""
     path, found = Path(folder) / RUN, description(folder)
     (resumed, before), (_, now) = ((each.pop(RESUMED, []), each.pop(INPUTS, {})) for each in (found, wanted))
-    grown = {key for key in GROWS if _is_more(found.get(key), wanted.get(key))}
+    grown = {key for key in GROWS if _more(found.get(key), wanted.get(key))}
     found |= {each: wanted[each] for key in grown for each in (key, *GROWS[key]) if each in wanted}
     if differences := _shown(_differences(found, wanted)):
         raise EagorError(
@@ -159,11 +159,6 @@ def _go_on(folder: Path, wanted: dict[str, Any], inputs: Mapping[str, Any] | Non
     elif not grown:
         return
     written(path, _text({**wanted, **({INPUTS: before} if before else {}), **({RESUMED: resumed} if resumed else {})}))
-
-
-def _is_more(old: Any, new: Any) -> bool:
-    """Whether both are whole numbers, and the second is larger."""
-    return type(old) is int and type(new) is int and new > old
 
 
 @contextmanager
@@ -209,11 +204,12 @@ def read(folder: Path) -> list[dict[str, Any]]:
     the line.
     """
     found: dict[str, dict[str, Any]] = {}
+    ranks: dict[str, tuple[bool, int]] = {}
     for path in files(folder):
         for record in records(path):
-            before = found.get(record["key"])
-            if before is None or _rank(record) >= _rank(before):
-                found[record["key"]] = record
+            rank = record["status"] == "ok", record["attempt"]
+            if rank >= ranks.get(record["key"], (False, 0)):
+                found[record["key"]], ranks[record["key"]] = record, rank
     return [found[key] for key in sorted(found)]
 
 
@@ -265,18 +261,14 @@ def _plain(value: Any, place: str) -> Any:
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, Mapping):
-        return {_key(key, place): _plain(item, f"{place}: {key}") for key, item in value.items()}
+        if strange := [key for key in value if not isinstance(key, str)]:
+            raise EagorError(f"{place} has the key {strange[0]!r}; wanted text, which is all that JSON can hold there")
+        return {key: _plain(item, f"{place}: {key}") for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
     raise EagorError(
         f"{place} is a {type(value).__name__}, which JSON cannot hold; store numbers, text or lists of them"
     )
-
-
-def _key(key: Any, place: str) -> str:
-    if not isinstance(key, str):
-        raise EagorError(f"{place} has the key {key!r}; wanted text, which is all that JSON can hold there")
-    return key
 
 
 def _text(found: Mapping[str, Any]) -> str:
@@ -288,10 +280,6 @@ def _shown(differences: Iterable[str]) -> str:
     return "; ".join(listed[:8]) + ("; ..." if len(listed) > 8 else "")
 
 
-def _rank(record: Mapping[str, Any]) -> tuple[bool, int]:
-    return record["status"] == "ok", record["attempt"]
-
-
 def _write(file: int, data: bytes) -> None:
     """All of `data`; a disk that fills up takes part of it first, and fails at the next call."""
     while data:
@@ -299,27 +287,20 @@ def _write(file: int, data: bytes) -> None:
 
 
 def _first_free(folder: Path, number: int) -> tuple[int, Path]:
-    """The first worker file from `number` on that nobody holds, open and held."""
+    """The first worker file from `number` on that nobody holds, open and held until it is closed."""
     while True:
         path = folder / WORKER.format(number)
         file = open_regular(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
-        if _held(file):
-            return file, path
-        os.close(file)
-        number += 1
-
-
-def _held(file: int) -> bool:
-    """Whether this process now holds `file`; False if another one does. Held until closed, or the process ends."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True  # a file system without locks
-    return True
+        try:
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            number += 1
+            continue
+        except OSError:
+            pass  # a file system without locks
+        return file, path
 
 
 def _mend(file: int) -> None:
@@ -374,21 +355,23 @@ def _differences(found: Any, wanted: Any, place: str = "") -> Iterator[str]:
     """Where two descriptions differ, in words."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         for key in dict.fromkeys([*found, *wanted]):
-            inner = f"{place}.{_cut(key)}" if place else _cut(key)
+            inner = f"{place}.{_cut(key)}".replace('"', "").lstrip(".")
             if key not in wanted:
-                yield f"{inner} is {_short(found[key])} there and nothing was asked for"
+                yield f"{inner} is {_cut(found[key])} there and nothing was asked for"
             elif key not in found:
-                yield f"{inner} is not set there and {_short(wanted[key])} was asked for"
+                yield f"{inner} is not set there and {_cut(wanted[key])} was asked for"
             else:
                 yield from _differences(found[key], wanted[key], inner)
     elif found != wanted:
-        more = " (a run can get more, not fewer)" if place in GROWS and _is_more(wanted, found) else ""
-        yield f"{place} is {_short(found)} there and {_short(wanted)} was asked for{more}"
+        more = " (a run can get more, not fewer)" if place in GROWS and _more(wanted, found) else ""
+        yield f"{place} is {_cut(found)} there and {_cut(wanted)} was asked for{more}"
 
 
-def _short(value: Any) -> str:
-    return _cut(json.dumps(value, ensure_ascii=False))
+def _more(old: Any, new: Any) -> bool:
+    """Whether both are whole numbers, and the second is larger."""
+    return type(old) is int and type(new) is int and new > old
 
 
-def _cut(text: str) -> str:
+def _cut(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= 80 else f"{text[:77]}..."

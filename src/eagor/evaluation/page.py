@@ -1,4 +1,4 @@
-"""The pieces of a report's page, tables and charts, and the template that makes one HTML file of them: no script.
+"""The pieces of a report's page, tables and charts, and the one HTML file that is made of them: no script.
 
 The page follows the reader's light or dark colours, and reads on a phone: tables scroll in their own box, charts stack.
 Charts are SVG by matplotlib: they scale. A method is told apart by its colour, its dashes and the shape of its marks,
@@ -12,15 +12,15 @@ import html
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from eagor._extras import need
-from eagor._version import __version__
+from eagor.drawing.html_parts import facts as facts
+from eagor.drawing.html_parts import filled
+from eagor.drawing.html_parts import items as items
 
 # All have at least 3:1 contrast on their ground. The first eight hues stay apart for the colour-blind (after Okabe and
 # Ito); the others are told apart by their dashes and marks. A chart asks for a colour by its name here.
@@ -67,60 +67,7 @@ class Sheet:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Text:
-    """A paragraph; its kind is "note", "warn" or ""."""
-
-    text: str
-    kind: str = ""
-
-
-@dataclass(frozen=True)
-class Heading:
-    """A heading below a section's own."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Facts:
-    """Names and what they are."""
-
-    pairs: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Items:
-    """A list."""
-
-    texts: Sequence[str]
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Pictures (SVG, as `eagor.evaluation.page` makes it) with captions; `kind`: "map", "strip" or ""."""
-
-    pictures: Sequence[tuple[str, str]]
-    kind: str = ""
-
-
-@dataclass(frozen=True)
-class Folded:
-    """What is there for those who ask."""
-
-    summary: str
-    parts: Sequence[Part]
-
-
-@dataclass(frozen=True)
-class Link:
-    """A line that leads to a file beside the page."""
-
-    text: str
-    file: str
-
-
-Part = Sheet | Text | Heading | Facts | Items | Link | Pictures | Folded
+Part = Sheet | str  # a table, or any other part of a page as HTML
 
 
 @dataclass(frozen=True)
@@ -163,41 +110,96 @@ def lines_of(sheet: Sheet) -> list[str]:
     return in_columns([sheet.heads, *([row.head, *texts] for row, texts in zip(sheet.rows, cells, strict=True))])
 
 
+# --- the parts of a page, as HTML -------------------------------------------------------------------------------------
+
+
+def text(words: str, kind: str = "") -> str:
+    """A paragraph; its kind is "note", "warn" or ""."""
+    return f'<p class="{kind}">{html.escape(words)}</p>' if kind else f"<p>{html.escape(words)}</p>"
+
+
+def heading(words: str) -> str:
+    """A heading below a section's own."""
+    return f"<h3>{html.escape(words)}</h3>"
+
+
+def link(words: str, file: str) -> str:
+    """A line that leads to a file beside the page."""
+    return f'<p><a href="{html.escape(file)}">{html.escape(words)}</a></p>'
+
+
+def pictures(found: Sequence[tuple[str, str]], kind: str = "") -> str:
+    """Pictures (SVG, as this module makes it, or an element) with captions; `kind`: "map", "strip" or ""."""
+    inside = "".join(f"<figure>{each}<figcaption>{html.escape(words)}</figcaption></figure>" for each, words in found)
+    return f'<div class="figures {kind}">{inside}</div>'
+
+
+def wide(address: str, words: str) -> str:
+    """A picture at this data address that is as wide as the page, and scrolls on a phone."""
+    return _scrolls("picture", words, f'<img alt="{html.escape(words)}" src="{address}">', " wide")
+
+
+def folded(summary: str, *parts: Part) -> str:
+    """What is there for those who ask."""
+    return f"<details><summary>{html.escape(summary)}</summary>{shown(parts)}</details>"
+
+
 def could_not(summary: Mapping[str, Any]) -> list[Part]:
     """Which units of a run have no result, and why."""
     lines = [f"{f['key']} (attempt {f['attempt']}): {f['error']}" for f in summary["failures"]]
-    return [Text("These are errors, not wrong answers: they are in no figure above."), Items(lines)]
+    return [text("These are errors, not wrong answers: they are in no figure above."), items(lines)]
+
+
+def shown(parts: Iterable[Part]) -> str:
+    """All parts as HTML."""
+    return "\n".join(_table(part) if isinstance(part, Sheet) else part for part in parts)
 
 
 def document(title: str, lead: Sequence[Part], sections: Sequence[Section]) -> str:
-    """The whole page; all text is escaped."""
-    return rendered("report.html", title=title, lead=lead, sections=sections, palette=_palette())
-
-
-def rendered(template: str, **values: Any) -> str:
-    """A template of this package, filled."""
-    return _environment().get_template(template).render(version=__version__, **values)
-
-
-@lru_cache(maxsize=1)
-def _environment() -> Any:
-    need("a report page", "sim", "jinja2")
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    found = Environment(
-        loader=PackageLoader("eagor.evaluation"), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
+    """The whole page."""
+    bodies = (
+        f'<section aria-labelledby="{each.id}"><h2 id="{each.id}">{html.escape(each.heading)}</h2>\n'
+        f"{shown(each.parts)}\n</section>"
+        for each in sections
+    )
+    return filled(
+        "report.html", "report.css", title=html.escape(title), lead=shown(lead), light=_palette(LIGHT),
+        dark=_palette(DARK), sections="\n".join(bodies),
+        contents="\n".join(f'<li><a href="#{each.id}">{html.escape(each.heading)}</a></li>' for each in sections),
     )  # fmt: skip
-    found.globals["kind"] = lambda part: type(part).__name__
-    return found
 
 
-def _palette() -> dict[str, dict[str, str]]:
+def _table(sheet: Sheet) -> str:
+    heads = "".join(f'<th scope="col">{html.escape(head)}</th>' for head in sheet.heads)
+    rows = "\n".join(
+        f'<tr class="{row.kind}"><th scope="row">{html.escape(row.head)}</th>{"".join(map(_cell, row.boxes))}</tr>'
+        for row in sheet.rows
+    )
+    head = f"<caption>{html.escape(sheet.title)}</caption><thead><tr>{heads}</tr></thead>"
+    table = _scrolls("table", sheet.title, f"<table>{head}<tbody>\n{rows}\n</tbody></table>")
+    return "\n".join([table, *(text(note, "note") for note in sheet.notes)])
+
+
+def _cell(box: Box) -> str:
+    """A dagger stands at the figure, a word below it."""
+    told = f"<b>{html.escape(box.text)}</b>" if box.best else html.escape(box.text)
+    if len(box.mark) == 1:
+        than = "worse" if box.mark == "†" else "better"
+        told += f'<sup title="{than} than what it is compared with">{box.mark}</sup>'
+    small = " ".join(filter(None, (box.small, f"· {box.mark}" if len(box.mark) > 1 else "")))
+    return f"<td>{told}{f'<small>{html.escape(small)}</small>' if small else ''}</td>"
+
+
+def _scrolls(what: str, words: str, inside: str, kind: str = "") -> str:
+    """What is too wide for a phone, in a region that scrolls."""
+    region = f'class="scroll{kind}" role="region" tabindex="0" aria-label="{html.escape(words)}"'
+    return f'<p class="hint">The {what} scrolls sideways →</p>\n<div {region}>{inside}</div>'
+
+
+def _palette(colours: Mapping[str, str]) -> str:
     """The colours of methods and spare series, by their names in the style sheet."""
-    return {
-        name: colours | {f"x{k}": colour for k, colour in enumerate(list(colours.values())[:SPARE])}
-        for name, colours in (("light", LIGHT), ("dark", DARK))
-    }
+    spare = {f"x{k}": colour for k, colour in enumerate(list(colours.values())[:SPARE])}
+    return "".join(f"--c-{name}:{colour};" for name, colour in {**colours, **spare}.items())
 
 
 # --- charts by matplotlib, as SVG for a page --------------------------------------------------------------------------
@@ -345,9 +347,9 @@ def finished(figure: Any, title: str, words: str, image: str = "") -> str:
     settings: Any = {"svg.fonttype": "none", "svg.hashsalt": f"{title}{words}"}
     with matplotlib.rc_context(settings), io.StringIO() as buffer:
         figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
-        text = buffer.getvalue()
-    box = re.search(r'viewBox="([^"]*)"', text)
-    body = re.search(r"<svg[^>]*>(.*)</svg>", text, re.DOTALL)
+        drawn = buffer.getvalue()
+    box = re.search(r'viewBox="([^"]*)"', drawn)
+    body = re.search(r"<svg[^>]*>(.*)</svg>", drawn, re.DOTALL)
     assert box is not None
     assert body is not None
     inner = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body[1], flags=re.DOTALL)

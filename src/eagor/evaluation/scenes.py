@@ -17,18 +17,8 @@ from scipy import ndimage
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, WorldError
-from eagor.evaluation.page import (
-    Heading,
-    Part,
-    Pictures,
-    Text,
-    blank,
-    colour_of,
-    finished,
-    legend,
-    look_of,
-    style_of,
-)
+from eagor.evaluation import page
+from eagor.evaluation.page import Part, blank, colour_of, finished, legend, look_of, style_of
 from eagor.evaluation.samples import Record, played_by
 from eagor.evaluation.tables import OURS, is_ablation, is_rival, ordered, shown
 from eagor.tasks.floor_map import CELL, FLOOR, FloorMap
@@ -358,24 +348,24 @@ def three(records: Sequence[Record], task: Task, config: Mapping[str, Any], open
     """The best, the median and the worst episode of our default method: a map, and six moments."""
     found = chosen(records, task)
     if not found:
-        return [Text(f"There is no episode with a result of {OURS}.")]
+        return [page.text(f"There is no episode with a result of {OURS}.")]
     if open_place is None:
         from eagor.tasks.places import load_place as open_place
     radius = float(config.get("camera", {}).get("radius", Camera().radius))
     by = f"Chosen by the error of {OURS}" + (", after success and path length." if task.walked else ".")
-    parts: list[Part] = [Text(by, "note")]
+    parts: list[Part] = [page.text(by, "note")]
     for kind, record in found.items():
         episode = record["episode"]
-        parts.append(Heading(f"The {kind}: {episode['query']}, episode {episode['id']}"))
-        parts.append(Text(figures_of(record, task)))
+        parts.append(page.heading(f"The {kind}: {episode['query']}, episode {episode['id']}"))
+        parts.append(page.text(figures_of(record, task)))
         try:
             place = open_episode(record, radius, open_place)
             parts += _pictures(place, record, records, task, search_of(place, record, _camera(config)))
         except (EagorError, ImportError, OSError) as error:
-            parts.append(Text(f"No pictures: {error}", "note"))
+            parts.append(page.text(f"No pictures: {error}", "note"))
         except (KeyError, IndexError) as error:  # only pictures need it: its place, its balls
             lacks = f"the record {record['key']!r} does not hold all that they need ({type(error).__name__}: {error})"
-            parts.append(Text(f"No pictures: {lacks}", "note"))
+            parts.append(page.text(f"No pictures: {lacks}", "note"))
     return parts
 
 
@@ -400,7 +390,7 @@ def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task,
         (legend(names, OURS, str(record["key"])), "Each method's line and mark."),
     ]
     caption = "White ring: the truth. Marks: what each method says. The middle is straight ahead, the edges are behind."
-    return [Pictures(above, "map"), Pictures(strip(place, record), "strip"), Text(caption, "note")]
+    return [page.pictures(above, "map"), page.pictures(strip(place, record), "strip"), page.text(caption, "note")]
 
 
 def figures_of(record: Record, task: Task, method: str = OURS) -> str:

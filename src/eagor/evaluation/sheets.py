@@ -14,24 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from eagor.evaluation import tables
-from eagor.evaluation.page import (
-    Box,
-    Curve,
-    Folded,
-    Heading,
-    Part,
-    Pictures,
-    Row,
-    Section,
-    Series,
-    Sheet,
-    Text,
-    box,
-    line_chart,
-    look_of,
-    span,
-)
+from eagor.evaluation import page, tables
+from eagor.evaluation.page import Box, Curve, Part, Row, Section, Series, Sheet, box, line_chart, look_of, span
 from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, method_names, sample
 from eagor.evaluation.tables import (
     FIGURES,
@@ -342,7 +326,7 @@ def curve_sections(records: Sequence[Record], task: Task) -> list[Section]:
     )
     if task.walked:
         steps = _panels(records, partial(tables.by_step, records), "Error by step")
-        note = Text(
+        note = page.text(
             "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
             "early leave it, so the right end of a line is about the harder episodes.",
             "note",
@@ -368,7 +352,7 @@ def _by_kind(records: Sequence[Record], task: Task) -> list[Section]:
     for label in labels:
         some = [r for r in records if r["episode"].get("stratum", {}).get(key) == label]
         said = "all episodes" if label is None else str(label)
-        parts.append(Heading(said))
+        parts.append(page.heading(said))
         parts += _panels(records, lambda name, some=some: tables.by_step(some, name), f"Error by step, {said}")
     return [Section("steps", "Error by step", parts)] if parts else []
 
@@ -402,7 +386,7 @@ def _panels(
         chart = line_chart(series, whole, x_label, "error, degrees", (0.0, 1.03 * top), event)
         pictures.append((chart, f"{whole}. Means over {_episodes(series)}; bands: 95 % intervals."))
         lines += [line for line in series if line not in lines]
-    return [Pictures(pictures), Folded("The numbers", [_numbers(title, x_label, lines)])]
+    return [page.pictures(pictures), page.folded("The numbers", _numbers(title, x_label, lines))]
 
 
 def _numbers(title: str, x_label: str, series: Sequence[Series]) -> Sheet:
@@ -439,7 +423,8 @@ def reliability_chart(records: Sequence[Record]) -> list[Part]:
         found, title, "stated mass of the region, %", "steps with the truth inside, %", (0.0, 100.0), diagonal=True
     )
     caption = "On the dotted line statements are true; below it they are overconfident, above it too cautious."
-    return [Pictures([(chart, f"{title}. {caption}")]), Folded("The numbers", [_numbers(title, "stated, %", found)])]
+    numbers = page.folded("The numbers", _numbers(title, "stated, %", found))
+    return [page.pictures([(chart, f"{title}. {caption}")]), numbers]
 
 
 def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> list[Part]:
@@ -460,7 +445,7 @@ def kernel_chart(summary: dict[str, Any], degrees: dict[str, int]) -> list[Part]
     paper = "; ".join(
         f"the paper states about {width:g}° of resolution at degree {d}" for d, width in RESOLUTION_DEG.items()
     )
-    return [Pictures([(chart, f"{title}: width against ripples ({paper}).")])]
+    return [page.pictures([(chart, f"{title}: width against ripples ({paper}).")])]
 
 
 def kernel(degree: int, angles: np.ndarray) -> np.ndarray:

@@ -11,14 +11,15 @@ from typing import Any
 from eagor import plugins, worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import scenes, sheets, tables
-from eagor.evaluation.page import Facts, Folded, Part, Section, Sheet, Text, could_not
+from eagor.evaluation import page, scenes, sheets, tables
+from eagor.evaluation.page import Part, Section, Sheet, could_not
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.study import (
     TABLES,
     LoadedRun,
     Report,
     Settings,
+    Study,
     Summary,
     Worst,
     records_jsonl,
@@ -245,7 +246,7 @@ def _like(old: Any, value: Any, key: str) -> Any:
 # --- the study --------------------------------------------------------------------------------------------------------
 
 
-class Simulated:
+class Simulated(Study):
     """See `eagor.evaluation.study.Study`."""
 
     work = WORK
@@ -288,7 +289,7 @@ class Simulated:
         honest = [*covered, *sheets.reliability_chart(good)] if covered else []
         variants = [*varied, *sheets.kernel_chart(summary, degrees)] if varied else []
         sections = [
-            Section("figures", "Figures", [main, Folded("What the columns are", [Facts(named)])]),
+            Section("figures", "Figures", [main, page.folded("What the columns are", page.facts(named))]),
             Section("ordering", "How far the paper's ordering carries over", ordering),
             Section("parts", "What the errors are made of", made_of),
             *sheets.curve_sections(good, task),
@@ -301,7 +302,7 @@ class Simulated:
         facts = _facts(run, task)
         return Report(
             f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods",
-            [*_lead(run, task), Facts(facts)],
+            [*_lead(run, task), page.facts(facts)],
             [section for section in sections if section.parts],
             facts,
             [main, *ordering, *made_of, *strata, *covered, *varied],
@@ -372,14 +373,16 @@ def _lead(run: LoadedRun, task: Task) -> list[Part]:
         ends = f" ({shown(interval[0], column)} to {shown(interval[1], column)})" if interval else ""
         what = {OURS: "our default", PAPERS: "the method as published"}.get(name, "the best of the others")
         said.append(f"{name}, {what}: {shown(figures[name], column)}{column.unit}{ends}")
-    lead: list[Part] = [Text(f"{column.title}, {column.what}: {'; '.join(said)}." if said else "There are no results.")]
+    lead: list[Part] = [
+        page.text(f"{column.title}, {column.what}: {'; '.join(said)}." if said else "There are no results.")
+    ]
     if run.settings.get("development"):
         text = "These are development seeds: parameters were chosen on them. The figures are no results."
-        lead.append(Text(text, "warn"))
+        lead.append(page.text(text, "warn"))
     if summary.get("judged"):
-        lead.append(Text(f"{summary['judged'].capitalize()}.", "note"))
+        lead.append(page.text(f"{summary['judged'].capitalize()}.", "note"))
     if summary["failed"]:
-        lead.append(Text(f"{summary['failed']} units could not be run and are in no figure.", "warn"))
+        lead.append(page.text(f"{summary['failed']} units could not be run and are in no figure.", "warn"))
     return lead
 
 

@@ -98,7 +98,7 @@ def write_report(
     path = place / "report.html"
     lead = list(told.lead)
     if episode is not None:
-        lead.append(page.Link("Watch the worst episode, step by step", episode))
+        lead.append(page.link("Watch the worst episode, step by step", episode))
     written(path, page.document(told.title, lead, told.sections))
     written(place / "tables.md", markdown(told.title, told.facts, told.sheets))
     for name, text in told.files.items():

@@ -92,20 +92,13 @@ class Study(Protocol):
     `exports`: what a run can be written as, and a line about each.
     """
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def work(self) -> str: ...
-    @property
-    def case(self) -> str: ...
-    @property
-    def several(self) -> bool: ...
-    @property
-    def columns(self) -> Sequence[Measured]: ...
-    @property
-    def alike(self) -> Sequence[str]: ...
-    @property
-    def exports(self) -> Mapping[str, str]: ...
+    name: str
+    work: str
+    case: str
+    several: bool
+    columns: Sequence[Measured]
+    alike: Sequence[str]
+    exports: Mapping[str, str]
 
     def offer(self) -> dict[str, Any]:
         """What ``eagor bench list --json`` says of it."""

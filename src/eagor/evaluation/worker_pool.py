@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Any
 
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError, StorageError, WorkError
@@ -116,12 +116,6 @@ class Book:
             self._on_done(head_of(head))
 
 
-class Keeps(Protocol):
-    """What keeps records: a `Ledger`, or what passes them on to one."""
-
-    def append(self, record: Mapping[str, Any]) -> None: ...
-
-
 def load(work: str, config: dict[str, Any]) -> Do:
     """What does the units: ``function(config)`` of ``"package.module:function"``. Raises `WorkError`."""
     module, _, name = work.partition(":")
@@ -132,8 +126,10 @@ def load(work: str, config: dict[str, Any]) -> Do:
     return begin(config)
 
 
-def attempt_unit(do: Do, unit: Unit, attempt: int, task: str | None, ledger: Keeps) -> dict[str, Any]:
-    """Do `unit`, record what came of it, and return the record's head. Raises only what ends the run."""
+def attempt_unit(
+    do: Do, unit: Unit, attempt: int, task: str | None, keep: Callable[[Mapping[str, Any]], None]
+) -> dict[str, Any]:
+    """Do `unit`, `keep` the record of what came of it, and return its head. Raises only what ends the run."""
     began = time.perf_counter()
     try:
         body = do(unit.payload)
@@ -147,13 +143,13 @@ def attempt_unit(do: Do, unit: Unit, attempt: int, task: str | None, ledger: Kee
             "seconds": round(time.perf_counter() - began, 3),
         }
         record = head | {name: value for name, value in body.items() if name not in head}
-        ledger.append(record)
+        keep(record)
     except StorageError:
         raise
     except Exception as error:
         text = f"{type(error).__name__}: {error}"
         record = failure(unit, attempt, task, text, time.perf_counter() - began)
-        ledger.append(record)
+        keep(record)
     return head_of(record)
 
 
@@ -303,7 +299,7 @@ class ThreadSeat(Seat):
         super().__init__()
 
     def _do(self, unit: Unit, attempt: int) -> dict[str, Any]:
-        return attempt_unit(self._work, unit, attempt, self._book.task, self._book.ledger)
+        return attempt_unit(self._work, unit, attempt, self._book.task, self._book.ledger.append)
 
 
 class ProcessSeat(Seat):
@@ -378,4 +374,4 @@ def _serve(line: Connection, work: str, config: dict[str, Any], folder: Path, ta
         line.send(str(ledger.open()))
         while True:
             unit, attempt = line.recv()
-            line.send(attempt_unit(do, unit, attempt, task, ledger))
+            line.send(attempt_unit(do, unit, attempt, task, ledger.append))

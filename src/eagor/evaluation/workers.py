@@ -139,7 +139,7 @@ def _alone(book: Book, work: str, config: dict[str, Any]) -> None:
     while (found := book.next(group, set())) is not None:
         unit, attempt = found
         group = unit.group
-        book.ended(unit, attempt_unit(do, unit, attempt, book.task, book.ledger))
+        book.ended(unit, attempt_unit(do, unit, attempt, book.task, book.ledger.append))
 
 
 def inputs_of(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def inputs_of(settings: Mapping[str, Any]) -> dict[str, Any]:
             found["data"] = _folder(Path(settings["data"]))
         for name in ("perception", "model", "world"):
             if places := list(_places(str(settings.get(name) or ""))):
-                found[name] = " ".join(_contents(place) if place.is_dir() else _digest([place]) for place in places)
+                found[name] = " ".join(map(_contents, places))
         if settings.get("episodes_file"):
             found |= _episodes(Path(settings["episodes_file"]), settings)
     except OSError as error:
@@ -204,8 +204,9 @@ def _code() -> str:
 
 
 def _contents(model: Path) -> str:
-    """All of a model's folder, each byte of its weights: this may read gigabytes, once a run."""
-    return _digest(part for path in _files(model) for part in (_name(path, model), path))
+    """All of a model's file or folder, each byte of its weights: this may read gigabytes, once a run."""
+    named = (part for path in _files(model) for part in (_name(path, model), path))
+    return _digest(named if model.is_dir() else [model])
 
 
 def _folder(data: Path) -> dict[str, Any]:
@@ -431,7 +432,7 @@ class _ActorSeat(Seat):
 
 
 class _Actor:
-    """The work, set up once. It is itself the ledger of an attempt, which takes one record."""
+    """The work, set up once. Each attempt gives one record."""
 
     def __init__(self, work: str, config: dict[str, Any], task: str | None) -> None:
         self._task, self._fault = task, None
@@ -447,10 +448,10 @@ class _Actor:
 
     def do(self, unit: Unit, attempt: int) -> dict[str, Any]:
         """The record of one attempt."""
-        attempt_unit(self._do, unit, attempt, self._task, self)
+        attempt_unit(self._do, unit, attempt, self._task, self._keep)
         return self._record
 
-    def append(self, record: Mapping[str, Any]) -> None:
+    def _keep(self, record: Mapping[str, Any]) -> None:
         """Take the record. Raises `EagorError` for one that cannot be written."""
         ledger.as_line(record)
         self._record = dict(record)

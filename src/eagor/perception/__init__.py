@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -25,18 +25,9 @@ if TYPE_CHECKING:
     from eagor.perception.views import Views
 
 __all__ = [
-    "Perception",
-    "Views",
-    "check_perception",
-    "is_model",
-    "known",
-    "knows_classes",
-    "load",
-    "look",
-    "parse_options",
-    "rows_of",
-    "short_name",
-]
+    "Perception", "Views", "check_perception", "is_model", "known", "knows_classes", "load", "look", "parse_options",
+    "rows_of", "short_name",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -259,60 +250,59 @@ def check_perception(
     With `roll`, a panorama rolled by that many columns must give the response rolled by the same angle, within
     `tolerance` (largest difference). Use this for perceptions that treat all azimuths alike.
     """
-    for fault in _faults(perception, panorama, query, stamp, roll, tolerance):
-        raise AssertionError(f"the perception {fault}")
 
+    def need(holds: bool, fault: str) -> None:
+        if not holds:
+            raise AssertionError(f"the perception {fault}")
 
-def _faults(
-    perception: Perception, panorama: np.ndarray, query: str, stamp: float, roll: int | None, tolerance: float
-) -> Iterator[str]:
-    """Violations of the contract. Take only the first: each check assumes that the ones before it passed."""
     before = panorama.copy()
     evidence = perception(panorama, query, stamp=stamp)
-    if not isinstance(evidence, Evidence):
-        yield f"returned {type(evidence).__name__}; wanted eagor.Evidence"
-    if not np.array_equal(before, panorama):
-        yield "changed the panorama; wanted it unchanged: work on a copy"
-    if evidence.stamp != stamp:
-        yield (
-            f"was given stamp={stamp}, and its evidence carries {evidence.stamp}; wanted the same: pass stamp=stamp on "
-            "to what makes the evidence"
-        )
+    need(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}; wanted eagor.Evidence")
+    need(np.array_equal(before, panorama), "changed the panorama; wanted it unchanged: work on a copy")
+    need(
+        evidence.stamp == stamp,
+        f"was given stamp={stamp}, and its evidence carries {evidence.stamp}; wanted the same: pass stamp=stamp on to "
+        "what makes the evidence",
+    )
     response, shape = np.asarray(evidence.response), tuple(evidence.grid.shape)
-    if response.shape != shape:
-        yield (
-            f"gives a response of shape {response.shape} on a grid of {shape}; wanted the grid that the response was "
-            "computed on"
-        )
-    if not ((response >= 0) & (response <= 1)).all():
-        yield f"gives responses from {response.min():g} to {response.max():g}; wanted [0, 1]: logits want a sigmoid"
-    finite = bool(np.isfinite(np.asarray(evidence.log_ratio)).all())
-    if not finite or not np.isfinite(np.asarray(evidence.coefficients(3))).all():
-        yield "gives evidence that is not finite; wanted finite log ratios: make it with Evidence.from_response"
+    need(
+        response.shape == shape,
+        f"gives a response of shape {response.shape} on a grid of {shape}; wanted the grid that the response was "
+        "computed on",
+    )
+    need(
+        bool(((response >= 0) & (response <= 1)).all()),
+        f"gives responses from {response.min():g} to {response.max():g}; wanted [0, 1]: logits want a sigmoid",
+    )
+    need(
+        bool(np.isfinite(np.asarray(evidence.log_ratio)).all())
+        and bool(np.isfinite(np.asarray(evidence.coefficients(3))).all()),
+        "gives evidence that is not finite; wanted finite log ratios: make it with Evidence.from_response",
+    )
     again = perception(panorama, query, stamp=stamp)
     first, second = (f"a {type(each.grid).__name__} of {tuple(each.grid.shape)}" for each in (evidence, again))
-    if first != second:
-        yield (
-            f"answers on {first}, then for the same panorama on {second}; wanted the same grid: a call must not change "
-            "the perception"
-        )
+    need(
+        first == second,
+        f"answers on {first}, then for the same panorama on {second}; wanted the same grid: a call must not change the "
+        "perception",
+    )
     if roll is None:
         return
     columns, rest = divmod(roll * response.shape[1], panorama.shape[1])
-    if rest:
-        yield (
-            f"answers with {response.shape[1]} columns, and roll={roll} does not shift them by a whole number; choose "
-            "another roll"
-        )
+    need(
+        not rest,
+        f"answers with {response.shape[1]} columns, and roll={roll} does not shift them by a whole number; choose "
+        "another roll",
+    )
     rolled = np.asarray(perception(np.roll(panorama, roll, axis=1), query, stamp=stamp).response)
-    if rolled.shape != response.shape:
-        yield (
-            f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}; wanted the same grid for "
-            "every panorama of one size"
-        )
+    need(
+        rolled.shape == response.shape,
+        f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}; wanted the same grid for "
+        "every panorama of one size",
+    )
     worst = float(np.abs(rolled - np.roll(response, columns, axis=1)).max())
-    if not worst <= tolerance:
-        yield (
-            f"answers a panorama rolled by {roll} columns with a response that differs from the rolled one by "
-            f"{worst:.3g}; wanted at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out"
-        )
+    need(
+        worst <= tolerance,
+        f"answers a panorama rolled by {roll} columns with a response that differs from the rolled one by {worst:.3g}; "
+        f"wanted at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out",
+    )

@@ -34,16 +34,9 @@ from eagor.tracking import DirectionTracker, Estimate, ThingSeen, TrackerConfig
 from eagor.tracking.follower import Follower
 
 __all__ = [
-    "FollowedFrame",
-    "HiddenParts",
-    "Method",
-    "first_line",
-    "follow",
-    "look_at",
-    "looked_at",
-    "recorded_frames",
+    "FollowedFrame", "HiddenParts", "Method", "first_line", "follow", "look_at", "looked_at", "recorded_frames",
     "things_seen",
-]
+]  # fmt: skip
 
 T = TypeVar("T")
 UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions

@@ -88,8 +88,6 @@ def _in_view(found: Evidence, grid: PerspectiveGrid) -> Evidence:
 
 def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:
     """A panorama ``(rows, 2 rows, 3)`` uint8 with `picture` where `grid` looks, and its mean colour elsewhere."""
-    from PIL import Image
-
     target = ErpGrid(rows, 2 * rows)
     wide = 2 * rows / math.pi * math.tan(grid.hfov / 2)  # width at which both have the same resolution in the middle
     if grid.width > 1.2 * wide:

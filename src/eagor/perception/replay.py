@@ -29,15 +29,9 @@ from eagor.perception.words import meant
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
-    "Record",
-    "ReplayPerception",
-    "look",
-    "look_if_recorded",
-    "parse_record",
-    "read_records",
-    "takes_pictures",
+    "Record", "ReplayPerception", "look", "look_if_recorded", "parse_record", "read_records", "takes_pictures",
     "write_record",
-]
+]  # fmt: skip
 
 MOST_LABELS = 12  # in a sentence
 

@@ -8,17 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
 import numpy as np
 
 from eagor._files import written
-from eagor._version import __version__
-from eagor.drawing.page import as_address
+from eagor.drawing.html_parts import as_address, facts, filled, key
 from eagor.drawing.step import ScenePainter
-from eagor.drawing.timeline import MODES, Plan, Sample, Thinned, map_of, time_lines
+from eagor.drawing.timeline import Thinned
+from eagor.drawing.walk import MODES, Plan, Sample, map_of, time_lines
 from eagor.grids import PerspectiveGrid
 from eagor.robots.safety.gate import Mode
 from eagor.tracking.estimate import Estimate
@@ -31,8 +29,8 @@ ROWS = 400  # of the table
 SWAY = 0.1  # metres
 
 _KEY = [
-    ("answer, commands sent", "var(--answer)"), ("90 % cone", "var(--band)"), ("wanted, truth", "var(--ambiguous)"),
-    *((str(mode), f"var(--{MODES[mode]})") for mode in Mode),
+    ("answer", "answer, commands sent"), ("band", "90 % cone"), ("ambiguous", "wanted, truth"),
+    *((MODES[mode], str(mode)) for mode in Mode),
 ]  # fmt: skip
 
 
@@ -75,22 +73,20 @@ class RobotPage:
         return written(path, self._page())
 
     def _page(self) -> str:
-        templates, query = files("eagor.drawing") / "templates", " ".join(self.query.split())
         svg, said = map_of(self.samples, self.plan)
-        return Template((templates / "robot.html").read_text(encoding="utf-8")).substitute(
-            title=escape(f"To “{query}”"),
-            css=(templates / "track.css").read_text(encoding="utf-8"),
+        return filled(
+            "robot.html", "track.css",
+            title=escape(f"To “{' '.join(self.query.split())}”"),
             answer=escape(f"At the end: {self.samples[-1].words}." if self.samples else "No answer was given."),
             summary=escape(self._summary()),
             map=svg,
             map_key=escape(said),
             line=time_lines(self.samples),
-            key="".join(f'<li><i style="background:{colour}"></i>{name}</li>' for name, colour in _KEY),
+            key=key(_KEY),
             pictures=self._painted(),
             rows="\n".join(self._rows()),
-            used="".join(f"<dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd>" for k, v in self.used.items()),
-            version=__version__,
-        )
+            used=facts(self.used),
+        )  # fmt: skip
 
     def _summary(self) -> str:
         facts = summary(self.samples)

@@ -371,17 +371,6 @@ _FEATURES = {
 }
 
 
-@dataclass(frozen=True)
-class Asked:
-    """Facts about the failed request, for the text of the error."""
-
-    model: str
-    server: str
-    image: tuple[int, int]
-    timeout: float
-    tries: int
-
-
 def refused_feature(error: Any, used: Set[str]) -> str | None:
     """The optional feature among `used` that the server rejects; None if the error has another cause."""
     if getattr(error, "status_code", None) not in (400, 404, 422, 500, 501):
@@ -410,16 +399,20 @@ def retry_after(error: Any) -> float:
         return 0.0
 
 
-def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
-    """The error to raise for what the client raised; `served`: names of the server's models, None if unknown."""
+def explained(
+    error: Any, model: str, server: str, timeout: float, *, image: tuple[int, int], count: int, served: list[str] | None
+) -> EagorError:
+    """The error to raise for what the client raised after `count` tries to send an `image` of this (height, width).
+
+    `served`: names of the server's models, None if unknown.
+    """
     import openai
 
-    server, model = asked.server, asked.model
-    tries = "tried once" if asked.tries == 1 else f"tried {asked.tries} times"
+    tries = "tried once" if count == 1 else f"tried {count} times"
     status, said = getattr(error, "status_code", None), message(error)
     if isinstance(error, openai.APITimeoutError | TimeoutError):
         return ServerError(
-            f"{server} gave no answer within {asked.timeout:g} s ({tries}). Allow more time (timeout=...), send fewer "
+            f"{server} gave no answer within {timeout:g} s ({tries}). Allow more time (timeout=...), send fewer "
             "pixels, or fewer requests at once (concurrency=...), or check whether the server hangs"
         )
     if unfit := _unfit(error):
@@ -439,7 +432,7 @@ def explained(error: Any, asked: Asked, served: list[str] | None) -> EagorError:
         )
     if _CONTEXT.search(said.lower()):
         return ServerError(
-            f"the picture of {asked.image[1]} x {asked.image[0]} pixels and the question are too long for {model} as "
+            f"the picture of {image[1]} x {image[0]} pixels and the question are too long for {model} as "
             f"served at {server}: {said}. Send fewer pixels (pixels=...) or start the server with a longer context "
             "(vLLM --max-model-len, llama.cpp -c, Ollama num_ctx)"
         )

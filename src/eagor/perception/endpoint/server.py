@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import random
 import threading
 import weakref
 from collections.abc import Coroutine, Sequence
@@ -26,7 +27,6 @@ from eagor.errors import AnswerError, EagorError, QueryError
 from eagor.perception.endpoint.client import (
     DEFAULT_SERVER,
     Answer,
-    Asked,
     Picture,
     Request,
     checked_address,
@@ -144,7 +144,6 @@ class Server:
     def __init__(self, asker: Asker, concurrency: int, max_tokens: int) -> None:
         need_client()
         import openai
-        import tenacity
 
         key = os.environ.get(asker.key, "") if asker.key else ""
         if asker.key and not key:
@@ -158,8 +157,7 @@ class Server:
         self._failures = (openai.OpenAIError, TimeoutError, *nonsense)
         self._refused: set[str] = set()  # features that the server rejected
         self._room = asyncio.Semaphore(concurrency)
-        backoff = tenacity.wait_exponential(asker.backoff, LONGEST_REST)
-        self._backoff = backoff + tenacity.wait_random(0, asker.backoff / 4)  # so that clients do not retry in step
+        self._backoff = asker.backoff
         self._client = client_of(url, key, asker.timeout, max_tokens, asker.ca)
         self._loop = _loop(os.getpid())
         weakref.finalize(self, _close, self._client).atexit = False
@@ -199,30 +197,31 @@ class Server:
 
     async def _one(self, request: Request) -> Answer:
         """One answer, with retries; a request that waits for its next try keeps its slot."""
-        import tenacity
-
-        tries = tenacity.AsyncRetrying(
-            stop=tenacity.stop_after_attempt(1 + self._retries),
-            wait=lambda state: max(self._backoff(state), retry_after(state.outcome and state.outcome.exception())),
-            retry=tenacity.retry_if_exception(worth_retrying),
-            reraise=True,
-        )
         async with self._room:
-            try:
-                completion = await tries(self._completion, request)
-                return request.read(completion, tries.statistics["attempt_number"])
-            except self._failures as error:
-                if isinstance(error, EagorError):
-                    raise
-                served = None
-                # The failure may have to do with the model's name.
-                if getattr(error, "status_code", None) in (400, 404, 422) and "model" in message(error).lower():
-                    with suppress(*self._failures):
-                        served = await self._names()
-                count = tries.statistics["attempt_number"]
-                raise explained(
-                    error, Asked(self._model, self._shown, request.size, self._timeout, count), served
-                ) from error
+            for count in range(1, 2 + self._retries):
+                try:
+                    return request.read(await self._completion(request), count)
+                except self._failures as error:
+                    if isinstance(error, EagorError):
+                        raise
+                    if count > self._retries or not worth_retrying(error):
+                        served = await self._served(error)
+                        raise self._explained(error, request.size, count, served) from error
+                    rest = min(self._backoff * 2 ** (count - 1), LONGEST_REST)
+                    rest += random.uniform(0, self._backoff / 4)  # so that clients do not retry in step
+                    await asyncio.sleep(max(rest, retry_after(error)))
+        raise AssertionError("the last try ends in an answer or an error")
+
+    async def _served(self, error: Any) -> list[str] | None:
+        """The server's models, if the failure may have to do with the model's name."""
+        if getattr(error, "status_code", None) in (400, 404, 422) and "model" in message(error).lower():
+            with suppress(*self._failures):
+                return await self._names()
+        return None
+
+    def _explained(self, error: Any, image: tuple[int, int], count: int, served: list[str] | None) -> EagorError:
+        about = self._model, self._shown, self._timeout
+        return explained(error, *about, image=image, count=count, served=served)
 
     async def _completion(self, request: Request) -> Any:
         """The client's result for one request, without the features that the server rejects."""
@@ -248,7 +247,7 @@ class Server:
         try:
             names = await self._names()
         except self._failures as error:
-            raise explained(error, Asked("", self._shown, (0, 0), self._timeout, 1), None) from error
+            raise self._explained(error, (0, 0), 1, None) from error
         if len(names) != 1:
             has = f"{self._shown} has {len(names)} models"
             raise QueryError(f"{has} ({', '.join(names)}); name one before the @")
@@ -257,7 +256,7 @@ class Server:
 
 def need_client() -> None:
     """Raise `MissingExtraError` if the packages of the extra are missing."""
-    need("a served model", "endpoint", "openai", "tenacity")
+    need("a served model", "endpoint", "openai")
 
 
 @lru_cache(maxsize=1)

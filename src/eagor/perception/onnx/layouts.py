@@ -95,11 +95,20 @@ def _listed() -> str:
 # --- which outputs ---------------------------------------------------------------------------------------------------
 
 
-def _one(graph: Graph, rank: int, last: int | None = None) -> tuple[int] | None:
+def _places(graph: Graph, rank: int, last: int | None = None, whole: bool = False) -> list[int]:
+    """The places of the outputs of so many axes, with `last` entries along the last; of fractional or whole numbers."""
+    kind = [at for at, each in enumerate(graph.outputs) if len(each.shape) == rank and each.whole == whole]
+    return kind if last is None else [at for at in kind if graph.outputs[at].shape[-1] == last]
+
+
+def _each_one(*places: list[int]) -> tuple[int, ...] | None:
+    """One place of each kind; None unless there is exactly one."""
+    return tuple(place for (place,) in places) if all(len(found) == 1 for found in places) else None
+
+
+def _one(graph: Graph, rank: int, last: int | None = None) -> tuple[int, ...] | None:
     """The only output of so many axes with fractional numbers; its last axis has `last` entries."""
-    found = [at for at, each in enumerate(graph.outputs) if len(each.shape) == rank and not each.whole]
-    fits = len(found) == 1 and (last is None or graph.outputs[found[0]].shape[-1] == last)
-    return (found[0],) if fits else None
+    return _each_one(_places(graph, rank)) and _each_one(_places(graph, rank, last))
 
 
 def _table(least: int) -> Pick:
@@ -134,24 +143,15 @@ def _named(*wanted: str | tuple[str, ...]) -> Pick:
 
 def _three(batch: bool) -> Pick:
     """Boxes ``(n, 4)``, labels ``(n,)`` as whole numbers and scores ``(n,)``, known by their kinds; or with a batch."""
-
-    def pick(graph: Graph) -> tuple[int, ...] | None:
-        rank = 2 if batch else 1
-        boxes = [
-            a for a, o in enumerate(graph.outputs) if len(o.shape) == rank + 1 and o.shape[-1] == 4 and not o.whole
-        ]
-        labels = [a for a, o in enumerate(graph.outputs) if len(o.shape) == rank and o.whole]
-        scores = [a for a, o in enumerate(graph.outputs) if len(o.shape) == rank and not o.whole]
-        return (boxes[0], labels[0], scores[0]) if len(boxes) == len(labels) == len(scores) == 1 else None
-
-    return pick
+    rank = 2 if batch else 1
+    return lambda graph: _each_one(_places(graph, rank + 1, 4), _places(graph, rank, whole=True), _places(graph, rank))
 
 
 def _boxes_and_logits(graph: Graph) -> tuple[int, ...] | None:
     """Two outputs ``(1, n, 4)`` and ``(1, n, k)``; where k is 4, too, their names tell."""
-    tables = [at for at, each in enumerate(graph.outputs) if len(each.shape) == 3 and not each.whole]
+    tables = _places(graph, 3)
     boxes = [at for at in tables if "box" in graph.outputs[at].plain or graph.outputs[at].plain == "dets"]
-    boxes = boxes or [at for at in tables if graph.outputs[at].shape[-1] == 4]
+    boxes = boxes or _places(graph, 3, 4)
     others = [at for at in tables if at not in boxes]
     if len(boxes) != 1 or len(others) != 1:
         return None
@@ -160,14 +160,13 @@ def _boxes_and_logits(graph: Graph) -> tuple[int, ...] | None:
 
 
 def _dets_and_labels(graph: Graph) -> tuple[int, ...] | None:
-    boxes = [a for a, o in enumerate(graph.outputs) if len(o.shape) == 3 and o.shape[-1] == 5 and not o.whole]
-    labels = [a for a, o in enumerate(graph.outputs) if len(o.shape) == 2 and o.whole]
-    return (boxes[0], labels[0]) if len(boxes) == len(labels) == 1 else None
+    """Boxes with their scores ``(1, n, 5)`` and labels ``(1, n)``."""
+    return _each_one(_places(graph, 3, 5), _places(graph, 2, whole=True))
 
 
 def _maps(graph: Graph) -> tuple[int, ...] | None:
     """Scores ``(1, C, h, w)`` and distances ``(1, 4, h, w)``; where C is 4, too, their names tell."""
-    maps = [at for at, each in enumerate(graph.outputs) if len(each.shape) == 4 and not each.whole]
+    maps = _places(graph, 4)
     if len(maps) != 2 or len({graph.outputs[at].shape[2:] for at in maps}) != 1:
         return None
     by_name = [at for at in maps if graph.outputs[at].plain in ("distances", "wh")]

@@ -22,7 +22,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.media.panorama import checked_picture, resized
+from eagor.media.panorama import checked_picture, cut, resized, tangent_views
 from eagor.perception.vlm import (
     MAX_TOKENS,
     Account,
@@ -34,7 +34,7 @@ from eagor.perception.vlm import (
     chosen,
     phrase,
 )
-from eagor.perception.vlm.projection import WHOLE, Detection, detected, things, united
+from eagor.perception.vlm.projection import WHOLE, Detection, detected, filled, framed, lift, merged, things, united
 
 if TYPE_CHECKING:
     from eagor.perception.transformers.language import Heads, LanguageModel
@@ -143,8 +143,6 @@ class TransformersPerception:
         It is on cells with the pose of `grid` (`eagor.perception.partial.ViewPerception`). With the extractor
         ``views``, the picture is the only view. Errors as for a call.
         """
-        from eagor.perception.vlm.projection import filled, framed
-
         began = time.perf_counter()
         phrase(query)
         aspect = grid.width / grid.height
@@ -209,8 +207,6 @@ class TransformersPerception:
 
     def _shots(self, panorama: np.ndarray, queries: Sequence[str]) -> tuple[_Shots, float]:
         """The pictures of a look at a panorama, and the time it began."""
-        from eagor.media.panorama import checked_picture
-
         began = time.perf_counter()
         for query in queries:
             phrase(query)  # raises for an empty query before anything runs
@@ -219,9 +215,6 @@ class TransformersPerception:
 
     def _whole(self, image: np.ndarray) -> _Shots:
         """The panorama at the model's size; with `seam` also rolled by half a turn."""
-        from eagor.media.panorama import resized
-        from eagor.perception.vlm.projection import merged
-
         aspect = image.shape[1] / image.shape[0]
         size = self.loaded.size(aspect)
         grid = PatchGrid(*self.loaded.cells(aspect, self.extractor))
@@ -239,29 +232,19 @@ class TransformersPerception:
         return _Shots(pictures, [(grid, 0.0), (grid, roll)], [grid, grid], combine, told)
 
     def _views(self, image: np.ndarray) -> _Shots:
-        from eagor.media.panorama import cut
-        from eagor.perception.vlm.projection import lift
-
         views = self._cut()
         rows, cols = self.loaded.cells(1.0, self.per_view)
         grids = [view.resized(rows, cols) for view in views]
         # Cells as fine as in the middle of a view.
         lines = max(12, min(90, round(math.pi * grids[0].focal)))
-        told: dict[str, object] = {
-            "extractor": "views", "pixels": list(self.loaded.size(1.0)), "per_view": self.per_view
-        }  # fmt: skip
+        told: dict[str, object] = {"extractor": "views", "pixels": list(self.loaded.size(1.0))}
         return _Shots(
-            cut(image, *views),
-            [(view, 0.0) for view in views],
-            grids,
-            lambda found: lift(list(found), views, PatchGrid(lines, 2 * lines)),
-            told,
-        )
+            cut(image, *views), [(view, 0.0) for view in views], grids,
+            lambda found: lift(list(found), views, PatchGrid(lines, 2 * lines)), told | {"per_view": self.per_view},
+        )  # fmt: skip
 
     def _cut(self) -> tuple[PerspectiveGrid, ...]:
         """The views that are cut out of a panorama."""
-        from eagor.media.panorama import tangent_views
-
         return tangent_views(min(self.loaded.size(1.0)), _VIEW_FIELD)
 
 

@@ -51,6 +51,9 @@ def load_model(
     import torch
     import transformers
 
+    from eagor.perception.transformers.language import LanguageModel, read_heads
+    from eagor.perception.transformers.localisers import KINDS, Localiser
+
     # All options are checked before gigabytes are read.
     how = chosen(extractor or family.default(heads), family, "extractor")
     each = chosen(per_view or family.per_view, family, "per_view")
@@ -60,8 +63,6 @@ def load_model(
     if given := sorted(key for key, value in foreign.items() if value is not None):
         why = "has no attention to read" if family.localiser else "has none, only localisers do"
         raise EagorError(f"{', '.join(given)} cannot be used with {family.title}, which {why}")
-    from eagor.perception.transformers.language import read_heads
-
     settings["pixels"] = None if pixels is None else counted("pixels", pixels, "980000 (700 x 1400)")
     if family.localiser:
         del settings["presence"], settings["most"]
@@ -79,7 +80,8 @@ def load_model(
     options: dict[str, Any] = {"dtype": getattr(torch, kind), "use_safetensors": True}
     if where == "auto":
         options["device_map"] = "auto"
-    load = getattr(transformers, _class_of(family)).from_pretrained
+    kind = KINDS[family.name].loaded_by if family.localiser else "AutoModelForImageTextToText"
+    load = getattr(transformers, kind).from_pretrained
     model, told = _loaded(name, "weights", load, revision, output_loading_info=True, **options)
     if lacking := sorted(told["missing_keys"]):  # transformers fills them with random numbers
         warnings.warn(
@@ -98,22 +100,7 @@ def load_model(
             name, "image processor", transformers.AutoImageProcessor.from_pretrained, revision, backend="pil"
         ),
     }
-    if family.localiser:
-        from eagor.perception.transformers.localisers import Localiser
-
-        return Localiser(**about, **settings)
-    from eagor.perception.transformers.language import LanguageModel
-
-    return LanguageModel(**about, **settings)
-
-
-def _class_of(family: Family) -> str:
-    """The class of transformers that loads a family's checkpoints."""
-    if not family.localiser:
-        return "AutoModelForImageTextToText"
-    from eagor.perception.transformers.localisers import KINDS
-
-    return KINDS[family.name].loaded_by
+    return Localiser(**about, **settings) if family.localiser else LanguageModel(**about, **settings)
 
 
 def read_family(name: str, revision: str | None = None) -> tuple[Any, Family]:

@@ -25,31 +25,10 @@ from eagor.errors import EagorError, ImageError, QueryError
 from eagor.perception.vlm.answers import Frame, Order
 
 __all__ = [
-    "FAMILIES",
-    "GENERAL",
-    "IMAGE",
-    "MAX_TOKENS",
-    "PIXELS",
-    "Account",
-    "Chat",
-    "ChatReply",
-    "Checkpoint",
-    "Extractor",
-    "Family",
-    "Fit",
-    "Labelled",
-    "Message",
-    "Served",
-    "ask_boxes",
-    "ask_presence",
-    "boxes_schema",
-    "chosen",
-    "exact_size",
-    "family_of",
-    "nearest_size",
-    "phrase",
-    "style_of",
-]
+    "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "Account", "Chat", "ChatReply", "Checkpoint", "Extractor",
+    "Family", "Fit", "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema", "chosen",
+    "exact_size", "family_of", "nearest_size", "phrase", "style_of",
+]  # fmt: skip
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
 Extractor = Literal["attention", "boxes", "both", "mask", "views"]

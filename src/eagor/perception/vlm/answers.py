@@ -58,8 +58,10 @@ def values(text: str) -> list[Node]:
 
 
 def _skip(text: str, place: int) -> int:
+    """The place after white space and comments."""
     match = _SPACE.match(text, place)
-    return match.end() if match else place
+    assert match is not None  # it may be empty
+    return match.end()
 
 
 def _value(text: str, place: int, depth: int) -> Node | None:
@@ -69,8 +71,9 @@ def _value(text: str, place: int, depth: int) -> Node | None:
     first = text[place]
     if first in _CLOSING:
         return _collection(text, place, depth) if depth < _DEEPEST else None
-    if first in "\"'":
-        return _string(text, place)
+    if first in _STRING and (string := _STRING[first].match(text, place + 1)):
+        end = string.end()
+        return Node(_unescaped(text[place + 1 : end]), place, min(end + 1, len(text)), whole=end < len(text))
     number = _NUMBER.match(text, place)
     if number:
         return Node(float(number.group()), place, number.end(), whole=number.end() < len(text))
@@ -81,16 +84,8 @@ def _value(text: str, place: int, depth: int) -> Node | None:
     return Node(_CONSTANTS.get(written.lower(), written), place, word.end())
 
 
-def _string(text: str, place: int) -> Node:
-    match = _STRING[text[place]].match(text, place + 1)
-    end = match.end() if match else place + 1
-    return Node(_unescaped(text[place + 1 : end]), place, min(end + 1, len(text)), whole=end < len(text))
-
-
 def _unescaped(written: str) -> str:
     """The text of a string literal of JSON or Python."""
-    if "\\" not in written:
-        return written
     meant = _ESCAPE.sub(_letter, written)
     return meant.encode("utf-16", "surrogatepass").decode("utf-16", "replace")  # joins pairs of surrogates
 
