@@ -32,7 +32,7 @@ from eagor.worlds.painted import Ball, Room, bearing, paint
 
 pytestmark = pytest.mark.xdist_group("real time")
 
-LONG = 60.0
+LONG = 180.0
 PLACE = np.array([-0.5, 0.2, 1.0])
 YAWS = range(0, 360, 15)
 

@@ -190,7 +190,7 @@ def test_a_node_answers_as_the_page_on_ros_says(tmp_path):
         for command in (["-c", robot.replace("domain=42", f"domain={domain}")], ["-m", *words])
     ]
     try:
-        for _ in range(6):  # the first looks take time: the detector is loaded
+        for _ in range(30):  # the first looks take time: the detector is loaded, on a machine that may be busy
             printed = run_python([listener.replace("domain=42", f"domain={domain}")], tmp_path)[0].splitlines()
             if printed:
                 break
