@@ -112,7 +112,7 @@ def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, mon
 
     def loop_of(options, watchers, around):
         settings = {"poses": "level", "fast": True, "watchers": watchers, "around": around, "record": options.record}
-        return LiveLoop(open_camera(str(film)), Views(balls, count=8, hfov=100), ["ball"], **settings)
+        return LiveLoop(open_camera(str(film)), Views(balls, count=8, hfov=100, size=160), ["ball"], **settings)
 
     monkeypatch.setattr("eagor.cli.live.loop_of", loop_of)
     monkeypatch.setattr("eagor.cli.live.perception_for_all", lambda queries, given: spec)
