@@ -1,6 +1,6 @@
 """How fast and how exact the core is, against rivals in the same process.
 
-    python benchmarks/core.py [--repeats 40] [--json FILE]
+    python benchmarks/core.py [--repeats 40]
 
 Times are CPU time of this process (`time.process_time`: what other programs do on the machine is not counted), and
 ratios to one np.log over a 512 x 1024 float32 map, which is the least that any log-domain method pays for a full-size
@@ -12,7 +12,6 @@ batches, and the range of that ratio over five parts of the run.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable
@@ -199,7 +198,6 @@ def accuracy() -> dict[str, float]:
 def main() -> None:
     arguments = common.parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=40, help="batches of each contestant (default 40)")
-    arguments.add_argument("--json", metavar="FILE")
     options = arguments.parse_args()
 
     out = np.empty_like(FULL_MAP)
@@ -294,15 +292,6 @@ def main() -> None:
         print()
     for name, value in exact.items():
         print(f"  {name:60s} {value:.1e}")
-    if options.json:
-        report = {
-            "unit_seconds": float(np.median(small["log"])),
-            "cost": {n: r for n, r, _ in rows},
-            "faster": {n: r for n, r, _ in faster},
-            "accuracy": exact,
-        }
-        with open(options.json, "w", encoding="utf-8") as file:
-            json.dump(report, file, indent=1)
 
 
 if __name__ == "__main__":

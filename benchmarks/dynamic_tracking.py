@@ -1,14 +1,13 @@
 """The paper's dynamic tracking, on a simulated Go2: every method on the same recorded runs.
 
-python benchmarks/dynamic_tracking.py record RUNS [--over dds] [--runs 30] [--seed 8400]
-python benchmarks/dynamic_tracking.py judge RUNS [--resume]
+python benchmarks/dynamic_tracking.py record RUNS [--runs 30] [--seed 8400]
+python benchmarks/dynamic_tracking.py judge RUNS
 
 Three scenes, each with a red ball in a built-in apartment, in sight at first: the robot stands and the ball rolls; the
 robot walks and the ball lies; both move. A run is a ROS 2 bag: the camera's pictures, the robot's own odometry, and,
-for the judge alone, the true poses and the ball's true places. With ``--over dds`` the robot, its camera and whoever
-steers it are processes that talk over DDS in real time, as with a real Go2: clocks apart, states at 200 Hz, pictures as
-JPEG. Without it the same body, camera and odometry run on a simulated clock. What steers the robot knows the floor plan
-and goes from one random place to another: it is the same for all methods.
+for the judge alone, the true poses and the ball's true places. The robot, its camera and whoever steers it are
+processes that talk over DDS in real time, as with a real Go2: clocks apart, states at 200 Hz, pictures as JPEG. What
+steers the robot knows the floor plan and goes from one random place to another: it is the same for all methods.
 
 The perception (`scout`) looks at one picture after the other. It is given 0, 0.4 or 1.6 s for each, as a larger model
 would take, and looks at the newest picture whenever it is free. "late" uses a look at the time of its picture; "as new"
@@ -23,7 +22,6 @@ takes it for a look at the moment it arrives. Figures are means over runs, with 
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import multiprocessing
@@ -38,10 +36,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.media import Frame, Pose, bags
+from eagor.media import Pose, bags
 from eagor.media import ros_messages as ros
 from eagor.media.bags import BagWriter
 from eagor.perception import load
@@ -54,7 +53,6 @@ from eagor.robots.go2.sim_wire import WireSettings
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.sphere import angular_distance, unit
-from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking.poses import PoseHistory
 from eagor.worlds.render import Renderer
@@ -63,7 +61,7 @@ from eagor.worlds.walkable import along, length_of
 SCENES = ("standing robot, rolling ball", "walking robot, lying ball", "walking robot, rolling ball")
 QUERY, SPEED = "red ball", 0.3  # m/s, of a ball that rolls
 SECONDS, SETTLE = 24.0, 1.0  # of a run; before the robot may walk
-STATES, STEERING, STEP = 50.0, 10.0, 0.1  # poses and commands per second; seconds between answers
+STEERING, STEP = 10.0, 0.1  # commands per second; seconds between answers
 LATENCIES = (0.0, 0.4, 1.6)
 DOMAINS = 10
 REGIONS = 5  # answers from one check of the region to the next
@@ -101,9 +99,7 @@ class Run:
         turn, place = self.truth.at(stamp)
         assert place is not None
         eye = place + turn @ np.asarray(CAMERA.mount)
-        times = np.array([at for at, _ in self.balls])
-        ball = np.array([np.interp(stamp, times, [where[axis] for _, where in self.balls]) for axis in range(3)])
-        return unit(turn.T @ (ball - eye)), eye
+        return unit(turn.T @ (self.ball(stamp) - eye)), eye
 
     def ball(self, stamp: float) -> np.ndarray:
         """Where the ball is, ``(3,)``."""
@@ -155,47 +151,6 @@ def settings(seed: int, scene: str) -> SimSettings:
     raise RuntimeError(f"{house.scene.source} shows the ball from nowhere")
 
 
-class Keeping:
-    """Keeps a run in a bag, on the clock of this machine."""
-
-    def __init__(self, bag: BagWriter) -> None:
-        self._bag = bag
-
-    def state(self, state: BodyState) -> None:
-        pose = Pose(state.stamp, state.world_R_body, state.position)
-        self._bag.write(ODOMETRY, ros.ODOMETRY, ros.odometry_message(pose), state.stamp)
-
-    def truth(self, pose: Pose) -> None:
-        self._bag.write(TRUTH, ros.ODOMETRY, ros.odometry_message(pose), pose.stamp)
-
-    def picture(self, message: Any) -> None:
-        self._bag.write(IMAGE, ros.COMPRESSED, message, ros.stamp_of(message))
-
-    def ball(self, stamp: float, where: Sequence[float]) -> None:
-        self._bag.write(BALL, ros.TEXT, ros.text_message(json.dumps([stamp, *where])), stamp)
-
-
-def on_clock(seed: int, scene: str, path: Path) -> None:
-    """Record a run on a simulated clock."""
-    robot = SimulatedGo2(settings(seed, scene))
-    assert robot.house is not None
-    steering = Steering(robot.house, np.random.default_rng([seed, 7]))
-    with BagWriter(path) as bag:
-        keeping = Keeping(bag)
-        for step in range(round(SECONDS * STATES)):
-            came = robot.advance(1 / STATES)
-            keeping.truth(replace(robot.truth.pose, stamp=robot.now))
-            for state in [each for each in came if isinstance(each, BodyState)][-1:]:
-                keeping.state(state)
-            for frame in [each for each in came if isinstance(each, Frame)]:
-                keeping.picture(ros.compressed_message(frame.picture, frame.stamp, "x3_link"))
-            if step % round(STATES / STEERING) == 0:
-                (ball,) = robot.targets_now()
-                keeping.ball(robot.now, ball.centre.tolist())
-                if "walking" in scene and robot.now >= SETTLE:
-                    robot.move(*steering.towards(robot.truth.pose))
-
-
 def _live(ready: Any, settings: SimSettings, domain: int) -> None:
     """A process: the robot on DDS."""
     with LiveGo2(SimulatedGo2(settings), domain, "lo") as live:
@@ -204,8 +159,8 @@ def _live(ready: Any, settings: SimSettings, domain: int) -> None:
         ready.recv()
 
 
-def over_dds(seed: int, scene: str, path: Path, domain: int) -> None:
-    """Record a run over DDS in real time: the robot and its camera are other processes."""
+def record(seed: int, scene: str, path: Path, domain: int) -> None:
+    """Record a run in real time: the robot and its camera are other processes."""
     wanted = settings(seed, scene)
     house = load_house("apartment", seed)
     steering, now_at = Steering(house, np.random.default_rng([seed, 7])), {}
@@ -217,21 +172,30 @@ def over_dds(seed: int, scene: str, path: Path, domain: int) -> None:
     try:
         line.recv()
         with BagWriter(path) as bag, Link(domain, "lo") as link:
-            keeping = Keeping(bag)
+
+            def pose(topic: str, found: Pose) -> None:
+                bag.write(topic, ros.ODOMETRY, ros.odometry_message(found), found.stamp)
+
+            def state(state: BodyState) -> None:
+                pose(ODOMETRY, Pose(state.stamp, state.world_R_body, state.position))
 
             def true(message: Any, _: float) -> None:
-                now_at["pose"] = pose = ros.pose_of(message)
-                keeping.truth(pose)
+                now_at["pose"] = ros.pose_of(message)
+                pose(TRUTH, now_at["pose"])
+
+            def picture(message: Any, _: float) -> None:
+                bag.write(IMAGE, ros.COMPRESSED, message, ros.stamp_of(message))
 
             def things(message: Any, _: float) -> None:
                 told = json.loads(message.data)
                 (ball,) = (each for each in told["things"] if each["id"] in told["targets"])
-                keeping.ball(told["stamp"], ball["position"])
+                where = json.dumps([told["stamp"], *ball["position"]])
+                bag.write(BALL, ros.TEXT, ros.text_message(where), told["stamp"])
 
-            link.subscribe(CAMERA_TOPIC, ros.COMPRESSED, lambda message, _: keeping.picture(message), depth=5)
+            link.subscribe(CAMERA_TOPIC, ros.COMPRESSED, picture, depth=5)
             link.subscribe(TRUTH_POSE, ros.ODOMETRY, true, depth=50)
             link.subscribe(TRUTH_THINGS, ros.TEXT, things, reliable=True, transient=True, depth=5)
-            states = Go2State(link, received=keeping.state)
+            states = Go2State(link, received=state)
             sport = SportClient(link)
             states.wait()
             end = time.monotonic() + SECONDS
@@ -397,19 +361,7 @@ def judge_run(path: str) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
     return run.scene, found
 
 
-def judged(path: str, resume: bool) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
-    """The figures of a run, which are kept beside it."""
-    kept = Path(f"{path}.json")
-    if resume and kept.exists():
-        scene, rows = json.loads(kept.read_text())
-        return scene, {(condition, name): values for condition, name, values in rows}
-    scene, found = judge_run(path)
-    rows = [[condition, name, values] for (condition, name), values in found.items()]
-    kept.write_text(json.dumps([scene, rows]))
-    return scene, found
-
-
-def judge(folder: Path, workers: int, resume: bool) -> None:
+def judge(folder: Path, workers: int) -> None:
     """Print a table per scene."""
     from concurrent.futures import ProcessPoolExecutor
 
@@ -418,7 +370,7 @@ def judge(folder: Path, workers: int, resume: bool) -> None:
         sys.exit(f"{folder} holds no runs; record some first")
     rows: dict[tuple[str, str, str], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     with ProcessPoolExecutor(workers) as pool:
-        for number, (scene, found) in enumerate(pool.map(judged, paths, [resume] * len(paths)), start=1):
+        for number, (scene, found) in enumerate(pool.map(judge_run, paths), start=1):
             print(f"{number} of {len(paths)} runs judged", file=sys.stderr, flush=True)
             for (condition, name), values in found.items():
                 for key, value in values.items():
@@ -437,26 +389,23 @@ def judge(folder: Path, workers: int, resume: bool) -> None:
 
 
 def _shown(values: Sequence[float]) -> str:
-    known = np.array([value for value in values if not math.isnan(value)])
+    known = [value for value in values if not math.isnan(value)]
     if len(known) < 2:
         return "-"
-    interval = bootstrap_interval(known, np.random.default_rng(0))
-    return f"{known.mean():.2f} [{interval.low:.2f} {interval.high:.2f}]"
+    return "{:.2f} [{:.2f} {:.2f}]".format(*common.mean_of(known))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = common.parser(__doc__)
     parser.add_argument("command", choices=("record", "judge"))
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--over", choices=("dds", "clock"), default="clock")
     parser.add_argument("--runs", type=int, default=30)
     parser.add_argument("--seed", type=int, default=8400)
     parser.add_argument("--domain", type=int, default=121, help="of DDS, the first of ten; nobody else may use them")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--resume", action="store_true", help="judge: take what an earlier call has judged as it is")
     options = parser.parse_args()
     if options.command == "judge":
-        judge(options.folder, options.workers, options.resume)
+        judge(options.folder, options.workers)
         return
     options.folder.mkdir(parents=True, exist_ok=True)
     for number in range(options.runs):
@@ -465,13 +414,8 @@ def main() -> None:
             if not path.exists():
                 part = path.with_name(f"part-{path.name}")  # an interrupted run is recorded again
                 shutil.rmtree(part, ignore_errors=True)
-                if options.over == "dds":
-                    turn = (
-                        number * len(SCENES) + index
-                    ) % DOMAINS  # the robot of the last run may not be forgotten yet
-                    over_dds(options.seed + number, scene, part, options.domain + turn)
-                else:
-                    on_clock(options.seed + number, scene, part)
+                turn = (number * len(SCENES) + index) % DOMAINS  # the robot of the last run may not be forgotten yet
+                record(options.seed + number, scene, part, options.domain + turn)
                 part.rename(path)
                 print(f"{path}: {scene}", file=sys.stderr, flush=True)
 

@@ -14,7 +14,6 @@ what a user sees: to be right, and not to jump.
 
 from __future__ import annotations
 
-import json
 import math
 import multiprocessing
 import pickle
@@ -138,9 +137,7 @@ def main() -> int:
     arguments.add_argument("--seed", type=int, default=100, help="first apartment, of the development fifth")
     arguments.add_argument("--workers", type=int, default=2)
     arguments.add_argument("--folder", help="keeps the recordings, and takes those that lie there")
-    arguments.add_argument("--json", metavar="FILE")
     options = arguments.parse_args()
-    report: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(options.folder or scratch)
         print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
@@ -156,26 +153,18 @@ def main() -> int:
                     ((aim(found), name, found) for name, found in pool.imap_unordered(_try, [(n, 1) for n in kept])),
                     key=lambda entry: entry[0],
                 )
-                report[base] = [_entry(*entry) for entry in second]
-                _print(base, len(names), report[base])
-    if options.json:
-        Path(options.json).write_text(json.dumps(report, indent=1), encoding="utf-8")
+                _print(base, len(names), second)
     return 0
 
 
-def _entry(value: float, name: str, scores: dict[str, list[tuple[int, dict[str, Any]]]]) -> dict[str, Any]:
-    columns = {task: {column: _mean(scores[task], column) for column in SHOWN[task]} for task in SHOWN}
-    return {"name": name, "aim": value, "columns": columns}
-
-
-def _print(base: str, count: int, entries: list[dict[str, Any]]) -> None:
+def _print(base: str, count: int, entries: list[tuple[float, str, dict[str, Any]]]) -> None:
     print(f"\n{base}: {count} trials; the best on the other half of the apartments")
     heads = [f"{task[0]}.{column}" for task, columns in SHOWN.items() for column in columns]
     print(f"  {'aim':>6s}  " + " ".join(f"{head:>11s}" for head in heads))
-    for entry in entries:
-        figures = [entry["columns"][task][column] for task, columns in SHOWN.items() for column in columns]
-        print(f"  {entry['aim']:6.2f}  " + " ".join(f"{f[0]:5.1f} ±{(f[2] - f[1]) / 2:4.1f}" for f in figures))
-        print(f"          {entry['name']}", flush=True)
+    for value, name, scores in entries:
+        figures = [_mean(scores[task], column) for task, columns in SHOWN.items() for column in columns]
+        print(f"  {value:6.2f}  " + " ".join(f"{f[0]:5.1f} ±{(f[2] - f[1]) / 2:4.1f}" for f in figures))
+        print(f"          {name}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How much of what a detector says is lost? The tracker against the ideal filter and strong rivals, on the same looks.
 
-    python benchmarks/ideal.py [--runs N] [--seed FIRST] [--worlds NAME ...] [--methods TEXT ...] [--json FILE]
+    python benchmarks/ideal.py [--runs N] [--seed FIRST] [--worlds NAME ...] [--methods TEXT ...]
 
 Synthetic detections of which everything is known (`ideal_worlds.py`: 70 % of the looks detect the target, with an error
 of 8 degrees, among 0.2 false alarms a look), so that exact Bayes can be computed (`ideal_filters.py`; the others:
@@ -22,7 +22,7 @@ of 8 degrees, among 0.2 false alarms a look), so that exact Bayes can be compute
   the runs, which scores the presence: the log of the probability that was given to the truth.
 
 Error: degrees from the answer (where the density is highest) to the target, mean over all looks from the first
-detection on, and at the end of a run; "of mean" is that of the mean direction, which hedges, where a filter offers it.
+detection on, and at the end of a run.
 Nats: log density at the truth per steradian, behind the ideal filter's, mean over all looks (and from the tenth look
 on, when rates are learnt). Coverage: how often the truth is in the smallest region that is said to hold 50, 90, 99 %.
 Distance: |log(distance / truth)| at the end. Time: CPU milliseconds a look, answer included (scoring not), contestants
@@ -40,13 +40,11 @@ run in the few where two things overlap.
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import common
@@ -60,7 +58,6 @@ from eagor import MotionModel, TrackerConfig
 LEVELS = (0.5, 0.9, 0.99)
 FEW = 3  # looks whose claims are kept,
 AFTER = (1, 3, 10, 30)  # and others; scores are told after so many looks
-BEHIND = 0.1  # nats of our tracker in worlds with habits
 LATE = 10  # looks, after which little of a detector is left to learn
 IDEAL = "ideal"
 OURS = "eagor"
@@ -177,7 +174,7 @@ def degrees(a: np.ndarray, b: np.ndarray) -> float:
 def follow(filter_: Contestant, run: Run) -> dict[str, Any]:
     """One contestant through one run: values per look ``(T,)``, nan where there is nothing to say yet."""
     steps, truths = len(run), run.truths
-    error, hedged, above, log_density = (np.full(steps, np.nan) for _ in range(4))
+    error, above, log_density = (np.full(steps, np.nan) for _ in range(3))
     claims, words, seconds = np.full((steps, 2), np.nan), [], 0.0
     for t in range(steps):
         position = None if run.positions is None else run.positions[t]
@@ -192,10 +189,8 @@ def follow(filter_: Contestant, run: Run) -> dict[str, Any]:
         log_density[t] = filter_.log_density(truths[t])
         if any(len(look) for look in run.looks[: t + 1]):
             error[t] = 90.0 if filter_.direction is None else degrees(filter_.direction, truths[t])  # as bad as a guess
-            if filter_.mean is not None:
-                hedged[t] = degrees(filter_.mean, truths[t])
             above[t] = filter_.mass_above(truths[t])
-    found = {"error": error, "hedged": hedged, "log_density": log_density, "above": above, "claims": claims}
+    found = {"error": error, "log_density": log_density, "above": above, "claims": claims}
     found |= {"words": words, "ms": 1000 * seconds / steps, "present": run.present}
     if run.positions is not None:
         told = filter_.distance
@@ -223,25 +218,21 @@ def interval(values: np.ndarray) -> dict[str, float]:
     return dict(zip(("mean", "low", "high"), common.mean_of(values[np.isfinite(values)]), strict=True))
 
 
-def summarise(rows: dict[str, dict[str, np.ndarray]], reference: str = IDEAL) -> dict[str, dict[str, Any]]:
+def summarise(rows: dict[str, dict[str, np.ndarray]]) -> dict[str, dict[str, Any]]:
     """The table of one world; coverage and the mean error count every look alike, their intervals draw whole runs."""
     table = {}
     for name, row in rows.items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a run without any detection has no errors
-            error, hedged = (np.nanmean(row[key], axis=1) for key in ("error", "hedged"))
-        said, behind = np.isfinite(row["above"]), rows[reference]["log_density"] - row["log_density"]
+            error = np.nanmean(row["error"], axis=1)
+        said, behind = np.isfinite(row["above"]), rows[IDEAL]["log_density"] - row["log_density"]
         there = presence_scores(row)
-        missed = presence_scores(rows[reference]) - there
         table[name] = {
             "error": interval(error),
             "error_end": interval(row["error"][:, -1]),
-            "error_mean_direction": interval(hedged),
             "nats": interval(behind.mean(axis=1)),
             "nats_late": interval(behind[:, LATE - 1 :].mean(axis=1)),
-            "nats_after": {str(n): interval(behind[:, n - 1]) for n in AFTER},
             "presence_after": {str(n): interval(there[:, n - 1]) for n in AFTER},
-            "presence_behind": {str(n): interval(missed[:, n - 1]) for n in AFTER},
             "coverage": {str(level): float(np.mean(row["above"][said] <= level)) for level in LEVELS},
             "ms": float(np.median(row["ms"])),
         }
@@ -307,18 +298,16 @@ def show(title: str, table: dict[str, dict[str, Any]], late: bool = False) -> No
     walked = any("distance" in row for row in table.values())
     print(f"\n{title}")
     print(
-        f"  {'':28s} {'error, mean [95 %]':>22s} {'at the end':>10s} {'of mean':>7s} {'nats behind [95 %]':>24s}"
+        f"  {'':28s} {'error, mean [95 %]':>22s} {'at the end':>10s} {'nats behind [95 %]':>24s}"
         f"{f'  from look {LATE} on [95 %]' if late else ''}"
         f" {'50':>5s} {'90':>5s} {'99 %':>5s}{'  distance' if walked else ''} {'ms':>7s}"
     )
     for name, row in table.items():
         error, cover = row["error"], row["coverage"]
         far = f"  {row['distance']['mean']:8.3f}" if walked else ""
-        hedged = row["error_mean_direction"]["mean"]
         print(
             f"  {name:28s} {error['mean']:7.2f} [{error['low']:5.2f}, {error['high']:5.2f}]"
-            f" {row['error_end']['mean']:10.2f} {'' if math.isnan(hedged) else f'{hedged:.2f}':>7s}"
-            f"{ranged(row['nats'])}{ranged(row['nats_late']) if late else ''}"
+            f" {row['error_end']['mean']:10.2f}{ranged(row['nats'])}{ranged(row['nats_late']) if late else ''}"
             f" {cover['0.5']:5.2f} {cover['0.9']:5.2f} {cover['0.99']:5.2f}{far} {row['ms']:7.2f}"
         )
 
@@ -328,11 +317,11 @@ def ranged(value: dict[str, float]) -> str:
     return f" {value['mean']:8.3f} [{value['low']:6.3f}, {value['high']:6.3f}]"
 
 
-def show_after(title: str, table: dict[str, dict[str, Any]], key: str) -> None:
+def show_presence(title: str, table: dict[str, dict[str, Any]]) -> None:
     print(f"\n{title}")
     print(f"  {'looks':28s}" + "".join(f" {count:>8d} {'[95 %]':>16s}" for count in AFTER))
     for name, row in table.items():
-        print(f"  {name:28s}" + "".join(ranged(value) for value in row[key].values()))
+        print(f"  {name:28s}" + "".join(ranged(value) for value in row["presence_after"].values()))
 
 
 def show_few(table: dict[str, list[dict[str, dict[str, float]]]]) -> None:
@@ -344,65 +333,6 @@ def show_few(table: dict[str, list[dict[str, dict[str, float]]]]) -> None:
             print(f"  {name:28s} {count:5d} " + " ".join(f"{cell:>16s}" for cell in cells))
 
 
-def covered(row: dict[str, Any]) -> float:
-    """The largest distance of a coverage from what it should be."""
-    return max(abs(row["coverage"][str(level)] - level) for level in LEVELS)
-
-
-def aims(report: dict[str, Any]) -> list[tuple[str, float, float]]:
-    """What we aim at, of what was measured: text, found, limit; no limit (nan) where there is only something to see."""
-    found: list[tuple[str, float, float]] = []
-    for world, table in report["worlds"].items():
-        if OURS not in table:
-            continue
-        ours, ideal, learning = table[OURS], table[IDEAL], table.get(LEARNT)
-        if world == "turning":
-            found += [
-                ("turning: error over the ideal's", ours["error"]["mean"] / ideal["error"]["mean"], 1.02),
-                ("turning: the same at the end", ours["error_end"]["mean"] / ideal["error_end"]["mean"], 1.02),
-                ("turning: nats behind, model stated", ours["nats"]["mean"], 0.06),
-            ]
-            if learning:
-                late = learning["nats_late"]["mean"]
-                found.append((f"turning: nats behind from look {LATE} on, model learnt", late, 0.15))
-        if world == "walking":
-            found += [
-                ("walking: nats behind, model stated", ours["nats"]["mean"], math.nan),
-                ("walking: ms a look", ours["ms"], math.nan),
-                ("walking: log-distance error", ours["distance"]["mean"], math.nan),
-            ]
-            for name, rival in table.items():
-                if name.startswith("PyRecEst"):
-                    less = ours["nats"]["mean"] - rival["nats"]["mean"]
-                    found.append((f"walking: nats less those of {name}", less, math.nan))
-        if world == "habits":
-            found.append(("habits: nats behind, model stated", ours["nats"]["mean"], BEHIND))
-        if world in HABITS[1:]:
-            for count in AFTER:
-                behind = ours["presence_behind"][str(count)]["mean"]
-                found.append((f"habits: presence behind after {count}, model stated", behind, BEHIND))
-        if world in MOVING:
-            found.append((f"{world}: nats behind", ours["nats"]["mean"], 0.3))
-            if f"{OURS}, told" in table:
-                found.append((f"{world}: the same, told", table[f"{OURS}, told"]["nats"]["mean"], 0.3))
-        if world in DRIFT:
-            found += [
-                (f"{world}: error", ours["error"]["mean"], 3.0),
-                (f"{world}: error at the end", ours["error_end"]["mean"], 3.0),
-                (f"{world}: 0.85 less the coverage of 90 %", 0.85 - ours["coverage"]["0.9"], 0.0),
-            ]
-        elif world not in HABITS[1:]:
-            found.append((f"{world}: coverage off by (ideal: {covered(ideal):.3f})", covered(ours), 0.03))
-    for name, row in report.get("wrong", {}).items():
-        if name.startswith(OURS):
-            found.append((f"wrong: {name}: nats behind", row["nats"]["mean"], 0.25))
-    for count, row in enumerate(report.get("few", {}).get(OURS, []), 1):
-        for key in ("presence", "within 15"):
-            if row[key]:
-                found.append((f"few: {key} after {count}: mean difference", row[key]["mean"], 0.03))
-    return found
-
-
 def main() -> int:
     parser = common.parser(__doc__)
     parser.add_argument("--runs", type=int, default=100, help="per world (default 100)")
@@ -411,11 +341,9 @@ def main() -> int:
     parser.add_argument(
         "--methods", nargs="+", metavar="TEXT", help="only contestants with one of these in their names"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures here")
     options = parser.parse_args()
     wanted = set(options.worlds)
 
-    report: dict[str, Any] = {"seed": options.seed, "runs": options.runs, "worlds": {}}
     print(f"{options.runs} runs from seed {options.seed}")
     worlds = ["turning"] if wanted & {"wrong", "few"} else []  # they look at the same runs
     worlds += [world for group in GROUPS if group in wanted for world in GROUPS[group] if world not in worlds]
@@ -430,32 +358,16 @@ def main() -> int:
         wrong = {
             n: table.pop(n) for n in list(table) if n.removeprefix(f"{IDEAL}, ").removeprefix(f"{OURS}, ") in WRONG
         }
-        report["worlds"][world] = table
         if world in HABITS[1:]:
-            show_after(f"{world}: log score of the presence", table, "presence_after")
-            show_after(f"{world}: the same, behind the ideal's", table, "presence_behind")
+            show_presence(f"{world}: log score of the presence", table)
         else:
             show(world, table, world in ("turning", *HABITS))
         if OURS in rows:
-            report.setdefault("words", {})[world] = said(rows[OURS])
-            show_words(report["words"][world])
-        if world == "habits":
-            show_after(f"{world}: nats behind", table, "nats_after")
+            show_words(said(rows[OURS]))
         if wrong:
-            report["wrong"] = wrong
             show("turning, the detector wrong by a factor 2", wrong)
         if world == "turning" and "few" in wanted:
-            report["few"] = few(rows)
-            show_few(report["few"])
-    found = aims(report)
-    report["aims"] = [{"aim": text, "found": value, "limit": limit} for text, value, limit in found]
-    if found:
-        print("\naims")
-    for text, value, limit in found:
-        verdict = "" if math.isnan(limit) else "holds" if value <= limit else "FAILS"
-        print(f"  {verdict:5s} {text:62s} {value:8.3f}  {f'(<= {limit:g})' if verdict else ''}")
-    if options.json:
-        options.json.write_text(json.dumps(report, indent=1))
+            show_few(few(rows))
     return 0
 
 

@@ -31,13 +31,11 @@ UNIFORM = -math.log(4 * math.pi)
 class Contestant:
     """What a filter must do. Directions are in the body frame of the last look, densities per steradian.
 
-    `direction`: the answer, about where the density is highest; `mean`: the mean direction of the belief, where the
-    filter offers it (it hedges where two places are likely); `distance`: metres, of worlds with positions; `word`: what
-    the filter says of its answer, where it does.
+    `direction`: the answer, about where the density is highest; `distance`: metres, of worlds with positions; `word`:
+    what the filter says of its answer, where it does.
     """
 
     direction: np.ndarray | None = None
-    mean: np.ndarray | None = None
     distance: float | None = None
 
     @property
@@ -109,7 +107,7 @@ class StillOrKnown(Contestant):
         self.looks.append((found, worth))
         if any(len(seen) for seen, _ in self.looks):
             top = search_top(self.at, self.points[self.ratio.argmax()], 1 / self.nside)
-            self.direction, self.mean = top @ self.pose, unit(self.ratio @ self.points) @ self.pose
+            self.direction = top @ self.pose
 
     def _predict(self, ratio: np.ndarray) -> np.ndarray:
         if self.motion.diffusion:
@@ -201,7 +199,6 @@ class Walked(Contestant):
             return
         order = np.argsort(far)
         self.distance = math.exp(far[order][np.searchsorted(np.cumsum(weight[order]), 0.5)])
-        self.mean = unit(weight @ unit(offsets)) @ pose
         ranks = np.searchsorted(np.cumsum(weight), (np.arange(self.drawn) + 0.5) / self.drawn)
         self.directions = unit(offsets[ranks])
         self.heights = self.at(self.directions)

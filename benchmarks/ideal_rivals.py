@@ -129,7 +129,7 @@ class RivalGrid(Contestant):
         if self.any:
             values, grid = self.filter.filter_state.grid_values, self.filter.filter_state.grid
             near = grid @ grid[values.argmax()] > math.cos(NEAR)
-            self.direction, self.mean = unit(values[near] @ grid[near]) @ pose, unit(values @ grid) @ pose
+            self.direction = unit(values[near] @ grid[near]) @ pose
 
     def log_density(self, direction: np.ndarray) -> float:
         with warnings.catch_warnings():
@@ -231,7 +231,7 @@ class RivalParticles(Contestant):
             densest = few[np.exp((few @ many.T - 1) / math.radians(5) ** 2).sum(axis=1).argmax()]
             near = self.bearings @ densest > math.cos(NEAR)
             self.top = unit(self.weights[near] @ self.bearings[near])
-            self.direction, self.mean = self.top @ pose, unit(self.weights @ self.bearings) @ pose
+            self.direction = self.top @ pose
         self._kernel = None
 
     def _drawn(self, count: int) -> np.ndarray:

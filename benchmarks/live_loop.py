@@ -10,15 +10,11 @@ python benchmarks/live_loop.py --hours 8 --in-turn   # memory after hour 1 and a
 
 from __future__ import annotations
 
-import os
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
-
-import argparse
 import resource
 import time
 from pathlib import Path
 
+import common
 import numpy as np
 
 from eagor import DetectorModel, Evidence
@@ -281,7 +277,7 @@ def turning(photographs: Path, seconds: float, runs: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--hours", type=float)
     parser.add_argument("--positions", action="store_true")

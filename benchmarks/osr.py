@@ -1,11 +1,11 @@
 """Relative directions as OSR-Bench asks for them, with true bearings and floor contacts: how often is the answer right?
 
-    python benchmarks/osr.py [--scenes 200] [--seed 2000] [--samples DIR] [--out FILE.jsonl]
+    python benchmarks/osr.py [--scenes 200] [--seed 2000]
 
-In rooms of the built-in apartments, and in the sample scenes of DIR where that is given, every triple of categories
-(P, O, Q) with one P is asked. Labels are made by the benchmark's own rule from a layout of 10 x 10 cells that is drawn
-as the published ones are, mirrored; answers are compared with the corrected labels, in which left and right are put
-right again. Printed, with 95 % intervals over apartments (or the Wilson interval over triples of one sample):
+In rooms of the built-in apartments every triple of categories (P, O, Q) with one P is asked. Labels are made by the
+benchmark's own rule from a layout of 10 x 10 cells that is drawn as the published ones are, mirrored; answers are
+compared with the corrected labels, in which left and right are put right again. Printed, with 95 % intervals over
+apartments:
 
 - *clear*: triples whose dot and cross products both exceed one squared cell. Among them *wall*: with a thing that does
   not touch the floor; *tied*: with several things equally near to P, of which the label takes the one at the smallest
@@ -23,18 +23,14 @@ The rows tell what the agent knows:
 - *outlines*: boxes alone, as a perfect detector would give; ranges come from their lower edges.
 - *no walls*: contacts, and nobody knows where the walls are.
 - *bearings*: everything at the same range.
-
-With --out each scene's counts are kept as they come, and scenes that are there already are not done again.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,54 +40,29 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from osr_apartments import views
 
-from eagor.statistics import wilson_interval
-from eagor.tasks.osr.data import Scene, load
-from eagor.tasks.osr.geometry import FloorLine, Placed, draw
+from eagor.tasks.osr.data import Scene
+from eagor.tasks.osr.geometry import Placed, draw
 from eagor.tasks.osr.play import Around, Eagor, laid_out
-from eagor.tasks.osr.scoring import SIZE, Layout, cells, is_tied, named, products, steps, swapped
-from eagor.tasks.osr.sightings import Body, Room, Seen, read_room, sightings
+from eagor.tasks.osr.scoring import Layout, is_tied, named, products, steps, swapped
+from eagor.tasks.osr.sightings import Room, Seen, sightings
 
 ROWS = ("places", "contacts", "contacts, metres", "outlines", "no walls", "bearings")
-# The synthetic sample's room, read off its picture: corners at 40.5 degrees to both sides, where the wall's foot is
-# 3.5 m ahead; x forward, y left.
-SAMPLE_WALLS = FloorLine(np.array([[3.5, 3.0], [-3.5, 3.0], [-3.5, -3.0], [3.5, -3.0]]))
 
 
 def main() -> int:
     parser = common.parser(__doc__)
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=2000)
-    parser.add_argument("--samples", type=Path)
-    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    kept = [json.loads(line) for line in options.out.read_text().splitlines()] if _there(options.out) else []
-    done = {entry["scene"] for entry in kept}
-    entries = [entry for entry in kept if entry["seed"] >= options.seed]
+    entries: list[dict[str, Any]] = []
     for seed in itertools.count(options.seed):
         if len(entries) >= options.scenes:
             break
-        if f"{seed}" in done:
-            continue
-        found = [counted(view.id, view.room, view.layout) | {"scene": view.id, "seed": seed} for view in views(seed)]
-        entries += found
-        if options.out is not None:
-            with options.out.open("a") as file:
-                lines = [*found, {"scene": f"{seed}", "seed": -1}]  # the last says that this apartment is done
-                file.write("".join(json.dumps(entry) + "\n" for entry in lines))
+        entries += [counted(view.id, view.room, view.layout) | {"seed": seed} for view in views(seed)]
         if sys.stderr.isatty():
             print(f"\r{len(entries)} scenes", end="", file=sys.stderr)
-    entries.sort(key=lambda entry: entry["scene"])
     print(f"{len(entries)} scenes in {len({entry['seed'] for entry in entries})} apartments, from seed {options.seed}")
-    groups = [str(entry["seed"]) for entry in entries]
-    report(entries, groups)
-    for name, room, layout in samples(options.samples) if options.samples else ():
-        print(f"\nsample {name}")
-        entry = counted(name, room, layout)
-        report([entry], None)
-        entries, groups = [*entries, entry], [*groups, name]
-    if options.samples:
-        print("\nall together")
-        report(entries, groups)
+    report(entries)
     return 0
 
 
@@ -148,7 +119,7 @@ def _nobody(scene: Scene, names: Sequence[str]) -> Seen:
     raise AssertionError("what was seen is given")
 
 
-def report(entries: list[dict[str, Any]], groups: list[str] | None) -> None:
+def report(entries: list[dict[str, Any]]) -> None:
     """The table of all rows."""
     total: Counter[str] = sum((Counter(entry["all"]) for entry in entries), Counter())
     words = ", ".join(f"{total[kind]} {kind}" for kind in ("clear", "wall", "tied", "border", "empty"))
@@ -156,46 +127,20 @@ def report(entries: list[dict[str, Any]], groups: list[str] | None) -> None:
     for row in ROWS:
         right: Counter[str] = sum((Counter(entry["right"][row]) for entry in entries), Counter())
         share = {kind: f"{100 * right[kind] / total[kind]:.1f}" if total[kind] else "-" for kind in total}
-        low, high = interval(entries, row, groups)
+        low, high = interval(entries, row)
         clear = f"{share.get('clear', '-')} [{100 * low:.1f}, {100 * high:.1f}]"
         print(f"{row:18s}{clear:>22s}" + "".join(f"{share.get(kind, '-'):>10s}" for kind in ("wall", "tied", "border")))
 
 
-def interval(entries: list[dict[str, Any]], row: str, groups: list[str] | None) -> tuple[float, float]:
+def interval(entries: list[dict[str, Any]], row: str) -> tuple[float, float]:
     """95 % of the share of clear triples that are right: apartments are drawn again, whole."""
-    if groups is None:
-        found = wilson_interval(entries[0]["right"][row].get("clear", 0), entries[0]["all"].get("clear", 0))
-        return found.low, found.high
-    sums: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(2))
-    for entry, group in zip(entries, groups, strict=True):
-        sums[group] += entry["right"][row].get("clear", 0), entry["all"].get("clear", 0)
+    sums: dict[int, np.ndarray] = defaultdict(lambda: np.zeros(2))
+    for entry in entries:
+        sums[entry["seed"]] += entry["right"][row].get("clear", 0), entry["all"].get("clear", 0)
     table, rng = np.array(list(sums.values())), np.random.default_rng(0)
     drawn = table[rng.integers(0, len(table), (2000, len(table)))].sum(axis=1)
     low, high = np.quantile(drawn[:, 0] / np.maximum(drawn[:, 1], 1), [0.025, 0.975])
     return float(low), float(high)
-
-
-def samples(folder: Path) -> Iterator[tuple[str, Room, Layout]]:
-    """The sample scenes. Where nobody wrote down the places, the layout is taken for them, which tests no layout."""
-    for scene in load(folder):
-        layout = scene.layout
-        if layout is None:
-            continue
-        room = read_room(scene.folder)
-        if room is not None:
-            yield scene.id, room if room.walls else replace(room, walls=SAMPLE_WALLS), layout
-            continue
-        bodies = []
-        for name in layout:
-            for row, column in cells(layout, name):  # mirrored back: columns grow to the left
-                middle = np.array([SIZE / 2 - row, column - SIZE / 2]) * 0.5 + 0.1
-                corner = 0.1 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-                bodies.append(Body(name, middle + corner, 0.0, 0.5))
-        yield f"{scene.id} (places from the layout)", Room(tuple(bodies)), layout
-
-
-def _there(path: Path | None) -> bool:
-    return path is not None and path.exists()
 
 
 if __name__ == "__main__":

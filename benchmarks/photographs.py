@@ -1,6 +1,6 @@
 """Four real photographs, a real detector: every method on the same looks. The first argument is their folder.
 
-python benchmarks/photographs.py PANORAMAS [--looks looks.jsonl] [--only yaw,tumble] [--json figures.json]
+python benchmarks/photographs.py PANORAMAS [--looks looks.jsonl] [--only yaw,tumble]
 
 The detector is `coco`: CenterNet on MobileNetV3 (eagor models get coco). Truth was marked by hand:
 tests/photographs.json names things, their azimuth, elevation and size, and classes that are certainly absent. Each
@@ -36,13 +36,13 @@ from typing import Any
 
 import box_trackers
 import numpy as np
-from photographs_tables import LEAST, NEAR, SCORED, Run, all_tables, print_all
+from photographs_tables import LEAST, NEAR, SCORED, Run, print_all
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from eagor.evaluation.detector_fit import fit_detector
 from eagor.evaluation.labelled_looks import LabelledLook
-from eagor.evidence import DetectorModel, Evidence, model_as_json, parse_model
+from eagor.evidence import DetectorModel, Evidence, parse_model
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import ErpGrid
@@ -328,7 +328,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--photographs", help="names of photographs, with commas")
     parser.add_argument("--methods", default=",".join((*box_trackers.NAMES, *NAMES)), help="methods, with commas")
     parser.add_argument("--model", help="read the detector so, without a fit: spread=3, or coco")
-    parser.add_argument("--json", type=Path, help="a file for all figures")
     options = parser.parse_args()
     options.marked = json.loads(options.labels.read_text())
     known = [*options.marked]
@@ -359,12 +358,7 @@ def main() -> None:
         names = [name for name in options.methods if len(case.targets) or name.startswith("eagor")]
         say, lookalike = says(case, sight), persists(case)
         runs += [play(case, name, models[case.photograph], say, lookalike) for name in names]
-    tables = all_tables(runs)
-    print_all(tables)
-    if options.json:
-        told_models = {name: model_as_json(model) for name, model in models.items()}
-        figures = {"models": told_models, **tables, "runs": [run.as_json() for run in runs]}
-        options.json.write_text(json.dumps(figures) + "\n")
+    print_all(runs)
 
 
 if __name__ == "__main__":

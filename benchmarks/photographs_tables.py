@@ -67,15 +67,6 @@ class Run:
         """Share of the last ten looks with an error below 15 degrees."""
         return float(np.mean(np.array(self.errors[-10:]) < NEAR))
 
-    def as_json(self) -> Row:
-        """The figures that the tables rest on."""
-        found: Row = {"photograph": self.photograph, "condition": self.condition, "query": self.query}
-        found |= {"method": self.method, "here": self.here, "lookalike": self.lookalike}
-        found |= {"presence": [round(each, 5) for each in self.presence], "log_scores": self.log_scores}
-        if self.here:
-            found |= {"first_error": self.errors[0], "error": self.error, "within": self.within}
-        return found
-
 
 def groups(runs: Sequence[Run], here: bool | None = None) -> Iterator[tuple[str, str, list[Run]]]:
     """Condition, method, and the runs of both; with `here` only those where the thing is there, or is not."""
@@ -156,8 +147,8 @@ def log_scores(runs: Sequence[Run]) -> list[Row]:
             absent = [run.log_scores[looks] for run in own if not run.here]
             total = float(np.mean(here) + np.mean(absent)) if here and absent else None
             row[f"after_{looks}"] = total
-            row[f"after_{looks}_interval"] = sum_interval(here, absent)
             row |= {"things": mean(here), "absent": mean(absent)}  # of the last
+        row[f"after_{looks}_interval"] = sum_interval(here, absent)
         rows.append(row)
     return rows
 
@@ -307,19 +298,13 @@ SHOWN: dict[str, tuple[str, list[tuple[str, str, int]]]] = {
          ("of tracking", "tracking_looks", 0)],
     ),
 }  # fmt: skip
-FOR_THE_FILE = {f"after_{looks}" for looks in SCORED[:-1]}  # their intervals are not printed
 
 
-def all_tables(runs: Sequence[Run]) -> dict[str, list[Row]]:
-    """The rows of every table."""
-    return {name: table(runs) for name, table in TABLES.items()}
-
-
-def print_all(tables: dict[str, list[Row]]) -> None:
+def print_all(runs: Sequence[Run]) -> None:
     """Print every table that has rows."""
-    for name, rows in tables.items():
+    for name, table in TABLES.items():
         title, columns = SHOWN[name]
-        if rows:
+        if rows := table(runs):
             who = "ours" if "ours" in rows[0] else "method"
             print(f"\n{title}\n")
             print_table([("", "condition", 0), ("", who, 0), *columns], rows)
@@ -343,7 +328,7 @@ def cell(row: Row, key: str, digits: int) -> str:
         return "-"
     if not isinstance(value, float):
         return str(value)
-    if ends is None or key in FOR_THE_FILE:
+    if ends is None:
         return f"{value:.{digits}f}"
     low, high = (f"{end:.{digits}f}" for end in ends)
     return f"{value:.{digits}f} [{low:>{digits + 4}} {high:>{digits + 4}}]"

@@ -1,6 +1,6 @@
 """Ordinary cameras in real photographs, with a real detector. The first argument is the photographs' folder.
 
-python benchmarks/photographs_views.py PANORAMAS [--looks views.jsonl] [--json figures.json]
+python benchmarks/photographs_views.py PANORAMAS [--looks views.jsonl]
 
 Views of 70, 90 and 110 degrees (4:3) are cut from the four photographs of `photographs`, by a camera that stays level
 and turns by 9 degrees a second: once around and half a turn more, one look a second. `coco` looks at each view, and at
@@ -214,12 +214,9 @@ def main() -> None:
     parser.add_argument("panoramas", type=Path, help="the folder of the photographs")
     parser.add_argument("--looks", type=Path, default=Path("photographs-views.jsonl"), help="what was seen")
     parser.add_argument("--photographs", help="names of photographs, with commas (default: all four)")
-    parser.add_argument("--json", type=Path, help="a file for all figures")
     options = parser.parse_args()
     photographs = options.photographs.split(",") if options.photographs else [*json.loads(ANNOTATIONS.read_text())]
     found = rows(look(options.panoramas, options.looks, photographs), options.panoramas)
-    if options.json:
-        options.json.write_text(json.dumps(found, default=float) + "\n")
     print_table(found)
     print(f"CPU time of a look at a view, without the detector: {overhead(options.panoramas):.2f} of a panorama's")
 

@@ -1,6 +1,6 @@
 """How good are the answers? Ours against every rival, on the same evidence, on seeds that nothing was tuned on.
 
-    python benchmarks/quality.py [--episodes N] [--split dev|report] [--json FILE] [--tune]
+    python benchmarks/quality.py [--episodes N] [--split dev|report] [--tune]
 
 Two experiments, both synthetic, both with the odometry exact:
 
@@ -15,16 +15,14 @@ other seeds. Brackets are 95 % bootstrap intervals of the mean over episodes.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
+import common
 import numpy as np
 
 from eagor import (
@@ -34,7 +32,6 @@ from eagor import (
     Evidence,
     PatchGrid,
     RangedBelief,
-    RealHarmonics,
     angular_distance,
 )
 from eagor import direction as direction_of
@@ -95,22 +92,6 @@ class Ours:
         return self.belief.log_density(directions)
 
 
-@dataclass(frozen=True)
-class LinearPool:
-    """Sum of the responses, no logarithm, band-limited to degree 15, read at its maximum. It is no distribution."""
-
-    coefficients: np.ndarray = field(default_factory=lambda: np.zeros(256))
-
-    def predict(self, new_R_old: np.ndarray, translation: np.ndarray | None = None) -> LinearPool:
-        return LinearPool(RealHarmonics(15).rotate(self.coefficients, new_R_old))
-
-    def update(self, evidence: Evidence) -> LinearPool:
-        return LinearPool(self.coefficients + RealHarmonics(15).analyse(evidence.response, evidence.grid))
-
-    def direction(self) -> np.ndarray:
-        return Belief(self.coefficients).mode()
-
-
 Factory = Callable[[np.random.Generator], Any]
 
 
@@ -124,7 +105,7 @@ def methods() -> dict[str, Factory]:
     """Every method of the comparison, as `rng` -> filter.
 
     Rivals and "Belief tuned" have the settings that won on the development seeds, equal numbers of trials each;
-    "Belief" is the package's default (no forgetting), "Belief METHOD" the setting of METHOD section 4.
+    "Belief" is the package's default (no forgetting).
     """
     return {
         "Centroid": lambda rng: Centroid(),
@@ -136,18 +117,16 @@ def methods() -> dict[str, Factory]:
         "vMF": lambda rng: VonMisesFisherFilter(),
         "Histogram": lambda rng: HistogramFilter(),
         "Particles": lambda rng: ParticleFilter.uniform(PARTICLES, rng),
-        "linear pool": lambda rng: LinearPool(),
         "Belief L7": lambda rng: Ours(Belief.uniform(7)),
         "Belief": lambda rng: Ours(Belief.uniform(15)),
-        "Belief METHOD": lambda rng: belief(0.2, 0.8, 15, 2.0),
         OURS: lambda rng: belief(**TUNED),
     }
 
 
 def walk_methods() -> dict[str, Factory]:
-    """Those of the walk: the rivals as above, ours at degree 12 as in METHOD section 5."""
+    """Those of the walk: the rivals as above, ours at degree 12."""
     return {
-        **{name: make for name, make in methods().items() if not name.startswith(("Belief", "linear"))},
+        **{name: make for name, make in methods().items() if not name.startswith("Belief")},
         OURS: methods()[OURS],
         "Belief rotation-only": lambda rng: Ours(Belief.uniform(12)),
         "Belief forget .9": lambda rng: Ours(Belief.uniform(12), keep=0.9),
@@ -322,11 +301,11 @@ def follow_walk(filter_: Any, run: Walk) -> tuple[np.ndarray, float | None]:
 # ---------- the comparison
 
 
-def compare(split: str, episodes: int, progress: Callable[[str], None]) -> dict[str, Any]:
+def compare(split: str, episodes: int) -> tuple[dict[str, Any], dict[str, list]]:
     """Both experiments, all methods; raw values per episode."""
     base, standing = SEEDS[split], {}
     for index, scenario in enumerate(SCENARIOS):
-        progress(f"{scenario.name}: {scenario.what}")
+        print(f"... {scenario.name}: {scenario.what}", file=sys.stderr, flush=True)
         rows: dict[str, list] = {name: [] for name in methods()}
         for number in range(episodes):
             run = episode(scenario, (base, index, number))
@@ -334,92 +313,61 @@ def compare(split: str, episodes: int, progress: Callable[[str], None]) -> dict[
                 rows[name].append(score(follow(make(np.random.default_rng((base, index, number, 1))), run), run.truth))
         standing[scenario.name] = {name: list(zip(*values, strict=True)) for name, values in rows.items()}
     walks: dict[str, list] = {name: [] for name in walk_methods()}
-    progress("the walk")
+    print("... the walk", file=sys.stderr, flush=True)
     for number in range(max(12, round(WALKS_PER_EPISODE * episodes))):
         run_ = walk((base, 100, number))
         for name, make in walk_methods().items():
             walks[name].append(follow_walk(make(np.random.default_rng((base, 100, number, 1))), run_))
-    return {"standing": standing, "walk": walks}
+    return standing, walks
 
 
-def _figure(values: Iterable[float]) -> dict[str, float]:
+def _cell(values: Iterable[float]) -> str:
     array = np.asarray(list(values), dtype=float)
-    interval = bootstrap_interval(array, np.random.default_rng(0), resamples=1000)
-    return {"mean": float(array.mean()), "low": interval.low, "high": interval.high, "n": len(array)}
+    span = bootstrap_interval(array, np.random.default_rng(0), resamples=1000)
+    return f"{array.mean():.1f} [{span.low:.1f} {span.high:.1f}]"
 
 
-def summarise(raw: dict[str, Any]) -> dict[str, Any]:
-    """Figures with intervals, ready for JSON."""
-    standing, walks = raw["standing"], raw["walk"]
-    names = list(methods())
-    pooled = {n: np.concatenate([np.asarray(standing[s][n][0]) for s in standing]) for n in names}
-    table: dict[str, Any] = {}
-    for name in names:
-        per = {s: standing[s][name] for s in standing}
-        entry: dict[str, Any] = {
-            "error_deg": {s: _figure(v[0]) for s, v in per.items()} | {"all": _figure(pooled[name])},
-            "within_20_deg": {s: float(np.mean(np.asarray(v[0]) < 20)) for s, v in per.items()},
-        }
-        if per["S1"][1][0] is not None:
-            entry["log_score"] = {s: float(np.mean(v[1])) for s, v in per.items()}
-            entry["coverage_90"] = {s: float(np.mean(v[2])) for s, v in per.items()}
-            for key in ("log_score", "coverage_90"):
-                entry[key]["all"] = float(np.mean(list(entry[key].values())))
-        if name != OURS:
-            pair = paired_difference(pooled[OURS], pooled[name], np.random.default_rng(0))
-            entry["ours_minus_this_deg"] = {
-                "mean": pair.difference, "low": pair.interval.low, "high": pair.interval.high, "p": pair.p
-            }  # fmt: skip
-        table[name] = entry
-    walked = {}
-    for name, runs in walks.items():
-        errors = np.stack([errors for errors, _ in runs])
-        walked[name] = {"all_deg": _figure(errors.mean(axis=1)), "last_ten_deg": _figure(errors[:, -10:].mean(axis=1))}
-        if runs[0][1] is not None:
-            walked[name]["distance_error_percent"] = _figure(100 * d for _, d in runs)
-    ours, published = walked["RangedBelief"]["last_ten_deg"]["mean"], walked["Published"]["last_ten_deg"]["mean"]
-    return {
-        "standing": table,
-        "walk": walked,
-        "required": {"RangedBelief_last_ten_below_12": ours < 12, "Published_last_ten_above_40": published > 40},
-    }
-
-
-def _cell(figure: dict[str, float]) -> str:
-    return f"{figure['mean']:.1f} [{figure['low']:.1f} {figure['high']:.1f}]"
-
-
-def print_report(split: str, episodes: int, found: dict[str, Any]) -> None:
-    """The tables, to stdout."""
+def print_report(split: str, episodes: int, standing: dict[str, Any], walks: dict[str, list]) -> bool:
+    """The tables, to stdout; whether what is required of the walk holds."""
     print(f"Split: {split}, seeds ({SEEDS[split]}, scenario, episode); {episodes} episodes per scenario.")
     for scenario in SCENARIOS:
         print(f"  {scenario.name}: {scenario.what}")
-    columns = [s.name for s in SCENARIOS] + ["all"]
+    columns = [*standing, "all"]
+    pooled = {name: np.concatenate([standing[s][name][0] for s in standing]) for name in methods()}
     print("\nMean direction error after the last frame, degrees [95 % interval]")
     print(f"{'':17}" + "".join(f"{c:>19}" for c in columns))
-    for name, entry in found["standing"].items():
-        print(f"{name:17}" + "".join(f"{_cell(entry['error_deg'][c]):>19}" for c in columns))
-    for key, title in (
-        ("coverage_90", "Share of truths inside the 90 % credible region (aim 0.85 to 0.95)"),
-        ("log_score", "Log score: mean log density of the truth, nats per steradian (knowing nothing: -2.53)"),
+    for name in methods():
+        errors = [*(standing[s][name][0] for s in standing), pooled[name]]
+        print(f"{name:17}" + "".join(f"{_cell(values):>19}" for values in errors))
+    for part, title in (
+        (2, "Share of truths inside the 90 % credible region (aim 0.85 to 0.95)"),
+        (1, "Log score: mean log density of the truth, nats per steradian (knowing nothing: -2.53)"),
     ):
         print(f"\n{title}\n{'':17}" + "".join(f"{c:>8}" for c in columns))
-        for name, entry in found["standing"].items():
-            if key in entry:
-                print(f"{name:17}" + "".join(f"{entry[key][c]:8.2f}" for c in columns))
+        for name in methods():
+            if standing["S1"][name][1][0] is not None:
+                means = [float(np.mean(standing[s][name][part])) for s in standing]
+                print(f"{name:17}" + "".join(f"{value:8.2f}" for value in [*means, np.mean(means)]))
     print(f"\n{OURS} minus the other, degrees, all scenarios, paired by episode (negative: ours is better)")
-    for name, entry in found["standing"].items():
-        if "ours_minus_this_deg" in entry:
-            pair = entry["ours_minus_this_deg"]
-            chance = "< 0.001" if pair["p"] < 0.001 else f"= {pair['p']:.3f}"
-            print(f"  {name:17}{_cell(pair):>22}   p {chance}")
-    count = found["walk"]["Published"]["all_deg"]["n"]
+    for name in methods():
+        if name != OURS:
+            pair = paired_difference(pooled[OURS], pooled[name], np.random.default_rng(0))
+            chance = "< 0.001" if pair.p < 0.001 else f"= {pair.p:.3f}"
+            cell = f"{pair.difference:.1f} [{pair.interval.low:.1f} {pair.interval.high:.1f}]"
+            print(f"  {name:17}{cell:>22}   p {chance}")
+    count = len(walks["Published"])
     print(f"\nThe walk, {count} walks: mean error (deg), the same over the last ten steps, and of the distance there")
-    for name, entry in found["walk"].items():
-        distance = f"{_cell(entry['distance_error_percent'])} %" if "distance_error_percent" in entry else ""
-        print(f"  {name:21}{_cell(entry['all_deg']):>22}{_cell(entry['last_ten_deg']):>22}   {distance}")
-    for requirement, met in found["required"].items():
+    late = {name: [float(errors[-10:].mean()) for errors, _ in runs] for name, runs in walks.items()}
+    for name, runs in walks.items():
+        distance = f"{_cell(100 * d for _, d in runs)} %" if runs[0][1] is not None else ""
+        print(f"  {name:21}{_cell(errors.mean() for errors, _ in runs):>22}{_cell(late[name]):>22}   {distance}")
+    required = {
+        "RangedBelief_last_ten_below_12": np.mean(late["RangedBelief"]) < 12,
+        "Published_last_ten_above_40": np.mean(late["Published"]) > 40,
+    }
+    for requirement, met in required.items():
         print(f"  required: {requirement}: {'met' if met else 'NOT MET'}")
+    return all(required.values())
 
 
 # ---------- tuning
@@ -527,10 +475,9 @@ def tune(episodes: int) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = common.parser(__doc__)
     parser.add_argument("--episodes", type=int, help="per scenario; a fifth as many walks (default 200; --tune 30)")
     parser.add_argument("--split", choices=SEEDS, help="default report, the seeds that nothing was tuned on")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures here")
     parser.add_argument("--tune", action="store_true", help="sweep all settings on the development seeds instead")
     args = parser.parse_args()
     if args.tune:
@@ -539,13 +486,7 @@ def main() -> int:
         tune(args.episodes or 30)
         return 0
     split, episodes = args.split or "report", args.episodes or 200
-    found = summarise(compare(split, episodes, lambda text: print(f"... {text}", file=sys.stderr, flush=True)))
-    print_report(split, episodes, found)
-    if args.json:
-        args.json.write_text(
-            json.dumps({"split": split, "seed": SEEDS[split], "episodes": episodes, **found}, indent=1)
-        )
-    return 0 if all(found["required"].values()) else 1
+    return 0 if print_report(split, episodes, *compare(split, episodes)) else 1
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How long a Go2 needs from each fault to standing, through the guard over DDS, on this machine.
 
-    python benchmarks/safety.py [--robot peer] [--repeats 20] [--faults NAME ...] [--out FILE.json]
+    python benchmarks/safety.py [--robot peer] [--repeats 20] [--faults NAME ...]
 
 The robot is the peer of the tests, or the package's own simulated Go2 (--robot sim, which cannot lean or fall silent).
 Both note each request when it comes, and their bodies have the dead time (0.15 s) and the lag (0.30 s) that were fitted
@@ -14,7 +14,6 @@ the detector and the camera, too.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import subprocess
@@ -97,11 +96,10 @@ def main() -> int:
     parser.add_argument("--robot", choices=("peer", "sim"), default="peer")
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--faults", nargs="*", default=[*TRIALS, *ENDED])
-    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.robot == "sim":
         options.faults = [name for name in options.faults if name not in PEERS]
-    table, bad, robot = {}, 0, Peer if options.robot == "peer" else Simulated
+    bad, robot = 0, Peer if options.robot == "peer" else Simulated
     print(f"| fault | zero p50 (ms) | zero max (ms) | standing p50 (ms) | standing max (ms) | n = {options.repeats} |")
     print("|---|---:|---:|---:|---:|---|")
     for name in options.faults:
@@ -112,9 +110,6 @@ def main() -> int:
         bad += not fine
         row = (np.median(zero), zero.max(), np.median(standing), standing.max())
         print(f"| {name} | {' | '.join(f'{value:.0f}' for value in row)} | {'' if fine else 'TOO LATE'} |", flush=True)
-        table[name] = {"zero": zero.tolist(), "standing": standing.tolist()}
-    if options.out:
-        options.out.write_text(json.dumps(table))
     return bool(bad)
 
 

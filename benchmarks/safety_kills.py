@@ -1,7 +1,6 @@
 """How soon a walking Go2 is commanded to stand when a process that it depends on is killed, or frozen for a while.
 
     python benchmarks/safety_kills.py [--repeats 3] [--speeds 0.15 0.5] [--seconds 1 3 8] [--faults NAME ...]
-                                      [--out FILE.json]
 
 Four processes walk the package's simulated Go2 in a circle, over DDS on this machine: the program (the live loop with
 its odometry, the steering), the guard, the detector (`colour`), and a camera with ten pictures per second, which arrive
@@ -220,7 +219,6 @@ def main() -> int:
     parser.add_argument("--speeds", type=float, nargs="+", default=[0.15, 0.5], help="metres per second")
     parser.add_argument("--seconds", type=float, nargs="*", default=[1.0, 3.0, 8.0], help="for which it is frozen")
     parser.add_argument("--faults", nargs="+", default=[*PROCESSES, "second commander"])
-    parser.add_argument("--out", type=Path)
     parser.add_argument("--program", nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--camera", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -232,7 +230,7 @@ def main() -> int:
             return 0
     if options.program is not None:
         return 1
-    table, bad = [], 0
+    bad = 0
     print("| fault | m/s | zero p50 (ms) | zero max (ms) | standing max (ms) | again |  |")
     print("|---|---:|---:|---:|---:|---:|---|")
     for speed in options.speeds:
@@ -251,12 +249,6 @@ def main() -> int:
                     bad += not fine
                     row = f"{speed:g} | {np.median(zero):.0f} | {zero.max():.0f} | {standing:.0f} | {again}"
                     print(f"| {what} | {row} | {'' if fine else 'TOO LATE'} |", flush=True)
-                    table.append(
-                        {"fault": what, "speed": speed, "zero": (zero / 1000).tolist(),
-                         "standing": [trial.standing for trial in trials], "again": ended}
-                    )  # fmt: skip
-    if options.out:
-        options.out.write_text(json.dumps(table))
     return bool(bad)
 
 

@@ -1,7 +1,7 @@
 """How well do we search? Ours against the fixed sweep and against answering from single views, with the same noisy eye.
 
     python benchmarks/search.py [--split dev|report] [--apartments 40] [--looks 2] [--noise miss=0.3,false_alarm=0.2]
-                                [--samples DIR] [--json FILE] [--folder DIR]
+                                [--samples DIR]
     python benchmarks/search.py --fit 60    # how our settings were found: random trials on development apartments
 
 Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
@@ -43,10 +43,10 @@ from eagor.grids import ErpGrid
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
-from eagor.tasks.hstar.data import ANNOTATION, STARTS, Episode, open_panorama, read_episodes
+from eagor.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episodes
 from eagor.tasks.hstar.perception import CALIBRATION, TruthEye, annotated, open_eye
 from eagor.tasks.hstar.play import make_agent, play
-from eagor.tasks.hstar.rules import View, level_of, render_view
+from eagor.tasks.hstar.rules import View, level_of
 from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.rules import Camera
@@ -70,29 +70,22 @@ def main() -> int:
     parser.add_argument("--looks", type=int, default=2, help="repetitions of every episode with other luck")
     parser.add_argument("--noise", default="", help="as for the perception truth (default: moderate)")
     parser.add_argument("--samples", type=Path, help="a folder in H*Bench's layout, such as hstar_mini")
-    parser.add_argument("--folder", type=Path, help="keep the apartments' episodes here")
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--fit", type=int, metavar="TRIALS", help="try settings of ours on dev instead")
     options = parser.parse_args()
     if options.fit and options.split != "dev":
         parser.error("settings are fitted on --split dev only")
-    found: dict[str, Any] = {"split": options.split, "noise": options.noise or "moderate", "sets": {}}
+    noise = Noise.parse(options.noise)
     with tempfile.TemporaryDirectory() as temporary:
+        sets = {"apartments": apartments(Path(temporary), FIRST[options.split], options.apartments)}
         if options.fit:
-            episodes = apartments(options.folder or Path(temporary), FIRST["dev"], options.apartments)
-            fit(episodes, Noise.parse(options.noise), options.looks, options.fit)
+            fit(sets["apartments"], noise, options.looks, options.fit)
             return 0
-        sets = {"apartments": apartments(options.folder or Path(temporary), FIRST[options.split], options.apartments)}
         if options.samples:
             sets["photographs"] = read_episodes(options.samples, "hos")
         for name, episodes in sets.items():
-            print(f"\n{name}: {len(episodes)} episodes, {options.looks} times each, {found['noise']}, {options.split}")
-            runs = measured(episodes, Noise.parse(options.noise), options.looks, LUCK[options.split])
-            found["sets"][name] = told(runs)
-    if options.samples:
-        drawing(sets["photographs"][0])
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+            how = f"{options.looks} times each, {options.noise or 'moderate'}, {options.split}"
+            print(f"\n{name}: {len(episodes)} episodes, {how}")
+            show(measured(episodes, noise, options.looks, LUCK[options.split]))
     return 0
 
 
@@ -163,10 +156,8 @@ def box_of(mask: np.ndarray) -> tuple[float, float, float, float]:
 def apartments(folder: Path, first: int, count: int) -> list[Episode]:
     """The episodes of so many apartments."""
     for seed in range(first, first + count):
-        if not (folder / "hos_bench" / f"apartment_{seed:04d}").exists():
-            write_scene(spot(seed), folder / "hos_bench")
-    wanted = {f"apartment_{seed:04d}" for seed in range(first, first + count)}
-    return [episode for episode in read_episodes(folder, "hos") if episode.scene in wanted]
+        write_scene(spot(seed), folder / "hos_bench")
+    return read_episodes(folder, "hos")
 
 
 def measured(episodes: Sequence[Episode], noise: Noise, looks: int, luck: int) -> dict[str, list[dict[str, Any]]]:
@@ -239,40 +230,24 @@ def line(records: Sequence[dict[str, Any]]) -> str:
     return f"{success:5.1f} % ({low:.1f} to {high:.1f}), {views:4.1f} views; by turn {turns}"
 
 
-def told(runs: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
-    """The goals, printed and returned."""
+def show(runs: dict[str, list[dict[str, Any]]]) -> None:
+    """What is printed below the agents."""
     ours = runs["eagor"]
-    found: dict[str, Any] = {"agents": {}}
-    for agent, records in runs.items():
-        found["agents"][agent] = {
-            "success": 100 * float(np.mean([record["score"] for record in records])),
-            "interval": interval([record["score"] for record in records], records),
-            "views": float(np.mean([record["views"] for record in records])),
-            "by_turn": [100 * float(share) for share in by_turn(records)],
-        }
     for other in ("single", "centroid"):
         ratio, low, high = ratio_of(ours, runs[other])
-        found[f"ratio_to_{other}"] = [ratio, low, high]
         print(f"  success over that of {other}: {ratio:.2f} ({low:.2f} to {high:.2f})")
     for other in ("sweep", "grid"):
-        found[f"views_against_{other}"] = same_success(runs["eagor"], runs[other])
-        need, has, ratio, success = found[f"views_against_{other}"]
+        need, has, ratio, success = same_success(ours, runs[other])
         print(f"  {success:.1f} % takes the {other} {has} views and ours {need:.2f}: {ratio:.2f} times fewer")
-    turns = by_turn(ours)
-    found["largest_fall_by_turn"] = float(max(0.0, -np.diff(turns).min()) * 100)
-    print(f"  rises with each turn: largest fall from one turn to the next {found['largest_fall_by_turn']:.1f} points")
     said = [(step["would"]["p"], step["would"]["strict"]) for record in ours for step in record["steps"]]
     table = reliability([p for p, _ in said], [good for _, good in said], 10)
-    found["reliability"] = [[row.stated, row.frequency, row.n] for row in table]
     print("  stated -> found (n): " + ", ".join(f"{r.stated:.2f} -> {r.frequency:.2f} ({r.n})" for r in table if r.n))
     sure = [record["score"] == 1 for record in ours if record["sure"]]
     share = wilson_interval(sum(sure), len(sure))
-    found["sure"] = {"n": len(sure), "right": float(np.mean(sure)), "interval": [share.low, share.high]}
     print(
         f"  submitted because sure: {len(sure)} of {len(ours)}, {100 * np.mean(sure):.1f} % right "
         f"({100 * share.low:.1f} to {100 * share.high:.1f}); calibration error {100 * calibration_error(table):.1f} %"
     )
-    return found
 
 
 def by_turn(records: Sequence[dict[str, Any]]) -> np.ndarray:
@@ -314,16 +289,6 @@ def same_success(ours: Sequence[dict[str, Any]], theirs: Sequence[dict[str, Any]
     if turn and curve[turn] > curve[turn - 1]:
         need = turn + (wanted - curve[turn - 1]) / (curve[turn] - curve[turn - 1])
     return float(need), has, has / need, 100 * wanted
-
-
-def drawing(episode: Episode) -> None:
-    """What a full view costs, for those that look at pictures."""
-    image = open_panorama(episode.panorama)
-    render_view(image, 0, 0)
-    began = time.process_time()
-    for yaw in range(10):
-        render_view(image, 7 * yaw, 0)
-    print(f"\ndrawing a view of 1080 x 1920: {100 * (time.process_time() - began):.0f} ms")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How many looks does an ordinary camera need until a thing is found? Ours against sweeps and against the belief alone.
 
-    python benchmarks/search_looking.py [PANORAMAS] [--apartments 30] [--hfov 90] [--json FILE]
+    python benchmarks/search_looking.py [PANORAMAS] [--apartments 30] [--hfov 90]
 
 A camera of 90 degrees (4:3) turns on the spot, a look a second, and a tracker follows (`eagor.cli.demo_looking`). A
 thing is found once the answer is within 15 degrees of it (of any instance) and its presence is above 0.9. After 24
@@ -17,7 +17,6 @@ over things (the four starts of one together); the last column is the difference
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -26,6 +25,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import common
 import numpy as np
 from search import Spot, spot
 
@@ -122,21 +122,19 @@ def photographs(folder: Path) -> Iterator[Case]:
             yield Case(f"{name}, {query}", direction(*angles.T), partial(looks, query))
 
 
-def table(cases: list[Case], grid: PerspectiveGrid) -> dict[str, object]:
-    """Search for every thing from every heading with every choice; print and return the figures."""
+def table(cases: list[Case], grid: PerspectiveGrid) -> None:
+    """Search for every thing from every heading with every choice; print the figures."""
     counts = {
         choice: np.array([[looks_until_found(c, choice, s, grid) for s in STARTS] for c in cases]) for choice in CHOICES
     }
-    groups, found = np.repeat(np.arange(len(cases)), len(STARTS)), {}
+    groups = np.repeat(np.arange(len(cases)), len(STARTS))
     print(f"{'':8}{'looks until found':>26}{'found':>8}{'more than next':>26}")
     for choice, all_looks in counts.items():
         looks, ours = (np.minimum(each, MOST).ravel() for each in (all_looks, counts["next"]))
         mean, more = interval(looks, groups), interval(looks - ours, groups)
         share = 100 * float((all_looks <= MOST).mean())
-        found[choice] = {"looks": mean, "found": share, "more": more, "each": all_looks.tolist()}
         other = "" if choice == "next" else "{:+.2f} ({:+.2f} to {:+.2f})".format(*more)
         print(f"{choice:8}{'{:.2f} ({:.2f} to {:.2f})'.format(*mean):>26}{share:>6.0f} %{other:>26}", flush=True)
-    return found
 
 
 def interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float, float]:
@@ -147,23 +145,19 @@ def interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float, floa
 
 def main() -> int:
     """Search, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = common.parser(__doc__)
     parser.add_argument("panoramas", type=Path, nargs="?", help="the folder of the photographs")
     parser.add_argument("--apartments", type=int, default=30)
     parser.add_argument("--hfov", type=float, default=90.0)
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     grid = PerspectiveGrid(480, 640, math.radians(options.hfov))
     sets = {"apartments, truth": (apartments(options.apartments), grid.resized(48, 64))}
     if options.panoramas:
         sets["photographs, coco"] = photographs(options.panoramas), grid
-    found = {}
     for name, (cases, pixels) in sets.items():
         if things := list(cases):
             print(f"\n{name}: {len(things)} things, {len(STARTS)} headings each, {options.hfov:g} degrees", flush=True)
-            found[name] = table(things, pixels)
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+            table(things, pixels)
     return 0
 
 

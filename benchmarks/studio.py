@@ -1,6 +1,6 @@
 """The studio's server, measured from outside: updates per second, how old they are, the first picture, many pages.
 
-    python benchmarks/studio.py                            one page, and the bytes of the page
+    python benchmarks/studio.py                            one page
     python benchmarks/studio.py --pages 20 --seconds 300   twenty pages, one of which reads one message in two seconds
     python benchmarks/studio.py --apartments 12 --seconds 10   one page, and the memory after each apartment in a row
 
@@ -15,7 +15,6 @@ import argparse
 import asyncio
 import json
 import os
-import re
 import signal
 import socket
 import struct
@@ -191,18 +190,6 @@ def named(costs: dict[int, tuple[float, float]]) -> dict[str, tuple[float, float
     return dict(zip(("server", "engine", "eye", "runs"), (costs[each] for each in sorted(costs)), strict=False))
 
 
-def page_bytes(address: str) -> dict[str, int]:
-    """The bytes of the page and of what it loads, uncompressed."""
-    try:
-        text = urlopen(address).read()
-    except OSError:
-        return {}  # not built
-    found = {"/": len(text)}
-    for name in re.findall(r'(?:src|href)="\./(assets/[^"]+)"', text.decode()):
-        found[name] = len(urlopen(address + name).read())
-    return found | {"all": sum(found.values())}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pages", type=int, default=1)
@@ -223,7 +210,7 @@ def main() -> None:
             told = in_row(address, options.apartments, options.seconds, options.drive, server.pid)
             print(json.dumps({"memory_mb": asyncio.run(told)}, indent=1))
             return
-        found = {"warm_s": round(warm, 1), "load_before": round(load, 1), "page_bytes": page_bytes(address)}
+        found = {"warm_s": round(warm, 1), "load_before": round(load, 1)}
         found |= asyncio.run(measure(address, options.pages, options.seconds, options.drive))
         after = cost(server.pid)
         begun_with = named(before)

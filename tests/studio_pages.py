@@ -102,6 +102,45 @@ def browser() -> Iterator[Callable[..., Watched]]:
         launched.close()
 
 
+_FOCUSED = """(() => {
+    const one = document.activeElement;
+    if (one === document.body) return null;
+    const box = one.getBoundingClientRect();
+    const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+    const top = document.elementFromPoint(x, y), style = getComputedStyle(one);
+    const name = one.getAttribute("aria-label") || one.labels?.[0]?.textContent || one.textContent.trim();
+    return [(name || one.tagName).slice(0, 60), {
+        "has no outline": style.outlineStyle === "none" && !one.matches(".segments input"),
+        "is out of view": !top,
+        "is covered": top && !one.contains(top) && !one.closest("label")?.contains(top),
+        "is too small": box.width < 16 || box.height < 16,
+    }];
+})()"""
+
+
+def tabbed(page: Watched) -> list[str]:
+    """What the Tab key reaches, from the page's beginning to its end; all of it can be seen when it has the focus."""
+    page.evaluate("(() => { document.activeElement?.blur(); window.scrollTo(0, 0); })()")
+    page.locator(".skip").focus()
+    for key in ("Tab", "Shift+Tab"):  # a focus that comes by keys is shown, whatever was done before
+        page.keyboard.press(key)
+    names: list[str] = []
+    while (told := page.evaluate(_FOCUSED)) is not None:
+        wrong = [what for what, holds in told[1].items() if holds]
+        assert not wrong, f"{told[0]!r} {wrong}"
+        names.append(told[0])
+        assert len(names) < 90, f"the focus is trapped: {names[-10:]}"
+        page.keyboard.press("Tab")
+    return names
+
+
+def in_order(names: list[str], *wanted: str) -> None:
+    """Fail unless names with these beginnings are there, in this order."""
+    left = iter(names)
+    for each in wanted:
+        assert any(name.startswith(each) for name in left), f"{each!r} is not reached, or too early: {names}"
+
+
 def serious(page: Watched) -> list[str]:
     """What axe-core finds that is serious or worse."""
     if not AXE.is_file():

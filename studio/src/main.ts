@@ -79,8 +79,15 @@ const page: Page = { store, shell, stage, session, player, problems, state: () =
 const handlers: Record<View, ViewHandler> = { walk: walk(page), run: run(page), picture: picture(page), live: live(page) };
 
 function empty(...content: (Node | string)[]): void {
-  shell.empty.hidden = content.length === 0;
-  shell.empty.replaceChildren(h("div", {}, ...content));
+  const { empty: words, look, tools, stick, stage: all } = shell;
+  const at = document.activeElement;
+  const shown = content.length > 0;
+  // What the words cover cannot be reached; whoever was in what goes is at the panorama as a whole.
+  const lost = words.contains(at) || (shown && [look, tools, stick].some((one) => one.contains(at)));
+  words.hidden = !shown;
+  look.inert = tools.inert = stick.inert = shown;
+  words.replaceChildren(h("div", {}, ...content));
+  if (lost) all.focus({ preventScroll: true });
 }
 
 function badge(text: string): void {

@@ -205,6 +205,10 @@ export const words = {
     label: "Answer",
     none: "Nothing is known yet",
     presence: "Presence",
+    sure: "How sure",
+    /** Never 0 % or 100 %. */
+    howSure: (share: number) => `${Math.min(Math.max(Math.round(100 * share), 1), 99)} %`,
+    isSure: (share: number) => `${words.answer.howSure(share)} sure`,
     cone: (mass: number) => `${whole(100 * mass)} % within`,
     error: "Off the truth by",
     distance: "Distance",
@@ -222,6 +226,7 @@ export const words = {
 
   candidates: {
     label: "Candidates",
+    hint: "How likely it is thereabouts, if it is here.",
     none: "No candidate stands out.",
     row: (azimuth: number, elevation: number) => `${side(azimuth)}, ${height(elevation)}`,
     look: (where: string) => `Look at ${where}`,
@@ -229,7 +234,7 @@ export const words = {
 
   others: {
     label: "What else is here?",
-    hint: "All that the detector has seen, the surest first. Choose one to ask for it.",
+    hint: "All that the detector has seen, and how sure it is that each is here, within 15° of there. Choose one to ask for it.",
     unsure: "somewhere",
     seen: (looks: number, of: number) => `seen in ${looks} of ${of} looks`,
   },

@@ -22,7 +22,7 @@ from PIL import Image
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
 from eagor.lenses import PinholeLens
 from eagor.media import Frame, check_camera
-from eagor.media.camera_sources import Newest, open_camera
+from eagor.media.camera_sources import open_camera
 from eagor.media.clocks import PROBATION, StreamClock
 from eagor.media.intrinsics import camera_of
 from eagor.media.live_camera import Feed, LiveCamera
@@ -508,7 +508,7 @@ def test_a_damaged_stream_goes_on(tmp_path):
     assert lost
 
 
-# --- the newest frame ------------------------------------------------------------------------------------------------
+# --- sources that are live --------------------------------------------------------------------------------------------
 
 
 class Fast:
@@ -530,49 +530,15 @@ class Fast:
         self.shut.set()
 
 
-def test_newest_skips_what_nobody_took_and_counts_it():
-    newest = Newest(Fast())
-    until(lambda: newest.skipped == 9, "end of the frames")
-    assert newest.take(1).stamp == 9.0
-    assert newest.take(0.01) is None
-    assert not newest.ended
-    newest.close()
-    newest.close()
-    assert newest.ended
-    assert newest.take() is None
-
-
-def test_newest_of_a_file_skips_nothing(tmp_path):
-    with Newest(open_camera(str(folder(tmp_path, clips.rolled(5))))) as newest:
-        names = []
-        while (frame := newest.take(WAIT)) is not None:
-            names.append(frame.name)
-            time.sleep(0.01)
-        assert names == [f"{k}.png" for k in range(5)]
-        assert newest.ended
-        assert newest.skipped == 0
-
-
-def test_newest_raises_the_error_of_its_source_once():
-    newest = Newest(Fast(0, ImageError("it broke")))
-    with pytest.raises(ImageError, match="it broke"):
-        newest.take(WAIT)
-    assert newest.take(WAIT) is None
-    assert newest.ended
-
-
-def test_newest_stitches_only_what_is_taken():
+def test_only_what_is_taken_is_stitched():
     count = 50
     opening = raw_pipe("pipe:rgb24:128x64:stamped", raw(clips.rolled(count), [100.0 + k for k in range(count)]))
     camera = LiveCamera([opening])
     made = []
     make, camera._makers[0].make = camera._makers[0].make, lambda *pictures: made.append(1) or make(*pictures)
-    with Newest(camera) as newest:
-        until(lambda: camera.dropped == count - 1, "end of the pipe")
-        assert newest.take(WAIT).stamp == 100.0 + count - 1
-        assert newest.take(WAIT) is None
+    until(lambda: camera.dropped == count - 1, "end of the pipe")
+    assert [frame.stamp for frame in camera] == [100.0 + count - 1]
     assert len(made) == 1
-    assert newest.dropped == count - 1
 
 
 # --- stamps ----------------------------------------------------------------------------------------------------------

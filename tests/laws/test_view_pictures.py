@@ -57,7 +57,7 @@ def test_the_mark_is_where_the_camera_sees_the_answer(grid):
     disc = cyan[np.hypot(*(cyan - at).T) < 7]
     assert len(disc) > 40
     assert np.abs(disc.mean(axis=0) - at).max() < 1
-    assert f"{100 * estimate.sureness:.0f} %" in [text.get_text() for text in scene._view.texts]
+    assert f"{100 * estimate.sureness:.0f} % sure" in [text.get_text() for text in scene._view.texts]
 
 
 @pytest.mark.parametrize(("width", "height"), [(640, 480), (1280, 720), (1260, 540), (360, 640), (2000, 500)])
@@ -96,7 +96,7 @@ def test_out_of_view_the_picture_says_how_far_and_how_sure():
     painter = StepPainter(1280)
     painter.paint(picture(WIDE), estimate, grid=WIDE)
     scene = painter._scene.view
-    assert f"130°\n{100 * estimate.sureness:.0f} %" in [text.get_text() for text in scene._view.texts]
+    assert f"130°\n{100 * estimate.sureness:.0f} % sure" in [text.get_text() for text in scene._view.texts]
     assert scene._words.get_text().split() == ["behind", "you", "to", "the", "left", "(130", "degrees)"]
     painter.paint(None, seen([1.0, 0.0, 0.0]).turned(1.5, np.eye(3)), problem="it is no picture")
     assert "left out: it is no picture" in [text.get_text() for text in scene._view.texts]

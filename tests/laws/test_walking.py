@@ -80,6 +80,19 @@ def test_it_gets_there_and_stops_at_the_distance(far, direction):
     assert abs(math.remainder(math.atan2(*(np.array(goal) - path[-1, :2])[::-1]) - path[-1, 2], 2 * math.pi)) < 0.2
 
 
+@pytest.mark.parametrize(
+    ("free", "words"), [(0.0, "it walks"), (0.3, "it walks"), (0.7, "in the way"), (1.0, "in the way")]
+)
+def test_only_the_time_that_the_gate_lets_it_walk_counts_as_stuck(free, words):
+    """Ten seconds on the spot, free in that share of each second. The gate, or a dry run, holds it for the rest."""
+    state, said = Walk(), ""
+    for index in range(200):
+        sight = Sight(index * STEP, "tracking", 0.0, 0.0, 5.0, 0.1, (0.0, 0.0), 0.0)
+        state, wish = walk(RULES, state, sight, held=index % 20 >= 20 * free)
+        said = wish.words
+    assert words in said
+
+
 def test_it_turns_in_place_first():
     path, wishes = played((0.0, 3.0))
     first = next(index for index, wish in enumerate(wishes) if wish.doing == "walking")

@@ -222,7 +222,9 @@ def test_predictions(folder, blob):
 QUATERNIONS = "stamp,qw,qx,qy,qz\n"
 
 
-@pytest.mark.parametrize("head", ["stamp,qw,qx,qy,qz,x,y,z,frame", "frame,roll_deg,stamp,pitch_deg,yaw_deg"])
+@pytest.mark.parametrize(
+    "head", ["stamp,qw,qx,qy,qz,x,y,z", "roll_deg,stamp,pitch_deg,yaw_deg", "stamp,qw,qx,qy,qz,frame"]
+)
 def test_poses_that_are_read_at_once_are_those_of_each_line(tmp_path, monkeypatch, head):
     rng, file = np.random.default_rng(0), tmp_path / "poses.csv"
     lines = [head]

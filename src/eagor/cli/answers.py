@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from eagor._tables import as_csv
 from eagor.cli.checks import checked_out
@@ -15,7 +15,7 @@ from eagor.cli.terminal import UsageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.tracking.estimate import Estimate
+    from eagor.perception.footage import FollowedFrame
 
 # --- on the terminal: at most 120 columns wide also with every method side by side ----------------------------------
 
@@ -27,17 +27,6 @@ SHORT = {
 }  # fmt: skip
 
 
-class Answered(Protocol):
-    """One frame: its `stamp` (seconds), our estimate, and other methods' directions ``(3,)`` by name."""
-
-    @property
-    def stamp(self) -> float: ...
-    @property
-    def estimate(self) -> Estimate: ...
-    @property
-    def others(self) -> Mapping[str, np.ndarray]: ...
-
-
 def header(rivals: Sequence[str] = ()) -> str:
     """The names of the columns; `rivals` are the other methods to compare with, in the order of `line`."""
     if not rivals:
@@ -46,7 +35,7 @@ def header(rivals: Sequence[str] = ()) -> str:
     return (ours + "".join(f" {SHORT.get(name, name)[:CELL]:>{CELL}}" for name in rivals)).rstrip()
 
 
-def line(frame: Answered, begins: float = 0.0) -> str:
+def line(frame: FollowedFrame, begins: float = 0.0) -> str:
     """One frame as a line under `header`, its stamp counted from `begins`. "-" is what is not known.
 
     With other methods the distance and the number of candidates are left out.

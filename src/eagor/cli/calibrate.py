@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -26,8 +26,7 @@ from eagor.cli.checks import (
     perception_for,
     say_of_replay,
 )
-from eagor.cli.options import Common, Force, Mask, Rows, Whole, bare, given
-from eagor.cli.track import Track
+from eagor.cli.options import Common, Footage, Force, Mask, Rows, Whole, bare, given
 from eagor.errors import EagorError, PoseError
 
 if TYPE_CHECKING:
@@ -87,28 +86,32 @@ class Calibrate(Common):
     rows: Rows = None
 
 
-RESPONSES_ONLY = ("trials", "workers")
-HEADS_ONLY = ("labels", "take")
-FOOTAGE_ONLY = ("queries", "rate", "mask", "force")
-NOT_OF_LOOKS = ("labels", "take", "episodes", "seed", "trials", "workers", "rows")
+# Options that only some of what can be calibrated take.
+RESPONSES, HEADS = ("trials", "workers"), ("labels", "take")
+EPISODES = ("episodes", "seed", "rows")  # responses and heads
+REPLAY, FOOTAGE = ("replay", "truth"), ("queries", "rate", "mask", "force")
 DEGREES = math.degrees(1)
 
 
 def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
-    what = options.words[0] if options.words in (("responses",), ("heads",)) else "footage"
-    replayed = options.replay is not None or options.truth is not None
-    if what == "footage":
+    if options.words not in (("responses",), ("heads",)):
         return footage(options)
-    other, others = ("responses", RESPONSES_ONLY) if what == "heads" else ("heads", HEADS_ONLY)
-    if wrong := given(options, others):
-        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} is for eagor calibrate {other}")
-    if wrong := given(options, FOOTAGE_ONLY if replayed else (*FOOTAGE_ONLY, "poses")):
+    of_heads, replayed = options.words == ("heads",), bool(given(options, REPLAY))
+    other, others = ("responses", RESPONSES) if of_heads else ("heads", HEADS)
+    _refuse(options, others, f"is for eagor calibrate {other}")
+    if wrong := given(options, FOOTAGE if replayed else (*FOOTAGE, "poses")):
         raise terminal.UsageError(f"--{wrong[0]} is for footage: eagor calibrate FRAMES --queries QUERY ...")
     if replayed:
-        return replay(options, what)
+        return replay(options)
     checked_rows(options.rows)
-    return heads(options) if what == "heads" else responses(options)
+    return heads(options) if of_heads else responses(options)
+
+
+def _refuse(options: Calibrate, names: Sequence[str], why: str) -> None:
+    """Raise `UsageError` if one of these options is given."""
+    if wrong := given(options, names):
+        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} {why}")
 
 
 def responses(options: Calibrate) -> int:
@@ -144,15 +147,14 @@ def responses(options: Calibrate) -> int:
     return terminal.OK
 
 
-def replay(options: Calibrate, what: str) -> int:
+def replay(options: Calibrate) -> int:
     """``eagor calibrate --replay FILE --truth FILE``."""
     from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
     from eagor.evaluation.labelled_looks import read_truth, replayed_looks
     from eagor.perception.replay import ReplayPerception
 
-    if wrong := given(options, ("perception", *NOT_OF_LOOKS)):
-        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} has no meaning with --replay and --truth")
-    if what == "heads" or options.replay is None or options.truth is None:
+    _refuse(options, ("perception", *HEADS, *RESPONSES, *EPISODES), "has no meaning with --replay and --truth")
+    if options.words == ("heads",) or options.replay is None or options.truth is None:
         raise terminal.UsageError("--replay FILE and --truth FILE belong together, and not to eagor calibrate heads")
     out = checked_out(options.out or Path("calibration-replay.json"))
     check_not_read(out, "--out", [options.replay, options.truth, Path(options.poses)])
@@ -205,8 +207,7 @@ def footage(options: Calibrate) -> int:
         if os.path.exists(options.words[0]):
             raise terminal.UsageError(f"{told}: wanted --queries QUERY ... as well, to say what to look for")
         raise terminal.UsageError(f"WHAT {told!r}: wanted responses or heads; or {what}")
-    if wrong := given(options, ("replay", "truth", *NOT_OF_LOOKS)):
-        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} has no meaning with footage")
+    _refuse(options, (*REPLAY, *HEADS, *RESPONSES, *EPISODES), "has no meaning with footage")
     queries = tuple(dict.fromkeys(map(checked_query, options.queries)))
     specs = {perception_for(query, options.perception) for query in queries}
     if len(specs) > 1:
@@ -234,11 +235,8 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
     from eagor.perception.footage import HiddenParts, look_at
 
     perception, found, lost, bad = make_perception(spec, busy=True), [], 0, 0
-    track = Track(
-        words=(*options.words, queries[0]), poses=options.poses, rate=options.rate, mask=options.mask,
-        force=options.force,
-    )  # fmt: skip
-    journey = journey_of(track, [Path(word) for word in options.words], perception)
+    through = Footage(poses=options.poses, rate=options.rate, force=options.force)
+    journey = journey_of(through, [Path(word) for word in options.words], perception)
     with terminal.progress("looking", journey.count, shown=not options.json) as advance:
         hidden = HiddenParts(mask_of(options.mask), terminal.log)
         for step, looks, problem in look_at(journey.frames, perception, queries, hidden):
@@ -246,14 +244,12 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
             if problem is not None:
                 terminal.warning(f"{step.frame} is left out: {problem}")
                 bad += 1
-            for query, evidence in zip(queries, looks, strict=True):
-                if evidence:
-                    pose, name = step.pose, f"{query}, {lost}"
-                    found.append(
-                        LabelledLook(
-                            joined(evidence), np.zeros((0, 3)), pose.stamp, name, pose.world_R_body, pose.position
-                        )
-                    )
+            stamp, world_R_body, position, _ = step.pose
+            found += [
+                LabelledLook(joined(seen), np.zeros((0, 3)), stamp, f"{query}, {lost}", world_R_body, position)
+                for query, seen in zip(queries, looks, strict=True)
+                if seen
+            ]
             advance()
     for query in queries:
         say_of_replay(perception, query, sum(look.group.startswith(f"{query}, ") for look in found))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_out, checked_picture, checked_rows, keep_picture
+from eagor.cli.checks import check_not_read, checked_out, checked_picture, checked_rows, keep_picture, rig_of
 from eagor.cli.options import Common, Flag, bare
 from eagor.errors import DeviceError, ImageError
 
@@ -118,7 +118,7 @@ def calibrate(options: CameraCalibrate) -> int:
     """``eagor camera calibrate``."""
     from eagor.media.lens_calibration import ROUNDS
     from eagor.media.lens_calibration import calibrate as fit
-    from eagor.media.rigs import read_rig, write_rig
+    from eagor.media.rigs import write_rig
 
     if options.field is not None and not 100 <= options.field <= 280:
         raise terminal.UsageError(f"--field {options.field:g}; wanted degrees from rim to rim, 100 to 280")
@@ -128,7 +128,7 @@ def calibrate(options: CameraCalibrate) -> int:
         raise terminal.UsageError(f"--every {options.every:g}; wanted seconds above 0")
     out = checked_out(options.out)
     check_not_read(out, "--out", [Path(part) for text in options.pictures for part in text.split(",")])
-    rig = None if options.rig is None else read_rig(options.rig)
+    rig = rig_of(options.rig)
     moments = _moments(options.pictures, options.every)
     fov = None if options.field is None else math.radians(options.field)
     with terminal.progress("looking", ROUNDS * len(moments), shown=not options.json) as advance:
@@ -175,8 +175,9 @@ def view(options: CameraView) -> int:
     import numpy as np
     from PIL import Image
 
+    from eagor.media.footage import is_video
     from eagor.media.lens_calibration import overlap_of, with_seam
-    from eagor.media.rigs import dual_fisheye, read_rig
+    from eagor.media.rigs import dual_fisheye
     from eagor.media.stitching import Stitcher
 
     inputs = [Path(part) for part in options.picture.split(",")]
@@ -185,8 +186,8 @@ def view(options: CameraView) -> int:
             check_not_read(path, option, inputs)
             checked_picture(path)
     checked_rows(options.rows)
-    rig = None if options.rig is None else read_rig(options.rig)
-    pictures = list(next(_film(inputs, rig, options.stamp))) if _is_film(inputs) else _read(options.picture)
+    rig = rig_of(options.rig)
+    pictures = list(next(_film(inputs, rig, options.stamp))) if is_video(inputs, True) else _read(options.picture)
     if rig is None:
         if len(pictures) > 1:
             raise terminal.UsageError("several pictures of one moment need --rig FILE.yaml, which says where they look")
@@ -244,15 +245,9 @@ def latency(options: CameraLatency) -> int:
     found = latency_between(steps, odometry_of_file(options.poses), most=options.most)
     low, high = found.interval
     if options.json:
-        told: dict[str, Any] = {
-            "latency_s": found.seconds,
-            "low_s": low,
-            "high_s": high,
-            "correlation": found.correlation,
-        }
-        terminal.emit(
-            {key: round(value, 5) for key, value in told.items()} | {"steps": found.steps, "mirrored": found.mirrored}
-        )
+        told = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}
+        rounded: dict[str, Any] = {key: round(value, 5) for key, value in told.items()}
+        terminal.emit(rounded | {"steps": found.steps, "mirrored": found.mirrored})
     else:
         print(f"latency      {found.seconds:.3f} s, with 95 % from {low:.3f} to {high:.3f}")
         print(f"correlation  {found.correlation:.2f}, over {found.steps} steps from picture to picture")
@@ -283,16 +278,12 @@ def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:
 
 def _moments(texts: Sequence[str], every: float) -> list[tuple[np.ndarray, ...]]:
     """The pictures of each moment: of files, or of one video every so many seconds."""
+    from eagor.media.footage import is_video
+
     first = [Path(part) for part in texts[0].split(",")]
-    if len(texts) == 1 and _is_film(first):
+    if len(texts) == 1 and is_video(first, True):
         return list(_film(first, None, 0.0, 1 / every))
     return [tuple(_read(text)) for text in texts]
-
-
-def _is_film(paths: Sequence[Path]) -> bool:
-    from eagor.media.footage import VIDEOS
-
-    return all(path.suffix.lower() in VIDEOS and not path.is_dir() for path in paths)
 
 
 def _film(

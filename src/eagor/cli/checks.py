@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from eagor.evidence import BodyMask, Evidence
     from eagor.media.intrinsics import Camera
+    from eagor.media.rigs import Rig
     from eagor.perception import Perception
     from eagor.perception.calibrated import Calibrated
     from eagor.tracking.config import TrackerConfig
@@ -300,6 +301,13 @@ def mask_of(path: Path | None) -> BodyMask | None:
     from eagor.perception.partial import read_mask
 
     return None if path is None else read_mask(path)
+
+
+def rig_of(path: Path | None) -> Rig | None:
+    """``--rig``. Raises `FormatError`."""
+    from eagor.media.rigs import read_rig
+
+    return None if path is None else read_rig(path)
 
 
 def ordinary(hfov: float | None, path: Path | None, rig: Path | None, info: str | None = None) -> Camera:

@@ -65,11 +65,11 @@ def mistake(arguments: Sequence[str]) -> str | None:
             return f"{path} needs a command: {_either(table)}; {path} --help describes them"
         if rest[0] not in table:
             return _wrong_command(path, rest, table)
-        command = table[rest.pop(0)]
-        path = f"{path} {command.name}"
-        if not (inner := command.inner):
-            return _wrong_option(path, command, rest)
-        table = inner
+        path = f"{path} {rest[0]}"
+        found = table[rest.pop(0)]
+        if not isinstance(found, dict):
+            return _wrong_option(path, found, rest)
+        table = found
 
 
 @dataclass(frozen=True)
@@ -84,25 +84,16 @@ class _Option:
     many: bool
 
 
-@dataclass(frozen=True)
-class _Command:
-    name: str
-    inner: Mapping[str, _Command]
-    options: tuple[_Option, ...]
-
-
 @cache
-def _commands(union: Any) -> dict[str, _Command]:
-    """The commands of a union of dataclasses, by name."""
+def _commands(union: Any) -> dict[str, Any]:
+    """The commands of a union of dataclasses by name: the options of each, or a dictionary of commands below it."""
     found = {}
     for member in get_args(union):
         kind, *about = get_args(member)
         name = next(each.name for each in about if hasattr(each, "name"))
         hints = get_type_hints(kind, include_extras=True)
-        if "action" in hints:
-            found[name] = _Command(name, _commands(get_args(hints["action"])[0]), ())
-        else:
-            found[name] = _Command(name, {}, tuple(_options(kind, hints)))
+        inside = get_args(hints["action"])[0] if "action" in hints else None
+        found[name] = tuple(_options(kind, hints)) if inside is None else _commands(inside)
     return found
 
 
@@ -124,7 +115,7 @@ def _options(command: Any, hints: Mapping[str, Any]) -> Iterator[_Option]:
             yield _Option(name, metavar, kind, positional, required and name in (metavar, names[0]), many)
 
 
-def _wrong_command(path: str, rest: list[str], table: Mapping[str, _Command]) -> str:
+def _wrong_command(path: str, rest: list[str], table: Mapping[str, Any]) -> str:
     word = rest[0]
     if word.startswith("-"):
         command = next((each for each in rest if each in table), None)
@@ -139,9 +130,9 @@ def _wrong_command(path: str, rest: list[str], table: Mapping[str, _Command]) ->
     return f"unknown command {word!r}; wanted {_either(table)}; {path} --help describes them"
 
 
-def _wrong_option(path: str, command: _Command, rest: list[str]) -> str | None:
-    named = {option.name: option for option in command.options if not option.positional}
-    places = [option for option in command.options if option.positional]
+def _wrong_option(path: str, options: Sequence[_Option], rest: list[str]) -> str | None:
+    named = {option.name: option for option in options if not option.positional}
+    places = [option for option in options if option.positional]
     see = f"{path} --help"
     words: list[str] = []
     given: set[str] = set()
@@ -173,24 +164,29 @@ def _wrong_option(path: str, command: _Command, rest: list[str]) -> str | None:
     for option, value in values:
         if wanted := _wanted(option, value):
             return f"{option.name} {value}: wanted {wanted}; {see}"
-    return _wrong_places(path, places, words) or _missing_option(path, named, given, see)
+    if wrong := _wrong_places(path, places, words):
+        return wrong
+    lacking = [f"{o.name} {o.metavar}" for o in named.values() if o.required and o.name not in given]
+    return f"{path} needs {' and '.join(lacking)}; {see}" if lacking else None
 
 
 def _unknown_option(path: str, name: str, named: Mapping[str, _Option], see: str) -> str:
     if near := get_close_matches(name, named, 1, 0.75):
         return f"{path} has no option {name}; did you mean {near[0]}? {see} describes all"
-    if others := [other for other, options in _everywhere() if name in options and other != path]:
+    everywhere = _leaves("eagor", _commands(Command))
+    if others := [other for other, options in everywhere if name in options and other != path]:
         return f"{path} has no option {name}: it belongs to {', '.join(others)}; {see} lists its own"
     near = get_close_matches(name, named, 1, 0.55)
     return f"{path} has no option {name}{f'; did you mean {near[0]}?' if near else ';'} {see} describes all"
 
 
-def _everywhere() -> Iterator[tuple[str, set[str]]]:
+def _leaves(path: str, table: Mapping[str, Any]) -> Iterator[tuple[str, set[str]]]:
     """Each command with the names of its options."""
-    for name, command in _commands(Command).items():
-        for inner, each in command.inner.items():
-            yield f"eagor {name} {inner}", {option.name for option in each.options}
-        yield f"eagor {name}", {option.name for option in command.options}
+    for name, found in table.items():
+        if isinstance(found, dict):
+            yield from _leaves(f"{path} {name}", found)
+        else:
+            yield f"{path} {name}", {option.name for option in found}
 
 
 def _wanted(option: _Option, value: str) -> str | None:
@@ -224,11 +220,6 @@ def _wrong_places(path: str, places: Sequence[_Option], words: Sequence[str]) ->
     if lacking := [option.metavar for option in places[len(words) :] if option.required]:
         return f"{path} needs {wanted}, and lacks {' and '.join(lacking)}; {path} --help"
     return None
-
-
-def _missing_option(path: str, named: Mapping[str, _Option], given: set[str], see: str) -> str | None:
-    lacking = [f"{o.name} {o.metavar}" for o in named.values() if o.required and o.name not in given]
-    return f"{path} needs {' and '.join(lacking)}; {see}" if lacking else None
 
 
 def _either(names: Sequence[str] | Mapping[str, Any]) -> str:

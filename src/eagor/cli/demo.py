@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
@@ -16,7 +17,6 @@ from eagor.cli.options import Common, Name, Whole, bare, given
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.perception import Perception
 
 NARROWEST, WIDEST = 20, 120  # degrees: fields of a camera that searches
 AUTO = "auto"  # the default of --perception
@@ -85,8 +85,9 @@ def _apartment(options: Demo) -> int:
 def _photo(options: Demo, path: Path) -> int:
     if mistaken := given(options, ("seed", "episode")):
         raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
-    if options.hfov is not None and not NARROWEST <= options.hfov <= WIDEST:
-        raise terminal.UsageError(f"--hfov {options.hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
+    hfov = options.hfov
+    if hfov is not None and not NARROWEST <= hfov <= WIDEST:
+        raise terminal.UsageError(f"--hfov {hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
     checked_folder(options.out)
     need("eagor demo --photo", "sim", "jinja2")
     spec = options.perception
@@ -94,48 +95,27 @@ def _photo(options: Demo, path: Path) -> int:
         spec = "coco" if options.query is None else perception_for(checked_query(options.query), None)
     check_looks(spec)
     image, perception = _read(path), make_perception(spec)
-    from eagor.cli import demo_photo
+    from eagor.cli import demo_looking, demo_photo
     from eagor.perception import short_name
 
     query = options.query or demo_photo.best_query(perception, image)
-    if options.hfov is not None:
-        return _turning(options, path.name, image, perception, spec, query, options.hfov)
-    if not options.json:
-        print(
-            f"A camera turns in {path.name} and looks {demo_photo.LOOKS} times for the {query}, with the perception "
-            f"{short_name(spec)}.",
-            flush=True,
-        )
-    with terminal.progress("looking", demo_photo.LOOKS, shown=not options.json) as advance:
-        looks = demo_photo.play(image, perception, spec, query, advance)
-    report = demo_photo.write_report(looks, spec, path.name, options.out)
-    if options.json:
-        terminal.emit(demo_photo.as_json(looks, spec, path.name) | {"report": str(report)})
+    asked = image, perception, spec, query
+    if hfov is None:
+        shown, count = demo_photo, demo_photo.LOOKS
+        what, play = f"A camera turns in {path.name} and looks {count} times", partial(demo_photo.play, *asked)
     else:
-        _print(demo_photo.as_text(looks), demo_photo.summary(looks), report)
-    return terminal.OK
-
-
-def _turning(
-    options: Demo, photo: str, image: np.ndarray, perception: Perception, spec: str, query: str, hfov: float
-) -> int:
-    """Search with an ordinary camera."""
-    from eagor.cli import demo_looking
-    from eagor.perception import short_name
-
+        shown, count = demo_looking, None
+        what = f"An ordinary camera of {hfov:g} degrees turns in {path.name} and looks"
+        play = partial(demo_looking.play, *asked, hfov)
     if not options.json:
-        print(
-            f"An ordinary camera of {hfov:g} degrees turns in {photo} and looks for the {query}, with the perception "
-            f"{short_name(spec)}.",
-            flush=True,
-        )
-    with terminal.progress("looking", None, shown=not options.json) as advance:
-        searches = demo_looking.play(image, perception, spec, query, hfov, advance)
-    report = demo_looking.write_report(searches, spec, photo, options.out)
+        print(f"{what} for the {query}, with the perception {short_name(spec)}.", flush=True)
+    with terminal.progress("looking", count, shown=not options.json) as advance:
+        played: Any = play(advance)
+    report = shown.write_report(played, spec, path.name, options.out)
     if options.json:
-        terminal.emit(demo_looking.as_json(searches, spec, photo) | {"report": str(report)})
+        terminal.emit(shown.as_json(played, spec, path.name) | {"report": str(report)})
     else:
-        _print(demo_looking.as_text(searches), demo_looking.summary(searches), report)
+        _print(shown.as_text(played), shown.summary(played), report)
     return terminal.OK
 
 

@@ -173,12 +173,16 @@ def play(
 
 def as_text(searches: Searches) -> list[str]:
     """One line for each who chose."""
-    lines = [f"{'where to look':14}{'looks until sure':>18}{'off the looks all around':>26}"]
+    heads = f"{'where to look':14}{'looks until sure':>18}{'off the looks all around':>26}"
+    lines = [f"{choice:14}{told:>18}{f'{off} °' if off else '-':>26}" for choice, told, off in _cells(searches)]
+    return [heads, *lines]
+
+
+def _cells(searches: Searches) -> Iterator[tuple[str, str, str]]:
+    """Who chose, how many looks it took, and by how many degrees it is off, "" if that is not known."""
     for choice in searches.taken:
         count, off = searches.looks(choice), searches.off(choice)
-        told = f"not in {MOST}" if count is None else str(count)
-        lines.append(f"{choice:14}{told:>18}{'-' if off is None else f'{off:.0f} °':>26}")
-    return lines
+        yield choice, f"not in {MOST}" if count is None else str(count), "" if off is None else f"{off:.0f}"
 
 
 def summary(searches: Searches) -> list[str]:
@@ -229,12 +233,10 @@ def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Pat
         drawn = draw_belief(picture, taken.estimate, title=title, width=900, grid=taken.grid, mosaic=mosaic)
         keep_picture(drawn, folder / f"look-{number:02}.jpg")
         moments.append((as_image(drawn, title), f"{title}, presence {taken.estimate.presence:.2f}"))
-    rows = []
-    for choice in searches.taken:
-        count, off = searches.looks(choice), searches.off(choice)
-        told = f"not in {MOST}" if count is None else str(count)
-        cells = (Box(told), Box("-" if off is None else f"{off:.0f}"), Box(CHOICES[choice][1]))
-        rows.append(Row(choice, cells, "ours" if choice == OURS else ""))
+    rows = [
+        Row(choice, (Box(told), Box(off or "-"), Box(CHOICES[choice][1])), "ours" if choice == OURS else "")
+        for choice, told, off in _cells(searches)
+    ]
     heads = ("where to look", "looks until sure", "off the looks all around (°)", "what it is")
     sections = [
         Section("looks", "What the camera saw, and what we believed", [Pictures(moments, "strip")]),

@@ -96,7 +96,6 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import draw_belief, draw_errors
     from eagor.evaluation.page import Box, Pictures, Row, Section, Sheet, Text, document
-    from eagor.evaluation.tables import OURS
     from eagor.tasks.methods import DESCRIPTIONS
 
     names = sorted(looks.directions, key=lambda name: name != OURS)  # ours first: it is drawn on top
@@ -114,19 +113,15 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     every = draw_belief(looks.panorama(-1), looks.estimates[-1], others=rivals, title="Methods after the last look")
     keep_picture(errors, folder / "angles.png")
     keep_picture(every, folder / "methods.jpg")
-    sheet = Sheet(
-        f"Angles to our last answer, over {len(looks.poses)} looks",
-        _HEADS,
-        tuple(
-            Row(name, tuple(_boxes(figures(looks, name), DESCRIPTIONS[name], Box)), "ours" if name == OURS else "")
-            for name in looks.directions
-        ),
-    )
+    rows = []
+    for name in looks.directions:
+        mean, last, near = figures(looks, name).values()
+        boxes = (Box(f"{mean:.1f}"), Box(f"{last:.1f}"), Box(f"{near:.0f}"), Box(DESCRIPTIONS[name]))
+        rows.append(Row(name, boxes, "ours" if name == OURS else ""))
+    sheet = Sheet(f"Angles to our last answer, over {len(looks.poses)} looks", _HEADS, tuple(rows))
+    steady = "How steady each method is: no truth is known, so an error here is the angle to our last answer"
     both = [
-        (
-            as_image(errors, "Angle of each method to our last answer, over time"),
-            "How steady each method is: no truth is known, so an error here is the angle to our last answer",
-        ),
+        (as_image(errors, "Angle of each method to our last answer, over time"), steady),
         (
             as_image(every, "The last look with the direction of each method"),
             "Our estimate at the end, and those of four others",
@@ -150,11 +145,6 @@ def highlights(looks: Looks) -> list[tuple[int, str]]:
         chosen.setdefault(missed[len(missed) // 2], "nothing detected")
     last = len(looks.poses) - 1
     return sorted(({3: "a few looks later"} | chosen | {0: "the first", last: "the last"}).items())[:6]
-
-
-def _boxes(values: dict[str, float], what: str, box: Any) -> list[Any]:
-    mean, last, near = values.values()
-    return [box(f"{mean:.1f}"), box(f"{last:.1f}"), box(f"{near:.0f}"), box(what)]
 
 
 def as_image(picture: Image, text: str) -> str:

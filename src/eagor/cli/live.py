@@ -10,7 +10,7 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,7 @@ from eagor.cli.checks import (
     mask_of,
     ordinary,
     perception_for_all,
+    rig_of,
     rows_for,
     tracker_config,
     wants_panoramas,
@@ -188,7 +189,15 @@ def asked(options: Live) -> tuple[str, list[str]]:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted SOURCE, then one or more QUERY")
     source, *words = options.words
     queries = checked_queries(words)
-    _check(options)
+    if not 0 < options.rate <= MOST_RATE:
+        raise terminal.UsageError(f"--rate {options.rate:g}; wanted answers per second, up to {MOST_RATE:g}")
+    checked_seconds(options.patience, "--patience")
+    checked_seconds(options.seconds)
+    checked_latency(options.latency)
+    checked_drift(options.drift)
+    checked_modes(options.modes)
+    checked_rows(options.rows)
+    checked_record(options.record)
     return source, queries
 
 
@@ -202,7 +211,6 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_camera
     from eagor.media.rig_videos import are_ordinary
-    from eagor.media.rigs import read_rig
     from eagor.robots import ROS
 
     source, queries = asked(options)
@@ -211,40 +219,22 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
     told = ordinary(options.hfov, options.camera, options.rig)
-    lenses = None if options.rig is None else read_rig(options.rig)
+    lenses = rig_of(options.rig)
     stitched = whole or (lenses is not None and are_ordinary(lenses) and wants_panoramas(spec))
-    opens = partial(open_camera, source, latency=options.latency, rows=rows, rig=lenses, camera=told, stitched=stitched)
+    how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
+    opens = partial(open_camera, source, stitched=stitched, **how)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
         from eagor.robots.ros.sources import RosCamera
 
-        topic = source.removeprefix(ROS)
-        opens = partial(
-            RosCamera,
-            topic,
-            domain=options.domain,
-            interface=options.interface,
-            latency=options.latency,
-            rows=rows,
-            rig=lenses,
-            camera=told,
-        )
+        network = {"domain": options.domain, "interface": options.interface}
+        opens = partial(RosCamera, source.removeprefix(ROS), **network, **how)
     camera = opens()
     try:
         loop = LiveLoop(
-            already_open(camera, opens) if camera.live else camera,
-            spec,
-            queries,
-            poses=_poses(options, camera),
-            config=config,
-            rate=options.rate,
-            patience=options.patience,
-            record=options.record,
-            pictures=options.pictures,
-            fast=options.fast,
-            around=around,
-            mask=mask,
-            watchers=watchers,
-        )
+            already_open(camera, opens) if camera.live else camera, spec, queries, poses=_poses(options, camera),
+            config=config, rate=options.rate, patience=options.patience, record=options.record,
+            pictures=options.pictures, fast=options.fast, around=around, mask=mask, watchers=watchers,
+        )  # fmt: skip
     except BaseException:
         camera.close()
         raise
@@ -252,19 +242,6 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), whole: bool = False
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
     return loop
-
-
-def _check(options: Live) -> None:
-    """Raise `UsageError` for numbers that make no sense, before anything is opened."""
-    if not 0 < options.rate <= MOST_RATE:
-        raise terminal.UsageError(f"--rate {options.rate:g}; wanted answers per second, up to {MOST_RATE:g}")
-    checked_seconds(options.patience, "--patience")
-    checked_seconds(options.seconds)
-    checked_latency(options.latency)
-    checked_drift(options.drift)
-    checked_modes(options.modes)
-    checked_rows(options.rows)
-    checked_record(options.record)
 
 
 def _poses(options: Live, camera: CameraSource) -> Any:
@@ -319,39 +296,35 @@ class _Told:
         first = answer.query == self._queries[0]
         if first:
             self._say(answer)
-            self._advise(answer)
+            self._next = self._advice(answer)
         if self._json:
-            terminal.emit(answer.as_json(self._modes) | (self._next_look() if first else {}))
+            more = {}
+            if first and self._next is not None:
+                azimuth, elevation = (round(math.degrees(angle), 6) for angle in self._next)
+                more = {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
+            terminal.emit(answer.as_json(self._modes) | more)
         elif self._line and answer.query == self._queries[-1] and time.monotonic() - self._shown >= SHOWN:
             self._shown = time.monotonic()
-            self._show(" | ".join([*map(_in_line, self._newest.values()), *self._next_in_words(), *self._also()]))
+            self._show(" | ".join([*map(_in_line, self._newest.values()), *self._hints()]))
 
-    def _advise(self, answer: Answer) -> None:
-        """Keep where the camera should look next, if anything tells it."""
+    def _advice(self, answer: Answer) -> tuple[float, float] | None:
+        """Where the camera should look next, if anything tells it."""
         from eagor.sphere import azimuth_elevation
 
         toward = None if self._looks is None else self._looks.of(answer)
-        self._next = None
-        if toward is not None:
-            azimuth, elevation = azimuth_elevation(toward)
-            self._next = float(azimuth), float(elevation)
+        if toward is None:
+            return None
+        azimuth, elevation = azimuth_elevation(toward)
+        return float(azimuth), float(elevation)
 
-    def _next_look(self) -> dict[str, Any]:
-        """The same for a line of JSON."""
-        if self._next is None:
-            return {}
-        azimuth, elevation = (round(math.degrees(angle), 6) for angle in self._next)
-        return {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
-
-    def _next_in_words(self) -> list[str]:
+    def _hints(self) -> Iterator[str]:
+        """Where to look next, and what else was seen, the newest names first."""
         from eagor.drawing.style import in_words
 
-        return [] if self._next is None else [f"look next {in_words(*self._next)}"]
-
-    def _also(self) -> list[str]:
-        """What else was seen, the newest names first."""
-        names = () if self.around is None else [name for name in self.around.names if name not in self._queries]
-        return [f"also seen: {', '.join(reversed(names))}"] if names else []
+        if self._next is not None:
+            yield f"look next {in_words(*self._next)}"
+        if self.around is not None and (names := [name for name in self.around.names if name not in self._queries]):
+            yield f"also seen: {', '.join(reversed(names))}"
 
     def what_else(self, perception: str, source: str) -> None:
         """Tell all that was seen, where that was wanted."""

@@ -24,6 +24,7 @@ from eagor.cli.checks import (
     ordinary,
     perception_for,
     places_of,
+    rig_of,
     say_of_replay,
     say_of_video,
     tracker_config,
@@ -144,12 +145,11 @@ def _frames(options: Locate, places: Sequence[Path], perception: Perception) -> 
     from eagor.media.footage import LEAST_ROWS, FrameCheck, LensPictures, is_video
     from eagor.media.panorama import Picture
     from eagor.media.rig_videos import LensVideos, open_video
-    from eagor.media.rigs import read_rig
     from eagor.perception import rows_of
     from eagor.perception.replay import takes_pictures
 
     check = FrameCheck(options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig))
-    rig, stitched = None if options.rig is None else read_rig(options.rig), not takes_pictures(perception)
+    rig, stitched = rig_of(options.rig), not takes_pictures(perception)
     if not is_video(places, rig is not None):
         return (check.read(places[0]),) if rig is None else LensPictures(rig, stitched).moment(places)
     rows = max(rows_of(perception), LEAST_ROWS)

@@ -15,8 +15,8 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
 from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, places_of
-from eagor.cli.options import CameraFile, CameraInfo, Common, Force, Hfov, RigFile, bare
-from eagor.cli.track import Track, journey_of
+from eagor.cli.options import Footage
+from eagor.cli.track import journey_of
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look(Common):
+class Look(Footage):
     """Look through footage once with a detector, and keep all that it sees: eagor track LOOKS.jsonl then answers."""
 
     runs: ClassVar[str] = "look"
@@ -37,23 +37,6 @@ class Look(Common):
     """The detector, one that has classes: coco, or onnx:MODEL.onnx. For one that takes any words, see --for."""
     queries: Annotated[tuple[str, ...], arg(name="for", metavar="QUERY", help_behavior_hint="")] = ()
     """What to look for, with a detector that takes any words: only this can be asked later."""
-    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
-    """How the camera turned and moved, as for eagor track."""
-    rate: Annotated[float | None, bare("HZ")] = None
-    """Looks per second of a video or bag (default: 2); of images, how many per second were taken (default: 1)."""
-    start: Annotated[float, arg(metavar="SECONDS")] = 0.0
-    """Where to begin in a video or bag."""
-    end: Annotated[float | None, bare("SECONDS")] = None
-    """Where to stop in a video or bag (default: at its end)."""
-    image_topic: Annotated[str | None, bare("TOPIC")] = None
-    """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
-    odom_topic: Annotated[str | None, bare("TOPIC")] = None
-    """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
-    camera_info: CameraInfo = None
-    hfov: Hfov = None
-    camera: CameraFile = None
-    rig: RigFile = None
-    force: Force = False
 
 
 def look(options: Look) -> int:
@@ -69,13 +52,7 @@ def look(options: Look) -> int:
         raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
     checked_out(options.out)
     views = _views(options, queries)
-    asked = Track(
-        words=(*options.words, "everything"),
-        poses=options.poses, rate=options.rate, start=options.start, end=options.end, image_topic=options.image_topic,
-        odom_topic=options.odom_topic, camera_info=options.camera_info, rig=options.rig, hfov=options.hfov,
-        camera=options.camera, force=options.force,
-    )  # fmt: skip
-    journey = journey_of(asked, places, views)
+    journey = journey_of(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
     hidden, looks, bad, broken = HiddenParts(say=terminal.log), 0, 0, None
     labels: Counter[str] = Counter()

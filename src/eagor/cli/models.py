@@ -95,18 +95,10 @@ def get(options: ModelsGet) -> int:
 def told(model: Model) -> dict[str, Any]:
     """For ``--json``."""
     return {
-        "name": model.name,
-        "state": model.state,
-        "path": str(model.path),
-        "title": model.title,
-        "finds": model.finds,
-        "quality": model.quality,
-        "bytes": model.size,
-        "fetched_bytes": model.package.size,
-        "source": f"npm: {model.package}",
-        "licence": model.licence,
-        "sha256": model.sha256,
-    }
+        "name": model.name, "state": model.state, "path": str(model.path), "title": model.title, "finds": model.finds,
+        "quality": model.quality, "bytes": model.size, "fetched_bytes": model.package.size,
+        "source": f"npm: {model.package}", "licence": model.licence, "sha256": model.sha256,
+    }  # fmt: skip
 
 
 def in_words(model: Model) -> str:
@@ -178,28 +170,18 @@ class Machine:
         return "too large"
 
 
-def this_machine() -> Machine:
-    """This machine; torch lists the GPUs, if it is installed."""
-    return Machine(_memory(), _gpus())
-
-
 def report(here: Machine) -> dict[str, Any]:
     """For ``--json``: the machine, the families with their checkpoints and where they run, and what to install."""
     from eagor.perception.vlm import FAMILIES
 
-    families = [
-        {
-            "name": family.name,
-            "title": family.title,
-            "extractors": list(family.extractors),
-            "default": family.extractor,
-            "checkpoints": [
-                {"name": one.name, "needs_gb": round(one.gigabytes, 1), "runs_on": here.place(one)}
-                for one in family.checkpoints
-            ],
-        }
-        for family in FAMILIES
-    ]
+    families = []
+    for family in FAMILIES:
+        checkpoints = [
+            {"name": one.name, "needs_gb": round(one.gigabytes, 1), "runs_on": here.place(one)}
+            for one in family.checkpoints
+        ]
+        about = {"name": family.name, "title": family.title, "extractors": list(family.extractors)}
+        families.append(about | {"default": family.extractor, "checkpoints": checkpoints})
     machine = asdict(here) | {"gpus": [{"name": name, "memory": memory} for name, memory in here.gpus]}
     return {"machine": machine, "families": families, "install": missing()}
 
@@ -211,12 +193,10 @@ def lines(here: Machine) -> list[tuple[str, str]]:
     gpus = ", ".join(f"{name} with {memory:.0f} GB" for name, memory in here.gpus) or "no GPU"
     memory = "memory unknown" if here.memory is None else f"{here.memory:.0f} GB"
     found = [("memory", f"{memory}; {gpus}")]
-    for label, family in zip(["models", *[""] * len(FAMILIES)], FAMILIES, strict=False):
+    for family in FAMILIES:
         sizes = [f"{one.name} ({_gigabytes(one)}: {here.place(one)})" for one in family.checkpoints]
-        found.append((label, f"{family.title}, {family.extractor}: {', '.join(sizes)}"))
-    steps = missing()
-    found += zip(["to install", *[""] * len(steps)], steps, strict=False)
-    return found
+        found.append(("models", f"{family.title}, {family.extractor}: {', '.join(sizes)}"))
+    return found + [("to install", step) for step in missing()]
 
 
 def missing() -> list[str]:
@@ -323,7 +303,7 @@ def doctor(options: Doctor) -> int:
 
     found = {name: version_of(name) for name in PACKAGES}
     optional = {name: version_of(name) for name in OPTIONAL}
-    here = this_machine()
+    here = Machine(_memory(), _gpus())
     parts = (perception, worlds, task, benchmark)  # what plugins can extend
     points = {part.GROUP.removeprefix("eagor."): part.known() for part in parts}
     theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
@@ -355,16 +335,16 @@ def doctor(options: Doctor) -> int:
     print("packages     " + ", ".join(f"{name} {number or 'MISSING'}" for name, number in found.items()))
     for name, use in OPTIONAL.items():
         print(f"{name:12} " + (optional[name] or f"not installed ({use})"))
+    rows = []
     for kind, states in known.items():
-        for label, (name, state) in zip([kind, *[""] * len(states)], states.items(), strict=False):
+        for name, state in states.items():
             package = plugins.version_of(points[kind][name])
-            print(f"{label:12} {name}: {state}" + (f" ({package})" if package else ""))
-    for label, (name, state) in zip(["detectors", *[""] * len(detectors)], detectors.items(), strict=False):
-        print(f"{label:12} {name}: {state}")
-    for line in left_out:
-        print(f"{'left out':12} {line}")
-    for label, text in lines(here):
-        print(f"{label:12} {text}")
+            rows.append((kind, f"{name}: {state}" + (f" ({package})" if package else "")))
+    rows += [("detectors", f"{name}: {state}") for name, state in detectors.items()]
+    before = ""
+    for label, text in [*rows, *(("left out", line) for line in left_out), *lines(here)]:
+        print(f"{'' if label == before and label != 'left out' else label:12} {text}")
+        before = label
     print("all there that eagor itself needs" if healthy else "something is missing: install eagor again with pip")
     return terminal.OK if healthy else terminal.FAILED
 

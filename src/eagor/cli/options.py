@@ -117,10 +117,41 @@ class Common:
     """Show the traceback of an error."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Footage(Common):
+    """Options of the commands that go through footage: how the camera moved, what of it is looked at, its lens."""
+
+    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
+    (
+        "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
+        "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. CSV: a "
+        "file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch "
+        "nose DOWN); also x,y,z (metres) and frame (file name)."
+    )
+    rate: Annotated[float | None, bare("HZ")] = None
+    (
+        "Looks per second of a video or bag (default: 2). For images with --poses auto or level: how many per second "
+        "were taken (default: 1)."
+    )
+    start: Annotated[float, arg(metavar="SECONDS")] = 0.0
+    """Where to begin in a video or bag."""
+    end: Annotated[float | None, bare("SECONDS")] = None
+    """Where to stop in a video or bag (default: at its end)."""
+    image_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
+    camera_info: CameraInfo = None
+    odom_topic: Annotated[str | None, bare("TOPIC")] = None
+    """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
+    hfov: Hfov = None
+    camera: CameraFile = None
+    rig: RigFile = None
+    force: Force = False
+
+
 def given(options: Common, names: Sequence[str]) -> list[str]:
-    """Those of `names` that differ from their default."""
+    """Those of `names`, of options that the command has, that differ from their default."""
     defaults = {field.name: field.default for field in fields(options)}
-    return [name for name in names if getattr(options, name) != defaults[name]]
+    return [name for name in names if name in defaults and getattr(options, name) != defaults[name]]
 
 
 def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:

@@ -23,6 +23,7 @@ from eagor.cli.checks import (
     checked_seconds,
     mask_of,
     perception_for,
+    rig_of,
     rows_for,
     tracker_config,
 )
@@ -121,6 +122,7 @@ ROS, INTERFACE = "ros:", "lo"
 RATE = 20.0  # answers, and so commands, per second
 THERE = 2.0  # seconds for which it has to have arrived
 QUIET, LOUD = 1.0, ("stopping", "latched")  # seconds between two lines; modes that are told at once
+HELD = 0.2  # of the time: a gate that held the robot for longer is named as a cause
 LONGEST = 120.0  # seconds of a simulated walk
 PICTURE, PICTURES = 128, 5.0  # rows of a simulated picture, and pictures per second
 FLOOR = 0.0  # metres: the odometry of a Go2 begins on the floor
@@ -177,16 +179,10 @@ def robot_run(options: RobotRun) -> int:
         loop: LiveLoop
         odometer = Odometer(guard, lambda: loop.clock.now())
         loop = LiveLoop(
-            place.camera,
-            spec,
-            [query],
+            place.camera, spec, [query], config=config, rate=RATE, patience=options.patience, mask=mask,
             poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
-            config=config,
-            rate=RATE,
-            patience=options.patience,
-            mask=mask,
             watchers=[odometer],
-        )
+        )  # fmt: skip
         used = {
             "robot": "simulated Go2" if options.sim else "Go2", "perception": spec,
             "dead-man switch": f"{deadman}: {DEADMEN[deadman]}", "armed": "yes" if options.arm else "no (dry run)",
@@ -232,12 +228,10 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
     def camera() -> CameraSource:
         if source.startswith(ROS):  # on the robot's network, not on that of the environment
-            from eagor.media.rigs import read_rig
             from eagor.robots.ros.sources import RosCamera
 
-            rig = None if options.rig is None else read_rig(options.rig)
-            network = {"domain": options.domain, "interface": options.interface}
-            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, rig=rig, **network)
+            network = {"domain": options.domain, "interface": options.interface, "rig": rig_of(options.rig)}
+            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, rows=rows, **network)
         found = open_camera(source, latency=options.latency, rows=rows, rig=options.rig, stitched=True)
         if not found.live:
             found.close()
@@ -266,6 +260,7 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     if settings.start is None:
         settings = replace(settings, start=clear_start(house, twin.targets, np.random.default_rng(options.seed)))
     terminal.log("the simulated robot starts")
+    say_slow()
     with Rehearsal(settings) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
         ground = house.ground
@@ -282,6 +277,15 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
             robot.targets,
             plan,
         )
+
+
+def say_slow() -> None:
+    """Say so where pictures of houses are rendered without Embree."""
+    from eagor._extras import how_to_install
+    from eagor.worlds.raycast import has_embree
+
+    if not has_embree():
+        terminal.log(f"without Embree a picture of a house takes seconds: {how_to_install('sim')}")
 
 
 def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:
@@ -358,6 +362,19 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def _held(page: RobotPage) -> str:
+    """For how long the gate did not let it go, and why at last; nothing if that was short."""
+    samples = page.samples
+    held = [each for each in samples if any(each.wanted) and each.mode != "armed" and each.reasons]
+    if len(held) < HELD * len(samples):
+        return ""
+    share, why = len(held) / len(samples), held[-1].reasons[0]
+    return (
+        f"; for {100 * share:.0f} % of the time the gate held it, last because {why}. "
+        "Where ages are too high, this machine is too slow or too busy for the simulation"
+    )
+
+
 def _end(options: RobotRun, page: RobotPage, folder: Path | None, why: str | None) -> int:
     """Say how it ended; the exit code."""
     from eagor.robots.run_page import summary
@@ -371,5 +388,5 @@ def _end(options: RobotRun, page: RobotPage, folder: Path | None, why: str | Non
     else:
         print(f"{why}: {last.words}; {facts['metres']:.2f} m in {facts['seconds']:.1f} s")
     if why == "time" and options.sim and options.arm and last.doing != "arrived":
-        raise terminal.RunError(f"it did not get there in {facts['seconds']:.0f} s: {last.words}")
+        raise terminal.RunError(f"it did not get there in {facts['seconds']:.0f} s: {last.words}{_held(page)}")
     return terminal.OK

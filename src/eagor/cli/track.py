@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
@@ -18,45 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import Positional, arg
 
-from eagor.cli import terminal
+from eagor.cli import checks, terminal
 from eagor.cli.answers import header, line, methods_as_dict, table
-from eagor.cli.checks import (
-    check_not_read,
-    checked_drift,
-    checked_folder,
-    checked_modes,
-    checked_out,
-    checked_query,
-    keep_picture,
-    make_perception,
-    mask_of,
-    ordinary,
-    perception_for,
-    places_of,
-    say_of_replay,
-    say_of_video,
-    tracker_config,
-    warn_of_detector,
-)
-from eagor.cli.options import (
-    CameraFile,
-    CameraInfo,
-    Common,
-    Detector,
-    Flag,
-    Floor,
-    Force,
-    Hfov,
-    Mask,
-    Modes,
-    Out,
-    Rerun,
-    RigFile,
-    Static,
-    Whole,
-    bare,
-    given,
-)
+from eagor.cli.options import Detector, Flag, Floor, Footage, Mask, Modes, Out, Rerun, Static, Whole, bare, given
 from eagor.cli.recorded import list_seen, recorded
 from eagor.errors import ImageError, PoseError
 
@@ -71,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Track(Common):
+class Track(Footage):
     """Follow an object through a video or a sequence of pictures: panoramas, or of an ordinary camera."""
 
     runs: ClassVar[str] = "track"
@@ -81,27 +45,6 @@ class Track(Common):
         "A video, a folder of pictures, several image files (sorted by name), or a ROS 2 bag; then what to look for. "
         "Or what eagor look wrote (LOOKS.jsonl); without QUERY, that lists what was seen."
     )
-    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
-    (
-        "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
-        "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. CSV: a "
-        "file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch "
-        "nose DOWN); also x,y,z (metres) and frame (file name)."
-    )
-    rate: Annotated[float | None, bare("HZ")] = None
-    (
-        "Looks per second of a video or bag (default: 2). For images with --poses auto or level: how many per second "
-        "were taken (default: 1)."
-    )
-    start: Annotated[float, arg(metavar="SECONDS")] = 0.0
-    """Where to begin in a video or bag."""
-    end: Annotated[float | None, bare("SECONDS")] = None
-    """Where to stop in a video or bag (default: at its end)."""
-    image_topic: Annotated[str | None, bare("TOPIC")] = None
-    """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
-    camera_info: CameraInfo = None
-    odom_topic: Annotated[str | None, bare("TOPIC")] = None
-    """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
     video: Annotated[Path | None, bare("FILE.mp4")] = None
     """Write a video with the answer drawn in: .mp4, .mkv, .webm, .gif or .webp."""
     fps: Annotated[float | None, bare("HZ")] = None
@@ -126,11 +69,7 @@ class Track(Common):
     """Draw each frame with the belief into this folder."""
     rerun: Rerun = None
     out: Out = None
-    hfov: Hfov = None
-    camera: CameraFile = None
     mask: Mask = None
-    rig: RigFile = None
-    force: Force = False
 
 
 SEEN = {
@@ -144,37 +83,45 @@ BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is fou
 def track(options: Track) -> int:
     """Run the command; returns its exit code."""
     from eagor.media.posed_frames import ahead
-    from eagor.perception.footage import HiddenParts, follow
+    from eagor.perception.footage import HiddenParts, about, follow
 
-    if len(options.words) == 1 and (replay := recorded(options, [Path(options.words[0])])) is not None:
-        return _list_seen(options, replay)
-    if len(options.words) < 2:
+    alone = len(options.words) < 2
+    query = "" if alone else checks.checked_query(options.words[-1])
+    places = checks.places_of(options.words if alone else options.words[:-1], options.rig is not None)
+    replay = recorded(options, places)
+    if alone and replay is None:
         raise terminal.UsageError(
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
-    query = checked_query(options.words[-1])
-    places = places_of(options.words[:-1], options.rig is not None)
-    replay = recorded(options, places)
-    spec = perception_for(query, options.perception) if replay is None else _seen_by(replay)
-    check_not_read(options.out, "--out", [*places, Path(options.poses)])
-    check_not_read(options.picture, "--pictures", places)
-    check_not_read(options.video, "--video", places)
-    check_not_read(options.page, "--page", places)
-    check_not_read(options.rerun, "--rerun", places)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
-    checked_modes(options.modes)
-    perception = make_perception(spec, busy=True) if replay is None else replay
-    journey = journey_of(options, places, perception) if replay is None else _of_looks(replay)
+    spec = checks.perception_for(query, options.perception) if replay is None else about(replay).perception
+    checks.check_not_read(options.out, "--out", [*places, Path(options.poses)])
+    outputs = {"pictures": options.picture, "video": options.video, "page": options.page, "rerun": options.rerun}
+    for name, path in outputs.items():
+        checks.check_not_read(path, f"--{name}", places)
+    config = checks.tracker_config(
+        options.degree, spec, options.calibration, options.detector, options.force, options.static
+    )
+    checks.checked_modes(options.modes)
+    if replay is None:
+        perception = checks.make_perception(spec, busy=True)
+        _check_above_0(options.fps, "--fps")
+        shown = None if options.video is None else options.fps or FPS
+        journey = journey_of(options, places, perception, shown)
+    else:
+        perception, journey = replay, _of_looks(replay)
     floor = _checked_floor(options.floor, journey)
-    config = replace(config, floor_height=floor, drift=checked_drift(options.drift))
+    config = replace(config, floor_height=floor, drift=checks.checked_drift(options.drift))
+    hidden = HiddenParts(checks.mask_of(options.mask), terminal.log)
+    if alone:
+        assert replay is not None
+        return list_seen(options, replay, config, hidden, options.modes)
     run = _Run(options, query, spec, perception, journey.begins)
     rivals = partial(_rivals, spec) if options.compare else dict
     with ExitStack() as stack:
-        keep = [stack.enter_context(sink) for sink in _sinks(options, query, spec, journey)]
+        keep = _sinks(options, query, spec, journey, stack)
         advance = stack.enter_context(terminal.progress("looking", journey.count, shown=not options.json))
-        hidden = HiddenParts(mask_of(options.mask), terminal.log)
-        frames = ahead(journey.frames)
-        for result in _until_it_breaks(follow(frames, perception, query, config, rivals, hidden), run):
+        results = follow(ahead(journey.frames), perception, query, config, rivals, hidden)
+        for result in _until_it_breaks(results, run):
             run.add(result)
             for each in keep:
                 each(result)
@@ -215,30 +162,35 @@ class Journey:
     placed: bool = False  # whether positions come, though not as `poses`
 
 
-def journey_of(options: Track, places: Sequence[Path], perception: Perception) -> Journey:
-    """The stream that the options name; what a video tells of itself is said on stderr."""
+def journey_of(options: Footage, places: Sequence[Path], perception: Perception, shown: float | None = None) -> Journey:
+    """The stream that the options name; what a video tells of itself is said on stderr.
+
+    `shown`: frames per second of a video to be drawn, which shows more than what is looked at.
+    """
     from eagor.media.bags import is_bag
     from eagor.media.footage import LEAST_ROWS, is_video
     from eagor.media.pose_files import read_poses
-    from eagor.media.rigs import read_rig
     from eagor.perception import rows_of
     from eagor.perception.replay import takes_pictures
 
     poses = () if options.poses in SEEN else read_poses(options.poses)
-    for name in ("rate", "fps"):
-        if (value := getattr(options, name)) is not None and not (math.isfinite(value) and value > 0):
-            raise terminal.UsageError(f"--{name} {value:g}; wanted a number per second above 0")
-    rows = max(rows_of(perception), LEAST_ROWS)
+    _check_above_0(options.rate, "--rate")
+    rows, looks = max(rows_of(perception), LEAST_ROWS), options.rate or RATE
+    rates = looks, max(looks, shown or 0)
     if len(places) == 1 and is_bag(places[0]):
-        return _of_bag(options, places[0], poses, rows)
+        return _of_bag(options, places[0], poses, rows, *rates)
     if given(options, ("image_topic", "odom_topic", "camera_info")):
         topics = "--image-topic, --odom-topic and --camera-info"
         raise terminal.UsageError(f"{topics} are for a ROS 2 bag; {places[0]} is none")
-    rig = None if options.rig is None else read_rig(options.rig)
-    stitched = not takes_pictures(perception)
+    rig, stitched = checks.rig_of(options.rig), not takes_pictures(perception)
     if is_video(places, rig is not None):
-        return _of_video(options, places, poses, rows, rig, stitched)
+        return _of_video(options, places, poses, rows, rig, stitched, *rates)
     return _of_images(options, places, poses, rig, stitched)
+
+
+def _check_above_0(rate: float | None, option: str) -> None:
+    if rate is not None and not 0 < rate < math.inf:
+        raise terminal.UsageError(f"{option} {rate:g}; wanted a number per second above 0")
 
 
 def _of_looks(replay: ReplayPerception) -> Journey:
@@ -246,39 +198,22 @@ def _of_looks(replay: ReplayPerception) -> Journey:
     from eagor.perception.footage import about, recorded_frames
 
     frames, footage = recorded_frames(replay), about(replay)
-    looks = [each for each in frames if each.frame is not None]
+    looks = sum(each.frame is not None for each in frames)
     span = frames[-1].pose.stamp - frames[0].pose.stamp
     poses = [each.pose for each in frames]
-    many = "1 look" if len(looks) == 1 else f"{len(looks)} looks"
+    many = "1 look" if looks == 1 else f"{looks} looks"
     terminal.log(f"{many} of {footage.perception} at {footage.of}, {footage.poses}")
-    return Journey(iter(frames), len(looks), footage.poses, poses, None, span, footage.begins)
-
-
-def _seen_by(replay: ReplayPerception) -> str:
-    from eagor.perception.footage import about
-
-    return about(replay).perception
-
-
-def _list_seen(options: Track, replay: ReplayPerception) -> int:
-    """Print what was seen where."""
-    from eagor.perception.footage import HiddenParts
-
-    spec, journey = _seen_by(replay), _of_looks(replay)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
-    floor, drift = _checked_floor(options.floor, journey), checked_drift(options.drift)
-    hidden = HiddenParts(mask_of(options.mask), terminal.log)
-    return list_seen(options, replay, replace(config, floor_height=floor, drift=drift), hidden, options.modes)
+    return Journey(iter(frames), looks, footage.poses, poses, None, span, footage.begins)
 
 
 def _of_video(
-    options: Track, places: Sequence[Path], poses: Sequence[FramePose], rows: int, rig: Rig | None, stitched: bool
-) -> Journey:
+    options: Footage, places: Sequence[Path], poses: Sequence[FramePose], rows: int, rig: Rig | None, stitched: bool,
+    looks: float, shown: float,
+) -> Journey:  # fmt: skip
     from eagor.media.footage import VideoFrames
     from eagor.media.posed_frames import thinned
     from eagor.media.rig_videos import LensVideos, open_video
 
-    looks, shown = _rates(options)
     opened = partial(open_video, places, rig, stitched=stitched, start=options.start, end=options.end, rows=rows)
     video, check = opened(rate=shown), _check(options)
     lenses = len(video.grids) if isinstance(video, LensVideos) else 0
@@ -287,7 +222,7 @@ def _of_video(
     if sighted and shown < BY_SIGHT and ordinary_lens:
         shown = BY_SIGHT
         video = opened(rate=shown)
-    say_of_video(places[0].name, video.facts, video.duration)
+    checks.say_of_video(places[0].name, video.facts, video.duration)
     source = VideoFrames(video, check)
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{looks:g} looks per second (--rate), {told}")
@@ -297,7 +232,7 @@ def _of_video(
 
 
 def _of_images(
-    options: Track, places: Sequence[Path], poses: Sequence[FramePose], rig: Rig | None, stitched: bool
+    options: Footage, places: Sequence[Path], poses: Sequence[FramePose], rig: Rig | None, stitched: bool
 ) -> Journey:
     from eagor.media.footage import images
 
@@ -315,7 +250,9 @@ def _of_images(
     return Journey(frames, source.count, told, poses, rate, (source.count - 1) / rate)
 
 
-def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) -> Journey:
+def _of_bag(
+    options: Footage, place: Path, poses: Sequence[FramePose], rows: int, looks: float, shown: float
+) -> Journey:
     from eagor.media.bags import Bag
     from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.intrinsics import in_words
@@ -323,12 +260,8 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
     from eagor.media.ros_messages import IMU
     from eagor.robots.ros.sources import BagCamera, bag_odometry
 
-    lens = ordinary(options.hfov, options.camera, options.rig, options.camera_info)
-    bag, (looks, shown), rig = Bag(place), _rates(options), None
-    if options.rig is not None:
-        from eagor.media.rigs import read_rig
-
-        rig = read_rig(options.rig)
+    lens = checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info)
+    bag, rig = Bag(place), checks.rig_of(options.rig)
     camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info)
     if camera.lens is not None:
         terminal.log(f"{camera.topic}: {in_words(camera.lens.name, camera.view)}")
@@ -348,21 +281,15 @@ def _of_bag(options: Track, place: Path, poses: Sequence[FramePose], rows: int) 
     return Journey(thinned(frames, looks, camera.begins), None, told, poses, shown, None, camera.begins, placed)
 
 
-def _check(options: Track) -> FrameCheck:
+def _check(options: Footage) -> FrameCheck:
     """What is asked of each frame: a whole panorama, or a lens that the options or its file tell."""
     from eagor.media.footage import FrameCheck
 
-    return FrameCheck(options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig))
-
-
-def _rates(options: Track) -> tuple[float, float]:
-    """Looks and frames per second of a video or a bag: a video of the answers shows more than what is looked at."""
-    looks = options.rate or RATE
-    return looks, looks if options.video is None else max(looks, options.fps or FPS)
+    return FrameCheck(options.force, terminal.log, checks.ordinary(options.hfov, options.camera, options.rig))
 
 
 def _posed(
-    options: Track, source: Frames, poses: Sequence[FramePose], motion: Any = None
+    options: Footage, source: Frames, poses: Sequence[FramePose], motion: Any = None
 ) -> tuple[Iterator[PosedFrame], str]:
     """The frames with the poses of a file, those of an IMU, or those that the pictures tell; and which, in words."""
     from eagor._extras import need
@@ -378,14 +305,16 @@ def _posed(
 
 def _checked_floor(floor: float | None, journey: Journey) -> float | None:
     """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
+    if floor is None:
+        return None
     heights = [float(pose.position[2]) for pose in journey.poses if pose.position is not None]
-    if floor is not None and not heights and not journey.placed:
+    if not heights and not journey.placed:
         raise terminal.UsageError(
             f"--floor {floor:g} needs positions: a file of --poses with the columns x,y,z, or a bag's odometry"
         )
-    if floor is not None and not math.isfinite(floor):
+    if not math.isfinite(floor):
         raise terminal.UsageError(f"--floor {floor:g}; wanted a height in metres")
-    if floor is not None and heights and min(heights) <= floor:
+    if heights and min(heights) <= floor:
         raise terminal.UsageError(
             f"--floor {floor:g}: the camera comes down to z = {min(heights):g} m; wanted a floor below that"
         )
@@ -439,7 +368,7 @@ class _Run:
         if result.lost:
             terminal.warning(f"{result.frame} does not fit to the frames before it: the belief starts anew")
         if result.evidence and not self.looked:
-            warn_of_detector(self.options.detector, result.evidence)
+            checks.warn_of_detector(self.options.detector, result.evidence)
         if result.problem is not None:
             terminal.warning(f"{result.frame} is left out: {result.problem}")
             self.bad += 1
@@ -463,7 +392,7 @@ class _Run:
             raise terminal.RunError("there was no frame to look at")
         if self.bad == self.frames:
             raise terminal.RunError(f"none of the {self.bad} frames could be used; the reasons are above")
-        say_of_replay(self.perception, self.query, self.looked)
+        checks.say_of_replay(self.perception, self.query, self.looked)
         if self.looked == 0:
             stamps = f" ({journey.poses[0].stamp:g} to {journey.poses[-1].stamp:g} s)" if journey.poses else ""
             raise terminal.RunError(
@@ -490,83 +419,73 @@ class _Run:
             terminal.log(f"written: {', '.join(written)}")
 
 
-Sink = Callable[["FollowedFrame"], None]
+Sink = Callable[["FollowedFrame"], object]
 
 
-def _sinks(options: Track, query: str, spec: str, journey: Journey) -> Iterator[AbstractContextManager[Sink]]:
-    """What is written beside the lines: the table, pictures, a video, a page. Each takes every result."""
+def _sinks(options: Track, query: str, spec: str, journey: Journey, stack: ExitStack) -> list[Sink]:
+    """What takes every result beside the lines: the table, pictures, a video, a log, a page. `stack` closes them."""
+    sinks: list[Sink] = []
     if options.out:
-        yield _listed(options.out, _rival_names() if options.compare else (), options.modes)
+        write = stack.enter_context(table(options.out, _rival_names() if options.compare else ()))
+        sinks.append(lambda result: write(_entry(result, options.modes)) if result.told else None)
     if options.picture:
-        yield nullcontext(_painter(options.picture, query, options.modes))
+        sinks.append(_painter(options.picture, query, options.modes))
     if options.video:
-        yield _filmed(options.video, query, journey)
+        from eagor.drawing.video import BeliefVideo
+
+        video = BeliefVideo(checks.checked_out(options.video, "--video"), rate=journey.shown, span=journey.span)
+        sinks.append(_filmed(stack.enter_context(video), query, journey.begins))
     if options.rerun:
-        yield _logged(options.rerun, query)
+        from eagor.drawing.rerun_log import RerunLog
+
+        log = RerunLog(checks.checked_out(options.rerun, "--rerun"), f"{query}: {options.rerun.name}")
+        sinks.append(_logged(stack.enter_context(log), query))
     if options.page:
+        from eagor.drawing.page import BeliefPage
+
         used = {"perception": spec, "poses": journey.told}
         used |= {"calibration": str(options.calibration)} if options.calibration else {}
-        yield _paged(options.page, query, used, journey)
+        page = BeliefPage(checks.checked_out(options.page, "--page"), query=query, used=used, span=journey.span)
+        sinks.append(_paged(stack.enter_context(page), journey.begins))
+    return sinks
 
 
-@contextmanager
-def _listed(path: Path, rivals: Sequence[str], modes: int) -> Iterator[Sink]:
-    with table(path, rivals) as write:
-        yield lambda result: write(_entry(result, modes)) if result.told else None
+def _filmed(video: Any, query: str, begins: float) -> Sink:
+    def add(result: FollowedFrame) -> None:
+        if result.picture is not None:
+            video.add(
+                result.picture, result.estimate, stamp=result.stamp - begins, query=query, problem=result.problem,
+                grid=result.grid,
+            )  # fmt: skip
+
+    return add
 
 
-@contextmanager
-def _filmed(path: Path, query: str, journey: Journey) -> Iterator[Sink]:
-    from eagor.drawing.video import BeliefVideo
+def _logged(log: Any, query: str) -> Sink:
+    def add(result: FollowedFrame) -> None:
+        if result.picture is not None or result.told:
+            log.add(
+                result.picture, result.estimate, stamp=result.stamp, query=query, position=result.position,
+                others=result.others, problem=result.problem, grid=result.grid,
+            )  # fmt: skip
 
-    with BeliefVideo(checked_out(path, "--video"), rate=journey.shown, span=journey.span) as video:
-
-        def add(result: FollowedFrame) -> None:
-            if result.picture is not None:
-                video.add(
-                    result.picture, result.estimate, stamp=result.stamp - journey.begins, query=query,
-                    problem=result.problem, grid=result.grid,
-                )  # fmt: skip
-
-        yield add
+    return add
 
 
-@contextmanager
-def _logged(path: Path, query: str) -> Iterator[Sink]:
-    from eagor.drawing.rerun_log import RerunLog
-
-    with RerunLog(checked_out(path, "--rerun"), f"{query}: {path.name}") as log:
-
-        def add(result: FollowedFrame) -> None:
-            if result.picture is not None or result.told:
-                log.add(
-                    result.picture, result.estimate, stamp=result.stamp, query=query, position=result.position,
-                    others=result.others, problem=result.problem, grid=result.grid,
-                )  # fmt: skip
-
-        yield add
-
-
-@contextmanager
-def _paged(path: Path, query: str, used: dict[str, str], journey: Journey) -> Iterator[Sink]:
-    from eagor.drawing.page import BeliefPage
-
-    with BeliefPage(checked_out(path, "--page"), query=query, used=used, span=journey.span) as page:
-
-        def add(result: FollowedFrame) -> None:
-            if not result.told:
-                return
-            if result.lost:
-                page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
+def _paged(page: Any, begins: float) -> Sink:
+    def add(result: FollowedFrame) -> None:
+        if result.told and result.lost:
+            page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
+        if result.told:
             page.add(
-                result.picture, result.estimate, stamp=result.stamp - journey.begins, name=result.frame,
+                result.picture, result.estimate, stamp=result.stamp - begins, name=result.frame,
                 problem=result.problem, grid=result.grid,
             )  # fmt: skip
 
-        yield add
+    return add
 
 
-def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], None]:
+def _painter(folder: Path, query: str, most: int) -> Sink:
     """A function that draws a frame with its belief into `folder`; unreadable frames are skipped.
 
     Pictures are numbered as the lines of the table, and show at most `most` candidates.
@@ -574,7 +493,7 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
     from eagor.drawing import Mosaic, draw_belief
     from eagor.drawing.style import answer_in_words
 
-    checked_folder(folder, "--pictures")
+    checks.checked_folder(folder, "--pictures")
     numbers, mosaic = count(), Mosaic()
 
     def draw(result: FollowedFrame) -> None:
@@ -590,6 +509,6 @@ def _painter(folder: Path, query: str, most: int) -> Callable[[FollowedFrame], N
         drawn = draw_belief(
             result.picture, estimate, modes=modes, others=shown, title=title, grid=result.grid, mosaic=mosaic
         )
-        keep_picture(drawn, folder / f"{number:04d}.png")
+        checks.keep_picture(drawn, folder / f"{number:04d}.png")
 
     return draw

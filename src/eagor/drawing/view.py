@@ -213,7 +213,7 @@ class ViewScene:
         self._around.set_ylim(-90, 90)
         big: dict[str, Any] = {"color": WORDS, "family": family(), "va": "top", "linespacing": 1.35}
         self._words = figure.text(0, 0, "", fontsize=15, weight="bold", **big)
-        self._sure = figure.text(0, 0, "", fontsize=30, weight="bold", **big)
+        self._sure = figure.text(0, 0, "", fontsize=22, weight="bold", **big)
         quiet: dict[str, Any] = big | {"color": FAINT, "va": "bottom"}
         self._looked = figure.text(0, 0, "", fontsize=10, **quiet)
         self._grid: PerspectiveGrid | None = None
@@ -362,9 +362,9 @@ class ViewScene:
         scale, foot = self._place[2] / DESIGN, self._place[1] + self._place[3] - 12 / DESIGN * self._place[2]
         if top >= view[1] + view[3]:
             left, width = left + width + round(GAP * self._place[2]), view[2] - width
-            downs, foot = (0, 48), top + height
+            downs, foot = (0, 40), top + height
         else:
-            top, downs = top + height, (14, 66)
+            top, downs = top + height, (14, 56)
         said = answer_in_words(estimate) if estimate.direction is not None else "direction not known"
         columns = max(12, int(width / (11.5 * scale)))
         if len(said) > columns:  # where the height begins

@@ -1,4 +1,4 @@
-"""Where panoramas come from: `open_camera` for what SOURCE on the command line means, videos, folders; `Newest` of any.
+"""Where panoramas come from: `open_camera` for what SOURCE on the command line means, videos, folders.
 
 Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.media.check_camera` tests one.
 """
@@ -8,11 +8,8 @@ from __future__ import annotations
 import math
 import os
 import re
-import threading
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from io import FileIO
 from itertools import pairwise
 from pathlib import Path
@@ -34,9 +31,7 @@ from eagor.media.stitching import Panoramas
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
 from eagor.media.video import Video
 
-__all__ = [
-    "BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "Newest", "VideoCamera", "open_camera",
-]  # fmt: skip
+__all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_camera"]
 
 GROUP = "eagor.cameras"
 BUILT_IN = {"bag": "eagor.robots.ros.sources:BagCamera", "ros": "eagor.robots.ros.sources:RosCamera"}
@@ -51,8 +46,6 @@ _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
 
 RATE = 1.0  # pictures per second of a folder whose files do not tell times
 _TIME = re.compile(r"\d+\.\d+")  # a file's name without its ending that is a time: 12.350.png
-
-PATIENCE = 5.0  # seconds that `close` waits for the thread; one that hangs in a driver is left behind
 
 
 # --- what a source is ---
@@ -90,14 +83,11 @@ def open_camera(
         settings["camera"] = camera
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
-    if kinds[0] == "folder":
-        return FolderCamera([Path(part) for part in parts], **settings, stitched=stitched)
-    if kinds[0] == "file":
-        return VideoCamera([Path(part) for part in parts], **settings, stitched=stitched)
-    if kinds[0] == "bag":
-        return plugins.bring(plugins.known(GROUP, BUILT_IN)["bag"], "camera")(text, **settings)
-    if kinds[0] == "plugin":
-        name, _, rest = text.partition(":")
+    if kinds[0] in ("folder", "file"):
+        kind = FolderCamera if kinds[0] == "folder" else VideoCamera
+        return kind([Path(part) for part in parts], **settings, stitched=stitched)
+    if kinds[0] in ("bag", "plugin"):
+        name, rest = ("bag", text) if kinds[0] == "bag" else text.split(":", 1)
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
     return LiveCamera(streams, **settings, stitched=stitched)
@@ -275,117 +265,3 @@ def _stamps(paths: Sequence[Path], rate: float) -> list[float]:
     if not (math.isfinite(rate) and rate > 0):
         raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
     return [number / rate for number in range(len(names))]
-
-
-# --- the newest frame, for a slow reader ---
-
-
-class Newest:
-    """A thread reads `source`; `take` gives the newest frame that was not taken yet.
-
-    Of a live source, frames that came meanwhile are skipped and counted in `skipped`. A source that keeps only the
-    newest itself (its attribute `keeps_newest`; its `dropped` counts) is asked when somebody wants a frame: what nobody
-    takes is not even stitched. Of a file, nothing is skipped: the next picture is read once the last one was taken.
-
-    `problem`: what is wrong with the source now, in words, or None; `ended`: whether no frame can come any more. A
-    context manager; `close` also closes the source, and may be called twice.
-    """
-
-    def __init__(self, source: CameraSource) -> None:
-        self.source = source
-        self.skipped = 0
-        self._eager = source.live and not getattr(source, "keeps_newest", False)
-        self._changed = threading.Condition()
-        self._frame: Frame | None = None
-        self._wanted = self._closed = self._ended = False
-        self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._read, name="eagor-newest-frame", daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Newest:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    @property
-    def ended(self) -> bool:
-        """Whether the source has ended, or was closed, and its last frame was taken."""
-        with self._changed:
-            return (self._ended or self._closed) and self._frame is None
-
-    @property
-    def problem(self) -> str | None:
-        """What is wrong right now, in words; None if nothing is."""
-        with self._changed:
-            if self._error is not None:
-                return str(self._error)
-        return getattr(self.source, "problem", None)
-
-    @property
-    def dropped(self) -> int:
-        """Frames of the source that nobody got: skipped here, or dropped by the source itself."""
-        return self.skipped + self.source.dropped
-
-    def take(self, timeout: float | None = None) -> Frame | None:
-        """The newest frame that was not taken yet; waits for one up to `timeout` seconds (None: for ever).
-
-        None if none came in time, or none can come any more (`ended`). Raises the source's error, once, if it ended in
-        one.
-        """
-        end = None if timeout is None else time.monotonic() + timeout
-        with self._changed:
-            self._wanted = True
-            self._changed.notify_all()
-            while self._frame is None and not (self._ended or self._closed):
-                left = None if end is None else end - time.monotonic()
-                if left is not None and left <= 0:
-                    return None
-                self._changed.wait(left)
-            frame, self._frame = self._frame, None
-            if frame is not None:
-                self._wanted = False
-                self._changed.notify_all()
-            elif self._error is not None and not self._closed:
-                error, self._error = self._error, None
-                raise error
-            return frame
-
-    def close(self) -> None:
-        """Close the source and end the thread."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        self.source.close()
-        if self._thread is not threading.current_thread():
-            self._thread.join(PATIENCE)
-
-    def _read(self) -> None:
-        frames: Iterator[Frame] | None = None
-        try:
-            frames = iter(self.source)
-            while self._asked():
-                frame = next(frames, None)
-                if frame is None:
-                    break
-                with self._changed:
-                    self.skipped += self._frame is not None
-                    self._frame = frame
-                    self._changed.notify_all()
-        except Exception as error:  # whoever takes the next frame is told
-            with self._changed:
-                self._error = error
-        finally:
-            if frames is not None and hasattr(frames, "close"):
-                with suppress(Exception):
-                    frames.close()  # type: ignore[attr-defined]
-            with self._changed:
-                self._ended = True
-                self._changed.notify_all()
-
-    def _asked(self) -> bool:
-        """Wait until the next frame is to be read; False after `close`."""
-        with self._changed:
-            while not self._closed and not self._eager and (self._frame is not None or not self._wanted):
-                self._changed.wait()
-            return not self._closed

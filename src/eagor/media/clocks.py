@@ -90,17 +90,15 @@ class _Strange:
 class ClockOffset:
     """What to add to the stamps of another clock to have ours, tracked message by message.
 
-    `window`: seconds for which a message counts; `drift`: by how much the clocks may part, seconds per second; `jump`:
-    seconds from which a step is a jump. A jump is believed once `CONFIRMED` messages in a row agree on it (they come
-    too early, or their stamps went back), or once messages are late alike for `settled` seconds; infinite: messages
-    that are late never count as a clock that was set. Until then, and for single wrong stamps, nothing changes.
+    `window`: seconds for which a message counts. A step of more than `JUMP` is believed once `CONFIRMED` messages in a
+    row agree on it (they come too early, or their stamps went back), or once messages are late alike for `settled`
+    seconds; infinite: messages that are late never count as a clock that was set. Until then, and for single wrong
+    stamps, nothing changes.
     """
 
-    def __init__(
-        self, window: float = WINDOW, drift: float = DRIFT, jump: float = JUMP, settled: float = SETTLED
-    ) -> None:
-        self.jump, self.settled = jump, settled
-        self._quickest = _Quickest(window, drift)
+    def __init__(self, window: float = WINDOW, settled: float = SETTLED) -> None:
+        self.settled = settled
+        self._quickest = _Quickest(window, DRIFT)
         self._strange: _Strange | None = None
         self._last = 0.0  # stamp of the newest message that fits
         self._now = 0.0  # its arrival
@@ -122,11 +120,11 @@ class ClockOffset:
         """
         stamp, arrival = checked_stamp(stamp), checked_stamp(arrival)
         late = arrival - stamp
-        if not self._quickest or abs(late - self._quickest.at(arrival)) <= self.jump:
+        if not self._quickest or abs(late - self._quickest.at(arrival)) <= JUMP:
             self._take(stamp, arrival)
             return None
         odd = self._strange
-        if odd is None or abs(late - odd.quickest[1]) > self.jump:
+        if odd is None or abs(late - odd.quickest[1]) > JUMP:
             odd = self._strange = _Strange(stamp, arrival, 0, (arrival, late))
         odd.count += 1
         odd.quickest = min(odd.quickest, (arrival, late), key=lambda each: each[1])
@@ -141,7 +139,7 @@ class ClockOffset:
 
     def _impossible(self, stamp: float, arrival: float, late: float) -> bool:
         """Whether no delay explains this message: it came before it was sent, or after later ones."""
-        return late < self._quickest.at(arrival) - self.jump or stamp < self._last - self.jump
+        return late < self._quickest.at(arrival) - JUMP or stamp < self._last - JUMP
 
     def _take(self, stamp: float, arrival: float) -> None:
         self._quickest.add(arrival, arrival - stamp)
@@ -237,10 +235,6 @@ class StreamClock:
         self._told: float | None = None
         self._arrival = self._begin = self._last = float("-inf")
 
-    def arrived(self) -> float:
-        """The time of arrival to give to `stamp`, monotonic seconds."""
-        return self._monotonic()
-
     def restart(self) -> None:
         """The stream begins anew: its clock tells nothing about the one before."""
         self._least.clear()
@@ -248,7 +242,7 @@ class StreamClock:
         self._told = None
 
     def stamp(self, told: float | None, arrival: float) -> float | None:
-        """The time of capture of a picture that `arrival` brought, and whose stream says `told` (seconds, or None).
+        """The time of capture of a picture that came at `arrival` (monotonic), and whose stream says `told`, or None.
 
         None if that is not later than the picture before: such a picture cannot be put in order.
         """

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +69,14 @@ class FrameCheck:
             return frame
         if self._is_ordinary(frame):
             return self._ordinary(frame, name, told)
-        self._check_shape(frame.picture, name)
+        if not is_whole(frame.picture):
+            height, width = frame.picture.shape[:2]
+            what = f"{name} is {width} x {height}, not 2:1"
+            if not self.force:
+                raise ShapeError(f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height})")
+            if "shape" not in self._said:
+                self._said.add("shape")
+                self.say(f"warning: {what}; accepted, with all columns for 360 degrees and all rows for 180")
         if "pixels" in self._said:
             return frame
         found = problems(frame.picture)
@@ -92,9 +99,12 @@ class FrameCheck:
     def _ordinary(self, frame: Picture, name: str, told: Told) -> Picture:
         """An ordinary picture with its grid; that of a fisheye as a panorama, with what it does not see."""
         assert self.camera is not None
-        height, width = frame.picture.shape[:2]
+        height, width = size = frame.picture.shape[:2]
         if self.camera.wide:
-            return self._stitched(frame, name)
+            if size not in self._wide:
+                self._wide[size] = Panoramas(((width, height),), self.camera.rig, None, name)
+                self.say(f"{name}: {in_words(self.camera.name, None)}")
+            return Picture(self._wide[size].make(frame.picture), self._wide[size].unseen)
         grid = ordinary_grid(self.camera, told, (width, height), name)
         if grid is None:
             what = f"{name} is {width} x {height}, not 2:1 as a whole panorama is, and does not tell its lens"
@@ -106,45 +116,6 @@ class FrameCheck:
             for fact in (*frame.facts, *told.facts):
                 self.say(fact if fact.startswith("warning: ") else f"{name}: {fact}")
         return replace(frame, grid=grid)
-
-    def _stitched(self, frame: Picture, name: str) -> Picture:
-        assert self.camera is not None
-        assert self.camera.rig is not None
-        size = (frame.picture.shape[1], frame.picture.shape[0])
-        if size not in self._wide:
-            self._wide[size] = Panoramas((size,), self.camera.rig, None, name)
-            self.say(f"{name}: {in_words(self.camera.name, None)}")
-        panoramas = self._wide[size]
-        return Picture(panoramas.make(frame.picture), panoramas.unseen)
-
-    def _check_shape(self, panorama: np.ndarray, name: str) -> None:
-        if is_whole(panorama):
-            return
-        height, width = panorama.shape[:2]
-        what = f"{name} is {width} x {height}, not 2:1"
-        if not self.force:
-            raise ShapeError(f"{what}; wanted a whole panorama, twice as wide as high ({2 * height} x {height})")
-        if "shape" not in self._said:
-            self._said.add("shape")
-            self.say(f"warning: {what}; accepted, with all columns for 360 degrees and all rows for 180")
-
-
-class Frames(Protocol):
-    """Frames in order of time."""
-
-    @property
-    def count(self) -> int | None:
-        """How many frames will come, if known."""
-        ...
-
-    def frames(self) -> Iterator[tuple[float, str, Read]]:
-        """Each frame: its stamp (seconds), its name, and what reads the panorama, or raises `EagorError`."""
-        ...
-
-    @property
-    def level_R_body(self) -> np.ndarray | None:
-        """The rotation ``(3, 3)`` that makes the first frame level, if the file says so."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -218,6 +189,12 @@ class BagFrames:
         return self.check(Picture(read(), self.camera.unseen), name)
 
 
+# Frames in order of time. `count`: how many will come, if known. `level_R_body`: the rotation ``(3, 3)`` that makes the
+# first frame level, if the file says so. `frames()`: of each frame its stamp (seconds), its name, and what reads the
+# picture, or raises `EagorError`.
+Frames = ImageFrames | VideoFrames | BagFrames
+
+
 def is_video(places: Sequence[Path], rig: bool = False) -> bool:
     """Whether the one place is a video, by its name; with a `rig` there may be one for each lens."""
     many = len(places) > 1 and not rig
@@ -245,7 +222,9 @@ def images(
         if os.path.isdir(place):
             raise ImageError(f"{place} is a folder; give one folder, or only image files")
         if not os.path.exists(place):
-            raise ImageError(f"there is no file {place}; give a folder of pictures, or image files")
+            raise ImageError(
+                f"there is no file {place}; give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
+            )
     return ImageFrames(in_order(places), rate, read)
 
 

@@ -410,9 +410,8 @@ def _colmap(name: str) -> Rig:
     fisheye = model.endswith("FISHEYE")
     factors = [found.get(key, 0.0) for key in (("k1", "k2", "k3", "k4") if fisheye else PLAIN)]
     try:
-        if fisheye:
-            return Rig(((wide, high),), (_fisheye((wide, high), focal, centre, factors),))
-        return Rig(((wide, high),), (PinholeLens("camera", (wide, high), focal, centre, tuple(factors)),))
+        lens = _lens(FormatError, "equidistant" if fisheye else "", (wide, high), focal, centre, factors)
+        return Rig(((wide, high),), (lens,))
     except EagorError as error:
         raise FormatError(f"{where}: {error}") from error
 

@@ -10,9 +10,9 @@ import math
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +28,9 @@ from eagor.media.video import to_rgb
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
-__all__ = ["Feed", "LiveCamera", "PictureStream", "Shot"]
+    from eagor.media.streams import RawPipe, Stream
+
+__all__ = ["Feed", "LiveCamera", "Shot"]
 
 STALL = 2.0  # seconds without a picture that are worth a word
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0  # seconds before a broken stream is opened again; each time twice as long
@@ -46,39 +48,18 @@ class Shot:
     number: int
 
 
-class PictureStream(Protocol):
-    """A device, an address, a pipe, to be opened. `name`: for texts. `again`: whether it can be opened once more."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def again(self) -> bool: ...
-
-    def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
-        """Time (seconds on the stream's own clock, or None) and picture, as they come, until the stream ends.
-
-        `damaged` is called for each picture that is lost. Raises `DeviceError` or `ImageError` in words.
-        """
-        ...
-
-    @property
-    def stamped(self) -> bool:
-        """Whether its times are those of capture, on this machine's clock (``time.time()``)."""
-        ...
-
-
 class Feed:
     """The newest picture of a stream. `latency`: seconds; `rate`: the most pictures per second to keep, or None.
 
     `changed`: told of whatever comes, so that one may wait for several feeds; None: one of its own.
     `problem`: what is wrong now, in words, or None. `dropped`: pictures that nobody took in time, that were damaged, or
-    that could not be put in order. Raises `DeviceError` if the stream cannot be opened or no picture comes.
+    that could not be put in order. `error`: what ended the stream for good; None if it ended as such streams do, or has
+    not. Raises `DeviceError` if the stream cannot be opened or no picture comes.
     """
 
     def __init__(
         self,
-        stream: PictureStream,
+        stream: Stream | RawPipe,
         *,
         latency: float = 0.0,
         rate: float | None = None,
@@ -91,7 +72,7 @@ class Feed:
         self._taken = 0  # the number of the shot that was taken last
         self._count = 0
         self._closed = self._ended = self._began = False
-        self._error: EagorError | None = None
+        self.error: EagorError | None = None
         self._trouble: str | None = None
         self._since = time.monotonic()  # the last picture, or the beginning
         self._thread = threading.Thread(target=self._run, name="eagor-camera", daemon=True)
@@ -136,11 +117,6 @@ class Feed:
         """Whether no more can come."""
         return self._closed or (self._ended and not self.waits)
 
-    @property
-    def error(self) -> EagorError | None:
-        """What ended the stream for good; None if it ended as such streams do, or has not."""
-        return self._error
-
     def close(self) -> None:
         """Let go. The thread ends as soon as what it waits for returns; nobody waits for that."""
         with self._changed:
@@ -155,7 +131,7 @@ class Feed:
                     self._changed.wait(end - time.monotonic())
                 if self._shot is not None:
                     return
-                error = self._error
+                error = self.error
         except BaseException:  # interrupted
             self.close()
             raise
@@ -176,7 +152,7 @@ class Feed:
                 except EagorError as error:
                     why = redacted(str(error))
                     if not self._began or not self.stream.again:
-                        self._error = error
+                        self.error = error
                 if not self._began or not self.stream.again or self._closed:
                     return
                 pause = FIRST_PAUSE if self._count > before else min(2 * pause, LONGEST_PAUSE)
@@ -184,12 +160,12 @@ class Feed:
                     self._trouble = f"{why}; trying again every {pause:g} s"
                     self._changed.wait_for(lambda: self._closed, pause)
         except Exception as error:  # a bug here or in a library: said, not hidden
-            self._error = DeviceError(f"{self.stream.name}: {type(error).__name__}: {error}")
+            self.error = DeviceError(f"{self.stream.name}: {type(error).__name__}: {error}")
         finally:
             with self._changed:
                 self._ended = True
-                if self._error is not None:
-                    self._trouble = redacted(str(self._error))
+                if self.error is not None:
+                    self._trouble = redacted(str(self.error))
                 self._changed.notify_all()
 
     def _read(self) -> None:
@@ -198,7 +174,7 @@ class Feed:
         pictures = self.stream.pictures(self._damaged)
         try:
             for told, picture in pictures:
-                arrival = self._clock.arrived()
+                arrival = time.monotonic()
                 if self._closed:
                     return
                 stamp = told if self.stream.stamped else self._clock.stamp(told, arrival)
@@ -240,7 +216,7 @@ class LiveCamera:
 
     def __init__(
         self,
-        streams: Sequence[PictureStream],
+        streams: Sequence[Stream | RawPipe],
         *,
         rig: Rig | None = None,
         rows: int | None = None,

@@ -15,13 +15,11 @@ Blank lines, and lines that begin with ``#``, are skipped.
 from __future__ import annotations
 
 import csv
-import gc
 import io
 import math
 import warnings
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
@@ -67,20 +65,15 @@ def read_poses(path: str | Path) -> tuple[FramePose, ...]:
     except (OSError, ValueError) as error:  # UnicodeDecodeError, and null characters in the path
         raise FormatError(f"{path} cannot be read as text ({error}); give a CSV file of poses: {HEADERS}") from error
     lines = _lines(path, text)
-    try:
-        number, header = next(lines)
-    except StopIteration:
-        raise FormatError(f"{path} is empty; wanted a line with the names of the columns: {HEADERS}") from None
+    number, header = next(lines, (0, None))
+    if header is None:
+        raise FormatError(f"{path} is empty; wanted a line with the names of the columns: {HEADERS}")
     names = [name.strip().lower() for name in header]
     try:
         _check_header(names)
     except FormatError as error:
         raise FormatError(f"{path}, line {number}: {error}") from error
-    with _collecting_nothing():
-        poses = _at_once(names, _table(names, text.split("\n", number)[-1]))
-        if poses is None:
-            rows = list(lines)
-            poses = _at_once(names, _table_of_rows(names, rows), rows) or _one_by_one(path, names, rows)
+    poses = _at_once(names, text.split("\n", number)[-1]) or _one_by_one(path, names, lines)
     if not poses:
         raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
     if "qw" in names and _is_another_order(poses):
@@ -110,60 +103,21 @@ def _is_another_order(poses: Sequence[FramePose]) -> bool:
     return bool((up < 0).all() or ((up < 0.5).any() and ((last > 0.5).all() or (first > 0.5).all())))
 
 
-@contextmanager
-def _collecting_nothing() -> Iterator[None]:
-    """Millions of lists that are made at once are no garbage, and going through them takes half of the time."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
+def _at_once(names: Sequence[str], body: str) -> tuple[FramePose, ...] | None:
+    """The poses of a log of odometry, all lines below the header together: there may be millions.
 
-
-def _table(names: Sequence[str], body: str) -> np.ndarray | None:
-    """The numbers of all lines below the header ``(n, columns)``, by NumPy's reader; None where it takes no such file.
-
-    It would take comments within a line, knows no quotes, and has no place for names of frames.
-    """
-    if "frame" in names or not body.strip() or any(mark in body for mark in '#"'):
-        return None
-    try:
-        return np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
-    except ValueError:
-        return None
-
-
-def _table_of_rows(names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> np.ndarray | None:
-    """The same from fields, with NaN in columns of other things; None where a line is wrong."""
-    if not rows or any(len(fields) != len(names) for _, fields in rows):
-        return None
-    columns = []
-    for place, name in enumerate(names):
-        cells = [fields[place] for _, fields in rows]
-        if name not in ("stamp", *QUATERNION, *ANGLES, *POSITION):
-            columns.append(np.full(len(cells), math.nan))
-            continue
-        try:
-            if "_" in ",".join(cells):  # Python would take 1_0 for 10
-                return None
-            columns.append(np.array(list(map(float, cells))))
-        except ValueError:
-            return None
-    return np.array(columns).T
-
-
-def _at_once(
-    names: Sequence[str], table: np.ndarray | None, rows: Sequence[tuple[int, list[str]]] = ()
-) -> tuple[FramePose, ...] | None:
-    """The poses of a `table` ``(n, columns)``, computed together; None where a line is wrong, for `_one_by_one` to say.
-
-    `rows`: the same lines, for the names of their frames.
+    None where a line is wrong, for `_one_by_one` to say, and for what NumPy's reader does not take as it is meant:
+    names of frames, quotes, comments.
     """
     from scipy.spatial.transform import Rotation
 
-    if table is None or table.shape[1] != len(names):
+    if "frame" in names or not body.strip() or any(mark in body for mark in '#"'):
+        return None
+    try:
+        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
+    except ValueError:
+        return None
+    if table.shape[1] != len(names):
         return None
     stamps, turns, places = (
         table[:, [names.index(name) for name in columns if name in names]]
@@ -179,12 +133,10 @@ def _at_once(
     else:
         matrices = Rotation.from_euler("ZYX", turns, degrees=True).as_matrix()
     nothing = [None] * len(table)
-    at = names.index("frame") if "frame" in names else None
-    frames = nothing if at is None else [fields[at].strip() or None for _, fields in rows]
-    return tuple(map(FramePose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, frames))
+    return tuple(map(FramePose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, nothing))
 
 
-def _one_by_one(path: str | Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> tuple[FramePose, ...]:
+def _one_by_one(path: str | Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> tuple[FramePose, ...]:
     """The same, line by line. Raises the error of the first line that has one."""
     poses: list[FramePose] = []
     for number, fields in rows:

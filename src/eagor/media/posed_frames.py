@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event, Semaphore, Thread
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -23,13 +23,7 @@ from eagor.media.footage import BagFrames, Frames, ImageFrames, Read
 from eagor.media.panorama import Picture
 from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
 
-if TYPE_CHECKING:
-    from eagor.media.rotation import Turned, VisualOdometer
-
-__all__ = [
-    "Odometry", "PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight",
-    "thinned",
-]  # fmt: skip
+__all__ = ["PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
 
 HOLE = 0.5  # seconds without a pose that are worth a word
 
@@ -73,12 +67,11 @@ def _by_image(
             yield PosedFrame(pose) if image is None else PosedFrame(pose, image.name, partial(read, image))
         elif image is not None:  # the frame is told of, at the pose before
             here = pose._replace(stamp=told.stamp, frame=told.frame)
-            yield PosedFrame(here, image.name, partial(_placeless, told))
+            yield PosedFrame(here, image.name, partial(_refused, told))
 
 
-def _placeless(pose: FramePose) -> Picture:
-    assert pose.position is not None
-    raise PoseError(f"its pose has the position {pose.position.tolist()}; wanted metres that can be")
+def _refused(pose: FramePose) -> Picture:
+    raise PoseError(f"its pose has the position {np.asarray(pose.position).tolist()}; wanted metres that can be")
 
 
 def _by_time(source: Frames, poses: Sequence[FramePose], name: Path) -> Iterator[PosedFrame]:
@@ -119,7 +112,7 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
         except EagorError:  # the caller meets it again, and says so
             yield PosedFrame(FramePose(stamp, turn, None, frame), frame, read)
             continue
-        turned = _turned(odometer, found, stamp)
+        turned = odometer.add(found.picture, None if found.grid is None else stamp, found.grid)
         turn = upright @ turned.world_R_body
         pose = FramePose(stamp, turn, None, frame)
         lost = turned.lost and met
@@ -127,30 +120,10 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
         met = True
 
 
-def _turned(odometer: VisualOdometer, found: Picture, stamp: float) -> Turned:
-    """How the camera stands at a picture, a panorama or an ordinary one."""
-    if found.grid is None:
-        return odometer.add(found.picture)
-    return odometer.add(found.picture, stamp, grid=found.grid)
-
-
-class Odometry(Protocol):
-    """Poses of a bag's topic, in order of time."""
-
-    @property
-    def topic(self) -> str: ...
-    @property
-    def problem(self) -> str | None:
-        """What is wrong with them, in words."""
-        ...
-
-    def __iter__(self) -> Iterator[Pose]: ...
-
-
 def posed_by_odometry(
-    source: BagFrames, poses: Odometry, say: Callable[[str], object] = lambda text: None
+    source: BagFrames, poses: Any, say: Callable[[str], object] = lambda text: None
 ) -> Iterator[PosedFrame]:
-    """Frames of a bag with the poses of its odometry, interpolated at their stamps.
+    """Frames of a bag with the `poses` of its odometry (`eagor.robots.ros.sources`), interpolated at their stamps.
 
     Frames before the first pose and after the last one are left out, and `say` is told of it, and of what is wrong with
     the poses. Raises `PoseError` if all are left out.

@@ -14,7 +14,7 @@ from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.media.consensus import Inertia
 from eagor.media.features import SIZE, Features, Views, corners_of, followed, lens_of, match, overlap, steadied, warped
-from eagor.media.two_views import Turn, turn_between
+from eagor.media.two_views import Turn, angle_between, turn_between
 
 __all__ = ["Turned", "VisualOdometer"]
 
@@ -194,7 +194,7 @@ class VisualOdometer:
             turn = turn_between(old, new, level=self.level, area=anchor.views.area, inertia=inertia)
             if turn is None or turn.inliers.sum() < enough:
                 return views, None
-            if _angle(guess, turn.old_R_new) < NEAR or not left:
+            if angle_between(guess, turn.old_R_new) < NEAR or not left:
                 return views, (_placed(anchor, views, turn), turn)
             guess = turn.old_R_new
 
@@ -226,7 +226,7 @@ class VisualOdometer:
         """Where a picture points by what the other lenses saw; of a side not seen before it becomes a key frame."""
         assert self._previous is not None
         pose = self._expected(stamp)
-        slack = SLACK * _angle(self._previous.world_R_body, pose)
+        slack = SLACK * angle_between(self._previous.world_R_body, pose)
         now = _Key(views, pose, self._previous.covariance + slack**2 * np.eye(3), self._previous.doubt)
         if len(views.features) >= FEWEST and not self._overlapping(views, stamp):
             self._add_key(now)
@@ -346,11 +346,6 @@ def _placed(key: _Key, views: Views, turn: Turn) -> _Key:
     """A picture that has turned since a key frame."""
     covariance = key.covariance + key.world_R_body @ turn.covariance @ key.world_R_body.T
     return _Key(views, key.world_R_body @ turn.old_R_new, covariance, key.doubt + turn.doubt)
-
-
-def _angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Radians between two rotations ``(3, 3)``."""
-    return float(Rotation.from_matrix(a.T @ b).magnitude())
 
 
 def _share(turn: Turn, features: Features) -> float:

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Protocol, cast
+from typing import TYPE_CHECKING, BinaryIO, ClassVar, cast
 
 import numpy as np
 
@@ -58,7 +58,8 @@ STAMP = struct.Struct("<d")
 class Stream:
     """How to open a stream: `address` for FFmpeg, `format` ("" if it finds out), `options`; `name` is for texts.
 
-    `again`: whether it can be opened once more. `size`: width and height that were asked for, or None.
+    `again`: whether it can be opened once more. `size`: width and height that were asked for, or None. `stamped`:
+    whether its times are those of capture, on this machine's clock (``time.time()``).
     """
 
     address: str
@@ -70,7 +71,10 @@ class Stream:
     stamped: ClassVar[bool] = False
 
     def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
-        """As `eagor.media.live_camera.PictureStream` says."""
+        """Time (seconds on the stream's own clock, or None) and picture, as they come, until the stream ends.
+
+        `damaged` is called for each picture that is lost. Raises `DeviceError` in words.
+        """
         need(f"reading {self.name}", "photos", "av")
         from av.error import FFmpegError
 
@@ -197,19 +201,11 @@ def _why(error: Exception) -> str:
 # --- raw ---
 
 
-class Readable(Protocol):
-    """Where the bytes come from: a file, a pipe."""
-
-    def read(self, size: int = -1, /) -> bytes | None:
-        """Up to `size` bytes; empty at the end."""
-        ...
-
-
 @dataclass(frozen=True)
 class RawPipe:
     """Raw pictures of `kind` (a name of FFmpeg's) with `width` and `height` that `file` brings; see the module."""
 
-    file: Readable
+    file: BinaryIO
     kind: str
     width: int
     height: int
@@ -218,7 +214,7 @@ class RawPipe:
     again: bool = False
 
     def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
-        """As `eagor.media.live_camera.PictureStream` says."""
+        """As those of `Stream`."""
         need("reading raw pictures", "photos", "av")
         import av
 
@@ -264,7 +260,7 @@ class RawPipe:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-def raw_pipe(text: str, file: Readable) -> RawPipe:
+def raw_pipe(text: str, file: BinaryIO) -> RawPipe:
     """The pipe that `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`."""
     found = _SPEC.fullmatch(text)
     if found is None or found[1] not in BYTES:

@@ -3,11 +3,11 @@
 A matched pair (u, v), unit vectors in the old and the new body frame, is right with probability w; then `old_R_new` v
 lies about u. Otherwise it is a mistake, and v can be anywhere in the field (density 1 / area).
 
-- `Standing`: the error is Gaussian with deviation sigma on both axes of the tangent plane.
-- `Moving` along t: things shift away from t by an angle that depends on their distance. The shift is exponential with
-  mean lambda sin(angle between u and t); lambda is the baseline times the mean inverse distance. The Gaussian error is
-  added: the density is Gaussian across the shift and an exponentially modified Gaussian along it (Grushka, Analytical
-  Chemistry 44, 1972). For lambda = 0 it is the first model.
+- A camera that stood: the error is Gaussian with deviation sigma on both axes of the tangent plane.
+- One that moved along t: things shift away from t by an angle that depends on their distance. The shift is exponential
+  with mean lambda sin(angle between u and t); lambda is the baseline times the mean inverse distance. The Gaussian
+  error is added: the density is Gaussian across the shift and an exponentially modified Gaussian along it (Grushka,
+  Analytical Chemistry 44, 1972). For lambda = 0 it is the first model.
 
 Pairs in crowded parts of the sphere weigh less (`Parts.weights`). Weak priors, each worth about one pair, keep sigma, w
 and lambda finite.
@@ -87,12 +87,10 @@ def turn_between(
         return None
     axes = np.array([[0.0, 0.0, 1.0]]) if level else np.eye(3)
     parts = Parts(old, area)
-    found: list[tuple[float, Model, np.ndarray]] = []
-    found.append(_fitted(Standing(old, new, still.rotation, axes, parts), still))
+    found = [_fitted(Model(old, new, still.rotation, axes, parts), still)]
     if moved is not None:
-        assert moved.direction is not None
         guess = _yaw_of(moved.rotation) if level else moved.rotation
-        found.append(_fitted(Moving(old, new, guess, axes, parts, moved.direction), moved))
+        found.append(_fitted(Model(old, new, guess, axes, parts, moved.direction), moved))
     found = [each for each in found if inertia is None or inertia.allows(each[1].rotation)]
     if not found:
         return None
@@ -101,14 +99,13 @@ def turn_between(
     spread = covariance(model, parameters)
     if spread is None:
         return None
-    direction = model.direction if isinstance(model, Moving) else None
     inliers = right(model, parameters) > 0.5
     noise, doubt = math.exp(parameters[d]), 0.0
     if area < SPHERE:
-        stood = found[0][1].rotation if direction is not None else model.rotation
+        stood = found[0][1].rotation if model.direction is not None else model.rotation
         second = _runner_up(model, inliers, level, inertia)
-        doubt = math.sqrt((_SHARED * noise) ** 2 + _gap(model.rotation, stood) ** 2 + second)
-    return Turn(model.rotation, axes.T @ spread @ axes, direction, inliers, noise, doubt)
+        doubt = math.sqrt((_SHARED * noise) ** 2 + angle_between(model.rotation, stood) ** 2 + second)
+    return Turn(model.rotation, axes.T @ spread @ axes, model.direction, inliers, noise, doubt)
 
 
 def _runner_up(model: Model, inliers: np.ndarray, level: bool, inertia: Inertia | None) -> float:
@@ -121,10 +118,10 @@ def _runner_up(model: Model, inliers: np.ndarray, level: bool, inertia: Inertia 
     if other is None or other.log_chance > math.log(FALSE_ALARM):
         return 0.0
     won, lost = (Parts(each, area).count for each in (model.here[inliers], here[other.inliers]))
-    return lost / (won + lost) * _gap(model.rotation, other.rotation) ** 2
+    return lost / (won + lost) * angle_between(model.rotation, other.rotation) ** 2
 
 
-def _gap(a: np.ndarray, b: np.ndarray) -> float:
+def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     """Radians between two rotations ``(3, 3)``."""
     return float(Rotation.from_matrix(a.T @ b).magnitude())
 
@@ -147,10 +144,12 @@ def _yaw_of(rotation: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
-    """Unit vectors `here` and `there` ``(n, 3)``, seen by a camera that only turned, near `rotation`.
+class Model:
+    """Unit vectors `here` and `there` ``(n, 3)``, seen by a camera that turned, near `rotation`.
 
-    Parameters: turns about `axes` (radians), log sigma, logit w.
+    `direction`: None for one that stood; near this unit vector ``(3,)`` in the old frame it moved. Parameters: turns
+    about `axes` ``(d, 3)`` (radians), log sigma, logit w; of one that moved also log lambda and two tilts of the
+    direction (radians).
     """
 
     here: np.ndarray
@@ -158,89 +157,58 @@ class Standing:
     rotation: np.ndarray
     axes: np.ndarray
     parts: Parts
+    direction: np.ndarray | None = None
 
     def start(self, inliers: np.ndarray) -> np.ndarray:
         """First parameters ``(k,)``, from the pairs that agree."""
-        gaps = self.here[inliers] - self.there[inliers] @ self.rotation.T
-        sigma = math.sqrt(float(np.mean(gaps**2)) * 1.5) + 1e-5  # two of three components vary
-        return np.concatenate([np.zeros(len(self.axes)), [math.log(sigma), _logit(inliers)]])
+        if self.direction is None:
+            gaps = self.here[inliers] - self.there[inliers] @ self.rotation.T
+            sigma, rest = math.sqrt(float(np.mean(gaps**2)) * 1.5), []  # two of three components vary
+        else:
+            turned = (self.there @ self.rotation.T)[None]
+            along, across, sine = _shifts(self.here, turned, self.direction[None])
+            sigma = 1.5 * float(np.median(np.abs(across[0, inliers])))  # of a Gaussian
+            mean = 1.5 * float(np.median(np.abs(along / sine)[0, inliers])) + 1e-5  # of an exponential
+            rest = [math.log(mean), 0.0, 0.0]
+        right = inliers.sum()
+        logit = math.log((right + 1) / (len(inliers) - right + 1))  # a little off certainty
+        return np.array([*np.zeros(len(self.axes)), math.log(sigma + 1e-5), logit, *rest])
 
     def log_inlier(self, parameters: np.ndarray) -> np.ndarray:
         """Log-density ``(p, n)`` of right pairs under parameters ``(p, k)``."""
         d = len(self.axes)
-        turned = _turned(self.there, self.rotation, parameters[:, :d] @ self.axes)
-        log_sigma = parameters[:, d, None]
-        squared = np.sum((turned - self.here) ** 2, axis=-1)
-        variance = np.exp(2 * log_sigma) + _LEAST_NOISE**2
-        return -squared / (2 * variance) - np.log(variance) - math.log(2 * math.pi)
-
-    def log_prior(self, parameters: np.ndarray) -> np.ndarray:
-        """Logarithm ``(p,)`` of the weak priors."""
-        return _log_prior(parameters[:, len(self.axes) :])
-
-    def at(self, parameters: np.ndarray) -> tuple[Standing, np.ndarray]:
-        """The same model about the rotation of these parameters, and what becomes of them."""
-        d = len(self.axes)
-        rotation = _rotations(parameters[None, :d] @ self.axes)[0] @ self.rotation
-        return replace(self, rotation=rotation), np.append(np.zeros(d), parameters[d:])
-
-
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """The same seen by a camera that also moved, near `direction` ``(3,)`` in the old frame.
-
-    Parameters: turns about `axes` (radians), log sigma, logit w, log lambda, two tilts of the direction (radians).
-    """
-
-    here: np.ndarray
-    there: np.ndarray
-    rotation: np.ndarray
-    axes: np.ndarray
-    parts: Parts
-    direction: np.ndarray
-
-    def start(self, inliers: np.ndarray) -> np.ndarray:
-        """First parameters ``(k,)``, from the pairs that agree."""
-        turned = (self.there @ self.rotation.T)[None]
-        along, across, sine = _shifts(self.here, turned, self.direction[None])
-        sigma = 1.5 * float(np.median(np.abs(across[0, inliers]))) + 1e-5  # of a Gaussian
-        mean = 1.5 * float(np.median(np.abs(along / sine)[0, inliers])) + 1e-5  # of an exponential
-        rest = [math.log(sigma), _logit(inliers), math.log(mean), 0.0, 0.0]
-        return np.concatenate([np.zeros(len(self.axes)), rest])
-
-    def log_inlier(self, parameters: np.ndarray) -> np.ndarray:
-        """Log-density ``(p, n)`` of right pairs under parameters ``(p, k)``."""
-        d = len(self.axes)
-        turned = _turned(self.there, self.rotation, parameters[:, :d] @ self.axes)
-        log_sigma, log_mean = parameters[:, d, None], parameters[:, d + 2, None]
-        along, across, sine = _shifts(self.here, turned, self._directions(parameters[:, d + 3 :]))
-        sigma = np.sqrt(np.exp(2 * log_sigma) + _LEAST_NOISE**2)
-        mean = np.maximum(np.exp(log_mean) * sine, 1e-3 * sigma)  # smaller shifts make no difference
+        turned = self.there @ (_rotations(parameters[:, :d] @ self.axes) @ self.rotation).swapaxes(1, 2)  # (p, n, 3)
+        variance = np.exp(2 * parameters[:, d, None]) + _LEAST_NOISE**2
+        if self.direction is None:
+            squared = np.sum((turned - self.here) ** 2, axis=-1)
+            return -squared / (2 * variance) - np.log(variance) - math.log(2 * math.pi)
+        along, across, sine = _shifts(self.here, turned, _tilted(self.direction, parameters[:, d + 3 :]))
+        sigma = np.sqrt(variance)
+        mean = np.maximum(np.exp(parameters[:, d + 2, None]) * sine, 1e-3 * sigma)  # smaller shifts make no difference
         z = sigma / mean - along / sigma
         shift = (z**2 - (along / sigma) ** 2) / 2 + log_ndtr(-z) - np.log(mean)
         return shift - (across / sigma) ** 2 / 2 - np.log(sigma) - math.log(2 * math.pi) / 2
 
     def log_prior(self, parameters: np.ndarray) -> np.ndarray:
         """Logarithm ``(p,)`` of the weak priors."""
-        d = len(self.axes)
-        return _log_prior(parameters[:, d:]) - ((parameters[:, d + 2] - math.log(_USUAL_SHIFT)) / 3) ** 2 / 2
+        log_sigma, logit, *rest = parameters[:, len(self.axes) :].T
+        found = -(((log_sigma - math.log(_USUAL_NOISE)) / 2) ** 2) / 2 + log_expit(logit) + log_expit(-logit)
+        return found - ((rest[0] - math.log(_USUAL_SHIFT)) / 3) ** 2 / 2 if rest else found
 
-    def at(self, parameters: np.ndarray) -> tuple[Moving, np.ndarray]:
+    def at(self, parameters: np.ndarray) -> tuple[Model, np.ndarray]:
         """The same model about the pose of these parameters, and what becomes of them."""
         d = len(self.axes)
         rotation = _rotations(parameters[None, :d] @ self.axes)[0] @ self.rotation
-        direction = self._directions(parameters[None, d + 3 :])[0]
-        left = np.concatenate([np.zeros(d), parameters[d : d + 3], np.zeros(2)])
-        return replace(self, rotation=rotation, direction=direction), left
-
-    def _directions(self, tilts: np.ndarray) -> np.ndarray:
-        """Unit vectors ``(p, 3)`` of tilts ``(p, 2)``."""
-        tangent = np.linalg.svd(self.direction[None])[2][1:]
-        tilted = self.direction + tilts @ tangent
-        return tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
+        moved = None if self.direction is None else _tilted(self.direction, parameters[None, d + 3 :])[0]
+        left = parameters.copy()
+        left[:d], left[d + 3 :] = 0, 0
+        return replace(self, rotation=rotation, direction=moved), left
 
 
-Model = Standing | Moving  # of both, the first parameters turn the rotation about `axes` ``(d, 3)``
+def _tilted(direction: np.ndarray, tilts: np.ndarray) -> np.ndarray:
+    """Unit vectors ``(p, 3)`` near `direction` ``(3,)``, off by tilts ``(p, 2)``."""
+    tilted = direction + tilts @ np.linalg.svd(direction[None])[2][1:]
+    return tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
 
 
 def evidence(model: Model, parameters: np.ndarray) -> float:
@@ -344,22 +312,6 @@ def _shifts(here: np.ndarray, turned: np.ndarray, directions: np.ndarray) -> tup
     return along, np.arcsin(np.clip(np.einsum("pni,pni->pn", turned, normals) / sine, -1, 1)), sine
 
 
-def _log_prior(parameters: np.ndarray) -> np.ndarray:
-    """Priors of log sigma and logit w, the first two of parameters ``(p, k)``."""
-    noise = -(((parameters[:, 0] - math.log(_USUAL_NOISE)) / 2) ** 2) / 2
-    return noise + log_expit(parameters[:, 1]) + log_expit(-parameters[:, 1])
-
-
-def _turned(there: np.ndarray, rotation: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """`there` ``(n, 3)`` in the old frame ``(p, n, 3)``, for rotation vectors `turns` ``(p, 3)`` after `rotation`."""
-    return there @ (_rotations(turns) @ rotation).swapaxes(1, 2)
-
-
 def _rotations(vectors: np.ndarray) -> np.ndarray:
     """Matrices ``(p, 3, 3)`` of rotation vectors ``(p, 3)``."""
     return Rotation.from_rotvec(vectors).as_matrix()
-
-
-def _logit(inliers: np.ndarray) -> float:
-    """Log odds of an inlier, a little off certainty."""
-    return math.log((inliers.sum() + 1) / (len(inliers) - inliers.sum() + 1))

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, cast
 
@@ -22,7 +22,7 @@ from eagor.errors import ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.defects import fisheye_circles
 from eagor.media.intrinsics import told_by_video
-from eagor.media.metadata import EXPORT, Projection, VideoMetadata, read_metadata
+from eagor.media.metadata import EXPORT, Projection, read_metadata
 from eagor.media.rigs import SHAPE
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-__all__ = ["Damage", "StreamInfo", "Video", "first_picture", "open_video", "pictures", "seek_to", "to_rgb"]
+__all__ = ["Damage", "Video", "open_video", "pictures", "to_rgb"]
 
 CLOCK = 5e-4  # seconds: half a unit of the coarsest common clock, Matroska's, to which stamps are rounded
 PLAIN = 25.0  # pictures per second where a file tells neither times nor rate; FFmpeg's own
@@ -51,31 +51,6 @@ class Damage:
 
     packets: int = 0
     first: float = 0.0
-
-
-@dataclass(frozen=True)
-class StreamInfo:
-    """What the first picture and its stream say.
-
-    `shape`: rows and columns in square pixels, upright. `turns`: quarter turns, counterclockwise, that make it upright.
-    `mirrored`: whether it is to be shown so. `codec`, `camera`: names. `transfer`: of its colours, by ITU-T H.273.
-    `zero`: start of the file on its clock; `clock`: unit of that; `duration`; all in seconds. `rate`: pictures per
-    second. `timed`: whether pictures have times. `tags`: its metadata by name.
-    """
-
-    shape: tuple[int, int]
-    size: tuple[int, int]
-    turns: int
-    mirrored: bool
-    codec: str
-    camera: str
-    transfer: int
-    zero: float
-    clock: float
-    duration: float | None
-    rate: float | None
-    timed: bool
-    tags: Mapping[str, str]
 
 
 class Video:
@@ -125,32 +100,59 @@ class Video:
         projection.check(self.path)  # before FFmpeg, which refuses some of them without a word
         container, stream = open_video(self.path, said.entry, track)
         with container:
-            first, picture = first_picture(container, stream, self.path)
+            picture = _first_picture(container, stream, self.path)
             if said.raw and not lenses and fisheye_circles(to_rgb(picture, *CHECKED)):
                 raise ImageError(
                     f"{self.path} shows the circles of a fisheye camera, not stitched yet. Give the lenses with --rig "
                     f"FILE.yaml (eagor camera calibrate makes one). Or: {EXPORT}"
                 )
-        if first.duration is not None and start >= first.duration:
-            raise TimeError(f"start = {start:g} s is beyond the end of {self.path}, which lasts {first.duration:.2f} s")
-        self._first, self._missing = first, said.missing
-        self._layout = projection.layout(*first.shape, rows)
-        self._clock = min(CLOCK, first.clock / 2) + 1e-9
-        self._interval = 1 / (first.rate or PLAIN)
+            unit, begins = float(stream.time_base or 0), (container.start_time or 0) / 1e6  # seconds
+            self.duration: float | None = None
+            if stream.duration is not None:
+                self.duration = stream.duration * unit
+            elif container.duration is not None:
+                self.duration = container.duration / 1e6
+            self.frame_rate = float(stream.average_rate or stream.guessed_rate or 0) or None
+            aspect, codec = float(stream.sample_aspect_ratio or 1) or 1.0, stream.codec_context.name
+            tags = container.metadata | stream.metadata
+        if self.duration is not None and start >= self.duration:
+            raise TimeError(f"start = {start:g} s is beyond the end of {self.path}, which lasts {self.duration:.2f} s")
+        self._missing, self._timed = said.missing, picture.pts is not None
+        self._zero = round(begins / unit) * unit if unit else begins
+        self._clock, self._interval = min(CLOCK, unit / 2) + 1e-9, 1 / (self.frame_rate or PLAIN)
+        self._size, (self._turns, mirrored) = (picture.height, picture.width), _turns(picture)
+        high, wide = picture.height, max(1, round(picture.width * aspect))
+        self._layout = projection.layout(*((wide, high) if self._turns % 2 else (high, wide)), rows)
         self.shape, self.unseen = self._layout.shape, self._layout.unseen
-        self.duration, self.frame_rate = first.duration, first.rate
         self.level_R_body = projection.level_R_body if projection.pitch or projection.roll else None
         self.motion = said.motion
-        self.told = told_by_video(first.tags, (self.shape[1], self.shape[0]), first.turns)
-        self.facts = tuple(_facts(said, first, lenses))
+        self.told = told_by_video(tags, (self.shape[1], self.shape[0]), self._turns)
+        quarters, bright = self._turns, HDR.get(picture.color_trc)
+        facts = {
+            f"{codec}, {picture.width} x {picture.height} pixels": True,
+            f"the camera is {_camera(tags)}": _camera(tags),
+            f"its pictures are turned by {90 * quarters} degrees counterclockwise, as it wants to be shown": quarters,
+            "it wants to be shown mirrored, which is not done": mirrored,
+            f"its colours are HDR ({bright}) and taken as they are: they look pale": bright,
+            f"its pictures have no times; {self.frame_rate or PLAIN:g} a second are assumed": not self._timed,
+            "its pictures are those of lenses, and are stitched": lenses,
+        }
+        shown = () if lenses or said.projection is None else said.projection.facts()
+        self.facts = (*(fact for fact, holds in facts.items() if holds), *shown, *said.facts)
         self.count = self._count()
 
     def __iter__(self) -> Iterator[Frame]:
-        run, name = _Run(), os.path.basename(self.path)
-        next_tick = 0
-        for stamp, picture in self._decoded(run):
+        name, damage, next_tick, stopped = os.path.basename(self.path), Damage(), 0, False
+        seen = taken = repaired = 0
+        last: float | None = None
+        for picture in self._decoded(damage):
+            stamp = None if picture.time is None else picture.time - self._zero
+            if stamp is None or (last is not None and stamp <= last):
+                repaired += 1
+                stamp = 0.0 if last is None else last + self._interval
+            seen, last = seen + 1, stamp
             if self.end is not None and stamp >= self.end - self._clock:
-                run.stopped = True
+                stopped = True
                 break
             if stamp < self.start - self._clock:
                 continue
@@ -159,31 +161,48 @@ class Video:
                 if tick < next_tick:
                     continue
                 next_tick = tick + 1
-            run.taken += 1
+            taken += 1
             yield Frame(stamp, self._panorama(picture), f"{name} at {stamp:.2f} s")
-        self._close(run)
+        if repaired and self._timed:
+            warnings.warn(
+                f"{self.path}: the times of {repaired} of {seen} pictures are missing or do not increase; each "
+                f"follows the picture before by {self._interval:.4f} s",
+                UserWarning,
+                stacklevel=2,
+            )
+        reached = "none of its pictures could be read" if last is None else f"it was read up to {last:.2f} s"
+        if self._missing and not stopped:
+            raise ImageError(
+                f"{self.path} is cut off: {self._missing} bytes are missing at its end; {reached}, and {taken} "
+                "pictures were taken. Copy it again from the camera for the rest"
+            )
+        if damage.packets:
+            raise ImageError(
+                f"{self.path} is damaged: {damage.packets} of its packets could not be decoded, the first near "
+                f"{damage.first - self._zero:.2f} s; {reached}, and {taken} pictures were taken. Copy it again from "
+                "the camera"
+            )
+        if not taken:
+            end = "its end" if self.end is None else f"end = {self.end:g} s"
+            raise TimeError(
+                f"{self.path} has no picture from start = {self.start:g} s to {end}; {reached}. Choose other times"
+            )
 
-    def _decoded(self, run: _Run) -> Iterator[tuple[float, VideoFrame]]:
-        """Stamp and picture of all that can be decoded, from the key picture before `start` on."""
+    def _decoded(self, damage: Damage) -> Iterator[VideoFrame]:
+        """All pictures that can be decoded, from the key picture before `start` on."""
         container, stream = open_video(self.path, track=self._track)
         try:
-            if self.start > 0 and self._first.timed and not seek_to(container, stream, self.start + self._first.zero):
+            if self.start > 0 and self._timed and not _seek_to(container, stream, self.start + self._zero):
                 container.close()
                 container, stream = open_video(self.path, track=self._track)
-            for picture in pictures(container, stream, run.damage):
-                stamp = None if picture.time is None else picture.time - self._first.zero
-                if stamp is None or (run.last is not None and stamp <= run.last):
-                    run.repaired += 1
-                    stamp = 0.0 if run.last is None else run.last + self._interval
-                run.seen, run.last = run.seen + 1, stamp
-                yield stamp, picture
+            yield from pictures(container, stream, damage)
         finally:
             container.close()
 
     def _panorama(self, picture: VideoFrame) -> np.ndarray:
         """The whole panorama ``(*shape, 3)`` of a decoded picture."""
         high, wide = self._layout.size
-        turns, own = self._first.turns, self._first.size
+        turns, own = self._turns, self._size
         if abs(picture.width * own[0] / (picture.height * own[1]) - 1) > SHAPE:
             raise ImageError(
                 f"{self.path}: its pictures change from {own[1]} x {own[0]} to {picture.width} x {picture.height}, "
@@ -197,45 +216,6 @@ class Video:
             return None
         seconds = min(self.duration, math.inf if self.end is None else self.end) - self.start
         return max(1, math.ceil(seconds * min(rate for rate in (self.rate, self.frame_rate) if rate) - 1e-6))
-
-    def _close(self, run: _Run) -> None:
-        """At the end: warn of repaired stamps; raise for what is missing."""
-        if run.repaired and self._first.timed:
-            warnings.warn(
-                f"{self.path}: the times of {run.repaired} of {run.seen} pictures are missing or do not increase; each "
-                f"follows the picture before by {self._interval:.4f} s",
-                UserWarning,
-                stacklevel=3,
-            )
-        reached = "none of its pictures could be read" if run.last is None else f"it was read up to {run.last:.2f} s"
-        if self._missing and not run.stopped:
-            raise ImageError(
-                f"{self.path} is cut off: {self._missing} bytes are missing at its end; {reached}, and {run.taken} "
-                "pictures were taken. Copy it again from the camera for the rest"
-            )
-        if run.damage.packets:
-            raise ImageError(
-                f"{self.path} is damaged: {run.damage.packets} of its packets could not be decoded, the first near "
-                f"{run.damage.first - self._first.zero:.2f} s; {reached}, and {run.taken} pictures were taken. Copy it "
-                "again from the camera"
-            )
-        if not run.taken:
-            end = "its end" if self.end is None else f"end = {self.end:g} s"
-            raise TimeError(
-                f"{self.path} has no picture from start = {self.start:g} s to {end}; {reached}. Choose other times"
-            )
-
-
-@dataclass
-class _Run:
-    """What has happened so far: pictures `seen`, `taken`, stamps `repaired`, the `last` stamp, `stopped` at `end`."""
-
-    damage: Damage = field(default_factory=Damage)
-    seen: int = 0
-    taken: int = 0
-    repaired: int = 0
-    last: float | None = None
-    stopped: bool = False
 
 
 def _check(rate: float | None, start: float, end: float | None, rows: int | None) -> None:
@@ -262,25 +242,6 @@ def _checked_path(path: str) -> str:
     if not os.access(path, os.R_OK):
         raise ImageError(f"{path!r} cannot be read; make it readable (chmod +r), or copy it")
     return path
-
-
-def _facts(said: VideoMetadata, first: StreamInfo, lenses: bool) -> Iterator[str]:
-    yield f"{first.codec}, {first.size[1]} x {first.size[0]} pixels"
-    if first.camera:
-        yield f"the camera is {first.camera}"
-    if first.turns:
-        yield f"its pictures are turned by {90 * first.turns} degrees counterclockwise, as it wants to be shown"
-    if first.mirrored:
-        yield "it wants to be shown mirrored, which is not done"
-    if first.transfer in HDR:
-        yield f"its colours are HDR ({HDR[first.transfer]}) and taken as they are: they look pale"
-    if not first.timed:
-        yield f"its pictures have no times; {first.rate or PLAIN:g} a second are assumed"
-    if lenses:
-        yield "its pictures are those of lenses, and are stitched"
-    elif said.projection is not None:
-        yield from said.projection.facts()
-    yield from said.facts
 
 
 # --- decoding ---
@@ -333,39 +294,14 @@ def _stream(container: InputContainer, path: str, entry: str, track: int) -> Vid
     return streams[track]
 
 
-def first_picture(container: InputContainer, stream: VideoStream, path: str) -> tuple[StreamInfo, VideoFrame]:
-    """What the first picture that can be decoded says, and that picture. Raises `ImageError` if there is none."""
+def _first_picture(container: InputContainer, stream: VideoStream, path: str) -> VideoFrame:
+    """The first picture that can be decoded. Raises `ImageError` if there is none."""
     damage = Damage()
     picture = next(pictures(container, stream, damage), None)
     if picture is None:
         why = f"none of its {damage.packets} packets can be decoded" if damage.packets else "it is empty"
         raise ImageError(f"{path} holds no picture: {why}. Copy it again from the camera, or {CONVERT.format(path)}")
-    turns, mirrored = _turns(picture)
-    aspect = float(stream.sample_aspect_ratio or 1) or 1.0
-    high, wide = picture.height, max(1, round(picture.width * aspect))
-    unit, duration = float(stream.time_base or 0), None
-    start = (container.start_time or 0) / 1e6
-    if stream.duration is not None:
-        duration = stream.duration * unit
-    elif container.duration is not None:
-        duration = container.duration / 1e6
-    rate = float(stream.average_rate or stream.guessed_rate or 0)
-    first = StreamInfo(
-        shape=(wide, high) if turns % 2 else (high, wide),
-        size=(picture.height, picture.width),
-        turns=turns,
-        mirrored=mirrored,
-        codec=stream.codec_context.name,
-        camera=_camera(container.metadata | stream.metadata),
-        transfer=picture.color_trc,
-        zero=round(start / unit) * unit if unit else start,
-        clock=unit,
-        duration=duration,
-        rate=rate or None,
-        timed=picture.pts is not None,
-        tags=container.metadata | stream.metadata,
-    )
-    return first, picture
+    return picture
 
 
 def _turns(picture: VideoFrame) -> tuple[int, bool]:
@@ -409,7 +345,7 @@ def pictures(container: InputContainer, stream: VideoStream, damage: Damage) -> 
         yield from good  # pyright: ignore[reportReturnType]
 
 
-def seek_to(container: InputContainer, stream: VideoStream, time: float) -> bool:
+def _seek_to(container: InputContainer, stream: VideoStream, time: float) -> bool:
     """Go to the last key picture at or before `time` (seconds, the file's clock); False if it leads to a later one."""
     from av.error import FFmpegError
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from eagor.drawing.style import STATUS, answer_in_words, far_in_words, sureness
+from eagor.drawing.style import STATUS, answer_in_words, far_in_words
 from eagor.drawing.view import Mosaic
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PerspectiveGrid
@@ -44,7 +44,7 @@ def estimate_json(estimate: Estimate, entropy: float) -> dict[str, Any]:
             "credible_angle": e.credible_angle if known else None,
             "presence": e.presence,
             "entropy": entropy,
-            "sure": f"{answer_in_words(e)}, {sureness(e)}" if known else None,
+            "sure": e.sureness if known else None,
             "distance": e.distance if near else None,
             "distance_spread": e.distance_spread if near else None,
             "moving": e.moving,

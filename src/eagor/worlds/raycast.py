@@ -4,10 +4,8 @@
 the "numpy" engine needs only NumPy and is slower by one to two orders of magnitude. "auto" takes the first that is
 installed. Both see triangles from either side.
 
-The "numpy" engine is a flat tree of boxes, for batches of rays at once. Each inner node has four children, so the tree
-needs no pointers: node k of level l has the children 4k .. 4k + 3 of level l + 1. All rays of a batch walk it in
-lockstep, each with its own stack, near children first; a ray is done when its stack is empty. The last axis of arrays
-is the ray, which keeps inner loops long.
+The "numpy" engine is a tree of boxes. A batch of rays goes down it together, as far as its boxes are hit, and the box
+that most of them enter first comes first.
 """
 
 from __future__ import annotations
@@ -22,8 +20,8 @@ from eagor.errors import WorldError
 
 ENGINES = ("auto", "embree", "numpy")
 _FAR = np.float32(1e37)  # distance that embreex reports for a miss
-_LEAF = 4  # triangles per leaf, at most
-_BATCH = 1 << 13  # rays that walk together, so that their data fits in the cache
+_LEAF = 8  # triangles per leaf, at most
+_BATCH = 1 << 16  # rays that walk together
 _MARGIN = 1e-7  # barycentric tolerance, so that no ray slips through the edge between two triangles
 
 
@@ -132,6 +130,22 @@ class EmbreeRaycaster:
         return self._scene.run(origins, directions, dists=limits, query="OCCLUDED") >= 0
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Node:
+    """A box ``low``, ``high`` ``(3,)``, and the triangles in it, or two boxes in it."""
+
+    low: np.ndarray
+    high: np.ndarray
+    triangles: np.ndarray
+    inner: tuple[_Node, ...] = ()
+
+    def entry(self, origin: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+        """The distance at which each ray ``(3, m)`` enters the box, inf for none (slab test)."""
+        ends = (self.low[:, None] - origin) * inverse, (self.high[:, None] - origin) * inverse
+        near = np.maximum(np.minimum(*ends).max(axis=0), 0)
+        return np.where(near <= np.maximum(*ends).min(axis=0), near, np.inf)
+
+
 class NumpyRaycaster:
     """The same results from a tree of boxes, except for rounding and the choice at a shared edge."""
 
@@ -139,17 +153,10 @@ class NumpyRaycaster:
         corners = vertices[triangles].astype(np.float64)
         self._origin = corners.reshape(-1, 3).mean(axis=0)  # near the middle, to balance rounding
         corners -= self._origin
-        # (9, T): corner 0 and the two edges from it; one more column, which no ray can hit, fills up the leaves.
-        sides = np.concatenate([corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1)
-        self._sides = np.ascontiguousarray(np.concatenate([sides, np.zeros((1, 9))]).T)
-        pieces, source = _split_large(corners)
-        order, self._levels = _ordered(pieces.mean(axis=1))
-        starts = (np.arange(4**self._levels + 1) * len(order)) // 4**self._levels
-        slots = starts[:-1, None] + np.arange(_LEAF)
-        full = slots < starts[1:, None]
-        owner = np.append(source[order], len(triangles))
-        self._leaves = np.ascontiguousarray(owner[np.where(full, slots, len(order))].T)  # (_LEAF, leaves)
-        self._boxes = _boxes(pieces[order], starts, self._levels)
+        # (T, 3, 3): corner 0 and the two edges from it.
+        self._sides = np.concatenate([corners[:, :1], corners[:, 1:] - corners[:, :1]], axis=1)
+        pad = 1e-9 * max(1.0, float(np.abs(corners).max()))
+        self._tree = _tree(corners.min(axis=1) - pad, corners.max(axis=1) + pad, np.arange(len(corners)))
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         return self._within(np.inf, origins, directions)
@@ -160,69 +167,32 @@ class NumpyRaycaster:
     def _within(self, reach: float | np.ndarray, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """The nearest hit on each ray that is not farther than `reach`, in lengths of its direction."""
         origins, directions = _checked(origins, directions)
-        limits = np.broadcast_to(np.asarray(reach, dtype=np.float64), len(origins))
-        starts = range(0, max(len(origins), 1), _BATCH)
-        found = [self._walk(*(a[k : k + _BATCH] for a in (origins, directions, limits))) for k in starts]
-        distance, triangle, u, v = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        distance = np.where(triangle >= 0, distance, np.inf)
+        origin, way = (origins - self._origin).T, directions.T.astype(np.float64)
+        inverse = 1 / np.where(np.abs(way) < 1e-20, 1e-20, way)
+        best = np.array(np.broadcast_to(np.asarray(reach, dtype=np.float64), len(origins)))
+        triangle, u, v = np.full(len(best), -1, dtype=np.int32), np.zeros(len(best)), np.zeros(len(best))
+        everyone = np.arange(len(best))
+        for first in range(0, len(best), _BATCH):
+            rays = everyone[first : first + _BATCH]
+            stack = [(self._tree, rays, np.zeros(len(rays)))]
+            while stack:
+                node, rays, near = stack.pop()
+                rays = rays[near < best[rays]]
+                if len(rays) and node.inner:
+                    start, slope = origin[:, rays], inverse[:, rays]
+                    one, two = ((inner, rays, inner.entry(start, slope)) for inner in node.inner)
+                    ahead = np.count_nonzero(one[2] < two[2]) > np.count_nonzero(two[2] < one[2])
+                    stack += (two, one) if ahead else (one, two)  # the box that most rays enter first, first
+                elif len(rays):
+                    self._meet(rays, node.triangles, origin[:, rays], way[:, rays], best, triangle, u, v)
+        best[triangle < 0] = np.inf
         u, v = (np.clip(weight, 0.0, 1.0).astype(np.float32) for weight in (u, v))
-        return Hits(distance.astype(np.float32), triangle.astype(np.int32), u, v)
+        return Hits(best.astype(np.float32), triangle, u, v)
 
-    def _walk(self, origins: np.ndarray, directions: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Distance, triangle (-1: none), u and v of one batch."""
-        count = len(origins)
-        origin = np.ascontiguousarray((origins - self._origin).T)
-        way = np.ascontiguousarray(directions.T, dtype=np.float64)
-        inverse = (1 / np.where(np.abs(way) < 1e-20, 1e-20, way)).astype(np.float32)
-        start = origin.astype(np.float32)  # boxes are tested in single precision, with padding for it
-        best, u, v = np.array(limits, dtype=np.float64), np.zeros(count), np.zeros(count)
-        triangle = np.full(count, -1)
-        # Node numbers run through the levels: level l begins at (4^l - 1) / 3.
-        first_leaf = (4**self._levels - 1) // 3
-        stack = np.zeros((3 * self._levels + 2, count), dtype=np.int64)
-        entry = np.zeros(stack.shape, dtype=np.float32)
-        height = np.ones(count, dtype=np.int64)  # of each ray's stack, which starts with the root
-        rays = np.arange(count)
-        while len(rays):
-            height[rays] -= 1
-            node, near = stack[height[rays], rays], entry[height[rays], rays]
-            open_ = near < best[rays]
-            leaf = node >= first_leaf
-            at = np.flatnonzero(open_ & leaf)
-            if len(at):
-                self._meet(rays[at], node[at] - first_leaf, origin, way, best, triangle, u, v)
-            at = np.flatnonzero(open_ & ~leaf)
-            if len(at):
-                here = rays[at]
-                reach = self._enter(node[at], start[:, here], inverse[:, here], best[here].astype(np.float32))
-                nearest_last = np.argsort(-reach, axis=0)
-                for place in nearest_last:
-                    distance = np.take_along_axis(reach, place[None], axis=0)[0]
-                    hit = np.isfinite(distance)
-                    who = here[hit]
-                    stack[height[who], who] = 4 * node[at][hit] + 1 + place[hit]
-                    entry[height[who], who] = distance[hit]
-                    height[who] += 1
-            rays = rays[height[rays] > 0]
-        return best, triangle, u, v
-
-    def _enter(self, node: np.ndarray, origin: np.ndarray, inverse: np.ndarray, best: np.ndarray) -> np.ndarray:
-        """The distance at which each ray enters the four children of its node ``(4, m)``, inf for none (slab test)."""
-        boxes = self._boxes.take(node, axis=-1)  # (2, 3, 4, m)
-        boxes -= origin[:, None]
-        boxes *= inverse[:, None]
-        low, high = np.minimum(boxes[0], boxes[1]), np.maximum(boxes[0], boxes[1])
-        near = np.maximum(np.maximum(low[0], low[1]), np.maximum(low[2], np.float32(0)))
-        far = np.minimum(np.minimum(high[0], high[1]), np.minimum(high[2], best))
-        near[near > far] = np.inf
-        return near
-
-    def _meet(self, rays, leaf, origin, way, best, triangle, u, v) -> None:
-        """Test the triangles of each ray's leaf, and keep nearer hits (Moeller and Trumbore 1997)."""
-        candidates = self._leaves[:, leaf]  # (_LEAF, m)
-        x0, y0, z0, ax, ay, az, bx, by, bz = self._sides[:, candidates]
-        ox, oy, oz = origin[:, rays]
-        dx, dy, dz = way[:, rays]
+    def _meet(self, rays, candidates, origin, way, best, triangle, u, v) -> None:
+        """Test each ray on all `candidates`, and keep nearer hits (Moeller and Trumbore 1997); the first, if equal."""
+        (x0, y0, z0), (ax, ay, az), (bx, by, bz) = self._sides[candidates].transpose(1, 2, 0)[..., None]
+        (ox, oy, oz), (dx, dy, dz) = origin, way
         px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
         determinant = ax * px + ay * py + az * pz
         flat = determinant == 0
@@ -234,68 +204,19 @@ class NumpyRaycaster:
         distance = (bx * qx + by * qy + bz * qz) * scale
         inside = (first >= -_MARGIN) & (second >= -_MARGIN) & (first + second <= 1 + _MARGIN) & ~flat & (distance >= 0)
         distance = np.where(inside, distance, np.inf)
-        nearest = distance.argmin(axis=0)[None]
-        length = np.take_along_axis(distance, nearest, axis=0)[0]
-        closer = length < best[rays]
-        who = rays[closer]
-        best[who] = length[closer]
-        for target, values in ((triangle, candidates), (u, first), (v, second)):
-            target[who] = np.take_along_axis(values, nearest, axis=0)[0][closer]
+        nearest = distance.argmin(axis=0)
+        length = distance.min(axis=0)
+        closer = (length < best[rays]) | (length == best[rays]) & (candidates[nearest] < triangle[rays])
+        who, at = rays[closer], (nearest[closer], np.flatnonzero(closer))
+        best[who], triangle[who], u[who], v[who] = distance[at], candidates[at[0]], first[at], second[at]
 
 
-def _split_large(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles ``(T, 3, 3)`` halved until none spans a sixteenth of the scene, and the triangle of each piece."""
-    source = np.arange(len(corners))
-    limit = np.ptp(corners.reshape(-1, 3), axis=0).max() / 16
-    done: list[tuple[np.ndarray, np.ndarray]] = []
-    for _ in range(16):
-        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        large = edges.max(axis=1) > limit
-        done.append((corners[~large], source[~large]))
-        corners, source, longest = corners[large], source[large], edges[large].argmax(axis=1)
-        if len(corners) == 0:
-            break
-        turned = np.take_along_axis(corners, ((longest[:, None] + np.arange(3)) % 3)[..., None], axis=1)
-        middle = (turned[:, 0] + turned[:, 1]) / 2
-        halves = (turned[:, 0], middle, turned[:, 2]), (middle, turned[:, 1], turned[:, 2])
-        corners = np.concatenate([np.stack(half, axis=1) for half in halves])
-        source = np.concatenate([source, source])
-    done.append((corners, source))
-    return np.concatenate([c for c, _ in done]), np.concatenate([s for _, s in done])
-
-
-def _ordered(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """The order of the triangles in the leaves (halved by medians along the longest side), and the number of levels."""
-    count, levels = len(centres), 0
-    while -(-count // 4**levels) > _LEAF:
-        levels += 1
-    order = np.arange(count)
-    for level in range(2 * levels):
-        starts = (np.arange(2**level + 1) * count) // 2**level
-        filled = np.flatnonzero(np.diff(starts))
-        part = np.repeat(np.arange(2**level), np.diff(starts))
-        here = centres[order]
-        low, high = (f.reduceat(here, starts[filled], axis=0) for f in (np.minimum, np.maximum))
-        axis = np.zeros(2**level, dtype=int)
-        axis[filled] = (high - low).argmax(axis=1)
-        key = np.take_along_axis(here, axis[part][:, None], axis=1)[:, 0]
-        order = order[np.lexsort((key, part))]
-    return order, levels
-
-
-def _boxes(pieces: np.ndarray, starts: np.ndarray, levels: int) -> np.ndarray:
-    """Bounds of the children of all inner nodes, ``(2, 3, 4, nodes)``, slightly padded; low > high for empty leaves."""
-    sizes = np.diff(starts)
-    filled = np.flatnonzero(sizes)
-    low, high = np.full((len(sizes), 3), np.inf), np.full((len(sizes), 3), -np.inf)
-    low[filled] = np.minimum.reduceat(pieces.min(axis=1), starts[filled], axis=0)
-    high[filled] = np.maximum.reduceat(pieces.max(axis=1), starts[filled], axis=0)
-    pad = 1e-5 * max(1.0, float(np.abs(pieces).max()))
-    low, high = (low - pad).astype(np.float32), (high + pad).astype(np.float32)
-    found = []
-    for _ in range(levels):
-        low, high = low.reshape(-1, 4, 3), high.reshape(-1, 4, 3)
-        found.append(np.stack([low, high]).transpose(0, 3, 2, 1))
-        low, high = low.min(axis=1), high.max(axis=1)
-    found.append(np.zeros((2, 3, 4, 0), dtype=np.float32))  # for a tree of one leaf
-    return np.ascontiguousarray(np.concatenate(found[::-1], axis=-1))
+def _tree(low: np.ndarray, high: np.ndarray, triangles: np.ndarray) -> _Node:
+    """The tree of `triangles`, whose bounds are `low` and `high` ``(T, 3)``: halved by the median, longest side."""
+    mine, inner = (low[triangles], high[triangles]), ()
+    if len(triangles) > _LEAF:
+        middle = mine[0] + mine[1]
+        order = triangles[np.argsort(middle[:, np.ptp(middle, axis=0).argmax()], kind="stable")]
+        half = len(order) // 2
+        inner = _tree(low, high, order[:half]), _tree(low, high, order[half:])
+    return _Node(mine[0].min(axis=0), mine[1].max(axis=0), np.sort(triangles), inner)

@@ -1,16 +1,18 @@
 /** Marks over a panorama: the region's border, the answer, candidates, truth, other methods, directions. */
 
 import type { Projection } from "../math/projection";
-import { apply, direction, dot, RADIANS, type Matrix, type Vector } from "../math/rotation";
+import { apply, azimuthOf, degrees, direction, dot, elevationOf, RADIANS, type Matrix, type Vector } from "../math/rotation";
 import { words } from "../words";
 import { ANSWER, BORDER, DARK, RIVALS, TRUTH, type Shape } from "./palette";
+
+const SAME = 0.9998; // cosine of a degree: the candidate that is the answer
 
 export interface Marks {
   border: Vector[][]; // frame of the belief
   view_R_belief: Matrix;
   view_R_body: Matrix;
   answer: Vector | null; // body frame, and so the others
-  sure: string | null; // told beside the arrow
+  sure: number | null; // told beside the answer, or the arrow to it
   pointed: boolean; // whether the answer is sure enough for an arrow
   modes: { direction: Vector; weight: number }[];
   truth: Vector | null;
@@ -35,23 +37,29 @@ export function drawMarks(context: CanvasRenderingContext2D, to: Projection, mar
   for (const { direction, weight } of marks.modes)
     for (const [x, y] of place(direction)) {
       ring(context, x, y, 13 * u, "#ffffff", 1.8 * u);
-      label(context, words.percent(weight), x + 17 * u, y + 14 * u, u);
+      if (marks.sure === null || !marks.answer || dot(direction, marks.answer) < SAME)
+        label(context, words.percent(weight), x + 17 * u, y + 14 * u, u);
     }
   if (marks.truth)
     for (const [x, y] of place(marks.truth)) {
       ring(context, x, y, 19 * u, TRUTH, 2.4 * u);
       for (const turn of [0.25, 0.75, 1.25, 1.75]) tick(context, x, y, 19 * u, 25 * u, turn * Math.PI, TRUTH, 2.4 * u);
     }
-  if (marks.answer && marks.pointed) pointer(context, to, apply(marks.view_R_body, marks.answer), marks.sure, u);
+  if (marks.answer && marks.pointed) {
+    const where = words.candidates.row(degrees(azimuthOf(marks.answer)), degrees(elevationOf(marks.answer)));
+    const said = marks.sure === null ? null : `${where}, ${words.answer.isSure(marks.sure)}`;
+    pointer(context, to, apply(marks.view_R_body, marks.answer), said, u);
+  }
   if (marks.answer)
     for (const [x, y] of place(marks.answer)) {
       spot(context, x, y, 6.5 * u, ANSWER, u);
+      if (marks.sure !== null) beside(context, to, words.answer.isSure(marks.sure), x, y, u);
       for (const turn of [0, 0.5, 1, 1.5]) tick(context, x, y, 9.5 * u, 14 * u, turn * Math.PI, ANSWER, 2.2 * u);
     }
 }
 
 /** An arrow at the border of a view from inside, towards an answer that lies outside of it. */
-function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, sure: string | null, u: number): void {
+function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, said: string | null, u: number): void {
   const at = to.project(d);
   const margin = 30 * u;
   if (to.seam !== null || (at && at[0] > 0 && at[0] < to.width && at[1] > 0 && at[1] < to.height)) return;
@@ -74,12 +82,20 @@ function pointer(context: CanvasRenderingContext2D, to: Projection, d: Vector, s
   context.lineWidth = 2 * u;
   context.stroke();
   context.restore();
-  if (sure === null) return;
+  if (said === null) return;
   context.font = `600 ${14 * u}px system-ui, sans-serif`;
-  const wide = context.measureText(sure).width;
+  const wide = context.measureText(said).width;
   const [ax, ay] = [to.width / 2 + (reach - 30 * u) * x, to.height / 2 + (reach - 30 * u) * y];
   const left = Math.max(8 * u, Math.min(to.width - wide - 8 * u, ax - (0.5 + 0.5 * x) * wide));
-  label(context, sure, left, ay, u);
+  label(context, said, left, ay, u);
+}
+
+/** Words to the right of a place and below it; where they would leave the picture, to the left or above. */
+function beside(context: CanvasRenderingContext2D, to: Projection, text: string, x: number, y: number, u: number): void {
+  context.font = `600 ${Math.round(12 * u)}px system-ui, sans-serif`;
+  const wide = context.measureText(text).width;
+  const left = x + 17 * u + wide < to.width ? x + 17 * u : x - 17 * u - wide;
+  label(context, text, left, y + 24 * u < to.height ? y + 14 * u : y - 14 * u, u);
 }
 
 /** Where a direction is drawn: twice if it lies on the seam of a flat panorama. */

@@ -288,7 +288,7 @@ export class Stage {
       view_R_belief: times(view_R_world, this.world_R_belief),
       view_R_body,
       answer: store.layers.has("estimate") ? store.direction : null,
-      sure: this.lens ? (store.answer?.sure ?? null) : null,
+      sure: this.lens && which === "inside" ? (store.answer?.sure ?? null) : null,
       pointed: (store.answer?.credible_angle ?? 0) <= Math.PI / 2,
       modes: store.layers.has("modes") ? store.modes : [],
       truth: store.layers.has("truth") ? store.truth : null,

@@ -82,6 +82,7 @@ export class Panels {
     const rows: [string, string, boolean?][] = [
       [words.answer.presence, answer?.presence == null ? dash : words.percent(answer.presence)],
       [words.answer.cone(region), answer?.credible_angle == null ? dash : words.answer.degrees(degrees(answer.credible_angle))],
+      [words.answer.sure, answer?.sure == null ? dash : words.answer.howSure(answer.sure)],
       [words.answer.distance, this.far || dash],
       [words.answer.entropy, answer?.entropy == null ? dash : words.answer.nats(answer.entropy)],
     ];

@@ -55,7 +55,7 @@ export function shell(root: HTMLElement) {
     class: "look", tabindex: 0, role: "application", "aria-label": words.panorama.label,
     "aria-roledescription": words.panorama.role, "aria-describedby": "stage-keys stage-looking stage-told",
   }, insideView, insideMarks);
-  const stage = h("section", { class: "stage", id: "stage", "aria-label": words.panorama.label }, look, badge, tools, stick, empty, keys, looking, told);
+  const stage = h("section", { class: "stage", id: "stage", tabindex: -1, "aria-label": words.panorama.label }, look, badge, tools, stick, empty, keys, looking, told);
 
   const legend = h("div", { class: "legend", role: "group", "aria-label": words.layers.label });
   const player = h("div", { class: "player", hidden: true });
@@ -77,7 +77,7 @@ export function shell(root: HTMLElement) {
   const answer = card("answer", words.answer.label, status, sentence, means, facts);
   const choice = h("div", { class: "choice", hidden: true });
   const list = h("ol", { class: "modes" });
-  const candidates = card("candidates", words.candidates.label, list);
+  const candidates = card("candidates", words.candidates.label, h("p", { class: "hint" }, words.candidates.hint), list);
   const others = h("ol", { class: "modes others-list" });
   const othersCard = card("others", words.others.label, h("p", { class: "hint" }, words.others.hint), others);
   othersCard.hidden = true;
@@ -87,14 +87,18 @@ export function shell(root: HTMLElement) {
     h("summary", {}, h("h2", {}, words.calibration.label)), calibrationWords, calibrationFacts);
 
   root.append(
-    h("a", { class: "skip", href: "#stage", onclick: (event: Event) => { event.preventDefault(); look.focus(); } }, words.skip),
+    h("a", { class: "skip", href: "#stage", onclick: (event: Event) => {
+      event.preventDefault();
+      (look.inert ? (empty.querySelector<HTMLElement>("button, input") ?? stage) : look).focus();
+    } }, words.skip),
     h("header", { class: "top" },
       h("h1", { class: "brand" }, logo(), h("span", {}, words.brand, " ", h("em", {}, words.brandSub))), tabs, theme),
     h("main", { class: "desk" },
       problems,
       h("div", { class: "bar" }, ask, controls),
-      h("div", { class: "left" }, stage, legend, player, h("div", { class: "below" }, flat, series.card)),
-      h("aside", { class: "side", "aria-label": words.answer.label }, choice, answer, candidates, othersCard, polar.card, plan.card, calibration)),
+      choice,
+      h("div", { class: "left" }, stage, player, legend, h("div", { class: "below" }, flat, series.card)),
+      h("aside", { class: "side", "aria-label": words.answer.label }, answer, candidates, othersCard, polar.card, plan.card, calibration)),
     news,
   );
   return {

@@ -20,8 +20,8 @@ export function picture(page: Page): ViewHandler {
   let sending = 0;
   let hfov: number | null = null; // degrees: what a person has said of an ordinary camera
   let asked = 0; // counts the files that were taken, and leaves: what is uploaded for an older one changes nothing
-  const file = h("input", { type: "file", accept: "image/*,video/*", class: "in-words", id: "file", onchange: () => take(file.files?.[0]) });
-  const chooser = (text: string) => h("label", { for: "file", class: "button primary" }, text);
+  const file = h("input", { type: "file", accept: "image/*,video/*", hidden: true, id: "file", onchange: () => take(file.files?.[0]) });
+  const other = h("button", { type: "button", onclick: () => file.click() }, words.picture.other);
   const perception = h("select", { onchange: () => {
     if (known && !(session.active && session.ask(session.asked.query, perception.value))) open();
   } });
@@ -32,11 +32,15 @@ export function picture(page: Page): ViewHandler {
   const slider = h("input", { type: "range", min: 0, value: 0, step: 1, "aria-label": words.picture.frame, oninput: () => seek() });
   const count = h("output", { class: "count" });
   const pause = h("button", { type: "button", onclick: () => {
-    paused = !paused;
+    mark(!paused);
     session.send({ type: "pause", on: paused });
-    pause.textContent = paused ? words.walk.go : words.walk.pause;
   } }, words.walk.pause);
   const frames = h("div", { class: "frames", hidden: true }, pause, slider, count);
+
+  function mark(on: boolean): void {
+    paused = on;
+    pause.textContent = on ? words.walk.go : words.walk.pause;
+  }
 
   function seek(): void {
     session.send({ type: "seek", frame: Number(slider.value) });
@@ -53,7 +57,8 @@ export function picture(page: Page): ViewHandler {
   function invite(): void {
     const limits = page.state()?.limits;
     page.empty(
-      h("strong", {}, words.picture.drop), h("p", {}, words.picture.dropMore), chooser(words.picture.choose),
+      h("strong", {}, words.picture.drop), h("p", {}, words.picture.dropMore),
+      h("button", { type: "button", class: "primary", onclick: () => file.click() }, words.picture.choose),
       limits ? h("p", { class: "hint" }, words.picture.limits(limits.upload_bytes / 1e6, limits.pixels / 1e6)) : "");
   }
 
@@ -73,7 +78,10 @@ export function picture(page: Page): ViewHandler {
       known = told;
       hfov = null;
       Object.assign(attitude, { yaw: 0, pitch: 0, roll: 0 });
-      frames.hidden = known.kind !== "video";
+      other.hidden = false;
+      frames.hidden = true; // until it plays
+      slider.value = "0";
+      say(count, "");
       slider.max = String(Math.max(0, known.frames - 1));
       const warnings = known.warnings ?? [];
       if (warnings.length) page.problems.tell("picture", { problem: warnings.join(" "), change: "" });
@@ -122,7 +130,8 @@ export function picture(page: Page): ViewHandler {
     if (known.ordinary && known.hfov_deg == null && hfov === null) return question();
     if (!store.panorama) page.empty(words.panorama.waiting);
     page.badge("");
-    paused = false;
+    mark(false);
+    frames.hidden = known.kind !== "video";
     session.open({ view: "picture", id: known.id, ...(hfov === null ? {} : { hfov }), query: shell.query.value.trim(), perception: perception.value });
   }
 
@@ -144,8 +153,8 @@ export function picture(page: Page): ViewHandler {
       perception.replaceChildren(...usable.map(({ name, words: told, ready, problem }) =>
         h("option", { value: name, disabled: !ready, title: problem ?? told }, name)));
       shell.controls.replaceChildren(
-        file, ...(usable.length ? [field(words.walk.perception, perception)] : []), dragging,
-        h("label", { for: "file", class: "button" }, words.picture.other), frames);
+        file, ...(usable.length ? [field(words.walk.perception, perception)] : []), dragging, other, frames);
+      other.hidden = known === null;
       shell.keys.textContent = words.panorama.keysCamera;
       shell.stage.addEventListener("dragover", over);
       shell.stage.addEventListener("dragleave", out);

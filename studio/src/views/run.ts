@@ -70,7 +70,7 @@ export function run(page: Page): ViewHandler {
     shell.choice.hidden = false;
     shell.choice.replaceChildren(h("section", { class: "card episodes", "aria-labelledby": "episodes-title" },
       h("h2", { id: "episodes-title" }, words.run.episodes), h("p", { class: "hint" }, words.run.episodesHint),
-      h("div", { class: "scroll", tabindex: 0, role: "region", "aria-labelledby": "episodes-title" },
+      h("div", { class: "scroll" },
         h("table", {}, h("thead", {}, h("tr", {}, ...[episode, query, error, found].map((head) => h("th", { scope: "col" }, head)))),
           h("tbody", {}, ...rows)))));
     if (!player.active) page.empty(words.run.choose);
@@ -116,6 +116,6 @@ export function run(page: Page): ViewHandler {
 }
 
 function titleOf({ name, kind, task, episodes, done, problem }: RunEntry): string {
-  const parts = [words.run.kind[kind] ?? kind, task, words.run.count(done, episodes), problem].filter(Boolean);
-  return `${name} – ${parts.join(", ")}`;
+  const parts = new Set([words.run.kind[kind] ?? kind, task, words.run.count(done, episodes), problem].filter(Boolean));
+  return `${name} – ${[...parts].join(", ")}`;
 }

@@ -59,7 +59,7 @@ export interface Answer {
   entropy: number | null;
   distance: number | null;
   distance_spread: number | null;
-  sure?: string | null; // where, and how sure, in words
+  sure?: number | null; // probability that it is here, and where the answer says
   moving: number | null;
   status: string;
   words: string;

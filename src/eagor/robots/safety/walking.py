@@ -19,6 +19,7 @@ import numpy as np
 
 from eagor._checks import above, require, within
 from eagor.live.events import Answer, Event, FrameCame, PoseCame
+from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.limits import STILL, Velocity
 from eagor.robots.safety.messages import GateClient, GuardState
 from eagor.sphere import azimuth_elevation, heading
@@ -139,8 +140,14 @@ class Wish:
     words: str
 
 
-def walk(settings: WalkSettings, state: Walk, sight: Sight) -> tuple[Walk, Wish]:
-    """The next state and the wanted velocity, from what is known now. Call it for every answer."""
+def walk(settings: WalkSettings, state: Walk, sight: Sight, held: bool = False) -> tuple[Walk, Wish]:
+    """The next state and the wanted velocity, from what is known now. Call it for every answer.
+
+    `held`: the gate does not let it move. That time does not count: nothing is known then of what is in its way.
+    """
+    if held and state.anchor is not None and state.last is not None:
+        when, where = state.anchor
+        state = replace(state, anchor=(when + sight.stamp - state.last.stamp, where))
     state = _moved(settings, state, sight)
     state, wish = _wish(settings, state, sight)
     walks = wish.velocity.walks
@@ -298,7 +305,8 @@ class Steering:
         if body_R_camera is not None and estimate.direction is not None:
             azimuth, elevation = azimuth_elevation(body_R_camera @ estimate.direction)
             sight = replace(sight, azimuth=float(azimuth), elevation=float(elevation))
-        self._state, wish = walk(self._settings, self._state, sight)
+        held = self._guard.state.mode is not Mode.ARMED
+        self._state, wish = walk(self._settings, self._state, sight, held)
         late = max(0.0, self._now() - answer.stamp)
         self._guard.status(
             image_age=answer.image_age + late,
