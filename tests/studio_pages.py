@@ -27,7 +27,7 @@ CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := s
 PICTURES = Path("runs/studio-page")  # screenshots, to be looked at
 STATIC = Path(str(files("eagor.studio") / "static"))
 AXE = Path(__file__).parent.parent / "studio/node_modules/axe-core/axe.min.js"
-PATIENCE = 90.0  # seconds: a busy machine draws slowly
+PATIENCE = 200.0  # seconds: a busy machine draws slowly
 MARK = '<script type="application/json" id="episode"></script>'
 
 

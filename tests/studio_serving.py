@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 from websockets.sync.client import ClientConnection, connect
 
-PATIENCE = 180.0  # seconds: machines of continuous integration are slow
+PATIENCE = 300.0  # seconds: machines of continuous integration are slow
 
 
 class Served:

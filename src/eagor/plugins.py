@@ -25,6 +25,7 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
+from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, EntryPoints, distributions, entry_points
 from typing import Any
 
@@ -161,12 +162,26 @@ def version_of(point: EntryPoint) -> str | None:
     return _name(point.dist) if point.dist is not None else None
 
 
-def _installed(group: str) -> list[EntryPoint]:
+def _installed(group: str) -> tuple[EntryPoint, ...]:
     """The entry points of installed packages in `group`."""
+    return _listed(group, tuple((place, _changed(place)) for place in sys.path))
+
+
+@lru_cache(maxsize=32)
+def _listed(group: str, places: tuple[tuple[str, int | None], ...]) -> tuple[EntryPoint, ...]:
+    """Those of `_installed`, read again once a folder of `places` has changed: it takes as long as a unit of work."""
     try:
-        return list(entry_points(group=group))
+        return tuple(entry_points(group=group))
     except Exception:  # one unreadable list makes the call fail for all
-        return [point for each in distributions() for point in _points(each)[0] if point.group == group]
+        return tuple(point for each in distributions() for point in _points(each)[0] if point.group == group)
+
+
+def _changed(place: str) -> int | None:
+    """When something was last put into a folder of `sys.path` or taken from it; None if it is not there."""
+    try:
+        return os.stat(place or ".").st_mtime_ns
+    except (OSError, ValueError):
+        return None
 
 
 def _points(package: Distribution) -> tuple[list[EntryPoint], str]:

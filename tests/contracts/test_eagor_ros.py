@@ -25,7 +25,7 @@ from eagor.sphere import angular_distance, world_R_body
 from eagor.worlds.painted import Room, bearing, paint
 
 PACKAGE = Path(__file__).parents[2] / "ros2" / "eagor_ros"
-LONG = 60.0
+LONG = 180.0
 
 
 @pytest.fixture(autouse=True)

@@ -65,7 +65,12 @@ def test_the_world_keeps_the_contract_of_worlds(flat):
 
 
 @pytest.mark.parametrize(
-    ("name", "settings"), [("waypoint", {"leg_steps": 5}), ("navigation", {}), ("tracking", {"steps": 12})]
+    ("name", "settings"),
+    [
+        pytest.param("waypoint", {"leg_steps": 5}, marks=pytest.mark.slow),  # its ground is the same
+        ("navigation", {}),
+        ("tracking", {"steps": 12}),
+    ],
 )
 def test_our_tasks_keep_their_contract_in_it(flat, name, settings):
     found = check_task(load_task(name), f"habitat:{flat}", seed=2, settings=settings)

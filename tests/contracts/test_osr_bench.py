@@ -6,8 +6,6 @@ import ast
 import csv
 import json
 import struct
-import subprocess
-import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +14,7 @@ from typing import Any
 import numpy as np
 import osr_data
 import pytest
+from commands import eagor
 
 from eagor.errors import EagorError, FormatError
 from eagor.perception.vlm import IMAGE, ChatReply, Message
@@ -295,12 +294,12 @@ def test_info_counts(data: Path) -> None:
 
 
 def test_one_command_gives_the_table_and_goes_on_where_it_stopped(data: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "eagor", "bench", "run", "osr", "--data", str(data), "--agent", "eagor"]
-    command += ["--perception", "truth", "--labels", "both", "--out", str(tmp_path / "run"), "--json"]
-    first = subprocess.run([*command, "--limit", "3"], capture_output=True, text=True, check=False)
+    command = ["bench", "run", "osr", "--data", data, "--agent", "eagor", "--perception", "truth", "--labels", "both"]
+    command += ["--out", tmp_path / "run", "--json"]
+    first = eagor(*command, "--limit", "3")
     assert first.returncode == 0, first.stderr
     assert json.loads(first.stdout)["episodes"] == 3
-    second = subprocess.run(command, capture_output=True, text=True, check=False)
+    second = eagor(*command)
     assert second.returncode == 0, second.stderr
     found = json.loads(second.stdout)
     assert found["episodes"] == len(played(data, agent="oracle"))

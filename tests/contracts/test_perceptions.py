@@ -172,7 +172,7 @@ def test_load_makes_installed_ones(monkeypatch):
         EntryPoint("upside", "eagor.perception.colour:ColourPerception", "eagor.perceptions"),
         EntryPoint("broken", "eagor.no_such_module:Thing", "eagor.perceptions"),
     ]
-    monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+    monkeypatch.setattr(plugins, "_installed", lambda group: points)
     assert isinstance(load("upside"), ColourPerception)
     with pytest.raises(EagorError, match=r"'broken'.*cannot be imported"):
         load("broken")
@@ -186,7 +186,7 @@ def test_a_name_of_ours_cannot_be_taken_and_whoever_tries_is_told(monkeypatch, c
         EntryPoint("waypoint", "eagor.no_such_module:TASK", "eagor.tasks"),
         EntryPoint("torn", "eagor.no_such_module:TASK", "eagor.tasks"),
     ]
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [point for point in points if point.group == group])
+    monkeypatch.setattr(plugins, "_installed", lambda group: [point for point in points if point.group == group])
     with pytest.warns(UserWarning, match=r"'colour' \(somebody.else:Colour\).*left out.*another name"):
         assert isinstance(load("colour"), ColourPerception)
     assert main(["doctor", "--json"]) == 0
@@ -200,7 +200,7 @@ def test_a_plugin_that_breaks_while_it_is_imported_is_an_error_of_ours(monkeypat
     (tmp_path / "torn_plugin.py").write_text("raise RuntimeError('torn')")
     monkeypatch.syspath_prepend(tmp_path)
     torn = EntryPoint("torn", "torn_plugin:Thing", "eagor.perceptions")
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [torn])
+    monkeypatch.setattr(plugins, "_installed", lambda group: [torn])
     with pytest.raises(EagorError, match=r"'torn'.*cannot be imported \(RuntimeError: torn\)"):
         load("torn")
 

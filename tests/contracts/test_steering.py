@@ -119,9 +119,9 @@ def samples(count=100, **changes):
 def test_a_walk_as_a_page(tmp_path):
     plan = Plan(np.ones((40, 60), bool), np.eye(40, 60, dtype=bool), (-1.0, -1.0), 0.1, [(3.0, 0.5)])
     page = RobotPage("<b>chair</b> & co", {"robot": "<i>"}, plan)
-    estimate = estimate_of()
+    estimate, room = estimate_of(), painted_room(64, 128)
     for sample in samples():
-        page.add(sample, painted_room(64, 128), estimate, PerspectiveGrid(64, 128, 1.5) if sample.time > 3 else None)
+        page.add(sample, room, estimate, PerspectiveGrid(64, 128, 1.5) if sample.time > 3 else None)
     text = page.write(tmp_path / "report.html").read_text()
     assert "&lt;b&gt;chair&lt;/b&gt; &amp; co" in text
     assert "<b>chair" not in text

@@ -63,15 +63,15 @@ def make_elsewhere():
     return ForTraining(make("TargetTracking", panorama=16))
 
 
-# Each mode once, some plain and some wrapped.
+# One plain and one wrapped; each mode, both ways, is a slow test.
 LEARNT = [(*mode, wrapped) for wrapped in (False, True) for mode in MODES]
-PLAIN = ("MapFreeNavigation-continuous", "WaypointFollowing-discrete", "TargetTracking")
+QUICK = (("TargetTracking", False), ("WaypointFollowing-guided", True))
 
 
 @pytest.mark.parametrize(
     ("name", "settings", "wrapped"),
     [
-        pytest.param(*each, marks=() if each[2] != (name in PLAIN) else pytest.mark.slow, id=f"{name}-{each[2]}")
+        pytest.param(*each, marks=() if (name, each[2]) in QUICK else pytest.mark.slow, id=f"{name}-{each[2]}")
         for each, name in zip(LEARNT, 2 * IDS, strict=True)
     ],
 )
@@ -133,6 +133,7 @@ def test_vectors_go_on_after_an_episodes_end(name, settings):
     _plays_on(RecordVectorStatistics(envs), 45 if name != "WaypointFollowing" else 260)
 
 
+@pytest.mark.slow  # each process imports PyTorch
 def test_vectors_of_processes_go_on_after_an_episodes_end():
     envs = gymnasium.vector.AsyncVectorEnv([make_elsewhere] * 2, context="spawn")
     _plays_on(RecordVectorStatistics(envs), 35)

@@ -186,15 +186,15 @@ def test_an_ideal_rig_is_the_default(capsys, tmp_path):
 
 
 RIG_OF_TWO = """
-pictures: [{width: 480, height: 360}, {width: 480, height: 360}]
+pictures: [{width: 240, height: 180}, {width: 240, height: 180}]
 lenses:
   - name: front_optical_frame
     kind: pinhole
-    focal: 260
-    centre: [240, 180]
+    focal: 130
+    centre: [120, 90]
     rotation: {x: -0.5, y: 0.5, z: -0.5, w: 0.5}
     position: [0.1, 0.0, 0.3]
-  - {name: back, kind: pinhole, picture: 1, focal: 260, centre: [240, 180], rotation: {yaw_deg: 180}}
+  - {name: back, kind: pinhole, picture: 1, focal: 130, centre: [120, 90], rotation: {yaw_deg: 180}}
 """
 
 
@@ -207,7 +207,7 @@ def two_cameras(tmp_path):
         with pytest.warns(UserWarning, match=r"lenses\[0\].position is ignored"):
             lenses = read_rig(tmp_path / "rig.yaml").lenses
         assert np.allclose(lenses[0].body_R_lens, np.eye(3), atol=1e-9)
-        room, poses = painted_room(512, 1024), [world_R_body(step * k) for k in range(count)]
+        room, poses = painted_room(256, 512), [world_R_body(step * k) for k in range(count)]
         for lens, name in zip(lenses, ("front", "back"), strict=True):
             grid = PerspectiveGrid.of_lens(lens)
             pictures = [view(room, replace(grid, body_R_view=pose @ lens.body_R_lens)) for pose in poses]
@@ -284,7 +284,7 @@ def test_locate_looks_at_a_rig_s_pictures_as_they_are(capsys, tmp_path, two_came
         assert found["frame"] == f"front.{kind}, back.{kind}"
         assert abs(found["azimuth_deg"] - red_ball(pose)) < 3
         with Image.open(tmp_path / "drawn.png") as drawn:
-            assert drawn.width > 480
+            assert drawn.width > 240
     assert run(capsys, "locate", tmp_path / "front.png", "red", *rig)[0] == 2
     whole = WholeOnly()
     monkeypatch.setattr(locate, "make_perception", lambda spec, busy=False: whole)

@@ -182,7 +182,8 @@ def test_a_node_answers_as_the_page_on_ros_says(tmp_path):
     from eagor.robots.dds import free_domain
 
     page, domain = DOCS / "how-to" / "ros2.md", str(free_domain())
-    _, robot, listener = [text for text, _ in blocks(page, "python")]
+    bag, robot, listener = [text for text, _ in blocks(page, "python")]
+    run_python([bag], tmp_path)
     (node,) = [text for text, _ in blocks(page, "sh") if "--domain 42" in text]
     words = shlex.split(node.replace("--domain 42", f"--domain {domain}"))
     started = [
@@ -190,8 +191,9 @@ def test_a_node_answers_as_the_page_on_ros_says(tmp_path):
         for command in (["-c", robot.replace("domain=42", f"domain={domain}")], ["-m", *words])
     ]
     try:
-        for _ in range(6):  # the first looks take time: the detector is loaded
+        for _ in range(30):  # the first looks take time: the detector is loaded, on a machine that may be busy
             printed = run_python([listener.replace("domain=42", f"domain={domain}")], tmp_path)[0].splitlines()
+            assert [process.poll() for process in started] == [None, None], "robot and node go on"
             if printed:
                 break
         shown = [float(line.split()[0]) for line in printed]

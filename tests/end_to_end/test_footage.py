@@ -248,17 +248,17 @@ def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
     """Frames between the looks are only in the video: there the belief moves with the camera."""
     path, pictures, page = tmp_path / "answer.mp4", tmp_path / "pictures", tmp_path / "page.html"
     outputs = ("--video", path, "--fps", RATE, "--pictures", pictures, "--page", page)
-    code, out, err = eagor("track", tilting, "red", "--rate", 2, *outputs)
+    code, out, err = eagor("track", tilting, "red", "--rate", 2, "--end", 1.5, *outputs)
     assert code == 0, err
     lines = out.splitlines()
-    assert [float(line.split()[0]) for line in lines[1:]] == [0, 0.5, 1, 1.5, 2, 2.5]
+    assert [float(line.split()[0]) for line in lines[1:]] == [0, 0.5, 1]
     with av.open(str(path)) as container:
         frames = list(container.decode(video=0))
-    assert [round(frame.time, 2) for frame in frames] == [k / RATE for k in range(COUNT)]
+    assert [round(frame.time, 2) for frame in frames] == [k / RATE for k in range(COUNT // 2)]
     assert frames[0].width == 1280
-    assert [each.name for each in sorted(pictures.iterdir())] == [f"{k:04d}.png" for k in range(6)]
+    assert [each.name for each in sorted(pictures.iterdir())] == [f"{k:04d}.png" for k in range(3)]
     text = page.read_text(encoding="utf-8")
-    assert text.count("data:image/jpeg;base64,") >= 6
+    assert text.count("data:image/jpeg;base64,") >= 3
     assert 'src="http' not in text
     assert "clip.mp4 at 0.50 s" in text
     assert "clip.mp4 at 0.50 s: 0.50 s" not in text

@@ -112,7 +112,7 @@ def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, mon
 
     def loop_of(options, watchers, around):
         settings = {"poses": "level", "fast": True, "watchers": watchers, "around": around, "record": options.record}
-        return LiveLoop(open_camera(str(film)), Views(balls, count=8, hfov=100), ["ball"], **settings)
+        return LiveLoop(open_camera(str(film)), Views(balls, count=8, hfov=100, size=160), ["ball"], **settings)
 
     monkeypatch.setattr("eagor.cli.live.loop_of", loop_of)
     monkeypatch.setattr("eagor.cli.live.perception_for_all", lambda queries, given: spec)
@@ -142,7 +142,7 @@ def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path,
     content, lost = whole.read_bytes(), set()
     shutil.rmtree(tmp_path / "run")
     (tmp_path / "run").mkdir()
-    for size in range(len(content) // 2, len(content), max(1, len(content) // 30)):
+    for size in range(len(content) // 2, len(content), max(1, len(content) // 24)):
         whole.write_bytes(content[:size])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
@@ -230,7 +230,7 @@ def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
     assert json.loads(heard[0])["query"] == "red"
     sessions = sessions_of(run.pid)
     os.killpg(run.pid, number)  # as a terminal does
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=300)
     wait_for(lambda: not alive(sessions))
     assert run.returncode == code, err
     assert err.splitlines()[-1] == b"eagor: " + said

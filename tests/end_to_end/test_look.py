@@ -11,9 +11,8 @@ import pytest
 from clips import clip
 from PIL import Image
 
+from eagor.cli import checks, main
 from eagor.cli import look as look_command
-from eagor.cli import main
-from eagor.cli import track as track_command
 from eagor.evidence import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
@@ -53,10 +52,8 @@ class Paints:
 def paints(monkeypatch):
     """The perception "paints" of the commands."""
     detect = Paints()
-    for command in (look_command, track_command):
-        monkeypatch.setattr(
-            command, "make_perception", lambda spec, busy=False: Views(detect, size=128, detector=MODEL)
-        )
+    for module in (look_command, checks):
+        monkeypatch.setattr(module, "make_perception", lambda spec, busy=False: Views(detect, size=128, detector=MODEL))
     return detect
 
 

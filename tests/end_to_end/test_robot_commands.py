@@ -47,7 +47,7 @@ def simulated(domain, *words):
             yield process, json.loads(process.stdout.readline() or process.stderr.read())
         finally:
             process.terminate()
-            process.communicate(timeout=60)
+            process.communicate(timeout=300)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, c
         assert done.returncode == (1 if report["problems"] else 0)
         sessions = sessions_of(process.pid)
         process.send_signal(number)
-        _, log = process.communicate(timeout=60)
+        _, log = process.communicate(timeout=300)
         assert process.returncode == code
         assert "interrupted" in log or "terminated" in log
         wait_for(lambda: not alive(sessions))
@@ -211,7 +211,7 @@ def test_the_page_about_the_go2_runs_as_written():
                     )
         finally:
             robot.send_signal(signal.SIGINT)
-            _, log = robot.communicate(timeout=60)
+            _, log = robot.communicate(timeout=300)
     assert robot.returncode == 130
     assert "walked 0.00 m" in log
 

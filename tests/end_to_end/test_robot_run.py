@@ -112,7 +112,7 @@ def test_a_perception_that_hangs_stops_the_robot_and_a_killed_walk_leaves_no_pro
         sessions = sessions_of(child.pid)
         assert len(alive(sessions)) >= 5, alive(sessions)  # the command, the robot, its camera, perception, guard
         os.kill(child.pid, signal.SIGKILL)
-        child.wait(60)
+        child.wait(300)
         wait_for(lambda: not alive(sessions))
     assert not (tmp_path / "walk" / "report.html").exists()
 
@@ -127,7 +127,7 @@ def test_a_walk_that_is_ended_leaves_a_report_and_no_process(tmp_path, how, ever
         else:
             os.kill(child.pid, how)
         child.stderr.read()
-        assert child.wait(60) == {signal.SIGINT: 130, signal.SIGTERM: 143}[how]
+        assert child.wait(300) == {signal.SIGINT: 130, signal.SIGTERM: 143}[how]
         wait_for(lambda: not alive(sessions))
     assert (tmp_path / "walk" / "report.html").exists()
 
@@ -155,7 +155,7 @@ def test_a_robot_that_is_simulated_elsewhere_is_walked_as_a_real_one(tmp_path):
     finally:
         robot.send_signal(signal.SIGINT)
         robot.stdout.read()
-        robot.wait(60)
+        robot.wait(300)
         robot.stdout.close()
 
 
@@ -166,7 +166,7 @@ def test_a_report_tells_of_a_perception_that_hung(tmp_path):
         heard(child.stderr, "look of the perception is")
         os.kill(child.pid, signal.SIGINT)
         child.stderr.read()
-        assert child.wait(60) == 130
+        assert child.wait(300) == 130
     samples = json.loads((tmp_path / "walk" / "run.json").read_text())["samples"]
     hung = [sample for sample in samples if any("look of the perception is" in why for why in sample["reasons"])]
     assert hung

@@ -15,7 +15,7 @@ from eagor.robots.dds import free_domain
 
 pytestmark = pytest.mark.xdist_group("real time")
 
-LONG = 120.0
+LONG = 180.0
 BASE = """
 import json, math, sys, time
 import numpy as np

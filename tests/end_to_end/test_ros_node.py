@@ -24,7 +24,7 @@ from eagor.worlds.painted import Room, bearing
 
 pytestmark = pytest.mark.xdist_group("real time")
 
-LONG = 60.0
+LONG = 180.0
 ROBOT = """
 import math, sys, time
 import numpy as np

@@ -7,6 +7,7 @@ import math
 import os
 import signal
 import socket
+import time
 from pathlib import Path
 
 import httpx
@@ -234,13 +235,20 @@ def test_runs_are_listed_with_what_is_wrong(served):
     assert "no records" in refused(served.http.get("/api/runs/begun"), 422)
 
 
+def played(served, address):
+    """The answer once the episode has been played."""
+    while (answer := served.http.get(address)).status_code == 202:
+        assert answer.json()["progress"] >= 0
+        time.sleep(0.1)
+    return answer
+
+
 def test_an_episode_is_played_again_with_the_recorded_figures(served, runs):
     run = served.http.get("/api/runs/nav").json()
     (entry,) = run["episodes"]
     assert {*entry["methods"]} == {"eagor", "vmf"}
     address = f"/api/runs/nav/episodes/{entry['key']}"
-    while (answer := served.http.get(address)).status_code == 202:
-        assert answer.json()["progress"] >= 0
+    answer = played(served, address)
     assert answer.status_code == 200
     episode = answer.json()
     assert episode["methods"] == ["eagor", "vmf"]
@@ -264,9 +272,7 @@ def test_an_episode_is_played_again_with_the_recorded_figures(served, runs):
 
 def test_a_robots_report_is_a_run_of_one_episode(served):
     (entry,) = served.http.get("/api/runs/walk").json()["episodes"]
-    while (answer := served.http.get(f"/api/runs/walk/episodes/{entry['key']}")).status_code == 202:
-        assert answer.json()["progress"] >= 0
-    episode = answer.json()
+    episode = played(served, f"/api/runs/walk/episodes/{entry['key']}").json()
     assert 60 < len(episode["steps"]) <= 120
     assert episode["steps"][0]["error_deg"] == pytest.approx(math.degrees(0.1), abs=0.01)
     assert "panorama" not in episode["steps"][0]

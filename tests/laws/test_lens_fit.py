@@ -19,7 +19,7 @@ from eagor.sphere import world_R_body
 
 cv2 = pytest.importorskip("cv2")
 TRUE = rigs.distorted_rig(384)
-HEADINGS = 8
+HEADINGS = 6
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def whole(told, tmp_path_factory):
     return out
 
 
-@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_without_room_says_where_and_goes_on_when_there_is_room_again(told, whole, tmp_path, capsys, workers):
     out = tmp_path / "run"
     words = (*told, "--out", out, "--workers", workers)

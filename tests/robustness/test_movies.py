@@ -177,9 +177,9 @@ SCRIPT = """
     rng = np.random.default_rng(0)
     (estimate,) = turning(1)
     try:
-        with BeliefVideo(sys.argv[1], size=640, rate=2) as video:
-            for index in range(60):
-                noise = rng.integers(0, 255, (320, 640, 3), dtype=np.uint8)
+        with BeliefVideo(sys.argv[1], size=320, rate=2) as video:
+            for index in range(5000):
+                noise = rng.integers(0, 255, (160, 320, 3), dtype=np.uint8)
                 video.add(noise, estimate, stamp=0.5 * index)
                 print(video.count, flush=True)
     except StorageError as error:
@@ -207,7 +207,7 @@ def started(path, room=None):
 def test_a_full_disk_keeps_the_pictures_that_it_holds(tmp_path, suffix):
     pytest.importorskip("resource")
     path = tmp_path / f"out{suffix}"
-    process = started(path, room=400_000)
+    process = started(path, room=100_000)
     *_, said = process.communicate(timeout=300)[0].splitlines()
     assert process.returncode == 1
     assert "takes no more (File too large)" in said

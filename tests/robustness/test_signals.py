@@ -26,6 +26,21 @@ def answer(messages):
 """
 
 
+STARTED = []
+
+
+@pytest.fixture(autouse=True)
+def _nobody_goes_on():
+    """A run that a test has not ended would work for hours."""
+    yield
+    while STARTED:
+        run = STARTED.pop()
+        if run.poll() is None:
+            for pid in alive(sessions_of(run.pid)):
+                os.kill(pid, signal.SIGKILL)
+            run.communicate()
+
+
 def begun(*words, path=""):
     """The command in a session of its own, heeding signals whatever the shell around the tests does."""
 
@@ -34,7 +49,7 @@ def begun(*words, path=""):
             signal.signal(number, signal.SIG_DFL)
 
     paths = os.pathsep.join([str(path), *(entry for entry in sys.path if entry)])
-    return subprocess.Popen(
+    run = subprocess.Popen(
         [sys.executable, "-m", "eagor", *map(str, words)],
         env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
@@ -43,13 +58,15 @@ def begun(*words, path=""):
         start_new_session=True,
         preexec_fn=heed,
     )
+    STARTED.append(run)
+    return run
 
 
 def ended(run, number, whole_session=False):
     """Send the signal; the exit code and what was said, once every process has left."""
     sessions = sessions_of(run.pid)
     (os.killpg if whole_session else os.kill)(run.pid, number)
-    out, said = run.communicate(timeout=60)
+    out, said = run.communicate(timeout=300)
     wait_for(lambda: not alive(sessions))
     assert "Traceback" not in said
     return run.returncode, out, said.splitlines()[-1]

@@ -37,8 +37,7 @@ class Demo(Common):
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""
     seed: Whole = 2
-    """Seed of the apartment, 0 to 9999. The default search was chosen by a rule: the first, from apartment 0 on, in
-    which the thing gets hidden again for 5 seconds."""
+    """Seed of the apartment, 0 to 9999; by default the first whose thing gets hidden again for 5 seconds."""
     episode: Whole = 1
     """Search in this apartment, 0 to 4."""
     perception: Name = "auto"
