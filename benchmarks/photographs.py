@@ -12,10 +12,11 @@ photograph is turned by known rotations, 40 frames a second apart (--labels has 
 - drift: as yaw, the heading of the poses drifts by 1 degree a second; drift-told: the tracker is told so.
 - sight: as tumble, poses from the pictures alone (`eagor.media.rotation`).
 
-The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over;
---model gives one instead. What was seen is kept in the file of --looks, so that a second run only plays it (the looks
-take about 25 minutes). ByteTrack and BoT-SORT join where their package is installed (`box_trackers`). The tables are
-those of `photographs_tables`. Methods without a distribution have no coverage.
+The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over
+(--folds 3: in three parts, each read with what the other two say); --model gives one instead. What was seen is kept in
+the file of --looks, so that a second run only plays it (the looks take about 25 minutes). ByteTrack and BoT-SORT join
+where their package is installed (`box_trackers`). The tables are those of `photographs_tables`. Methods without a
+distribution have no coverage.
 
 The log score of a tracker: where the thing is there, the log of the probability that it is there and within 15 degrees
 of any instance; where it is not, the log of the probability that it is absent. It is the sum of both means.
@@ -200,9 +201,9 @@ def places(instances: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]
     return direction(azimuth, elevation), np.maximum(width * np.cos(elevation), height)
 
 
-def fitted(cases: Sequence[Case], left_out: str) -> DetectorModel:
-    """The model of the detector by all photographs but one."""
-    return fit([look for case in cases if case.photograph != left_out for look in labelled(case)])
+def fitted(cases: Sequence[Case], left_out: Sequence[str] = ()) -> DetectorModel:
+    """The model of the detector by all photographs but some."""
+    return fit([look for case in cases if case.photograph not in left_out for look in labelled(case)])
 
 
 def labelled(case: Case) -> list[LabelledLook]:
@@ -309,10 +310,12 @@ def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[s
         print(f"all photographs: {model}")
         return dict.fromkeys(photographs, model)
     fit_on = read_cases(options.looks, FITTED_IN, options.marked)
-    models = {name: fitted(fit_on, name) for name in photographs}
-    for name, model in models.items():
-        print(f"all but {name}: {model}")
-    print(f"all of them: {fitted(fit_on, '')}")
+    models = {}
+    for part in range(options.folds or len(photographs)):
+        left_out = photographs[part :: options.folds or len(photographs)]
+        models |= dict.fromkeys(left_out, fitted(fit_on, left_out))
+        print(f"all but {', '.join(left_out)}: {models[left_out[0]]}")
+    print(f"all of them: {fitted(fit_on)}")
     return models
 
 
@@ -327,6 +330,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--only", help="conditions, with commas")
     parser.add_argument("--photographs", help="names of photographs, with commas")
     parser.add_argument("--methods", default=",".join((*box_trackers.NAMES, *NAMES)), help="methods, with commas")
+    parser.add_argument("--folds", type=int, help="fit in so many parts (default: one for each photograph)")
     parser.add_argument("--model", help="read the detector so, without a fit: spread=3, or coco")
     options = parser.parse_args()
     options.marked = json.loads(options.labels.read_text())

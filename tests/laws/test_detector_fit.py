@@ -11,9 +11,10 @@ from eagor.errors import DirectionError, EagorError, ResponseError, RotationErro
 from eagor.evaluation.detector_em import ScoreCurve, expected_look_alikes, fitted_curve, knots_of
 from eagor.evaluation.detector_fit import fit_detector, fit_unlabelled
 from eagor.evaluation.detector_places import fitted_habit, scatter
-from eagor.evaluation.labelled_looks import LabelledLook, rows_of, stretches
+from eagor.evaluation.labelled_looks import Deviations, LabelledLook, rows_of, stretches
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
+from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import FORWARD, direction, unit, world_R_body
@@ -127,23 +128,40 @@ def test_what_a_place_keeps_is_told_from_what_each_look_errs(spread, offset):
     assert model.offset == pytest.approx(offset, rel=0.25, abs=0.012)
 
 
+def test_what_a_box_errs_by_its_size_is_told_from_what_it_errs_anyhow():
+    rng, looks = np.random.default_rng(5), []
+    for group in range(60):
+        at, size = unit(rng.normal(size=3)), rng.choice([0.02, 0.2])
+        kept = at + np.hypot(0.02, 0.4 * size) * rng.normal(size=3)
+        for step in range(12):
+            turn = Rotation.random(rng=rng).as_matrix()
+            seen = unit(kept + np.hypot(0.01, 0.2 * size) * rng.normal(size=3)) @ turn
+            look = Evidence.from_moments([(seen, size**2 * np.eye(2))], None, View(ErpGrid(32, 64)), stamp=step)
+            looks.append(LabelledLook(look, (at @ turn)[None], None, str(group), turn))
+    model = fit_detector(looks, resamples=0).model
+    assert model.spread_of_size == pytest.approx(0.2, rel=0.15)
+    assert model.offset_of_size == pytest.approx(0.4, rel=0.25)
+    assert model.spread == pytest.approx(0.01, rel=0.25)
+    assert model.offset == pytest.approx(0.02, rel=0.3)
+
+
 def test_the_scatter_of_places_is_the_likelihood_of_their_covariance():
     rng = np.random.default_rng(0)
     own, offsets, angles = rng.uniform(0, 0.01, (5, 2)), rng.normal(size=(5, 2)), rng.uniform(0, 6, 5)
     turns = np.array([[[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]] for a in angles])
-    place, spread, offset = np.array([0, 0, 0, 1, 1]), 0.3, 0.5
+    place, deviations = np.array([0, 0, 0, 1, 1]), Deviations(0.3, 0.5, 0.7, 0.9)
     wanted = 0.0
     for number in (0, 1):
         of = np.flatnonzero(place == number)
-        covariance = np.kron(np.ones((len(of), len(of))), offset**2 * np.eye(2))
+        covariance = np.kron(np.ones((len(of), len(of))), deviations.kept(own[of].mean()) * np.eye(2))
         for row, index in enumerate(of):
-            own_part = turns[index].T @ np.diag(own[index] + spread**2) @ turns[index]
+            own_part = turns[index].T @ np.diag(deviations.each(own[index])) @ turns[index]
             covariance[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += own_part
         values = np.concatenate([turns[index].T @ offsets[index] for index in of])
         wanted -= 0.5 * (values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
     errors = own, offsets, turns
-    assert scatter(errors, place, np.ones(5), np.ones(2), spread, offset) == pytest.approx(wanted)
-    twice = scatter(errors, place, np.ones(5), np.array([2.0, 2.0]), spread, offset)
+    assert scatter(errors, place, np.ones(5), np.ones(2), deviations) == pytest.approx(wanted)
+    twice = scatter(errors, place, np.ones(5), np.array([2.0, 2.0]), deviations)
     assert twice == pytest.approx(2 * wanted)
 
 
@@ -238,7 +256,7 @@ def test_one_target_is_assigned_as_the_model_says():
         )
         rows = rows_of([look], model)
         joint = rows.assigned(
-            model.detection_probability, model.false_alarms_per_look, model.spread, np.log(rows.scores)
+            model.detection_probability, model.false_alarms_per_look, Deviations.stated(model), np.log(rows.scores)
         )
         ratio = look.detections.ratio(target[None])[0]
         assert joint.logs[0] == pytest.approx(math.log(ratio / (1 - model.detection_probability)), abs=1e-9)
@@ -251,8 +269,10 @@ def test_several_targets_are_assigned_as_an_enumeration_says():
         places = unit(np.array(FORWARD) + 0.15 * rng.normal(size=(3, 3)))
         look = LabelledLook(Evidence.from_points(places), at)
         rows = rows_of([look], DetectorModel())
-        joint = rows.assigned(0.7, 0.5, 0.1, np.zeros(3))
-        odds = np.exp(rows.log_densities(0.1)).reshape(2, 3) * 0.7 / 0.3 / (0.5 / (4 * math.pi))
+        joint = rows.assigned(0.7, 0.5, Deviations(0.1, 0.0, 1.0, 0.0), np.zeros(3))
+        odds = (
+            np.exp(rows.log_densities(Deviations(0.1, 0.0, 1.0, 0.0))).reshape(2, 3) * 0.7 / 0.3 / (0.5 / (4 * math.pi))
+        )
         total, shares = 0.0, np.zeros((2, 3))
         for one, two in product((None, 0, 1, 2), repeat=2):
             if one is not None and one == two:

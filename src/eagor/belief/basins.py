@@ -146,7 +146,7 @@ class Places:
     def of(cls, field: SphereField, labels: tuple[int, np.ndarray]) -> Places:
         """With the `labels` of the cells."""
         grid, (count, cells) = field.grid, labels
-        tops = [patch.directions.reshape(-1, 3)[int(patch.values.argmax())] for patch in field.patches]
+        tops = [patch.top for patch in field.patches]
         return cls(count, cells, cells.reshape(-1)[cells_of(grid, np.array(tops).reshape(-1, 3))])
 
 

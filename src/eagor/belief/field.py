@@ -174,6 +174,11 @@ class Patch(Nodes):
         return table @ self.values @ table.T
 
     @property
+    def top(self) -> np.ndarray:
+        """The direction ``(3,)`` of the node with the highest value."""
+        return self.directions.reshape(-1, 3)[int(self.values.argmax())]
+
+    @property
     def least_ahead(self) -> float:
         """The cosine of the angle from the middle to a corner."""
         return 1 / math.sqrt(1 + float(self.half @ self.half)) - 1e-12

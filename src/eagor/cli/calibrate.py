@@ -287,7 +287,7 @@ def print_unlabelled(found: UnlabelledFit, queries: tuple[str, ...]) -> None:
         print(
             f"  {name.replace('_', ' '):24s}{values[0]:>14s}{values[1]:>14s}  {carried}{_ends(name, found.intervals)}"
         )
-    print("Offset, kept for and kept within are as before: looks without labels cannot tell them")
+    print("Offset, shares of size, kept for and kept within are as before: looks without labels cannot tell them")
 
 
 def _ends(name: str, intervals: dict[str, tuple[float, float]]) -> str:
@@ -316,7 +316,8 @@ def print_fit(found: DetectorFit) -> None:
         f"{found.looks} looks in {found.groups} group{'' if found.groups == 1 else 's'}: {found.targets} targets in "
         f"view, {found.detections} detections ({found.matched:.0f} right, {found.false_alarms:.0f} false alarms)"
     )
-    for name in ("habit", "false_alarms_per_look", "look_alikes", "look_alike_habit", "spread", "offset"):
+    names = "habit", "false_alarms_per_look", "look_alikes", "look_alike_habit"
+    for name in (*names, "spread", "spread_of_size", "offset", "offset_of_size"):
         told = _shown(name, getattr(model, name))
         ends = _ends(name, found.intervals)
         if name == "habit":

@@ -44,7 +44,8 @@ Detector = Annotated[
         "detection_probability=P instead: the same share for all. false_alarms_per_look=N: those that do not come "
         "again (learnt if omitted or ?). look_alikes=N: places all around that are taken for the thing again and "
         "again, look_alike_habit=A+B as above. kept_for=SECONDS, kept_within=METRES: after which places lose their "
-        "habits. spread=DEG: error that differs in each look, offset=DEG: error that stays at a place.",
+        "habits. spread=DEG: error that differs in each look, offset=DEG: error that stays at a place; "
+        "spread_of_size=S, offset_of_size=S: what a box adds to them, as a share of the deviation of its area.",
     ),
 ]
 Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]

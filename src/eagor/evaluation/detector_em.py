@@ -14,14 +14,14 @@ for every score: few scores say little.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
 from eagor._values import lazy
 from eagor.evaluation.detector_places import ALARMS_PRIOR, Candidates, Errors, Split, fitted_habit, once, scatter, split
-from eagor.evaluation.labelled_looks import Assigned, Rows, sums
-from eagor.evidence.detector import LOOK_ALIKES, DetectorModel
+from eagor.evaluation.labelled_looks import Assigned, Deviations, Rows, sums
+from eagor.evidence.detector import LEAST_OF_SIZE, LOOK_ALIKES, DetectorModel
 
 __all__ = [
     "Estimate", "Fitting", "ScoreCurve", "doubt", "expected_look_alikes", "fitted_curve", "knots_of",
@@ -112,8 +112,7 @@ class Estimate:
     habit: np.ndarray
     recalls: np.ndarray
     alarms: float
-    spread: float
-    offset: float
+    errors: Deviations
     curve: ScoreCurve
     looks: float = 0.0
     targets: float = 0.0
@@ -134,13 +133,15 @@ class Estimate:
         return self.alarms if self.split is None else self.split.alarms
 
     @property
-    def width(self) -> float:
-        """The error of a detection, radians (standard deviation per axis)."""
-        return math.hypot(self.spread, self.offset)
+    def settled(self) -> np.ndarray:
+        """The numbers ``(4,)`` that stand still at the end of a fit."""
+        at = self.errors
+        sides = math.hypot(at.spread, at.offset), math.hypot(at.spread_of_size, at.offset_of_size)
+        return np.array([self.share, self.alarms, *sides])
 
     def of(self, rows: Rows) -> Assigned:
         """The assignments of looks under these numbers."""
-        return rows.assigned(self.recalls[rows.place], self.alarms, self.width, self.curve.at(rows.scores))
+        return rows.assigned(self.recalls[rows.place], self.alarms, self.errors, self.curve.at(rows.scores))
 
     def log_likelihoods(self, rows: Rows) -> np.ndarray:
         """Log likelihood of each look ``(L,)``, up to what none of these numbers changes."""
@@ -148,14 +149,14 @@ class Estimate:
 
     def false(self, rows: Rows) -> np.ndarray:
         """How probably each detection ``(D,)`` is false, and not beside a target."""
-        lengths = (rows.own + self.width**2) ** -0.5
+        lengths = self.errors.both(rows.own) ** -0.5
         beside = ((rows.offsets * lengths[rows.detection]) ** 2).sum(axis=1) < BESIDE**2
         return (1 - self.of(rows).right) * (sums(rows.detection[beside], np.ones(beside.sum()), len(rows.scores)) == 0)
 
     def model(self, base: DetectorModel) -> DetectorModel:
         """The detector's model; what could not be counted is as in `base`."""
-        found: dict[str, object] = {"false_alarms_per_look": short(self.transient), "spread": short(self.spread)}
-        found["offset"] = short(self.offset)
+        found: dict[str, object] = {"false_alarms_per_look": short(self.transient)}
+        found |= {name: short(value) for name, value in asdict(self.errors).items()}
         if self.targets:
             found |= {"detection_probability": None, "habit": tuple(map(short, self.habit))}
         if self.split is not None:
@@ -181,7 +182,7 @@ class Fitting:
     @lazy
     def once(self) -> np.ndarray:
         """How often the score of each detection ``(D,)`` counts: once for each place."""
-        return once(self.rows, self.base.spread)
+        return once(self.rows, Deviations.stated(self.base))
 
     @property
     def knots(self) -> np.ndarray:
@@ -205,7 +206,8 @@ class Fitting:
             return best
         numbers, habits = np.array([expected_look_alikes(self.base)]), np.array([self.base.look_alike_habit])
         before = start.split if start else None
-        told = split(self.rows, self.found, self.false, weights, best.spread, numbers, habits, start=before)
+        errors = Deviations.stated(self.base, best.errors.spread)  # what is false scatters more than what is right
+        told = split(self.rows, self.found, self.false, weights, errors, numbers, habits, start=before)
         return replace(best, split=told)
 
     def _start(self, weights: np.ndarray, spread: float) -> Estimate:
@@ -213,8 +215,9 @@ class Fitting:
         habit, places = self.prior_habit, int(self.rows.place.max(initial=-1)) + 1
         alarms, spread = max(detections / weights.sum(), 0.1), min(max(spread, NARROWEST), WIDEST)
         return Estimate(
-            habit, np.full(places, habit[0] / habit.sum()), alarms, spread, self.base.offset, ScoreCurve.flat()
-        )
+            habit, np.full(places, habit[0] / habit.sum()), alarms,
+            Deviations.stated(self.base, spread), ScoreCurve.flat(),
+        )  # fmt: skip
 
     def _climbed(self, weights: np.ndarray, deviation: float, now: Estimate) -> Estimate:
         """The estimate to which the steps from `now` on lead."""
@@ -233,20 +236,18 @@ class Fitting:
             recalls = (habit[0] + hits) / (habit.sum() + seen * (times > 0))
             alarms = (max(detections - matched, 0.0) + ALARMS_PRIOR[0]) / (looks + ALARMS_PRIOR[1])
             inner = of_detection[rows.detection] * joint.shares / np.maximum(spans[home], 1e-300)
-            spread, offset = likeliest_errors(
-                errors, home, inner, spans, self.base, (now.spread, now.offset), self._told_apart
-            )
+            deviations = likeliest_errors(errors, home, inner, spans, self.base, now.errors, self._told_apart)
             curve = fitted_curve(rows.scores, joint.right, of_detection * self.once, knots, deviation)
-            before = np.array([now.share, now.alarms, now.width])
+            before = now.settled
             now = Estimate(
-                habit, np.clip(recalls, LEAST_RECALL, MOST_RECALL), alarms, spread, offset, curve,
+                habit, np.clip(recalls, LEAST_RECALL, MOST_RECALL), alarms, deviations, curve,
                 looks, targets, float(times.sum()), detections, matched,
             )  # fmt: skip
-            if np.abs(np.array([now.share, now.alarms, now.width]) / before - 1).max() < SETTLED:
+            if np.abs(now.settled / before - 1).max() < SETTLED:
                 break
         log = float(weights @ now.log_likelihoods(rows))
         log += ALARMS_PRIOR[0] * math.log(now.alarms) - ALARMS_PRIOR[1] * now.alarms
-        return replace(now, log=log - doubt(now.spread, self.base))
+        return replace(now, log=log - doubt(now.errors.spread, self.base.spread))
 
     @property
     def _told_apart(self) -> bool:
@@ -274,13 +275,14 @@ def likeliest_errors(
     counts: np.ndarray,
     times: np.ndarray,
     base: DetectorModel,
-    start: tuple[float, float],
+    start: Deviations,
     told_apart: bool,
     flat: float | None = None,
-) -> tuple[float, float]:
-    """The likeliest spread and offset (radians) of detections, which `scatter` describes, with their priors in `base`.
+) -> Deviations:
+    """The likeliest deviations of detections, which `scatter` describes, with their priors in `base`.
 
-    The offset is that of `base` unless it can be `told_apart`. `flat`: an offset so wide that places have no centre.
+    All but the spread are those of `base` unless they can be `told_apart`. `flat`: an offset so wide that places have
+    no centre.
     """
     from scipy.optimize import minimize, minimize_scalar
 
@@ -288,25 +290,35 @@ def likeliest_errors(
     own, offsets, turns = errors
     rest = (own[kept], offsets[kept], turns[kept]), place[kept], counts[kept], times
     low, high = math.log(NARROWEST), math.log(WIDEST)
+    stated = Deviations.stated(base)
     if flat is not None or not told_apart:
-        fixed = base.offset if flat is None else flat
+        fixed = stated if flat is None else replace(stated, offset=flat, offset_of_size=0.0)
 
         def alone(log: float) -> float:
-            return doubt(math.exp(log), base) - scatter(*rest, math.exp(log), fixed)
+            return doubt(math.exp(log), base.spread) - scatter(*rest, replace(fixed, spread=math.exp(log)))
 
-        return math.exp(minimize_scalar(alone, bounds=(low, high), method="bounded").x), base.offset
-    one = base.spread**2
+        return Deviations.stated(base, math.exp(minimize_scalar(alone, bounds=(low, high), method="bounded").x))
 
-    def both(values: np.ndarray) -> float:
-        spread, offset = math.exp(values[0]), values[1] * base.spread
-        wide = offset**2 + one
-        prior = OFFSET_PRIOR * (math.log(wide) + (base.offset**2 + one) / wide)
-        return doubt(spread, base) + prior - scatter(*rest, spread, offset)
+    def deviations(values: np.ndarray) -> Deviations:
+        return Deviations(math.exp(values[0]), values[1] * base.spread, math.exp(values[2]), float(values[3]))
 
-    bounds = [(low, high), (0.0, WIDEST / base.spread)]
-    first = np.array([math.log(start[0]), max(start[1], 0.3 * start[0]) / base.spread])
-    found = minimize(both, first, bounds=bounds, method="L-BFGS-B").x
-    return math.exp(found[0]), float(found[1]) * base.spread
+    def every(values: np.ndarray) -> float:
+        now = deviations(values)
+        prior = doubt(now.spread, base.spread) + doubt(now.spread_of_size, base.spread_of_size)
+        prior += _doubt_of_kept(now.offset, base.offset, base.spread)
+        prior += _doubt_of_kept(now.offset_of_size, base.offset_of_size, base.spread_of_size)
+        return prior - scatter(*rest, now)
+
+    bounds = [(low, high), (0.0, WIDEST / base.spread), (math.log(LEAST_OF_SIZE), math.log(2)), (0.0, 2.0)]
+    first = [math.log(start.spread), max(start.offset, 0.3 * start.spread) / base.spread]
+    first += [math.log(start.spread_of_size), max(start.offset_of_size, 0.1)]
+    return deviations(minimize(every, np.array(first), bounds=bounds, method="L-BFGS-B").x)
+
+
+def _doubt_of_kept(value: float, stated: float, one: float) -> float:
+    """Minus the log prior of what a place keeps: `OFFSET_PRIOR` places with a detection each; `one`: its deviation."""
+    wide = value**2 + one**2
+    return OFFSET_PRIOR * (math.log(wide) + (stated**2 + one**2) / wide)
 
 
 def expected_look_alikes(base: DetectorModel) -> float:
@@ -314,12 +326,12 @@ def expected_look_alikes(base: DetectorModel) -> float:
     return LOOK_ALIKES if base.look_alikes is None else base.look_alikes
 
 
-def doubt(spread: float, base: DetectorModel) -> float:
+def doubt(spread: float, stated: float) -> float:
     """Minus the log prior of a spread: normal in its logarithm, about the stated one.
 
     Each of two axes of a detection brings a Fisher information of 2 about that logarithm.
     """
-    return 2 * SPREAD_PRIOR * math.log(spread / base.spread) ** 2
+    return 2 * SPREAD_PRIOR * math.log(spread / stated) ** 2
 
 
 def short(value: float) -> float:

@@ -39,7 +39,7 @@ from eagor.evaluation.detector_places import (
     rate_interval,
     split,
 )
-from eagor.evaluation.labelled_looks import LabelledLook, Rows, in_time, rows_of, sums
+from eagor.evaluation.labelled_looks import Deviations, LabelledLook, Rows, in_time, rows_of, sums
 from eagor.evidence.detector import Alarms, DetectorModel, model_as_json
 from eagor.statistics import bootstrap_interval
 
@@ -54,8 +54,10 @@ NUMBERS: dict[str, Callable[[Estimate], float]] = {
     "detection_share": lambda found: found.share,
     "false_alarms_per_look": lambda found: found.transient,
     "look_alikes": lambda found: math.nan if found.split is None else found.split.numbers[0],
-    "spread": lambda found: found.spread,
-    "offset": lambda found: found.offset,
+    "spread": lambda found: found.errors.spread,
+    "offset": lambda found: found.errors.offset,
+    "spread_of_size": lambda found: found.errors.spread_of_size,
+    "offset_of_size": lambda found: found.errors.offset_of_size,
 }
 UNKNOWN_WITHOUT: dict[str, Callable[[Estimate], object]] = {
     "detection_share": lambda found: found.targets,
@@ -162,7 +164,8 @@ def _fitted(looks: Sequence[LabelledLook], base: DetectorModel) -> tuple[Fitting
     found = fitting.estimate(every, deviation)
     if rows.placed.any():
         false = found.false(rows)
-        fitting = replace(fitting, found=candidates(rows, false, found.spread), false=1 - found.of(rows).right)
+        around = candidates(rows, false, Deviations.stated(base, found.errors.spread))
+        fitting = replace(fitting, found=around, false=1 - found.of(rows).right)
         found = fitting.estimate(every, deviation, found)
     return fitting, deviation, found
 
@@ -263,7 +266,9 @@ def _told(look: LabelledLook, model: DetectorModel) -> tuple[float, float]:
     Both after this look alone, from a uniform direction and `PRIOR`. One look cannot tell a look-alike from a false
     alarm, nor an offset from a spread.
     """
-    found = look.detections.read(replace(model, spread=min(math.hypot(model.spread, model.offset), math.radians(60))))
+    spread = min(math.hypot(model.spread, model.offset), math.radians(60))
+    of_size = min(math.hypot(model.spread_of_size, model.offset_of_size), 2.0)
+    found = look.detections.read(replace(model, spread=spread, spread_of_size=of_size))
     targets, habits = look.in_view, model.habits
     lasting = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
     alarms = Alarms.prior(model).after(np.full(len(found), lasting))
@@ -414,9 +419,10 @@ def _climbed(rows: Rows, base: DetectorModel, spread: float) -> _Found:
     """The likeliest numbers from this spread on: candidates, what they are, their scatter and scores, and again."""
     curve, every, rounds = None, np.ones(rows.count), 0
     while True:
-        found = _Found(candidates(rows, np.ones(len(rows.scores)), spread), _NOTHING, spread, -math.inf, curve)
+        places = candidates(rows, np.ones(len(rows.scores)), Deviations.stated(base, spread))
+        found = _Found(places, _NOTHING, spread, -math.inf, curve)
         now = _split(rows, base, found, every)
-        found = replace(found, split=now, log=now.log - doubt(spread, base))
+        found = replace(found, split=now, log=now.log - doubt(spread, base.spread))
         curve, before, rounds = _curve(rows, found), spread, rounds + 1
         spread = _spread(rows, base, found, every)
         if rounds == ROUNDS or abs(spread / before - 1) < SETTLED:
@@ -436,7 +442,8 @@ def _split(rows: Rows, base: DetectorModel, found: _Found, weights: np.ndarray) 
     told[:, 0] = sums(place, logs[of], len(told)) / np.bincount(place, minlength=len(told))
     start = None if found.split is _NOTHING else found.split
     every = np.ones(len(rows.scores))
-    return split(rows, found.candidates, every, weights, found.spread, numbers, habits, told=told, start=start)
+    errors = Deviations.stated(base, found.spread)
+    return split(rows, found.candidates, every, weights, errors, numbers, habits, told=told, start=start)
 
 
 def _spread(rows: Rows, base: DetectorModel, found: _Found, weights: np.ndarray) -> float:
@@ -444,7 +451,8 @@ def _spread(rows: Rows, base: DetectorModel, found: _Found, weights: np.ndarray)
     of, place = found.candidates.detection, found.candidates.place
     times = found.split.shares.sum(axis=1) * (np.bincount(rows.stretch, weights) > 0)[found.candidates.stretch]
     errors = rows.own[of], found.candidates.offsets, found.candidates.turns
-    return likeliest_errors(errors, place, found.split.chances, times, base, (found.spread, 0.0), False, FLAT)[0]
+    start = Deviations.stated(base, found.spread)
+    return likeliest_errors(errors, place, found.split.chances, times, base, start, False, FLAT).spread
 
 
 def _curve(rows: Rows, found: _Found) -> ScoreCurve | None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor.evaluation.labelled_looks import Rows, offsets_along, sums
+from eagor.evaluation.labelled_looks import Deviations, Rows, offsets_along, sums
 from eagor.evidence.detections import bump_norms, tangent_frames
 from eagor.sphere import unit
 
@@ -53,12 +53,12 @@ class Candidates:
     exposure: np.ndarray
 
 
-def candidates(rows: Rows, counts: np.ndarray, spread: float) -> Candidates:
+def candidates(rows: Rows, counts: np.ndarray, errors: Deviations) -> Candidates:
     """Candidates among the detections, which count `counts` ``(D,)`` each; only in looks with a known orientation.
 
     Where most detections lie within `NEAR` widths of one, about their mean; then among what is left.
     """
-    widths = rows.own.mean(axis=1) + spread**2
+    widths = errors.each(rows.own).mean(axis=1)
     of, free = rows.stretch[rows.look_of_detection], counts * rows.placed[rows.look_of_detection]
     stretch, centres, detection, place = [], [], [], []
     for number in np.unique(of[free > 0]).tolist():
@@ -87,12 +87,12 @@ def candidates(rows: Rows, counts: np.ndarray, spread: float) -> Candidates:
     )  # fmt: skip
 
 
-def once(rows: Rows, spread: float) -> np.ndarray:
+def once(rows: Rows, errors: Deviations) -> np.ndarray:
     """One over the number of detections ``(D,)`` at the place of each: the score of a place is its habit, too.
 
     Where the pose of a look is not known, each of its detections is a place of its own.
     """
-    found, widths = np.ones(len(rows.scores)), rows.own.mean(axis=1) + spread**2
+    found, widths = np.ones(len(rows.scores)), errors.each(rows.own).mean(axis=1)
     of = np.where(rows.placed, rows.stretch, -1)[rows.look_of_detection]
     for number in np.unique(of[of >= 0]).tolist():
         members = np.flatnonzero(of == number)
@@ -141,7 +141,7 @@ def split(
     found: Candidates,
     counts: np.ndarray,
     weights: np.ndarray,
-    spread: float,
+    errors: Deviations,
     numbers: np.ndarray,
     habits: np.ndarray,
     *,
@@ -155,7 +155,7 @@ def split(
     such as its scores.
     """
     of_look = rows.look_of_detection[found.detection]
-    lengths = (rows.own[found.detection] + spread**2) ** -0.5
+    lengths = errors.each(rows.own[found.detection]) ** -0.5
     log_density = np.log(bump_norms(lengths)) - 0.5 * (found.offsets**2 * lengths**2).sum(axis=1)
     log_density += np.log(rows.areas[of_look] / rows.clutter[found.detection] * counts[found.detection])
     keys, pair = np.unique(found.place * rows.count + of_look, return_inverse=True)  # detections of one look at a place
@@ -272,17 +272,15 @@ def fitted_habit(
     return np.exp(minimize(loss, first, jac=True, bounds=ends, method="L-BFGS-B").x)
 
 
-def scatter(
-    errors: Errors, place: np.ndarray, counts: np.ndarray, times: np.ndarray, spread: float, offset: float
-) -> float:
-    """Log likelihood of detections about their places: independent errors `spread`, and `offset` that a place keeps.
+def scatter(errors: Errors, place: np.ndarray, counts: np.ndarray, times: np.ndarray, deviations: Deviations) -> float:
+    """Log likelihood of detections about their places, with such `deviations`.
 
-    `errors` of each of n detections: variances ``(n, 2)`` along its axes, offsets ``(n, 2)`` along them, and these axes
-    in the plane of the place ``(n, 2, 2)``. Its `place` ``(n,)``, and how often it counts there. `times` ``(C,)``: how
-    often each place counts.
+    What a place keeps is taken to be round, and that of its mean box. `errors` of each of n detections: variances
+    ``(n, 2)`` of its box along its axes, offsets ``(n, 2)`` along them, and these axes in the plane of the place ``(n,
+    2, 2)``. Its `place` ``(n,)``, and how often it counts there. `times` ``(C,)``: how often each place counts.
     """
     own, offsets, turns = errors
-    variances = own + spread**2
+    variances = deviations.each(own)
     scaled, precisions = offsets / variances, 1 / variances
     alone = (np.log(variances) + offsets * scaled).sum(axis=1)
     pull = np.einsum("nij,ni->jn", turns, scaled) * counts
@@ -290,7 +288,8 @@ def scatter(
     x, y = (np.bincount(place, each, len(times)) for each in pull)
     a, b, d = (np.bincount(place, each, len(times)) for each in (hold[0, 0], hold[0, 1], hold[1, 1]))
     # |1 + o^2 W|, and pull (W + 1 / o^2)^-1 pull.
-    square = offset**2
+    area = np.bincount(place, counts * own.mean(axis=1), len(times))
+    square = deviations.kept(area / np.maximum(np.bincount(place, counts, len(times)), 1e-300))
     determinant = (1 + square * a) * (1 + square * d) - (square * b) ** 2
     kept = square * ((1 + square * d) * x * x - 2 * square * b * x * y + (1 + square * a) * y * y) / determinant
     return 0.5 * float(times @ (kept - np.log(determinant)) - (times[place] * counts) @ alone)

@@ -107,6 +107,34 @@ class LabelledLook:
         return np.broadcast_to(np.asarray(self.detections.share(directions)) >= IN_VIEW, len(directions))
 
 
+@dataclass(frozen=True)
+class Deviations:
+    """How far a detection lies from its thing, as the fields of `DetectorModel` say."""
+
+    spread: float
+    offset: float
+    spread_of_size: float
+    offset_of_size: float
+
+    @classmethod
+    def stated(cls, model: DetectorModel, spread: float | None = None) -> Deviations:
+        """Those of a model; with another `spread`, where that is known better."""
+        spread = model.spread if spread is None else spread
+        return cls(spread, model.offset, model.spread_of_size, model.offset_of_size)
+
+    def each(self, own: np.ndarray) -> np.ndarray:
+        """The variance ``(n, 2)`` of what differs from look to look; `own` ``(n, 2)``: of the box's area."""
+        return self.spread**2 + self.spread_of_size**2 * own
+
+    def kept(self, own: np.ndarray) -> np.ndarray:
+        """The variance of what a place keeps."""
+        return self.offset**2 + self.offset_of_size**2 * own
+
+    def both(self, own: np.ndarray) -> np.ndarray:
+        """The variance of one detection about the thing."""
+        return self.each(own) + self.kept(own)
+
+
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Labelled `looks` as flat tables: L looks, D detections, T targets in view, P pairs of both in one look.
@@ -116,8 +144,8 @@ class Rows:
     ``(T,)``: one for each thing in each stretch.
 
     `directions` ``(D, 3)`` and unit `axes` ``(D, 2, 3)`` of the detections in the axes of the world (of the body, where
-    the pose is not known), with `scores`, `clutter` ``(D,)``; `own` ``(D, 2)``: variances along these axes before the
-    model's spread is added, such as a box's size. `offsets` ``(P, 2)``: of the detection from the target along these
+    the pose is not known), with `scores`, `clutter` ``(D,)``; `own` ``(D, 2)``: variances along these axes of a box's
+    area, 0 for points. `offsets` ``(P, 2)``: of the detection from the target along these
     axes, in Lambert's plane; `turns` ``(P, 2, 2)``: the axes in the target's tangent plane.
     """
 
@@ -147,21 +175,23 @@ class Rows:
         """Whether each look ``(L,)`` has a known orientation."""
         return np.array([look.world_R_body is not None for look in self.looks])
 
-    def log_densities(self, spread: float) -> np.ndarray:
-        """log g(z | w) ``(P,)``, per steradian, with this spread (radians)."""
-        lengths = (self.own + spread**2) ** -0.5
+    def log_densities(self, errors: Deviations) -> np.ndarray:
+        """log g(z | w) ``(P,)``, per steradian."""
+        lengths = errors.both(self.own) ** -0.5
         norms = np.log(bump_norms(lengths))
         return norms[self.detection] - 0.5 * np.einsum("pi,pi->p", self.offsets**2, lengths[self.detection] ** 2)
 
-    def assigned(self, recall: float | np.ndarray, alarms: float, spread: float, log_ratios: np.ndarray) -> Assigned:
-        """Which detections are of which targets, for these rates and this spread.
+    def assigned(
+        self, recall: float | np.ndarray, alarms: float, errors: Deviations, log_ratios: np.ndarray
+    ) -> Assigned:
+        """Which detections are of which targets, for these rates and errors.
 
         `recall`: of all targets, or ``(T,)``. `log_ratios` ``(D,)``: of the scores.
         """
         areas = self.areas[self.look_of_detection]
         recalls = np.broadcast_to(recall, self.place.shape)
         odds = log_ratios - np.log(alarms * self.clutter / areas)
-        found = np.log(recalls / (1 - recalls))[self.target] + odds[self.detection] + self.log_densities(spread)
+        found = np.log(recalls / (1 - recalls))[self.target] + odds[self.detection] + self.log_densities(errors)
         pairs = np.exp(np.clip(found, math.log(LEAST), -math.log(LEAST) / 4))
         back, there = np.ones_like(pairs), np.zeros_like(pairs)  # messages from detections to targets, and there
         for _ in range(ROUNDS):
@@ -236,7 +266,7 @@ def rows_of(looks: Sequence[LabelledLook], base: DetectorModel) -> Rows:
         tuple(looks), np.array([found.area for found in read]), stretch, np.repeat(every, counts),
         np.repeat(every, targets), _places(looks, stretch, seen), directions, axes,
         np.concatenate([found.scores for found in read]), np.concatenate([found.clutter for found in read]),
-        np.maximum(lengths**-2 - base.spread**2, 0.0), detection, target,
+        np.maximum(lengths**-2 - base.spread**2, 0.0) / base.spread_of_size**2, detection, target,
         offsets_along(axes[detection], directions[detection], at[target]),
         np.einsum("pij,pkj->pik", axes[detection], tangent_frames(at)[target]),
     )  # fmt: skip

@@ -55,6 +55,8 @@ KEYS = {
     "look_alikes": "detector: number of look-alikes",
     "look_alike_habit": "detector: how often look-alikes are found",
     "offset": "detector: error that a place keeps",
+    "spread_of_size": "detector: spread that grows with the size of a box",
+    "offset_of_size": "detector: error that a place keeps and that grows with the size of a box",
     "kept_for": "detector: how long places keep their habits",
     "kept_within": "detector: how far places keep their habits",
     "wander": "how far a target wanders, if it does",

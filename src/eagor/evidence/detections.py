@@ -148,7 +148,8 @@ class Detections:
     def read(self, model: DetectorModel) -> Detections:
         """The same set with another model; its spread replaces the former one."""
         lengths = np.linalg.norm(self.axes, axis=-1, keepdims=True)
-        own = np.maximum(lengths**-2 - self.model.spread**2, 0.0)  # the detection's own part, such as a box's size
+        own = np.maximum(lengths**-2 - self.model.spread**2, 0.0)  # by a box's size
+        own = own * (model.spread_of_size / self.model.spread_of_size) ** 2
         axes = self.axes / lengths / np.sqrt(own + model.spread**2)
         ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
         return altered(self, model=model, axes=axes, ratios=ratios, clutter=clutter)

@@ -146,6 +146,7 @@ CLUTTER_FLOOR = 1e-3  # least relative density of false alarms: no single detect
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)  # mean numbers of false alarms, alike likely before any look
 # Factors by which the true spread may differ from the stated one, and their prior weights.
 SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.02, 0.94, 0.04)
+LEAST_OF_SIZE = 0.01  # of `spread_of_size`: with 0 a box's size would be lost
 UNLIKELY = 1e-3  # scales with less weight are dropped
 
 
@@ -169,6 +170,9 @@ class DetectorModel:
       (`eagor.evidence.detector`). None: they last.
     - `offset`: radians (standard deviation per axis), an error on top of `spread` that a place keeps: a box that sits
       beside the thing does so in the next look. No number of looks averages it out.
+    - `spread_of_size`, `offset_of_size`: what a box or a mask adds to `spread` and to `offset`, as shares of the
+      standard deviation of its own area along each axis (0.29 of its width, 0.29 of its height): the box of a large
+      thing is off by more than that of a small one.
     - `clutter`: relative density of false alarms ``(H, W)`` over a panorama in the body frame; its scale does not
       matter. None: uniform.
 
@@ -188,6 +192,8 @@ class DetectorModel:
     kept_for: float | None = KEPT_FOR
     kept_within: float | None = KEPT_WITHIN
     offset: float = 0.0
+    spread_of_size: float = 1.0
+    offset_of_size: float = 0.0
     clutter: np.ndarray | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -204,6 +210,11 @@ class DetectorModel:
             ),
             "score_ratios": (_is_curve(self.score_ratios), "pairs (score, ratio), scores rising, ratios above 0"),
             "offset": (within(self.offset, 0, math.radians(60)), "radians, from 0 to 60 degrees"),
+            "spread_of_size": (
+                within(self.spread_of_size, LEAST_OF_SIZE, 2),
+                f"a share of the deviation of a box's area, from {LEAST_OF_SIZE:g} to 2",
+            ),
+            "offset_of_size": (within(self.offset_of_size, 0, 2), "a share of that deviation, from 0 to 2"),
             **checks(self),
         }
         require(self, wanted, ResponseError)

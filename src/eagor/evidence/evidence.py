@@ -103,14 +103,14 @@ class Evidence:
     ) -> Evidence:
         """Evidence from detections with mean directions ``(3,)`` and covariances ``(2, 2)`` about them, in `view`.
 
-        Each is widened by the spread of `detector` (default: `DetectorModel()`). `scores` ``(n,)`` in [0, 1].
+        `detector` (default: `DetectorModel()`) says how far each may be off. `scores` ``(n,)`` in [0, 1].
         """
         model = detector or DetectorModel()
         points = np.array([centre for centre, _ in found]).reshape(-1, 3)
         own = np.array([spread for _, spread in found]).reshape(-1, 2, 2)
         # A box whose solid angle has the standard deviation s along an axis goes sqrt(3) s to each side.
         sizes = np.minimum(np.sqrt(3 * np.linalg.eigvalsh(own).max(axis=-1, initial=0.0)), np.pi)
-        axes = anisotropic(points, own + model.spread**2 * np.eye(2))
+        axes = anisotropic(points, model.spread_of_size**2 * own + model.spread**2 * np.eye(2))
         detections = Detections.around(model, points, axes, scores, view, sizes)
         return cls.from_detections(detections, canvas_of(view.grid), stamp)
 

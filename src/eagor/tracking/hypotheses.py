@@ -48,7 +48,8 @@ class TargetHypotheses:
 
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `moves`:
     the habits of a moving target, and of a look-alike that moves as it does, which explains as well what the target
-    would; `alike`: log(1 + Q) of that. `offset`: radians by which all looks together may be off.
+    would; `alike`: log(1 + Q) of that. `offset`: radians by which all looks together may be off, `of_size`: what half
+    the size of a thing adds to that.
     """
 
     weights: np.ndarray
@@ -58,6 +59,7 @@ class TargetHypotheses:
     moves: Bank | None = None
     alike: float = 0.0
     offset: float = 0.0
+    of_size: float = 0.0
 
     @classmethod
     def prior(cls, motion: MotionModel, standing: StationaryTarget, presence: float = 0.5) -> TargetHypotheses:
@@ -88,8 +90,9 @@ class TargetHypotheses:
         """log of (density / uniform density), given that the target is present; answers are read from it."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
-        if self.offset > 0:
-            stands = _with_offset(stands, self.offset)
+        if self.offset > 0 or self.of_size > 0:
+            sizes = [self.standing.size(patch.top) for patch in stands.patches] if self.of_size > 0 else []
+            stands = _blurred(stands, np.hypot(self.offset, self.of_size * np.array(sizes or [0.0])))
         turns = float(shares[-1]) if self.turning is not None else 0.0
         stays = float(shares[0])
         if turns < _UNLIKELY:
@@ -212,7 +215,7 @@ class TargetHypotheses:
         widths = np.array([patch.spacing for patch in patches]).reshape(-1, 2)
         across = np.array([patch.frame[1:] for patch in patches]).reshape(-1, 2, 3) * widths[..., None]
         covariances = np.einsum("nai,naj->nij", across, across)
-        tops = np.array([patch.directions.reshape(-1, 3)[int(patch.values.argmax())] for patch in patches])
+        tops = np.array([patch.top for patch in patches])
         begun = float(inflow[1] / max(inflow.sum(), 1e-300))
         return turned.mixed(float(inflow.sum()) / total, tops.reshape(-1, 3), begun * masses, covariances)
 
@@ -266,7 +269,11 @@ class TargetHypotheses:
         spread = self._otherwise(look, foretold, recall)
         weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
-        return TargetHypotheses(weights, standing, wandering, turning, moves, alike, sight.offset), look, alarms
+        return (
+            TargetHypotheses(weights, standing, wandering, turning, moves, alike, sight.offset, sight.of_size),
+            look,
+            alarms,
+        )
 
     def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None]:
         """A look as likelihood ratios, and the number of false alarms after it."""
@@ -401,10 +408,13 @@ def _mean(density: np.ndarray, grid: ErpGrid) -> float:
     return float(np.sum(density * grid.weights)) / (4 * math.pi)
 
 
-def _with_offset(field: SphereField, offset: float) -> SphereField:
-    """A field with blurred patches; where they grow over the grid, the grid's values are kept."""
+def _blurred(field: SphereField, offsets: np.ndarray | float) -> SphereField:
+    """A field with patches blurred by `offsets` ``(patches,)``; where they grow over the grid, its values are kept."""
     patches = []
-    for patch in field.patches:
+    for patch, offset in zip(field.patches, np.broadcast_to(offsets, len(field.patches)), strict=True):
+        if offset < patch.spacing.min() / 2:  # less than the nodes can show
+            patches.append(patch)
+            continue
         wide = blurred(patch, offset, REACH)
         directions = wide.directions
         outside = ~patch.places(directions)[1]
@@ -417,7 +427,7 @@ def _with_offset(field: SphereField, offset: float) -> SphereField:
 def _widened(field: SphereField, spread: float) -> SphereField:
     """The density convolved with a Gaussian: about peaks in their planes, or if it is wide, by the grid's harmonics."""
     if spread < 2 * math.pi / field.grid.height:  # two cells
-        return _with_offset(field, spread)
+        return _blurred(field, spread)
     basis = RealHarmonics(field.grid.height // 2 - 1)
     wide = basis.smooth(basis.analyse(field.averaged(field.log_mean), field.grid), spread)
     return SphereField(field.grid, np.log(np.maximum(basis.synthesise(wide, field.grid), FAINTEST)))

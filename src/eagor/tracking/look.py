@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,7 +29,7 @@ class Sight:
 
     Views of one moment are one look, in any order: response maps add, detections form one set. `habits`: of the
     detections; None without any. `repeats`: the share of the response maps that an immediate next look repeats.
-    `offset`: radians, the part of its angular error that a place keeps.
+    `offset`: radians, the part of its angular error that a place keeps; `of_size`: what half a thing's size adds to it.
     """
 
     stamp: float
@@ -40,6 +41,7 @@ class Sight:
     habits: Habits | None
     repeats: float
     offset: float
+    of_size: float
 
     @classmethod
     def of(
@@ -56,10 +58,13 @@ class Sight:
                 mapped = found if mapped is None else mapped + found
         if mapped is not None:
             mapped = RealHarmonics(degree).rotate(mapped, world_R_body)
-        habits = next((look.detections.model.habits for look in looks if look.detections is not None), None)
+        models = [look.detections.model for look in looks if look.detections is not None]
+        habits = models[0].habits if models else None
         repeats = max((look.calibration.persistence for look in looks if look.detections is None), default=0.0)
         offset = max(look.read_with.offset for look in looks)
-        return cls(stamp, position, world_R_body, degree, joint, mapped, habits, repeats, offset)
+        # The area of a box that goes r to each side has the standard deviation r / sqrt(3).
+        of_size = max((model.offset_of_size for model in models), default=0.0) / math.sqrt(3)
+        return cls(stamp, position, world_R_body, degree, joint, mapped, habits, repeats, offset, of_size)
 
     @lazy
     def world(self) -> Detections | None:
