@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor import Calibration, DetectorModel, Evidence
-from eagor.belief.information import information
 from eagor.grids import ErpGrid
 from eagor.sphere import direction
 from eagor.tasks.search_space import LEAST, Chance
+from eagor.tracking.looking import information
 
 GRID = ErpGrid(16, 32)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 from strategies import HOSTILE
 
-from eagor._json import parsed
+from eagor._checks import parsed
 from eagor.evaluation import ledger
 from eagor.perception.vlm.answers import parse_boxes, parse_presence
 from eagor.tasks.benchmark import Case

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from eagor._checks import parsed, shown
 from eagor._files import read_file
-from eagor._json import parsed, shown
 from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import benchmark_tables, ledger, page

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from eagor._checks import parsed
 from eagor._files import claimed, open_regular, redacted, written
-from eagor._json import parsed
 from eagor.errors import EagorError, FormatError, StorageError
 
 try:

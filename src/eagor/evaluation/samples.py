@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._checks import whole, within
-from eagor._json import shown
+from eagor._checks import shown, whole, within
 from eagor.errors import EagorError, FormatError
 from eagor.statistics import bootstrap_interval, paired_difference, wilson_interval
 from eagor.tasks.benchmark import Figure

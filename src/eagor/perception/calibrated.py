@@ -21,8 +21,8 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
+from eagor._checks import parsed, shown
 from eagor._files import read_file, written
-from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration

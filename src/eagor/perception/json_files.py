@@ -17,7 +17,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 
-from eagor._json import parsed, shown
+from eagor._checks import parsed, shown
 from eagor.errors import EagorError, FormatError
 
 __all__ = ["Finite", "Tilt", "Turn", "checked", "need", "object_of", "parsed_lines"]

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._checks import warn_unless_whole, within
-from eagor._json import shown
+from eagor._checks import shown, warn_unless_whole, within
 from eagor.errors import EagorError, GridError, QueryError, ResponseError
 from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE

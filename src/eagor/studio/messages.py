@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from PIL import Image
 
-from eagor._json import parsed, shown
+from eagor._checks import parsed, shown
 from eagor.errors import EagorError
 
 __all__ = ["LATE", "LONGEST", "SEED", "Blob", "Message", "PageError", "jpeg", "merged", "packed", "read", "rounded"]

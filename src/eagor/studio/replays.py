@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._json import parsed
+from eagor._checks import parsed
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, FormatError

@@ -18,8 +18,8 @@ from urllib.parse import quote
 
 import numpy as np
 
+from eagor._checks import parsed
 from eagor._files import written
-from eagor._json import parsed
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger, studies
 from eagor.evaluation.samples import case_of, finished

@@ -20,9 +20,8 @@ from pathlib import Path
 from typing import IO, Any, ClassVar, Protocol, cast, runtime_checkable
 
 from eagor import plugins
-from eagor._checks import whole, within
+from eagor._checks import shown, whole, within
 from eagor._files import written
-from eagor._json import shown
 from eagor._version import __version__
 from eagor.errors import EagorError
 

@@ -16,7 +16,6 @@ from typing import Protocol
 import numpy as np
 
 from eagor._values import lazy
-from eagor.belief.information import information
 from eagor.conventions import rotation_from_wxyz
 from eagor.evidence import Evidence
 from eagor.evidence.detector import Habits
@@ -24,6 +23,7 @@ from eagor.sphere import heading, wrap
 from eagor.tasks.floor_map import CELL, FLOOR, THICK, UNKNOWN, FloorMap
 from eagor.tasks.places import Place, in_view
 from eagor.tasks.rules import Camera
+from eagor.tracking.looking import information
 
 LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says
 RAYS, SIGHT = 24, 3.0  # rays about a place from which it may look, and how far they go, metres

@@ -1,6 +1,6 @@
 """Where to look next: what one more look of a camera that sees only a part of the sphere is expected to tell.
 
-The measure is that of all searches (`eagor.belief.information`): the mutual information of the outcome of the look, and
+The measure is that of all searches (`information`): the mutual information of the outcome of the look, and
 of whether the thing is present and where. A place counts by its probability and by how likely a look detects a thing
 there, which earlier looks have taught (`eagor.belief.bank`): where looks were silent, a further one is likely silent
 too. Known look-alikes are likely reported again, and that tells less.
@@ -19,7 +19,6 @@ from scipy.spatial import KDTree
 from eagor._arrays import frozen
 from eagor._checks import above, require, within
 from eagor._values import where
-from eagor.belief.information import even_and_usual, information
 from eagor.errors import GridError
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, PerspectiveGrid, ViewKey, forward_view, view_key
@@ -298,3 +297,55 @@ def _nearest(directions: np.ndarray, count: int = CELLS) -> np.ndarray:
 def _cells_of(grid: ErpGrid) -> np.ndarray:
     """The cell ``(H * W,)`` of each cell of a grid of the whole sphere."""
     return frozen(_nearest(grid.directions.reshape(-1, 3)))
+
+
+def information(
+    here: np.ndarray, share: np.ndarray, alarm: float | np.ndarray = 0.0, falls: np.ndarray | None = None
+) -> np.ndarray:
+    """Mutual information ``(n,)``, nats, of the outcome of each of n looks and the thing's cell.
+
+    `here` ``(n, k)``: probability that the thing is in each of the k cells that a look shows; the rest is elsewhere, or
+    nowhere. `share` ``(n, k)``: probability that the look reports it, if it is there. `alarm`, of all looks or
+    ``(n,)``: probability of a false report where there is no true one, which falls on the cells with the probabilities
+    `falls` ``(k,)`` or ``(n, k)``.
+
+    The outcome is a report in one of the cells, or none: I = H(outcome) - sum_i p_i H(outcome | thing in cell i).
+    """
+    there = here * share
+    reported = there.sum(axis=1, keepdims=True)
+    if falls is None or not np.any(alarm):
+        given = -_xlog(1 - share) - _xlog(share)
+        return -_xlog(there).sum(axis=1) - _xlog(1 - reported[:, 0]) - (here * given).sum(axis=1)
+    alarms = np.broadcast_to(alarm, len(here))[:, None]
+    false = alarms * falls
+    there = there + (1 - reported) * false
+    outcome = -_xlog(there).sum(axis=1) - _xlog((1 - reported) * (1 - alarms))[:, 0]
+    spread = -np.atleast_2d(_xlog(falls)).sum(axis=1)[:, None]  # entropy of a false report's place
+
+    def without(left: np.ndarray) -> np.ndarray:
+        """Entropy of the outcome without a true report, which has the probability `left`: no report, or a false one."""
+        return -_xlog(left * (1 - alarms)) - _xlog(left * alarms) + left * alarms * spread
+
+    false = (1 - share) * false  # in the cell of the true report
+    given = without(1 - share) + (-_xlog(share + false) + _xlog(false))
+    out = 1.0 - here.sum(axis=1)
+    return outcome - (here * given).sum(axis=1) - out * without(np.ones((1, 1)))[:, 0]
+
+
+def even_and_usual(
+    elevations: np.ndarray, weights: np.ndarray, height: float, tilt: float, elsewhere: float
+) -> np.ndarray:
+    """Prior probabilities of cells ``(...)`` with these elevations (degrees) and `weights` (solid angles); sum to 1.
+
+    A share `elsewhere` is even over the sphere. The rest has a normal density in the elevation, with the mean `height`
+    and the standard deviation `tilt`, degrees. Silent looks where things usually are then move the belief to the even
+    part, without any further rule.
+    """
+    squared = (elevations - height) ** 2
+    beyond = squared - squared.min()  # so that the nearest row keeps its weight, however narrow the density is
+    usual = np.exp(-0.5 * beyond / max(tilt, 1e-3) ** 2) * weights
+    return (1 - elsewhere) * usual / usual.sum() + elsewhere * weights / weights.sum()
+
+
+def _xlog(x: np.ndarray) -> np.ndarray:
+    return x * np.log(np.maximum(x, 1e-300))

@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
+from eagor._checks import number, parsed, shown
 from eagor._extras import need
 from eagor._files import written
-from eagor._json import number, parsed, shown
 from eagor._srgb import to_coded, to_linear
 from eagor.conventions import from_gltf, to_gltf
 from eagor.errors import WorldError

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from eagor._checks import parsed, shown
 from eagor._files import unpacked, written
-from eagor._json import parsed, shown
 from eagor.conventions import (
     from_gltf,
     pose_from_habitat,

@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eagor._checks import above, whole, within
+from eagor._checks import above, parsed, shown, whole, within
 from eagor._files import read_file
-from eagor._json import parsed, shown
 from eagor.errors import EagorError, FormatError, ImageError, ResponseError
 from eagor.perception.onnx.decoding import Found, Frame, kept
 from eagor.perception.onnx.layouts import LAYOUTS, Graph, Layout, choose

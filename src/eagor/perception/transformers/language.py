@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from eagor._checks import parsed
 from eagor._files import read_file, written
-from eagor._json import parsed
 from eagor._values import lazy
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid

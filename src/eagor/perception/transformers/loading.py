@@ -10,9 +10,8 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._checks import within
+from eagor._checks import whole_number, within
 from eagor._extras import EXTRAS, how_to_install, is_older
-from eagor._json import whole
 from eagor.errors import EagorError, MissingExtraError
 from eagor.perception.vlm import Family, chosen, family_of
 
@@ -196,6 +195,6 @@ def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None
     try:
         if isinstance(layers, str):
             return tuple(int(part) for part in layers.split(","))
-        return tuple(whole(part) for part in ([layers] if isinstance(layers, int) else layers))
+        return tuple(whole_number(part) for part in ([layers] if isinstance(layers, int) else layers))
     except (ValueError, TypeError) as error:
         raise EagorError(f"layers = {layers!r}; wanted numbers such as 20,21,22") from error

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eagor._checks import shown
 from eagor._files import written
-from eagor._json import shown
 from eagor.errors import EagorError, FormatError
 from eagor.tasks.benchmark import Case, Export, Figure, Option, PublishedBenchmark, Record, finished
 from eagor.tasks.hstar import data as files

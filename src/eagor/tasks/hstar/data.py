@@ -20,8 +20,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from eagor._checks import number, parsed, shown
 from eagor._files import most_unpacked
-from eagor._json import number, parsed, shown
 from eagor._values import lazy
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.tasks.benchmark import picture_size

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._json import number, parsed
+from eagor._checks import number, parsed
 from eagor.perception.vlm import IMAGE, Message
 from eagor.tasks.benchmark import write_task
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind, open_panorama, read_episodes

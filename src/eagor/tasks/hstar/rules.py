@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from eagor._json import number, shown
+from eagor._checks import number, shown
 from eagor._values import lazy
 from eagor.conventions import direction_from_hstar, hstar_from_direction
 from eagor.errors import EagorError, FormatError, ImageError

@@ -18,13 +18,13 @@ import numpy as np
 from eagor._checks import above, require, whole, within
 from eagor._values import lazy
 from eagor.belief import Belief
-from eagor.belief.information import even_and_usual, information
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.harmonics.peaks import decoding_grid
 from eagor.perception.partial import coverage
 from eagor.sphere import world_R_body
 from eagor.tasks.hstar.rules import HFOV_DEG, PITCH_TOLERANCE, YAW_TOLERANCE, View, headings_of, size_of
+from eagor.tracking.looking import even_and_usual, information
 
 STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)

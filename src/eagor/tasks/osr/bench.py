@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
+from eagor._checks import shown
 from eagor._files import written
-from eagor._json import shown
 from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
 from eagor.perception.vlm import IMAGE

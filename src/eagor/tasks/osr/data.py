@@ -21,7 +21,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from eagor._json import parsed, shown
+from eagor._checks import parsed, shown
 from eagor._values import lazy
 from eagor.errors import FormatError
 from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS, layout_of, mirrored, swapped

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._json import parsed, shown
+from eagor._checks import parsed, shown
 from eagor.errors import FormatError
 
 SIZE = 10  # rows and columns of a layout

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._json import number, parsed, shown
+from eagor._checks import number, parsed, shown
 from eagor.belief import Belief
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import Evidence

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._json import parsed, shown
+from eagor._checks import parsed, shown
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.queries import COLOURS
