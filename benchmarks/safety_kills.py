@@ -93,7 +93,7 @@ def program(domain: int, speed: float) -> None:
         told = False
         for step in steer(loop, steady, odometer, WalkSettings()):
             if not told and math.isfinite(step.answer.look_age):
-                print(json.dumps({"guard": guard.pid, "detector": loop._keeper._process.pid}), flush=True)
+                print(json.dumps({"guard": guard.pid, "detector": loop._keeper._worker.process.pid}), flush=True)
                 told = True
 
 
