@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import above, require, within
+from eagor._values import changed
 from eagor.errors import ResponseError
 from eagor.grids import ErpGrid
 
@@ -195,6 +196,10 @@ class DetectorModel:
     spread_of_size: float = 1.0
     offset_of_size: float = 0.0
     clutter: np.ndarray | None = field(default=None, compare=False, repr=False)
+
+    def __repr__(self) -> str:
+        """The fields that differ from their defaults."""
+        return changed(self)
 
     def __post_init__(self) -> None:
         known, alarms = self.detection_probability, self.false_alarms_per_look
