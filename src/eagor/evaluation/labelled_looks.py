@@ -249,8 +249,8 @@ def rows_of(looks: Sequence[LabelledLook], base: DetectorModel) -> Rows:
     seen = [look.in_view @ look.world.T for look in looks]
     counts, targets = [len(found) for found in read], [len(at) for at in seen]
     first_detection, first_target = np.cumsum([0, *counts]), np.cumsum([0, *targets])
-    lengths = np.linalg.norm(np.concatenate([found.axes for found in read]), axis=-1)
-    axes = np.concatenate([found.axes for found in read]) / lengths[..., None]
+    axes = np.concatenate([found.axes for found in read])
+    axes = axes / np.linalg.norm(axes, axis=-1, keepdims=True)
     directions = np.concatenate([found.directions for found in read])
     pairs = [
         (
@@ -266,7 +266,7 @@ def rows_of(looks: Sequence[LabelledLook], base: DetectorModel) -> Rows:
         tuple(looks), np.array([found.area for found in read]), stretch, np.repeat(every, counts),
         np.repeat(every, targets), _places(looks, stretch, seen), directions, axes,
         np.concatenate([found.scores for found in read]), np.concatenate([found.clutter for found in read]),
-        np.maximum(lengths**-2 - base.spread**2, 0.0) / base.spread_of_size**2, detection, target,
+        np.concatenate([found.own for found in read]), detection, target,
         offsets_along(axes[detection], directions[detection], at[target]),
         np.einsum("pij,pkj->pik", axes[detection], tangent_frames(at)[target]),
     )  # fmt: skip

@@ -145,12 +145,17 @@ class Detections:
         grid = decoding_grid(15)
         return max(float(np.sum(np.asarray(self.share(grid.directions)) * grid.weights)), 1e-3)
 
+    @property
+    def own(self) -> np.ndarray:
+        """The variances ``(n, 2)`` of a box's area along each axis; 0 for points."""
+        lengths = np.linalg.norm(self.axes, axis=-1)
+        return np.maximum(lengths**-2 - self.model.spread**2, 0.0) / self.model.spread_of_size**2
+
     def read(self, model: DetectorModel) -> Detections:
         """The same set with another model; its spread replaces the former one."""
         lengths = np.linalg.norm(self.axes, axis=-1, keepdims=True)
-        own = np.maximum(lengths**-2 - self.model.spread**2, 0.0)  # by a box's size
-        own = own * (model.spread_of_size / self.model.spread_of_size) ** 2
-        axes = self.axes / lengths / np.sqrt(own + model.spread**2)
+        each = model.spread_of_size**2 * self.own + model.spread**2
+        axes = self.axes / lengths / np.sqrt(each)[..., None]
         ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
         return altered(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
 

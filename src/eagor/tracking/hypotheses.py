@@ -91,8 +91,8 @@ class TargetHypotheses:
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
         if self.offset > 0 or self.of_size > 0:
-            sizes = [self.standing.size(patch.top) for patch in stands.patches] if self.of_size > 0 else []
-            stands = _blurred(stands, np.hypot(self.offset, self.of_size * np.array(sizes or [0.0])))
+            sizes = np.array([self.standing.size(patch.top) for patch in stands.patches]) if self.of_size > 0 else 0.0
+            stands = _blurred(stands, np.hypot(self.offset, self.of_size * sizes))
         turns = float(shares[-1]) if self.turning is not None else 0.0
         stays = float(shares[0])
         if turns < _UNLIKELY:
@@ -269,11 +269,8 @@ class TargetHypotheses:
         spread = self._otherwise(look, foretold, recall)
         weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
-        return (
-            TargetHypotheses(weights, standing, wandering, turning, moves, alike, sight.offset, sight.of_size),
-            look,
-            alarms,
-        )
+        kept = sight.offset, sight.of_size
+        return TargetHypotheses(weights, standing, wandering, turning, moves, alike, *kept), look, alarms
 
     def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None]:
         """A look as likelihood ratios, and the number of false alarms after it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 import warnings
 from collections import deque
@@ -19,7 +18,7 @@ from eagor.media.bags import Bag
 from eagor.media.ros_messages import TRANSFORMS
 from eagor.robots.ros.graph import MOTION, TF, TF_STATIC, Graph, GraphReader, find_topic, joined, pick
 from eagor.robots.ros.odometry import BODY, PoseReader
-from eagor.robots.ros.sources import FIRST, wait_for
+from eagor.robots.ros.sources import FIRST, TopicSource, wait_for
 
 __all__ = ["BagPoses", "RosPoses", "bag_odometry"]
 
@@ -29,7 +28,7 @@ BEFORE = 0.2  # seconds of poses from before anybody asks: pictures that wait ar
 COUNTED = 1.0  # seconds between two looks at who writes the odometry
 
 
-class RosPoses:
+class RosPoses(TopicSource):
     """A `PoseSource`: Odometry, PoseStamped, the orientation of an Imu, or the transforms of /tf (`PoseReader`).
 
     `topic`: None is the only one of its kind, odometry first. `camera`, `body`, `world`, `strict`: as for `PoseReader`;
@@ -53,12 +52,11 @@ class RosPoses:
         wait: float = FIRST,
         ended: Callable[[], bool] = lambda: False,
     ) -> None:
-        asked, self._graph, self._own = joined(topic, domain, interface, graph)
-        self._changed = threading.Condition()
+        asked, shared, own = joined(topic, domain, interface, graph)
+        super().__init__(shared, own)
         self._poses: deque[Pose] = deque(maxlen=LATEST)
         self._error: DeviceError | None = None
-        self._closed, self._counted, self.dropped = False, 0.0, 0
-        self._readers: list[GraphReader] = []
+        self._counted, self.dropped = 0.0, 0
         self._main: GraphReader | None = None  # messages come before it is there
         try:
             self.topic, self.kind, writers = find_topic(self._graph, MOTION, asked, option="--odom-topic", ended=ended)
@@ -105,15 +103,6 @@ class RosPoses:
                     raise self._error
                 pose = self._poses.popleft()
             yield pose
-
-    def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        for reader in self._readers:
-            reader.close()
-        if self._own is not None:
-            self._own.close()
 
     def _moved(self, fixed: bool, message: Any, _: float) -> None:
         self._take(lambda: self.reader.transforms(message, fixed))

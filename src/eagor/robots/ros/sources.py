@@ -20,7 +20,7 @@ from eagor.media.bags import Bag, split_bag
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.media.ros_messages import stamp_of
-from eagor.robots.ros.graph import PICTURES, WAITING, Graph, GraphReader, find_topic, joined, pick
+from eagor.robots.ros.graph import PICTURES, WAITING, DdsGraph, Graph, GraphReader, find_topic, joined, pick
 from eagor.robots.ros.odometry import BACK
 from eagor.robots.ros.pictures import (
     Lenses,
@@ -40,7 +40,25 @@ TOGETHER = 0.1  # seconds by which pictures that are stitched may differ before 
 OPTION = "--image-topic"
 
 
-class RosCamera:
+class TopicSource:
+    """What sources of topics share: a graph, an own one or one that is given, and the readers of the topics."""
+
+    def __init__(self, graph: Graph, own: DdsGraph | None) -> None:
+        self._graph, self._own = graph, own
+        self._changed, self._closed = threading.Condition(), False
+        self._readers: list[GraphReader] = []
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for reader in self._readers:
+            reader.close()
+        if self._own is not None:
+            self._own.close()
+
+
+class RosCamera(TopicSource):
     """A `CameraSource`: an Image or CompressedImage topic; None is the only one that there is.
 
     Several topics with commas between are those of cameras that are fixed to each other. The `rig` has their lenses, or
@@ -83,12 +101,11 @@ class RosCamera:
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
-        asked, self._graph, self._own = joined(topic, domain, interface, graph)
+        asked, shared, own = joined(topic, domain, interface, graph)
+        super().__init__(shared, own)
         self.latency, self._problem, self._now = latency, None, now
         self._apart = apart(rate)
-        self._changed = threading.Condition()
-        self._closed, self._dropped, self._said = False, 0, set[str]()
-        self._readers: list[GraphReader] = []
+        self._dropped, self._said = 0, set[str]()
         try:
             found = [
                 find_topic(self._graph, PICTURES, each, option=OPTION, ended=ended) for each in topics_of(asked, OPTION)
@@ -152,15 +169,6 @@ class RosCamera:
             if (differ := max(stamps) - min(stamps)) > TOGETHER:
                 self._problem = f"{self.topic}: the pictures that are stitched are {differ:.2f} s apart"
             yield Frame(stamp, picture, f"{topic} at {stamp:.3f} s", self._pictures.makers[lens].view, lens)
-
-    def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        for reader in self._readers:
-            reader.close()
-        if self._own is not None:
-            self._own.close()
 
     def _received(self, lens: int, message: Any, when: float) -> None:
         with self._changed:
