@@ -41,13 +41,22 @@ YAWS = range(0, 360, 15)
 class Robot:
     """A robot that turns, in a process's own graph: `begins` is the stamp at its start, `speed` degrees per second.
 
-    `pace`: seconds of the robot per second of ours; 0: its time stands. `grid`: of an ordinary camera.
+    `pace`: seconds of the robot per second of ours; 0: its time stands. `grid`: of an ordinary camera. `mounts`: of
+    several of these, by the name of each, how many degrees to the left it looks; one that is `blind` shows black.
     """
 
-    def __init__(self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4), frame="base_link", grid=None):
-        self.graph = FakeGraph(
-            {"/image": m.IMAGE, "/camera_info": m.CAMERA_INFO, "/odom": m.ODOMETRY, "/clock": m.CLOCK}
-        )
+    def __init__(
+        self, begins, speed=30.0, pace=1.0, ball=(2.0, 1.0, 0.4), frame="base_link", grid=None, mounts=None, blind=""
+    ):
+        self.mounts, self.blind = {f"/{name}": math.radians(yaw) for name, yaw in (mounts or {"": 0}).items()}, blind
+        names = [name.rstrip("/") for name in self.mounts]
+        pictures = {f"{name}/image": m.IMAGE for name in names} | {
+            f"{name}/camera_info": m.CAMERA_INFO for name in names
+        }
+        self.graph = FakeGraph({**pictures, "/odom": m.ODOMETRY, "/clock": m.CLOCK, "/tf_static": m.TRANSFORMS})
+        if mounts:
+            links = [m.transform_message(0.0, frame, n[1:], world_R_body(yaw)) for n, yaw in self.mounts.items()]
+            self.graph.latched["/tf_static"] = m.transforms_message(*links)
         self.grid = grid
         self.now, self.speed, self.pace, self.silent = begins, speed, pace, False
         self.frame = frame
@@ -74,17 +83,23 @@ class Robot:
             if self.silent:
                 continue
             self.graph.feed("/odom", m.odometry_message(self.pose(self.now)))
+            number = int(self.speed * self.now // 15)
+            new, shown = number != shown, number  # a camera shows what it saw when it looked there
+            for name in self.mounts:
+                self._show(name.rstrip("/"), number, new)
+
+    def _show(self, name, number, new):
+        """One camera's lens, and its picture if there is a new one."""
+        frame, seen = name[1:] or self.frame, self._seen[number % len(YAWS)]
+        if self.grid is not None:
+            (high, wide), focal = self.grid.shape, self.grid.shape[1] / 2 / math.tan(self.grid.hfov / 2)
+            k = focal, focal, wide / 2 - 0.5, high / 2 - 0.5
+            self.graph.feed(f"{name}/camera_info", camera_info((wide, high), k, frame=frame))
+        if new:
             if self.grid is not None:
-                (high, wide), focal = self.grid.shape, self.grid.shape[1] / 2 / math.tan(self.grid.hfov / 2)
-                k = focal, focal, wide / 2 - 0.5, high / 2 - 0.5
-                self.graph.feed("/camera_info", camera_info((wide, high), k, frame=self.frame))
-            if (
-                number := int(self.speed * self.now // 15)
-            ) != shown:  # the camera shows what it saw when it looked there
-                shown = number
-                seen = self._seen[number % len(YAWS)]
-                seen = seen if self.grid is None else view(seen, self.grid)
-                self.graph.feed("/image", m.image_message(seen, 15 * number / self.speed, self.frame))
+                mount = world_R_body(self.mounts[name or "/"])
+                seen = view(seen, PerspectiveGrid(*self.grid.shape, self.grid.hfov, mount)) * (name[1:] != self.blind)
+            self.graph.feed(f"{name}/image", m.image_message(seen, 15 * number / self.speed, frame))
 
     def __enter__(self):
         self._thread.start()
@@ -138,7 +153,7 @@ def test_directions_are_stamped_with_the_poses_that_they_were_turned_with(begins
             ),
             "directions are right at their stamps",
         )
-        stamps, _ = errors_of(robot, robot.graph.of("~/direction"))
+    stamps, _ = errors_of(robot, robot.graph.of("~/direction"))  # after the node has ended: nothing more is sent
     assert stamps == sorted(stamps)
     assert begins <= stamps[0] <= stamps[-1] <= robot.now + 1e-6  # stamps have nanoseconds
     poses, markers = robot.graph.of("~/direction_pose"), robot.graph.of("~/markers")
@@ -159,6 +174,19 @@ def test_an_ordinary_camera_is_told_where_to_look_next():
     found = [np.array([each.vector.x, each.vector.y, each.vector.z]) for each in looks]
     world = [robot.pose(m.stamp_of(each)).world_R_body @ toward for each, toward in zip(looks, found, strict=True)]
     assert any(angular_distance(a, b) < 1e-6 for a, b in pairwise(world))
+
+
+def test_several_cameras_count_each_in_its_own_place():
+    """Front and back, by `/tf_static`. The front one is covered: what is found was seen by the other."""
+    grid = PerspectiveGrid(48, 64, math.radians(100))
+    robot = Robot(12.0, grid=grid, mounts={"front": 0, "back": 180}, blind="front")
+    with robot, running(robot.graph, image_topic="/front/image,/back/image") as said:
+        last = lambda: robot.graph.of("~/direction")[-10:]  # noqa: E731
+        robot.graph.until(
+            lambda: len(last()) == 10 and max(errors_of(robot, last())[1]) < 4, "directions are right at their stamps"
+        )
+    assert {each.header.frame_id for each in last()} == {"base_link"}
+    assert "the picture stays the same although the camera turns" in " ".join(said)  # that of the covered one
 
 
 def test_a_simulation_at_half_speed_that_goes_back_begins_anew():
