@@ -193,6 +193,11 @@ def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Ma
     return cases
 
 
+def marks(files: Sequence[Path]) -> Marked:
+    """What is on the photographs, of all the `files`."""
+    return {name: each for file in files for name, each in json.loads(file.read_text()).items()}
+
+
 def places(instances: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
     """Directions ``(n, 3)`` and sizes ``(n,)`` of marked instances; their widths are marked in degrees of azimuth."""
     names = ("azimuth_deg", "elevation_deg", "width_deg", "height_deg")
@@ -333,14 +338,16 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--looks", type=Path, nargs="+", default=[Path("photographs-looks.jsonl")], help="what was seen"
     )
-    parser.add_argument("--labels", type=Path, default=ANNOTATIONS, help="what is on the photographs, and where")
+    parser.add_argument(
+        "--labels", type=Path, nargs="+", default=[ANNOTATIONS], help="what is on the photographs, and where"
+    )
     parser.add_argument("--only", help="conditions, with commas")
     parser.add_argument("--photographs", help="names of photographs, with commas")
     parser.add_argument("--methods", default=",".join((*box_trackers.NAMES, *NAMES)), help="methods, with commas")
     parser.add_argument("--folds", type=int, help="fit in so many parts (default: one for each photograph)")
     parser.add_argument("--model", help="read the detector so, without a fit: spread=3, or coco")
     options = parser.parse_args()
-    options.marked = json.loads(options.labels.read_text())
+    options.marked = marks(options.labels)
     known = [*options.marked]
     options.only = options.only.split(",") if options.only else [*CONDITIONS]
     options.photographs = options.photographs.split(",") if options.photographs else known
@@ -364,11 +371,19 @@ def main() -> None:
     sight = {}
     if "sight" in only:
         sight = {name: by_sight(read_panorama(options.panoramas / name)) for name in options.photographs}
-    runs = []
+    runs, unseen = [], {}
     for case in cases:
-        names = [name for name in options.methods if len(case.targets) or name.startswith("eagor")]
         say, lookalike = says(case, sight), persists(case)
-        runs += [play(case, name, models[case.photograph], say, lookalike) for name in names]
+        for name in options.methods:
+            if not len(case.targets) and not name.startswith("eagor"):
+                continue
+            if len(case.targets) or any(case.things):
+                runs.append(play(case, name, models[case.photograph], say, lookalike))
+                continue
+            alike = case.photograph, case.condition, name  # of one absent class of which nothing was ever seen
+            if alike not in unseen:
+                unseen[alike] = play(case, name, models[case.photograph], say, lookalike)
+            runs.append(replace(unseen[alike], query=case.query))
     print_all(runs)
 
 

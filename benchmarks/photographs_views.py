@@ -1,13 +1,13 @@
 """Ordinary cameras in real photographs, with a real detector. The first argument is the photographs' folder.
 
-python benchmarks/photographs_views.py PANORAMAS [--looks views.jsonl]
+python benchmarks/photographs_views.py PANORAMAS [--looks views.jsonl] [--labels FILE ...]
 
-Views of 70, 90 and 110 degrees (4:3) are cut from the four photographs of `photographs`, by a camera that stays level
-and turns by 9 degrees a second: once around and half a turn more, one look a second. `coco` looks at each view, and at
-the panorama of the same frame. The tracker reads both with its default model of the detector; "stands" is also told
-that targets never move (`MotionModel.still()`), which is so here. Poses are the true ones, for views of 70 degrees also
-those that the views alone tell (`eagor.media.rotation`). The rivals are told the looks at views. What was seen is kept
-in the file of --looks, so that a second run only plays it.
+Views of 70, 90 and 110 degrees (4:3) are cut from the photographs of `photographs`, by a camera that stays level and
+turns by 9 degrees a second: once around and half a turn more, one look a second. `coco` looks at each view, and at the
+panorama of the same frame. The tracker reads both with a model of the detector that is fitted on the panoramas of other
+photographs, in --folds parts; "stands" is also told that targets never move (`MotionModel.still()`), which is so here.
+Poses are the true ones, for views of 70 degrees also those that the views alone tell (`eagor.media.rotation`). The
+rivals are told the looks at views. What was seen is kept in the file of --looks, so that a second run only plays it.
 
 - In view: the error while an instance is in the view; how much larger it is than from the same part of the panoramas,
   which is the way with a panorama in between, and than from whole panoramas, which see everything at any time.
@@ -26,12 +26,15 @@ import json
 import math
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from photographs import ANNOTATIONS, BOX, as_json, as_thing, entries, places
+from photographs import ANNOTATIONS, BOX, Case, Marked, as_json, as_thing, entries, fitted, independent, marks, places
 from scipy.spatial.transform import Rotation
 
 from eagor import MotionModel, TrackerConfig
@@ -54,6 +57,8 @@ POSES = [world_R_body(STEP * k) for k in range(FRAMES)]
 ROWS, COLUMNS = 480, 640
 WHOLE = 0  # the field of a panorama
 SIGHTED = min(FIELDS)  # the camera whose poses are also told by its own pictures
+# What is seen in each frame, of each class, by photograph and field.
+Seen = dict[tuple[str, int], list[dict[str, list[Thing]]]]
 # Poses and method.
 STANDS = "eagor, stands"
 METHODS = (
@@ -72,7 +77,7 @@ def shown(photograph: np.ndarray, field: int, frame: int) -> np.ndarray:
     return cut(photograph, PerspectiveGrid(ROWS, COLUMNS, seen.hfov, POSES[frame]))[0]
 
 
-def look(folder: Path, file: Path, photographs: Sequence[str]) -> dict[tuple[str, int], list[dict[str, list[Thing]]]]:
+def look(folder: Path, file: Path, photographs: Sequence[str]) -> Seen:
     """What the detector sees of each class in each frame, by photograph and field; kept in `file`."""
     known = {(each["photograph"], each["field"], each["frame"]): each["seen"] for each in entries([file])}
     views, found = Views(coco_detector()), {}
@@ -114,55 +119,74 @@ class Run:
 
 def play(
     seen: Sequence[dict[str, list[Thing]]], query: str, targets: np.ndarray, field: int, told: Sequence[np.ndarray],
-    name: str,
+    name: str, model: DetectorModel,
 ) -> Run:  # fmt: skip
     """One method, told these poses, on the looks of one camera."""
     ours = TrackerConfig(target_motion=MotionModel.still()) if name == STANDS else None
-    method = make_method(name.split(",")[0], np.random.default_rng(0), "coco", ours=ours, detector=DetectorModel())
+    model = model if name.startswith("eagor") else independent(model)
+    method = make_method(name.split(",")[0], np.random.default_rng(0), "coco", ours=ours, detector=model)
     view, errors, presence = View(WHOLE_SPHERE if field == WHOLE else grid_of(field)), [], []
     for frame, (things, pose) in enumerate(zip(seen, told, strict=True)):
         method.move(float(frame), pose, None)
-        method.see(spread_evidence(things.get(query, []), DetectorModel(), view, float(frame)))
+        method.see(spread_evidence(things.get(query, []), model, view, float(frame)))
         errors.append(np.degrees(angular_distance(targets @ POSES[frame], method.direction())).min())
         presence.append(float(method.estimate.presence) if isinstance(method, TrackerMethod) else math.nan)
     return Run(np.array(errors), np.array(presence))
 
 
-def rows(seen: dict[tuple[str, int], list[dict[str, list[Thing]]]], folder: Path) -> list[dict[str, Any]]:
-    """The figures of each thing: camera, poses and method."""
+def cases(seen: Seen, marked: Marked) -> list[Case]:
+    """What a model of the detector is fitted on: once around, in panoramas."""
     found = []
-    for name in dict.fromkeys(name for name, _ in seen):
-        marked, sight = json.loads(ANNOTATIONS.read_text())[name]["things"], by_sight(read_panorama(folder / name))
-        off = np.degrees([Rotation.from_matrix(a.T @ b).magnitude() for a, b in zip(sight, POSES, strict=True)])
-        for query in sorted({each for thing in marked for each in thing["names"]}):
-            targets, _ = places([thing for thing in marked if query in thing["names"]])
-            around = seen[name, WHOLE]
-            whole = {each: play(around, query, targets, WHOLE, POSES, each) for each in ("eagor", STANDS)}
-            for field in FIELDS:
-                visible = np.array([grid_of(field).project(targets @ pose)[2].any() for pose in POSES])
-                if not visible.any():  # it stands below the camera's view
+    for name, there in marked.items():
+        names = {each for thing in there["things"] for each in thing["names"]}
+        for query in sorted(names) + there["absent"]:
+            at = [thing for thing in there["things"] if query in thing["names"]]
+            things = [frame.get(query, []) for frame in seen[name, WHOLE][:TURN]]
+            found.append(Case(name, "yaw", query, things, *places(at)))
+    return found
+
+
+def models_of(seen: Seen, marked: Marked, folds: int) -> dict[str, DetectorModel]:
+    """The model that each photograph is read with, fitted on the parts without it."""
+    fit_on, models = cases(seen, marked), {}
+    for part in range(folds):
+        left_out = [*marked][part::folds]
+        models |= dict.fromkeys(left_out, fitted(fit_on, left_out))
+    return models
+
+
+def rows(name: str, folder: Path, seen: Seen, marked: Marked, models: dict[str, DetectorModel]) -> list[dict[str, Any]]:
+    """The figures of each thing on one photograph: camera, poses and method."""
+    found, model = [], models[name]
+    things, sight = marked[name]["things"], by_sight(read_panorama(folder / name))
+    off = np.degrees([Rotation.from_matrix(a.T @ b).magnitude() for a, b in zip(sight, POSES, strict=True)])
+    for query in sorted({each for thing in things for each in thing["names"]}):
+        targets, _ = places([thing for thing in things if query in thing["names"]])
+        around = seen[name, WHOLE]
+        whole = {each: play(around, query, targets, WHOLE, POSES, each, model) for each in ("eagor", STANDS)}
+        for field in FIELDS:
+            visible = np.array([grid_of(field).project(targets @ pose)[2].any() for pose in POSES])
+            if not visible.any():  # it stands below the camera's view
+                continue
+            parts = part_of(around, query, field)
+            part = {each: play(parts, query, targets, field, POSES, each, model) for each in ("eagor", STANDS)}
+            for poses, method in METHODS:
+                if poses == "sight" and field != SIGHTED:
                     continue
-                parts = part_of(around, query, field)
-                part = {each: play(parts, query, targets, field, POSES, each) for each in ("eagor", STANDS)}
-                for poses, method in METHODS:
-                    if poses == "sight" and field != SIGHTED:
-                        continue
-                    told, slack = (sight, off) if poses == "sight" else (POSES, 0 * off)
-                    run = play(seen[name, field], query, targets, field, told, method)
-                    row: dict[str, Any] = {"photograph": name, "query": query, "field": field, "poses": poses}
-                    row |= {"method": method, "error": run.errors[visible].mean()}
-                    for rival, other in (("part", part), ("whole", whole)):
-                        told_alike = other[method] if method in other else other["eagor"]
-                        row[rival] = (run.errors - told_alike.errors)[visible].mean()
-                    if (last := last_seen(visible)) is not None:
-                        row["away"] = run.errors[last + AWAY] - run.errors[last] - slack[last + AWAY]
-                        row["presence"] = run.presence[last + AWAY] - run.presence[last]
-                        others = [
-                            t for k in range(last + 1, last + AWAY + 1) for t in seen[name, field][k].get(query, [])
-                        ]
-                        if not any(thing.score >= BOX for thing in others):
-                            row["alone"] = row["away"]
-                    found.append(row)
+                told, slack = (sight, off) if poses == "sight" else (POSES, 0 * off)
+                run = play(seen[name, field], query, targets, field, told, method, model)
+                row: dict[str, Any] = {"photograph": name, "query": query, "field": field, "poses": poses}
+                row |= {"method": method, "error": run.errors[visible].mean()}
+                for rival, other in (("part", part), ("whole", whole)):
+                    told_alike = other[method] if method in other else other["eagor"]
+                    row[rival] = (run.errors - told_alike.errors)[visible].mean()
+                if (last := last_seen(visible)) is not None:
+                    row["away"] = run.errors[last + AWAY] - run.errors[last] - slack[last + AWAY]
+                    row["presence"] = run.presence[last + AWAY] - run.presence[last]
+                    meanwhile = seen[name, field][last + 1 : last + AWAY + 1]
+                    if not any(thing.score >= BOX for each in meanwhile for thing in each.get(query, [])):
+                        row["alone"] = row["away"]
+                found.append(row)
     return found
 
 
@@ -190,9 +214,8 @@ def mean(values: Sequence[float]) -> str:
     return f"{np.mean(values):.2f} [{span.low:.2f}, {span.high:.2f}]"
 
 
-def overhead(folder: Path) -> float:
+def overhead(photograph: np.ndarray) -> float:
     """CPU time of a look at a view, the detector's left out, as a ratio to that at a panorama."""
-    photograph = read_panorama(folder / next(iter(json.loads(ANNOTATIONS.read_text()))))
     picture, grid = shown(photograph, 90, 0), grid_of(90)
     boxes = np.array([[200.0, 200.0, 300.0, 300.0]]), np.array([0.6]), ["chair"]
     views = Views(lambda picture, query: boxes, classes=CLASSES)
@@ -213,12 +236,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("panoramas", type=Path, help="the folder of the photographs")
     parser.add_argument("--looks", type=Path, default=Path("photographs-views.jsonl"), help="what was seen")
-    parser.add_argument("--photographs", help="names of photographs, with commas (default: all four)")
+    parser.add_argument(
+        "--labels", type=Path, nargs="+", default=[ANNOTATIONS], help="what is on the photographs, and where"
+    )
+    parser.add_argument("--folds", type=int, default=4, help="fit the detector in so many parts")
     options = parser.parse_args()
-    photographs = options.photographs.split(",") if options.photographs else [*json.loads(ANNOTATIONS.read_text())]
-    found = rows(look(options.panoramas, options.looks, photographs), options.panoramas)
-    print_table(found)
-    print(f"CPU time of a look at a view, without the detector: {overhead(options.panoramas):.2f} of a panorama's")
+    folder, marked = options.panoramas, marks(options.labels)
+    seen = look(folder, options.looks, [*marked])
+    with ProcessPoolExecutor() as pool:
+        one = partial(rows, folder=folder, seen=seen, marked=marked, models=models_of(seen, marked, options.folds))
+        print_table([*chain.from_iterable(pool.map(one, marked))])
+    first = read_panorama(folder / next(iter(marked)))
+    print(f"CPU time of a look at a view, without the detector: {overhead(first):.2f} of a panorama's")
 
 
 def print_table(found: Sequence[dict[str, Any]]) -> None:

@@ -19,6 +19,7 @@ from eagor.evidence.detector import Alarms, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
+from eagor.tracking.look import Sight
 from eagor.tracking.tracker import DirectionTracker
 
 STILL = MotionModel.still()
@@ -347,3 +348,40 @@ def test_a_drift_that_is_told_does_not_make_a_look_alike_sure():
     exact = odds(after(looks))
     drifting = odds(after(looks, replace(FLAT, drift=math.radians(1))))
     assert drifting == pytest.approx(exact, abs=0.5)
+
+
+def test_the_answer_is_the_heaviest_mode_though_a_light_one_beside_it_is_sharper():
+    """A thing that each look finds, with a wide box, and 18 degrees beside it what most looks take for it, narrow."""
+    wide, narrow, random = math.radians(7), math.radians(2), np.random.default_rng(4)
+    model = DetectorModel(
+        false_alarms_per_look=0.02, spread=math.radians(0.5), spread_of_size=0.25, offset_of_size=0.25,
+        score_ratios=((0.2, 0.3), (0.7, 40.0)), look_alikes=0.5, habit=(0.25, 0.15), look_alike_habit=(0.35, 1.2),
+    )  # fmt: skip
+    grid, tracker, beside = ErpGrid(512, 1024), DirectionTracker(TrackerConfig()), direction(0.5 + 0.33, 0.1)
+    for stamp in range(30):
+        seen = [(HERE, wide, 0.65), *([(beside, narrow, 0.35)] if random.random() < 0.75 else [])]
+        boxes = [grid_box(grid, unit(at + 0.2 * half * random.standard_normal(3)), half) for at, half, _ in seen]
+        scores = np.array([score for *_, score in seen])
+        tracker.observe(Evidence.from_boxes(np.array(boxes), grid, scores=scores, detector=model, stamp=float(stamp)))
+        estimate = tracker.estimate(float(stamp))
+        assert np.array_equal(estimate.direction, estimate.modes[0].direction)
+        assert math.degrees(math.acos(estimate.direction @ HERE)) < 5
+
+
+def grid_box(grid, centre, half):
+    """x0, y0, x1, y1 of a box that goes `half` radians to each side, in pixels."""
+    height, width = grid.shape
+    x, y, _ = grid.project(centre)
+    dx, dy = half / math.tau * width, half / math.pi * height
+    return x - dx, y - dy, x + dx, y + dy
+
+
+def test_a_look_alike_between_the_cells_is_known_to_what_moves():
+    """Six places are found again and again, more than there are windows. None of them is news."""
+    places = unit(np.concatenate([np.eye(3), -np.eye(3)]) + 0.03 * random_directions(6, 3))
+    sharp = replace(MANY, spread=math.radians(0.7), false_alarms_per_look=0.02)
+    looks = [look(places, stamp, sharp) for stamp in range(12)]
+    hypotheses = after(looks, TrackerConfig(ranges=None)).hypotheses
+    sight = Sight.of(looks[-1:], TrackerConfig().degree, 12.0, np.eye(3), None)
+    explained, _ = hypotheses._explained(sight)
+    assert explained.min() > 1  # a false alarm there is much rarer

@@ -119,16 +119,6 @@ class Reading:
         mass = np.exp(values - values.max()) * layout.weights
         return mass / mass.sum(), layout.directions
 
-    @lazy
-    def peak(self) -> np.ndarray:
-        """The direction of the highest density ``(3,)``."""
-        return self._refined(self.field.layout.directions[int(self.field.logs.argmax())])
-
-    def around(self, direction: np.ndarray, angle: float) -> float:
-        """Approximate probability of the cone of half-angle `angle` about a direction: `within`, from fewer cells."""
-        mass, directions = self.nodes
-        return float(mass[directions @ direction > math.cos(angle)].sum())
-
     def _refined(self, direction: np.ndarray) -> np.ndarray:
         """The peak next to a direction, by a quadratic through what lies around it."""
         for patch in self.field.patches:
@@ -184,14 +174,6 @@ class Reading:
         masses, tops, _ = self._basins
         kept = max(1, min(count, int((masses >= least).sum())))
         return np.array([self._refined(self.parts[2][top]) for top in tops[:kept]]), masses[:kept]
-
-    def first(self, angle: float) -> tuple[np.ndarray, float]:
-        """The heaviest mode and its mass; a quick answer if the cone of `angle` about the peak holds more than half."""
-        held = self.around(self.peak, angle)
-        if held > 0.5:
-            return self.peak, held
-        directions, masses = self.modes(1, 1.0)
-        return directions[0], float(masses[0])
 
 
 def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._values import lazy, where
 from eagor.belief.field import cells_of
-from eagor.belief.reading import NEAR, Reading
+from eagor.belief.reading import Reading
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
@@ -105,7 +105,7 @@ class Estimate:
         field = self.posterior.field
         if float(np.ptp(field.values)) < FLAT and not field.patches:
             return None
-        return self.posterior.first(NEAR)[0]
+        return self.posterior.modes(1, 1.0)[0][0]
 
     @property
     def azimuth(self) -> float | None:

@@ -369,9 +369,15 @@ class TargetHypotheses:
         def nodes(grid: np.ndarray, patches: Sequence[np.ndarray]) -> np.ndarray:
             return np.concatenate([grid[layout.outside], *(patch.reshape(-1) for patch in patches)])
 
+        cells = int(np.count_nonzero(layout.outside))
+
         def caused(amounts: np.ndarray) -> np.ndarray:
-            counts = np.flatnonzero(amounts > _UNHEARD)
-            density = world.densities(directions[counts], spread.scales, np.eye(len(found))) @ amounts[counts]
+            heard = np.flatnonzero(amounts > _UNHEARD)
+            density = np.zeros((len(spread.scales), len(found)))
+            # Between two cells a sharp detection would be heard by neither.
+            for counts, least in ((heard[heard < cells], resolved(sight.degree)), (heard[heard >= cells], 0.0)):
+                drawn = world.densities(directions[counts], spread.scales, np.eye(len(found)), least)
+                density += drawn @ amounts[counts]
             return spread.weights @ density * found.area
 
         mass = np.exp(np.minimum(values - field.log_mean, LARGEST)) * owned
