@@ -177,9 +177,12 @@ class Reading:
 
 
 def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:
-    """The direction ``(3,)`` of the peak of a patch near `places` ``(2,)``."""
-    step = 2 / (patch.values.shape[0] - 1)
-    s, t = (min(max(place, -1 + step), 1 - step) for place in places.tolist())
+    """The direction ``(3,)`` of the peak of a patch near `places` ``(2,)``: from the highest node beside them."""
+    last = patch.values.shape[0] - 1
+    step = 2 / last
+    i, j = (min(max(round((place + 1) / step), 1), last - 1) for place in places.tolist())
+    down, right = divmod(int(patch.values[i - 1 : i + 2, j - 1 : j + 2].argmax()), 3)
+    s, t = (min(max(k * step - 1, -1 + step), 1 - step) for k in (i + down - 1, j + right - 1))
     (a, b, c), (d, e, f), (g, h, i) = patch.around(s, t).tolist()
     gu, gv, huu, hvv, huv = (h - b) / 2, (f - d) / 2, h + b - 2 * e, f + d - 2 * e, (i + a - g - c) / 4
     det = huu * hvv - huv * huv
