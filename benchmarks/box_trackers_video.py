@@ -152,7 +152,7 @@ def main() -> int:
         for each in rivals.values():
             each.move(stamp, pose)
         if number % round(FRAMES / LOOKS) == 0:
-            looks = views.looks(picture, [*things], stamp=stamp, world_R_body=pose)
+            looks, _ = views.around(picture, [*things], stamp, pose)
             for each, evidence in zip(rivals.values(), looks, strict=True):
                 each.see(evidence)
                 each.judge(stamp, true)
