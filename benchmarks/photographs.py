@@ -180,17 +180,23 @@ def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Ma
         seen.setdefault((entry["photograph"], entry["condition"]), {})[entry["frame"]] = things
     cases = []
     for photograph, marked in photographs.items():
-        names = {name for thing in marked["things"] for name in thing["names"]}
         for condition in conditions:
             frames = seen.get((photograph, LOOKS_OF.get(condition, condition)), {})
             if len(frames) < FRAMES:
                 print(f"{photograph}, {condition}: only {len(frames)} frames were looked at; left out")
                 continue
-            for query in sorted(names) + marked["absent"]:
-                things = [frames[frame].get(query, []) for frame in range(FRAMES)]
-                at = [thing for thing in marked["things"] if query in thing["names"]]
-                cases.append(Case(photograph, condition, query, things, *places(at)))
+            cases += cases_of(photograph, condition, marked, [frames[frame] for frame in range(FRAMES)])
     return cases
+
+
+def cases_of(
+    photograph: str, condition: str, marked: dict[str, Any], seen: Sequence[dict[str, list[Thing]]]
+) -> Iterator[Case]:
+    """Every thing that is `marked`, and every absent class; `seen`: what was seen of each class, in each frame."""
+    names = {name for thing in marked["things"] for name in thing["names"]}
+    for query in sorted(names) + marked["absent"]:
+        at = [thing for thing in marked["things"] if query in thing["names"]]
+        yield Case(photograph, condition, query, [frame.get(query, []) for frame in seen], *places(at))
 
 
 def marks(files: Sequence[Path]) -> Marked:
@@ -225,8 +231,23 @@ def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
     return replace(fit_detector(looks, resamples=0).model, detection_probability=None)
 
 
-def independent(model: DetectorModel) -> DetectorModel:
-    """The model for methods that take looks as independent: each of them does better with boxes as wide as they are."""
+def by_parts(cases: Sequence[Case], photographs: Sequence[str], parts: int) -> dict[str, DetectorModel]:
+    """The model that each of the `photographs` is read with, fitted on the parts without it."""
+    models = {}
+    for part in range(parts):
+        left_out = photographs[part::parts]
+        models |= dict.fromkeys(left_out, fitted(cases, left_out))
+        print(f"all but {', '.join(left_out)}: {models[left_out[0]]}")
+    return models
+
+
+def told_to(name: str, model: DetectorModel) -> DetectorModel:
+    """The model that a method reads with.
+
+    The others take looks as independent, and each of them does better with boxes as wide as they are.
+    """
+    if re.split("[:,]", name)[0] == "eagor":
+        return model
     spread = math.hypot(model.spread, model.offset)
     return replace(model, spread=spread, offset=0.0, spread_of_size=1.0, offset_of_size=0.0)
 
@@ -234,7 +255,7 @@ def independent(model: DetectorModel) -> DetectorModel:
 def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:
     """One method on one case, told the poses `say`."""
     config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else 0.0)
-    model = model if name == "eagor" else independent(model)
+    model = told_to(name, model)
     method: Method = (
         box_trackers.BoxTracker(name)
         if name in box_trackers.NAMES
@@ -322,11 +343,7 @@ def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[s
         print(f"all photographs: {model}")
         return dict.fromkeys(photographs, model)
     fit_on = read_cases(options.looks, FITTED_IN, options.marked)
-    models = {}
-    for part in range(options.folds or len(photographs)):
-        left_out = photographs[part :: options.folds or len(photographs)]
-        models |= dict.fromkeys(left_out, fitted(fit_on, left_out))
-        print(f"all but {', '.join(left_out)}: {models[left_out[0]]}")
+    models = by_parts(fit_on, photographs, options.folds or len(photographs))
     print(f"all of them: {fitted(fit_on)}")
     return models
 

@@ -34,7 +34,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from photographs import ANNOTATIONS, BOX, Case, Marked, as_json, as_thing, entries, fitted, independent, marks, places
+from photographs import (
+    ANNOTATIONS,
+    BOX,
+    Marked,
+    as_json,
+    as_thing,
+    by_parts,
+    cases_of,
+    entries,
+    marks,
+    places,
+    told_to,
+)
 from scipy.spatial.transform import Rotation
 
 from eagor import MotionModel, TrackerConfig
@@ -123,7 +135,7 @@ def play(
 ) -> Run:  # fmt: skip
     """One method, told these poses, on the looks of one camera."""
     ours = TrackerConfig(target_motion=MotionModel.still()) if name == STANDS else None
-    model = model if name.startswith("eagor") else independent(model)
+    model = told_to(name, model)
     method = make_method(name.split(",")[0], np.random.default_rng(0), "coco", ours=ours, detector=model)
     view, errors, presence = View(WHOLE_SPHERE if field == WHOLE else grid_of(field)), [], []
     for frame, (things, pose) in enumerate(zip(seen, told, strict=True)):
@@ -134,25 +146,10 @@ def play(
     return Run(np.array(errors), np.array(presence))
 
 
-def cases(seen: Seen, marked: Marked) -> list[Case]:
-    """What a model of the detector is fitted on: once around, in panoramas."""
-    found = []
-    for name, there in marked.items():
-        names = {each for thing in there["things"] for each in thing["names"]}
-        for query in sorted(names) + there["absent"]:
-            at = [thing for thing in there["things"] if query in thing["names"]]
-            things = [frame.get(query, []) for frame in seen[name, WHOLE][:TURN]]
-            found.append(Case(name, "yaw", query, things, *places(at)))
-    return found
-
-
 def models_of(seen: Seen, marked: Marked, folds: int) -> dict[str, DetectorModel]:
-    """The model that each photograph is read with, fitted on the parts without it."""
-    fit_on, models = cases(seen, marked), {}
-    for part in range(folds):
-        left_out = [*marked][part::folds]
-        models |= dict.fromkeys(left_out, fitted(fit_on, left_out))
-    return models
+    """The model that each photograph is read with, fitted on once around in panoramas of the parts without it."""
+    cases = [case for name, there in marked.items() for case in cases_of(name, "yaw", there, seen[name, WHOLE][:TURN])]
+    return by_parts(cases, [*marked], folds)
 
 
 def rows(name: str, folder: Path, seen: Seen, marked: Marked, models: dict[str, DetectorModel]) -> list[dict[str, Any]]:
