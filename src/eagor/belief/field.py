@@ -62,14 +62,6 @@ def _weights(beyond: Any) -> list[Any]:
     return [rest * short / 6, 2 / 3 - squared * (1 - beyond / 2), 2 / 3 - rest * (1 - short / 2), squared * beyond / 6]
 
 
-def _thrice(count: int, place: float) -> np.ndarray:
-    """From values at `count` nodes along an axis to those a node before a place, there, and a node after it."""
-    node = min(max(int(place), 1), count - 2)
-    one, two, three, four = _weights(place - node)
-    table = [[one, two, three, four, 0.0, 0.0], [0.0, one, two, three, four, 0.0], [0.0, 0.0, one, two, three, four]]
-    return np.array(table) @ _coefficients(count)[:, node - 1 : node + 5].T
-
-
 @lru_cache(maxsize=16)
 def _coefficients(count: int) -> np.ndarray:
     """From `count` values to the coefficients of the spline through them ``(count, count + 3)``.
@@ -157,12 +149,6 @@ class Patch(Nodes):
         directions = grid.directions.reshape(-1, 3)
         near = (directions @ self.frame[0] > self.least_ahead).nonzero()[0]
         return near[self.places(directions.take(near, axis=0))[1]]
-
-    def around(self, u: float, v: float) -> np.ndarray:
-        """Values ``(3, 3)`` at coordinates as `places` gives them and a node to each side of them, as `at`."""
-        count = len(self.values)
-        first, second = (_thrice(count, (t + 1) * ((count - 1) / 2)) for t in (u, v))
-        return first @ self.values @ second.T
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""

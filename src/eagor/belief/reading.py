@@ -180,10 +180,11 @@ def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:
     """The direction ``(3,)`` of the peak of a patch near `places` ``(2,)``: from the highest node beside them."""
     last = patch.values.shape[0] - 1
     step = 2 / last
-    i, j = (min(max(round((place + 1) / step), 1), last - 1) for place in places.tolist())
-    down, right = divmod(int(patch.values[i - 1 : i + 2, j - 1 : j + 2].argmax()), 3)
-    s, t = (min(max(k * step - 1, -1 + step), 1 - step) for k in (i + down - 1, j + right - 1))
-    (a, b, c), (d, e, f), (g, h, i) = patch.around(s, t).tolist()
+    row, column = (min(max(round((place + 1) / step), 1), last - 1) for place in places.tolist())
+    up, left = divmod(int(patch.values[row - 1 : row + 2, column - 1 : column + 2].argmax()), 3)
+    row, column = (min(max(k, 1), last - 1) for k in (row + up - 1, column + left - 1))
+    s, t = row * step - 1, column * step - 1
+    (a, b, c), (d, e, f), (g, h, i) = patch.values[row - 1 : row + 2, column - 1 : column + 2].tolist()
     gu, gv, huu, hvv, huv = (h - b) / 2, (f - d) / 2, h + b - 2 * e, f + d - 2 * e, (i + a - g - c) / 4
     det = huu * hvv - huv * huv
     if huu < 0 and det > 0:

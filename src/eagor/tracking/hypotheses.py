@@ -369,7 +369,7 @@ class TargetHypotheses:
         def nodes(grid: np.ndarray, patches: Sequence[np.ndarray]) -> np.ndarray:
             return np.concatenate([grid[layout.outside], *(patch.reshape(-1) for patch in patches)])
 
-        cells = int(np.count_nonzero(layout.outside))
+        cells = len(layout.free)
 
         def caused(amounts: np.ndarray) -> np.ndarray:
             heard = np.flatnonzero(amounts > _UNHEARD)
