@@ -19,7 +19,6 @@ from eagor.evidence.detector import Alarms, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
-from eagor.tracking.look import Sight
 from eagor.tracking.tracker import DirectionTracker
 
 STILL = MotionModel.still()
@@ -374,14 +373,3 @@ def grid_box(grid, centre, half):
     x, y, _ = grid.project(centre)
     dx, dy = half / math.tau * width, half / math.pi * height
     return x - dx, y - dy, x + dx, y + dy
-
-
-def test_a_look_alike_between_the_cells_is_known_to_what_moves():
-    """Six places are found again and again, more than there are windows. None of them is news."""
-    places = unit(np.concatenate([np.eye(3), -np.eye(3)]) + 0.03 * random_directions(6, 3))
-    sharp = replace(MANY, spread=math.radians(0.7), false_alarms_per_look=0.02)
-    looks = [look(places, stamp, sharp) for stamp in range(12)]
-    hypotheses = after(looks, TrackerConfig(ranges=None)).hypotheses
-    sight = Sight.of(looks[-1:], TrackerConfig().degree, 12.0, np.eye(3), None)
-    explained, _ = hypotheses._explained(sight)
-    assert explained.min() > 1  # a false alarm there is much rarer

@@ -159,6 +159,12 @@ class Detections:
         ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
         return altered(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
 
+    def covariances(self, scale: np.ndarray | float = 1.0) -> np.ndarray:
+        """Of each detection ``(..., n, 3, 3)``, at each of the factors `scale` ``(...)`` on its deviations."""
+        deviations = self.axes / self._lengths[..., None] ** 2
+        single = np.einsum("nai,naj->nij", deviations, deviations)
+        return np.reshape(scale, (*np.shape(scale), 1, 1, 1)) ** 2 * single
+
     def response(self, directions: np.ndarray) -> np.ndarray:
         """The set drawn as a response ``(...)`` in [0, 1]: the maximum of score times bump."""
         if not len(self):

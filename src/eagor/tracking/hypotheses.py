@@ -13,7 +13,6 @@ stand (`standing`). Such a sum cannot absorb a target that stops only now, so th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +29,7 @@ from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.tracking.config import MotionModel
 from eagor.tracking.look import Look, Shares, Sight
+from eagor.tracking.look_alikes import LookAlikes
 from eagor.tracking.moving import FAINTEST, TurningTarget, WanderingTarget
 from eagor.tracking.stationary import StationaryTarget
 
@@ -48,8 +48,8 @@ class TargetHypotheses:
 
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `moves`:
     the habits of a moving target, and of a look-alike that moves as it does, which explains as well what the target
-    would; `alike`: log(1 + Q) of that. `offset`: radians by which all looks together may be off, `of_size`: what half
-    the size of a thing adds to that.
+    would; `alike`: log(1 + Q) of that. `look_alikes`: those that stand, for what moves. `offset`: radians by which all
+    looks together may be off, `of_size`: what half the size of a thing adds to that.
     """
 
     weights: np.ndarray
@@ -58,6 +58,7 @@ class TargetHypotheses:
     turning: TurningTarget | None = None
     moves: Bank | None = None
     alike: float = 0.0
+    look_alikes: LookAlikes | None = None
     offset: float = 0.0
     of_size: float = 0.0
 
@@ -162,6 +163,11 @@ class TargetHypotheses:
         number = bank.habits.look_alikes * np.exp(np.minimum(there, LARGEST)) * bank.alike_recall
         return number * self.grid.weights / (4 * math.pi)
 
+    def ranged(self, ranges: np.ndarray, height: float | None) -> TargetHypotheses:
+        """With positions from here on: what is known so far holds for all `ranges` ``(K,)``, metres."""
+        alike = None if self.look_alikes is None else self.look_alikes.ranged(ranges)
+        return altered(self, standing=self.standing.ranged(ranges, height), look_alikes=alike)
+
     def after(
         self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
     ) -> TargetHypotheses:
@@ -175,9 +181,11 @@ class TargetHypotheses:
             anew = own.anew(elapsed, moved)
             standing = standing.renewed(anew)
             moves = None if moves is None else moves.renewed(anew)
-        kept = self
-        if standing is not self.standing or moves is not self.moves:
-            kept = altered(self, standing=standing, moves=moves)
+        kept, alike = self, self.look_alikes
+        if alike is not None:
+            alike = alike.after(max(elapsed, 0.0), drift, step)
+        if standing is not self.standing or moves is not self.moves or alike is not self.look_alikes:
+            kept = altered(self, standing=standing, moves=moves, look_alikes=alike)
         if elapsed <= 0:
             return kept
         flows = self.weights[:, None] * motion.transitions(elapsed)
@@ -246,7 +254,7 @@ class TargetHypotheses:
         repeated = 0.0 if passing is None else passing.sight.repeats
         if passing is not None and repeated > 0:
             standing = standing.mapped(passing, -repeated, since)
-        look, alarms = self._read(sight, alarms)
+        look, alarms, known = self._read(sight, alarms)
         if sight.detections is not None:
             standing = standing.detecting()
         # If the body has moved, windows with ranges were already redrawn for this place.
@@ -270,21 +278,27 @@ class TargetHypotheses:
         weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
         kept = sight.offset, sight.of_size
-        return TargetHypotheses(weights, standing, wandering, turning, moves, alike, *kept), look, alarms
+        return TargetHypotheses(weights, standing, wandering, turning, moves, alike, known, *kept), look, alarms
 
-    def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None]:
-        """A look as likelihood ratios, and the number of false alarms after it."""
-        if sight.detections is None or sight.habits is None:
-            return sight.read(None, self.standing.spread), alarms
-        before = Alarms.prior(sight.detections.model) if alarms is None else alarms
-        alike, target = self._explained(sight)
-        given = before.after(alike)
-        shares = None
-        if sight.habits.look_alikes:
-            passing = self._passing(sight)
-            their = 0.0 if self.moves is None else -math.expm1(-self.alike) * float(self.moves.alike_recall)
-            shares = Shares(given.share(their * passing), given.share(alike), passing)
-        return sight.read(given, self.standing.detecting().spread, shares), before.after(alike + target)
+    def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None, LookAlikes | None]:
+        """A look as likelihood ratios; the number of false alarms and the known look-alikes after it."""
+        found, spread, known = sight.detections, self.standing.detecting().spread, self.look_alikes
+        if found is None or sight.habits is None:
+            return sight.read(None, self.standing.spread), alarms, known
+        before = Alarms.prior(found.model) if alarms is None else alarms
+        if not sight.habits.look_alikes:
+            return sight.read(before.after(np.zeros(len(found))), spread), before.after(self._caused(sight)), known
+        coarse = self.standing.coarse
+        ranges = coarse.ranges if isinstance(coarse, RangedBelief) else None
+        known = LookAlikes.prior(sight.habits, ranges) if known is None else known.read_with(sight.habits)
+        heard = known.heard(sight, spread)
+        given, passing = before.after(heard.density), self._passing(sight)
+        their = 0.0 if self.moves is None else -math.expm1(-self.alike) * float(self.moves.alike_recall)
+        shares = Shares(given.share(their * passing), given.share(heard.density), passing)
+        look = sight.read(given, spread, shares)
+        moving = float(self.weights[2:].sum()) * (sight.habits.mean if self.moves is None else float(self.moves.recall))
+        known = known.updated(sight, heard, given, look.shown.share, (moving + their) * passing)
+        return look, before.after(heard.density + self._caused(sight)), known
 
     def _weighed(self, gains: np.ndarray, look: Look, moves: Bank | None) -> tuple[np.ndarray, Bank | None, float]:
         """The weights of the hypotheses after these `gains` in log likelihood; habits and `alike` of what moves."""
@@ -343,55 +357,32 @@ class TargetHypotheses:
             foretold += self.weights[-1] * turns
         return otherwise * foretold / (otherwise @ foretold)
 
-    def _explained(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
-        """The density of detections at each of those of a look ``(n,)``, relative to that of one false alarm a look.
+    def _caused(self, sight: Sight) -> np.ndarray:
+        """The density ``(n,)`` of detections at each of those of a look that the target causes.
 
-        Of what known look-alikes cause, and of what the target causes.
+        Relative to that of one false alarm a look.
         """
         found, bank, habits = sight.detections, self.standing.bank, sight.habits
         assert found is not None
         assert habits is not None
-        none = np.zeros(len(found))
-        known = found.model.false_alarms_per_look is not None
-        if not len(found) or (known and not habits.look_alikes):
-            return none, none
+        if not len(found) or found.model.false_alarms_per_look is not None:
+            return np.zeros(len(found))
         world = sight.world
         assert world is not None
-        if bank is None or not habits.same(bank.habits):  # nothing is known: alike likely everywhere
-            alike = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
-            return none + alike, none + self.presence * habits.mean
+        if bank is None or not habits.same(bank.habits):  # nothing is known
+            return np.full(len(found), self.presence * habits.mean)
         standing, spread = self.standing, self.standing.spread
-        field, support, explained = standing.field, standing.support, standing.explained
-        banks = [window.habits for window in standing.windows]
-        layout = field.layout
-        values, owned, directions = field.logs, layout.weights / (4 * math.pi), layout.directions
-
-        def nodes(grid: np.ndarray, patches: Sequence[np.ndarray]) -> np.ndarray:
-            return np.concatenate([grid[layout.outside], *(patch.reshape(-1) for patch in patches)])
-
-        cells = len(layout.free)
-
-        def caused(amounts: np.ndarray) -> np.ndarray:
-            heard = np.flatnonzero(amounts > _UNHEARD)
-            density = np.zeros((len(spread.scales), len(found)))
-            # Between two cells a sharp detection would be heard by neither.
-            for counts, least in ((heard[heard < cells], resolved(sight.degree)), (heard[heard >= cells], 0.0)):
-                drawn = world.densities(directions[counts], spread.scales, np.eye(len(found)), least)
-                density += drawn @ amounts[counts]
-            return spread.weights @ density * found.area
-
-        mass = np.exp(np.minimum(values - field.log_mean, LARGEST)) * owned
-        recall = nodes(bank.recall, [each.recall for each in banks])
-        target = caused(self.presence * mass * recall / max(float(mass.sum()), 1e-300))
-        if explained is None:
-            return none, target
-        parts = zip(support.patches, banks, standing.places.patches, strict=True)
-        there = nodes(
-            support.values + bank.lead - explained[standing.places.cells],
-            [patch.values + each.lead - explained[home] for patch, each, home in parts],
-        )
-        recall = nodes(bank.alike_recall, [each.alike_recall for each in banks])
-        return caused(habits.look_alikes * np.exp(np.minimum(there, LARGEST)) * owned * recall), target
+        field, layout = standing.field, standing.field.layout
+        parts = [window.habits.recall.reshape(-1) for window in standing.windows]
+        mass = np.exp(np.minimum(field.logs - field.log_mean, LARGEST)) * layout.weights
+        amounts = mass * np.concatenate([bank.recall[layout.outside], *parts]) * (self.presence / mass.sum())
+        heard, cells = np.flatnonzero(amounts > _UNHEARD), len(layout.free)
+        density = np.zeros((len(spread.scales), len(found)))
+        # Between two cells a sharp detection would be heard by neither.
+        for counts, least in ((heard[heard < cells], resolved(sight.degree)), (heard[heard >= cells], 0.0)):
+            drawn = world.densities(layout.directions[counts], spread.scales, np.eye(len(found)), least)
+            density += drawn @ amounts[counts]
+        return spread.weights @ density * found.area
 
 
 def _near(grid: ErpGrid, found: Detections, scale: float, least: float) -> np.ndarray:

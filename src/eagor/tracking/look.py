@@ -253,11 +253,7 @@ class Look:
         if self.shares is not None:
             amplitudes = amplitudes * self.shares.moving
         scales = self.spread.scales if len(self.spread.scales) > 1 else self.spread.scales[:0]
-        scales = np.array([self.spread.precision**-0.5, *scales])[:, None, None]
-        lengths = np.sqrt((self.world.axes**2).sum(axis=-1))
-        widths = scales / lengths
-        deviations = self.world.axes * (widths / lengths)[..., None]
-        covariances = np.einsum("snai,snaj->snij", deviations, deviations)
+        covariances = self.world.covariances(np.array([self.spread.precision**-0.5, *scales]))
         beside_field = SphereField(self.grid, beside)
         return Sightings(self.world.directions, amplitudes, covariances[0], beside_field, covariances[1:])
 

@@ -202,7 +202,8 @@ class TurningTarget:
         count, amplitudes = len(seen.directions), seen.amplitudes
         spreads = np.concatenate([seen.covariances[None], seen.scaled]).reshape(-1, 3, 3)
         peaks = np.tile(seen.directions, (1 + len(seen.scaled), 1))
-        gains, inverse, pull, likely = self._innovations(peaks, spreads)
+        frames, gains, own = self._across
+        inverse, pull, likely = innovations(self.directions, frames, own, peaks, spreads)
         foretold = (self.weights @ likely[:, count:]).reshape(-1, count) @ amplitudes
         weights = self.weights[:, None] * amplitudes * likely[:, :count]
         kept = np.nonzero(weights > FAINT * max(float(weights.max()), 1e-300))
@@ -220,28 +221,6 @@ class TurningTarget:
             covariances=self.covariances[owner] - gain @ np.swapaxes(gains[owner], 1, 2),
         )
         return detected, foretold
-
-    def _innovations(self, peaks: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The prediction of each detection by each component.
-
-        Covariances of its state with its place ``(N, 6, 2)``; of the error, the inverse covariance ``(N, k, 2, 2)``,
-        that times the error ``(N, k, 2)``, and the density ``(N, k)``.
-        """
-        frames, gains, own = self._across
-        cosine = np.clip(self.directions @ peaks.T, -1, 1)
-        across = np.einsum("nai,ki->nka", frames, peaks)
-        angle = np.arccos(cosine)
-        residual = across * (angle / np.maximum(np.sin(angle), 1e-6))[..., None]
-        noise = np.einsum("nai,kij,nbj->nkab", frames, spreads, frames)
-        total = own[:, None] + noise
-        determinant = total[..., 0, 0] * total[..., 1, 1] - total[..., 0, 1] ** 2
-        inverse = np.empty_like(total)
-        inverse[..., 0, 0], inverse[..., 1, 1] = total[..., 1, 1], total[..., 0, 0]
-        inverse[..., 0, 1] = inverse[..., 1, 0] = -total[..., 0, 1]
-        inverse /= determinant[..., None, None]
-        pull = np.einsum("nkab,nkb->nka", inverse, residual)
-        exponent = -0.5 * np.einsum("nka,nka->nk", pull, residual)
-        return gains, inverse, pull, np.exp(exponent) / (2 * math.pi * np.sqrt(determinant))
 
     @lazy
     def _across(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -310,6 +289,31 @@ class TurningTarget:
             half = np.minimum(np.tan(np.minimum(REACH * widths, 1.0)), 0.5)
             found.append(Patch(frame, half, np.zeros((NODES, NODES))))
         return tuple(found)
+
+
+def innovations(
+    directions: np.ndarray, frames: np.ndarray, own: np.ndarray, peaks: np.ndarray, spreads: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The prediction of k detections, `peaks` ``(k, 3)`` with covariances `spreads` ``(k, 3, 3)``, by N Gaussians.
+
+    These stand at `directions` ``(N, 3)`` with covariances `own` ``(N, 2, 2)`` along the tangent vectors `frames` ``(N,
+    2, 3)``. Of each error, the inverse covariance ``(N, k, 2, 2)``, that times the error ``(N, k, 2)``, and the density
+    ``(N, k)``.
+    """
+    cosine = np.clip(directions @ peaks.T, -1, 1)
+    across = np.einsum("nai,ki->nka", frames, peaks)
+    angle = np.arccos(cosine)
+    residual = across * (angle / np.maximum(np.sin(angle), 1e-6))[..., None]
+    noise = np.einsum("nai,kij,nbj->nkab", frames, spreads, frames)
+    total = own[:, None] + noise
+    determinant = total[..., 0, 0] * total[..., 1, 1] - total[..., 0, 1] ** 2
+    inverse = np.empty_like(total)
+    inverse[..., 0, 0], inverse[..., 1, 1] = total[..., 1, 1], total[..., 0, 0]
+    inverse[..., 0, 1] = inverse[..., 1, 0] = -total[..., 0, 1]
+    inverse /= determinant[..., None, None]
+    pull = np.einsum("nkab,nkb->nka", inverse, residual)
+    exponent = -0.5 * np.einsum("nka,nka->nk", pull, residual)
+    return inverse, pull, np.exp(np.maximum(exponent, LOWEST)) / (2 * math.pi * np.sqrt(determinant))
 
 
 @lru_cache(maxsize=16)

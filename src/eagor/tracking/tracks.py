@@ -63,7 +63,7 @@ class State:
         ranges = config.shells(position)
         if ranges is not None and not isinstance(hypotheses.standing.coarse, RangedBelief):
             # Positions are known from here on.
-            hypotheses = altered(hypotheses, standing=hypotheses.standing.ranged(ranges, height))
+            hypotheses = hypotheses.ranged(ranges, height)
         step = None if position is None or self.position is None else position - self.position
         return hypotheses.after(now - self.stamp, config.target_motion, config.drift, step, height)
 

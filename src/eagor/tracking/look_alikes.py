@@ -1,0 +1,222 @@
+"""What is known to stand here and to be detected again and again: a list of look-alikes, each with its own habit.
+
+A field of limited degree shows no weak place beside a strong one: it lies on the slope of the strong one's likelihood.
+For a target that moves, each detection there would be news. So what may have caused the detections of earlier looks is
+kept as a list: a Poisson multi-Bernoulli filter (Williams, IEEE Transactions on Aerospace and Electronic Systems 51(3),
+2015) with the marginal association of probabilistic data association (Bar-Shalom and Tse, Automatica 11(5), 1975). Each
+place j of the list exists with probability r_j; look-alikes that no look has detected yet are a Poisson process. With
+m_j the probability that a look detects the place, a detection z_i of a look has the density
+
+    lambda(z_i) = false alarms + sum_j r_j m_j v_j g(z_i | j) + look-alikes that were never detected,
+
+and place j learns from the look as cells do (`eagor.belief.bank`), with S_j = sum_i g(z_i | j) over what else may have
+caused z_i. Where positions are known, it may stand at any of several ranges: a Gaussian for each, which a step shifts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eagor._values import altered
+from eagor.belief.bank import linear
+from eagor.evidence.detections import Detections, tangent_frames
+from eagor.evidence.detector import Alarms, Habits, Spread
+from eagor.grids import ErpGrid
+from eagor.tracking.look import Sight
+from eagor.tracking.moving import innovations
+
+MOST = 32  # places
+LEAST = 1e-3  # probability to exist: what is less likely is forgotten
+NEAREST = 0.05  # metres from the body
+
+
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """How the n detections of a look fit m look-alikes at K ranges, before they are taken in.
+
+    Densities of detections, relative to that of one false alarm a look: `drawn` ``(m, K, n)``, of each place that a
+    look detects; `own` ``(m, n)``, as expected of each place; `new` ``(n, A)``, of look-alikes that were never
+    detected, by habit. `seen` ``(m, K)``: v of each. `gains` ``(m, K, 3, 2)``, `inverse` ``(m, K, n, 2, 2)`` and `pull`
+    ``(m, K, n, 2)``: the terms of a Kalman update. `noise` ``(n, 3, 3)``: covariances of the detections.
+    """
+
+    drawn: np.ndarray
+    own: np.ndarray
+    new: np.ndarray
+    seen: np.ndarray
+    gains: np.ndarray
+    inverse: np.ndarray
+    pull: np.ndarray
+    noise: np.ndarray
+
+    @property
+    def density(self) -> np.ndarray:
+        """The density ``(n,)`` of detections that look-alikes cause."""
+        return self.own.sum(axis=0) + self.new.sum(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class LookAlikes:
+    """Look-alikes that were detected, and those that were not, world axes about the body.
+
+    `points` ``(m, K, 3)`` with `covariances` ``(m, K, 3, 3)``: where each stands for each of `ranges` ``(K,)``, metres;
+    one range of 1 without positions. `shares` ``(m, K)``: probabilities of the ranges. `odds` ``(m,)``: log odds that
+    the place exists; `levels` ``(m, A)``: posterior of its habit. `hidden` ``(A, H, W)`` or ``(A, 1, 1)``: the number
+    of look-alikes of each habit that were never detected, if the whole sphere were like this cell.
+    """
+
+    habits: Habits
+    ranges: np.ndarray
+    points: np.ndarray
+    covariances: np.ndarray
+    shares: np.ndarray
+    odds: np.ndarray
+    levels: np.ndarray
+    hidden: np.ndarray
+
+    @classmethod
+    def prior(cls, habits: Habits, ranges: np.ndarray | None) -> LookAlikes:
+        """Before any look; `ranges` ``(K,)`` in metres, None without positions."""
+        ranges = np.ones(1) if ranges is None else ranges
+        count, many = len(ranges), habits.look_alikes * habits.alike_shares
+        points, covariances = np.zeros((0, count, 3)), np.zeros((0, count, 3, 3))
+        levels, hidden = np.zeros((0, len(many))), many.reshape(-1, 1, 1)
+        return cls(habits, ranges, points, covariances, np.zeros((0, count)), np.zeros(0), levels, hidden)
+
+    def __len__(self) -> int:
+        return len(self.odds)
+
+    @property
+    def distances(self) -> np.ndarray:
+        """Metres ``(m, K)``."""
+        return np.maximum(np.sqrt(np.einsum("mki,mki->mk", self.points, self.points)), NEAREST)
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(m, K, 3)``."""
+        return self.points / self.distances[..., None]
+
+    def read_with(self, habits: Habits) -> LookAlikes:
+        """For looks of another detector: habits are drawn anew, the places stay."""
+        if habits.same(self.habits):
+            return self
+        shares = habits.alike_shares
+        levels = np.broadcast_to(shares, (len(self), len(shares)))
+        many = self.hidden.sum(axis=0) * (habits.look_alikes / self.habits.look_alikes)
+        return altered(self, habits=habits, levels=levels, hidden=many * shares.reshape(-1, 1, 1))
+
+    def ranged(self, ranges: np.ndarray) -> LookAlikes:
+        """With positions from here on: so far, the places may stand at any of `ranges` ``(K,)``, metres."""
+        widths = self.covariances[:, 0] / self.distances[..., None] ** 2
+        points, covariances = _at_ranges(self.directions[:, 0], widths, ranges)
+        shares = np.full((len(self), len(ranges)), 1 / len(ranges))
+        return altered(self, ranges=ranges, points=points, covariances=covariances, shares=shares)
+
+    def after(self, elapsed: float, drift: float, step: np.ndarray | None) -> LookAlikes:
+        """After `elapsed` seconds, in which the body has moved by `step` ``(3,)``; `drift`: of the odometry."""
+        moved = 0.0 if step is None else float(np.linalg.norm(step))
+        anew, found = self.habits.anew(elapsed, moved), self
+        if anew > 0:
+            prior = self.habits.alike_shares
+            hidden = (1 - anew) * self.hidden + anew * self.hidden.sum(axis=0) * prior.reshape(-1, 1, 1)
+            found = altered(self, levels=(1 - anew) * self.levels + anew * prior, hidden=hidden)
+        if drift > 0 and len(self):
+            across = np.eye(3) - self.directions[..., :, None] * self.directions[..., None, :]
+            wider = drift**2 * elapsed * self.distances[..., None, None] ** 2 * across
+            found = altered(found, covariances=self.covariances + wider)
+        if moved > 0 and len(self.ranges) > 1:
+            found = altered(found, points=self.points - step)
+        return found
+
+    def heard(self, sight: Sight, spread: Spread) -> Heard:
+        """How the detections of a look fit."""
+        world = sight.world
+        assert world is not None
+        noise = world.covariances(float(spread.weights @ spread.scales**-2.0) ** -0.5)
+        count, directions = len(self.ranges), self.directions
+        flat = directions.reshape(-1, 3)
+        covariances = self.covariances / self.distances[..., None, None] ** 2
+        frames = tangent_frames(flat)
+        gains = covariances.reshape(-1, 3, 3) @ np.swapaxes(frames, 1, 2)
+        inverse, pull, drawn = innovations(flat, frames, frames @ gains, world.directions, noise)
+        shape = len(self), count, len(world)
+        drawn = drawn.reshape(shape) * (world.area / world.clutter)
+        seen = np.ones(shape[:2])
+        if world.views:
+            seen = np.asarray(world.share(directions @ sight.world_R_body))
+        exist, recall = 1 / (1 + np.exp(-self.odds)), self.levels @ self.habits.alike_levels
+        expected = (exist * recall)[:, None] * np.einsum("mk,mkn->mn", self.shares * seen, drawn)
+        new = self._hidden_at(world) * self.habits.alike_levels
+        gains = gains.reshape(*shape[:2], 3, 2) * self.distances[..., None, None]
+        return Heard(drawn, expected, new, seen, gains, inverse.reshape(*shape, 2, 2), pull.reshape(*shape, 2), noise)
+
+    def _hidden_at(self, found: Detections) -> np.ndarray:
+        """The density ``(n, A)`` of detections of look-alikes that were never detected, if each look detects them."""
+        if self.hidden[0].size == 1:
+            each = self.hidden.reshape(1, -1)
+        else:
+            each = linear(ErpGrid(*self.hidden.shape[1:]), self.hidden, found.directions).T
+        return each * (found.area / (4 * math.pi) / found.clutter)[:, None]
+
+    def updated(
+        self, sight: Sight, heard: Heard, alarms: Alarms, share: np.ndarray | float, moving: np.ndarray
+    ) -> LookAlikes:
+        """After the look; `share` ``(H, W)``: v of the cells. `alarms`: with this look counted.
+
+        `moving` ``(n,)``: the density of detections that what moves causes, as those of `Heard`.
+        """
+        levels, world = self.habits.alike_levels, sight.world
+        assert world is not None
+        others = heard.density + moving - heard.own
+        rest = np.einsum("a,amn->mn", alarms.weights, 1 / (alarms.numbers[:, None, None] + others))
+        ratios = heard.drawn * rest[:, None]  # (m, K, n)
+        recall = (self.levels @ levels)[:, None] * heard.seen
+        said = heard.seen * (ratios.sum(axis=2) - 1)
+        totals = 1 + (self.levels @ levels)[:, None] * said
+        each = recall[..., None] * ratios / totals[..., None]
+        step = np.einsum("mkn,mkna->mka", each, heard.pull)
+        points = self.points + np.einsum("mkia,mka->mki", heard.gains, step)
+        # Of the mean update, and of how far the updates by single detections lie apart.
+        inner = np.einsum("mkn,mkna,mknb->mkab", each, heard.pull, heard.pull) - step[..., :, None] * step[..., None, :]
+        inner -= np.einsum("mkn,mknab->mkab", each, heard.inverse)
+        covariances = self.covariances + heard.gains @ inner @ np.swapaxes(heard.gains, 2, 3)
+        total = np.einsum("mk,mk->m", self.shares, totals)
+        habit = self.levels * (1 + np.einsum("mk,mk->m", self.shares, said)[:, None] * levels) / total[:, None]
+        # A detection may be a place of its own, unless a known one is the likelier cause.
+        lone = alarms.weights @ (1 / (alarms.numbers[:, None] + heard.own.sum(axis=0) + moving))
+        new = np.flatnonzero(heard.own.max(axis=0, initial=0.0) * lone < 0.5)
+        amounts = heard.new[new].sum(axis=1)
+        born, widths = _at_ranges(world.directions[new], heard.noise[new], self.ranges)
+        even = np.full(born.shape[:2], 1 / len(self.ranges))
+        found = altered(
+            self,
+            points=np.concatenate([points, born]),
+            covariances=np.concatenate([covariances, widths]),
+            shares=np.concatenate([self.shares * totals / total[:, None], even]),
+            odds=np.concatenate([self.odds + np.log(total), np.log(np.maximum(amounts * lone[new], 1e-300))]),
+            levels=np.concatenate([habit, heard.new[new] / np.maximum(amounts, 1e-300)[:, None]]),
+            hidden=self.hidden * (1 - levels.reshape(-1, 1, 1) * np.asarray(share)),
+        )
+        return found._likeliest()
+
+    def _likeliest(self) -> LookAlikes:
+        """The likeliest places, `MOST` at most."""
+        order = np.argsort(-self.odds, kind="stable")[:MOST]
+        order = np.sort(order[self.odds[order] > math.log(LEAST)])
+        names = "points", "covariances", "shares", "odds", "levels"
+        return altered(self, **{name: getattr(self, name)[order] for name in names})
+
+
+def _at_ranges(directions: np.ndarray, widths: np.ndarray, ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gaussians at each of `ranges` ``(K,)``: points ``(n, K, 3)`` and covariances ``(n, K, 3, 3)``, metres.
+
+    In `directions` ``(n, 3)`` with covariances `widths` ``(n, 3, 3)`` across; along, as far as from one range to the
+    next.
+    """
+    points = ranges[:, None] * directions[:, None]
+    depth = (math.log(ranges[-1] / ranges[0]) / max(len(ranges) - 1, 1)) ** 2 / 12  # of an even distribution
+    along = depth * directions[:, :, None] * directions[:, None, :]
+    return points, ranges[:, None, None] ** 2 * (widths + along)[:, None]

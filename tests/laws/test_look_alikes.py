@@ -1,0 +1,161 @@
+"""The list of known look-alikes: what stands and is detected again and again is no news to a target that moves."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from strategies import random_directions
+
+from eagor.evidence import Evidence
+from eagor.evidence.detector import DetectorModel, Spread
+from eagor.grids import PerspectiveGrid
+from eagor.sphere import angular_distance, direction, rotation, unit
+from eagor.tracking.config import MotionModel, TrackerConfig
+from eagor.tracking.look import Sight
+from eagor.tracking.look_alikes import LEAST, LookAlikes
+from eagor.tracking.tracker import DirectionTracker
+
+FLAT = TrackerConfig(ranges=None)
+MODEL = DetectorModel(false_alarms_per_look=0.2, spread=math.radians(5), look_alikes=0.7, kept_for=None)
+HERE, THERE = direction(0.5, 0.1), direction(-1.9, -0.2)
+SPREAD = Spread.unsure()
+
+
+def look(places, stamp, model=MODEL, **more):
+    return Evidence.from_points(np.reshape(places, (-1, 3)), detector=model, stamp=float(stamp), **more)
+
+
+def after(looks, config=FLAT):
+    tracker = DirectionTracker(config)
+    for each in looks:
+        tracker.observe(each)
+    return tracker.estimate(looks[-1].stamp)
+
+
+def density(known, places, model=MODEL, position=None, **more):
+    """The density of detections that known look-alikes cause at `places`, over that of one false alarm a look."""
+    sight = Sight.of([look(places, 99, model, **more)], FLAT.degree, 99.0, np.eye(3), position)
+    return known.heard(sight, SPREAD).density
+
+
+def likelihoods(known):
+    return 1 / (1 + np.exp(-known.odds))
+
+
+@pytest.mark.parametrize(("found", "looks"), [(1, 1), (3, 3), (2, 8), (12, 12)])
+def test_alone_a_place_is_as_likely_as_the_field_says(found, looks):
+    """Its odds are Q, the look-alikes expected there, if no others and nothing that moves may be taken for it."""
+    rare, still = replace(MODEL, look_alikes=0.01), replace(FLAT, target_motion=MotionModel.still())
+    seen = unit(HERE + math.radians(2) * np.random.default_rng(found).standard_normal((found, 3)))
+    hypotheses = after([look(seen[stamp : stamp + 1], stamp, rare) for stamp in range(looks)], still).hypotheses
+    known, cell = hypotheses.look_alikes, int((hypotheses.grid.directions @ HERE).argmax())
+    field = hypotheses.standing.explained[hypotheses.standing.places.cells.reshape(-1)[cell]]
+    assert angular_distance(known.directions[0, 0], HERE) < math.radians(12)
+    assert float(known.odds.max()) == pytest.approx(math.log(math.expm1(field)), abs=0.25)
+
+
+def test_before_any_look_they_may_be_anywhere():
+    known = LookAlikes.prior(MODEL.habits, None)
+    mean = float(MODEL.habits.alike_levels @ MODEL.habits.alike_shares)
+    assert density(known, random_directions(5, 1)) == pytest.approx(0.7 * mean)
+
+
+def test_one_between_the_cells_is_known():
+    """Six places are found again and again, more than there are windows. None of them is news."""
+    places = unit(np.concatenate([np.eye(3), -np.eye(3)]) + 0.03 * random_directions(6, 3))
+    sharp = replace(MODEL, spread=math.radians(0.7), false_alarms_per_look=0.02)
+    known = after([look(places, stamp, sharp) for stamp in range(12)]).hypotheses.look_alikes
+    assert density(known, places, sharp).min() > 1  # a false alarm there is much rarer
+
+
+def test_a_weak_place_beside_a_strong_one_is_no_sign_of_something_that_moves():
+    """In the field it lies on the slope of the strong one, 30 degrees away."""
+    random, beside = np.random.default_rng(2), rotation([0, 0, 1], math.radians(30)) @ HERE
+    narrow = replace(MODEL, spread=math.radians(1.5), false_alarms_per_look=None)
+    looks = []
+    for stamp in range(40):
+        there = [HERE, *([beside] if random.random() < 0.7 else [])]
+        looks.append(look(unit(np.array(there) + 0.02 * random.standard_normal((len(there), 3))), stamp, narrow))
+    hypotheses = after(looks).hypotheses
+    assert likelihoods(hypotheses.look_alikes)[:2].min() > 0.9
+    assert density(hypotheses.look_alikes, [beside], narrow).min() > 1
+    assert hypotheses.moving < 0.1
+
+
+def test_what_moves_leaves_no_trail_of_look_alikes():
+    """A detection that something moving explains is no sign that something stands there."""
+    looks = [look([rotation([0, 0, 1], math.radians(6) * stamp) @ HERE], stamp) for stamp in range(30)]
+    hypotheses = after(looks).hypotheses
+    assert hypotheses.moving > 0.8
+    assert likelihoods(hypotheses.look_alikes).sum() < 1
+
+
+def test_a_step_of_the_body_shifts_them_and_tells_their_range():
+    """Two metres and six away: seen from a walk past them, each look finds them where they were expected."""
+    points = np.array([[2.0, 1.0, 0.0], [-3.0, 5.0, 0.5]])
+    sharp, tracker = replace(MODEL, spread=math.radians(2), kept_within=None), DirectionTracker(TrackerConfig())
+    for stamp in range(14):
+        position = np.array([0.2 * stamp, 0.0, 0.0])
+        tracker.add_pose(float(stamp), np.eye(3), position)
+        tracker.observe(look(unit(points - position), stamp, sharp))
+        known = tracker.estimate(float(stamp)).hypotheses.look_alikes
+    best = np.argsort(-known.odds)[:2]
+    means = np.einsum("mk,mki->mi", known.shares[best], known.points[best])
+    for point in points - position:
+        nearest = means[np.argmin(np.linalg.norm(means - point, axis=1))]
+        assert angular_distance(unit(nearest), unit(point)) < math.radians(2)
+        assert np.linalg.norm(nearest) == pytest.approx(np.linalg.norm(point), rel=0.25)
+    step = np.array([0.2, 0.0, 0.0])
+    on = known.after(1.0, 0.0, step)
+    assert density(on, unit(points - position - step), sharp, position + step).min() > 10
+    elsewhere = unit(points + np.array([2.0, 0.0, 0.0]))
+    assert density(on, elsewhere, sharp, position).max() < 1
+
+
+def test_with_positions_from_the_middle_on_the_places_may_stand_at_any_range():
+    known = after([look([HERE], stamp) for stamp in range(5)]).hypotheses.look_alikes
+    ranged = known.ranged(np.geomspace(0.5, 12, 10))
+    assert ranged.points.shape == (len(known), 10, 3)
+    assert ranged.shares.sum(axis=1) == pytest.approx(1)
+    assert density(ranged, [HERE, THERE]) == pytest.approx(density(known, [HERE, THERE]), rel=1e-6)
+
+
+def test_where_nobody_looked_they_are_as_many_as_before():
+    view = PerspectiveGrid(60, 80, math.radians(70))
+    known = after([look([], stamp, grid=view) for stamp in range(12)]).hypotheses.look_alikes
+    before = float(density(LookAlikes.prior(MODEL.habits, None), [HERE])[0])
+    ahead, behind = density(known, [[1, 0, 0], [-1, 0, 0]])
+    assert ahead < before / 3
+    assert behind == pytest.approx(before)
+
+
+def test_a_place_draws_its_habit_anew_and_a_drift_widens_it():
+    model = replace(MODEL, kept_for=10.0)
+    known = after([look([HERE], stamp, model) for stamp in range(10)]).hypotheses.look_alikes
+    later = known.after(1000.0, 0.0, None)
+    assert later.levels[0] == pytest.approx(model.habits.alike_shares)
+    assert later.odds == pytest.approx(known.odds)
+    drifted = known.after(100.0, math.radians(1), None)
+    grown = np.trace(drifted.covariances[0, 0]) - np.trace(known.covariances[0, 0])
+    assert grown == pytest.approx(2 * math.radians(10) ** 2)
+
+
+def test_another_detector_keeps_the_places_and_learns_their_habits_anew():
+    known = after([look([HERE], stamp) for stamp in range(10)]).hypotheses.look_alikes
+    habits = replace(MODEL, look_alikes=1.4, look_alike_habit=(1.0, 1.0)).habits
+    other = known.read_with(habits)
+    assert other.odds == pytest.approx(known.odds)
+    assert other.levels[0] == pytest.approx(habits.alike_shares)
+    assert other.hidden.sum() == pytest.approx(2 * known.hidden.sum())
+    assert known.read_with(known.habits) is known
+
+
+def test_what_is_hardly_there_is_forgotten():
+    """A single detection, and then none at all."""
+    looks = [look([HERE] if stamp == 0 else [], stamp) for stamp in range(3)]
+    assert len(after(looks).hypotheses.look_alikes) == 1
+    many = [look([direction(0.1 * stamp, 0.0)], stamp) for stamp in range(60)]
+    known = after(many, replace(FLAT, target_motion=MotionModel.still())).hypotheses.look_alikes
+    assert len(known) <= 32
+    assert likelihoods(known).min() > LEAST / 2
