@@ -19,7 +19,7 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.errors import EagorError
-from eagor.evaluation import ledger
+from eagor.evaluation import ledger, workers
 from eagor.evaluation.benchmarks import Published
 from eagor.evaluation.workers import Outcome, Unit, run_units
 
@@ -347,6 +347,28 @@ def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(EagorError, match=r"needs ray: .*pip install .*\[ray\]"):
         run_units(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
+
+
+def test_ray_is_given_more_time_to_start_on_a_busy_machine():
+    """It gives its own processes thirty seconds, however busy the machine is."""
+    tried = []
+
+    def start(succeeds, text):
+        def init(**_):
+            tried.append("init")
+            if tried.count("init") < succeeds:
+                raise RuntimeError(text)
+
+        tried.clear()
+        workers._started(SimpleNamespace(init=init, shutdown=lambda: tried.append("shutdown")), None)
+
+    start(3, "The current node timed out during startup.")
+    assert tried == ["init", "shutdown"] * 2 + ["init"]
+    with pytest.raises(RuntimeError, match="timed out"):
+        start(99, "The current node timed out during startup.")
+    with pytest.raises(RuntimeError, match="wrong"):
+        start(99, "something is wrong")
+    assert tried == ["init"]
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")

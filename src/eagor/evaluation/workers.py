@@ -265,6 +265,7 @@ def _digest(parts: Iterable[bytes | Path]) -> str:
 # --- on a Ray cluster: in the process that began the run --------------------------------------------------------------
 
 PATIENCE = 2.0  # seconds that Ray has to end by itself (a cluster elsewhere hears of it)
+RAY_STARTS = 3  # attempts
 READY, OVER = "ready", "over"  # what the driver says, beside its questions
 
 
@@ -360,7 +361,7 @@ def _drive(line: Connection, work: str, config: dict[str, Any], count: int, addr
     try:
         ray: Any = importlib.import_module("ray")  # optional: the name is found at run time
         try:
-            ray.init(address=address, log_to_driver=False, configure_logging=False)
+            _started(ray, address)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise EagorError(
                 f"no Ray cluster at {address or 'RAY_ADDRESS'} ({error}); start one with `ray start`"
@@ -375,6 +376,18 @@ def _drive(line: Connection, work: str, config: dict[str, Any], count: int, addr
     except Exception as unknown:
         raise WorkError(f"the run on Ray ended: {type(unknown).__name__}: {unknown}") from unknown
     line.send((OVER,))
+
+
+def _started(ray: Any, address: str | None) -> None:
+    """Ray, or what it raises. It gives its own processes thirty seconds, which a busy machine may exceed."""
+    for left in reversed(range(RAY_STARTS)):
+        try:
+            ray.init(address=address, log_to_driver=False, configure_logging=False)
+            return
+        except Exception as error:
+            if not left or "timed out during startup" not in str(error):
+                raise
+            ray.shutdown()
 
 
 def _quiet_end(number: int, _: Any) -> None:

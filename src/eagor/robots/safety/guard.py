@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Guard", "Watch", "main"]
 
-STARTING = 20.0  # seconds beyond its patience for the process to start
+STARTING = 60.0  # seconds beyond its patience for the process to start, on a busy machine
 ENDING = 6.0  # seconds for it to end: it stops the robot first
 HANGS = 2.0  # seconds without a word from it after which it is given up
 STANDING_IN = 3.0  # seconds for which this process sends StopMove to a robot that acknowledges none
