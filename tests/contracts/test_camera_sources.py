@@ -284,6 +284,7 @@ def test_a_file_is_no_device_and_a_rig_has_to_be_one(tmp_path):
 # --- live ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_stream_over_udp_keeps_the_contract_and_tells_of_a_stall():
     address = f"udp://127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     with sending(address) as stop:

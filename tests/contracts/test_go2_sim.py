@@ -173,6 +173,7 @@ def test_live_it_walks_sends_pictures_and_tells_the_truth_beside():
     assert live.pictures is None  # its process has ended
 
 
+@pytest.mark.slow
 @live
 def test_nothing_stays_behind_whatever_ends_it(tmp_path):
     code = f"""

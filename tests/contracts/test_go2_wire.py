@@ -293,6 +293,7 @@ def test_a_robot_that_tells_no_time_is_stamped_at_arrival():
         assert newest.stamp == newest.received
 
 
+@pytest.mark.slow
 def test_lost_and_late_messages_are_lost_and_late_but_commands_are_asked_again():
     domain = free_domain()
     with Link(domain, "lo") as link, robot(link, WireSettings(drop=0.3, delay=(0.0, 0.05))) as server:

@@ -121,6 +121,7 @@ def test_a_slow_reader_gets_the_newest_picture():
         assert list(frames) == []
 
 
+@pytest.mark.slow
 def test_an_ordinary_camera_s_lens_is_told_beside_its_pictures():
     domain = free_domain()
     narrow = np.zeros((30, 40, 3), np.uint8)
@@ -312,6 +313,7 @@ def test_poses_that_are_none_are_left_out_and_counted():
     assert [str(each.message)[:32] for each in said] == ["a pose of /odom is left out: a q"]
 
 
+@pytest.mark.slow
 def test_closing_lets_go_of_who_waits():
     domain = free_domain()
     with (

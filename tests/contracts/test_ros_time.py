@@ -189,6 +189,7 @@ def test_several_cameras_count_each_in_its_own_place():
     assert "the picture stays the same although the camera turns" in " ".join(said)  # that of the covered one
 
 
+@pytest.mark.slow
 def test_a_simulation_at_half_speed_that_goes_back_begins_anew():
     """As `ros2 bag play --clock --loop` does. The ball is elsewhere the second time, and so is the answer at once."""
     with Robot(1000.0, pace=0.5) as robot, running(robot.graph, use_sim_time=True) as said:
@@ -211,6 +212,7 @@ def test_a_simulation_at_half_speed_that_goes_back_begins_anew():
         assert len(graph.of("~/direction")) - before <= 3  # no time passes; 20 at its full speed
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_gone_does_not_fill_the_log():
     """Twenty answers a second say for seconds that no picture and no pose comes: one line each, and one at the end."""
     with Robot(1000.0) as robot, running(robot.graph) as said:

@@ -80,6 +80,7 @@ def test_the_summary_of_a_run(runs):
     assert ours["by_turn"]["success"][-1] == pytest.approx(ours["overall"])
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_where_it_stopped_whatever_the_shards_and_workers(folder, tmp_path, runs):
     told = ("run", "hstar-hos", "--data", folder, "--perception", "truth:miss=0.5", "--out", tmp_path / "run")
     assert answer(*told, "--limit", 3)["episodes"] == 3

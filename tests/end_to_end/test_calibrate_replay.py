@@ -93,6 +93,7 @@ def test_a_detector_that_was_replayed_is_fitted_and_used(files, tmp_path, capsys
     assert fitted != plain
 
 
+@pytest.mark.slow
 def test_poses_tell_what_comes_again(files, tmp_path, capsys):
     words = ("calibrate", "--replay", files / "looks.jsonl", "--truth", files / "truth.jsonl")
     posed = (*words, "--poses", files / "poses.csv", "--out", tmp_path / "mine.json")

@@ -78,6 +78,7 @@ def test_calibrate_writes_a_rig_that_view_finds_better(capsys, place):
     assert "deg apart (median of" in out
 
 
+@pytest.mark.slow
 def test_calibrate_says_what_the_overlap_leaves_open(capsys, place):
     pictures = [place / f"turned{k}.png" for k in range(4)]
     code, out, err = run(capsys, "camera", "calibrate", *pictures, "--out", place / "overlap.yaml")
@@ -139,6 +140,7 @@ def swinging(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_latency_is_estimated_from_pictures_and_odometry(capsys, swinging):
     code, out, err = run(
         capsys, "camera", "latency", swinging / "frames", "--poses", swinging / "odometry.csv", "--json"

@@ -381,6 +381,7 @@ def test_a_seam_that_does_not_fit_is_measured_and_said(tmp_path, eagor):
         assert "times that between other neighbouring columns" in line
 
 
+@pytest.mark.slow
 def test_a_black_nadir_is_not_the_black_thing(tmp_path, answers):
     """A tripod's disc is the largest black thing in the picture; what was never seen is no evidence."""
     hole = ROOM.copy()

@@ -133,6 +133,7 @@ def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, mon
     assert len([*replay]) == replay.compared.equal == len(answers)
 
 
+@pytest.mark.slow
 def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path, capsys):
     """What is not recorded any more is not compared: it differs from nothing."""
     pytest.importorskip("rosbags")
@@ -160,6 +161,7 @@ def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path,
     assert max(lost) > 0
 
 
+@pytest.mark.slow
 def test_a_recording_is_a_run_of_the_studio(film, tmp_path, capsys):
     """Each query is an episode; its last step is the last answer of the recording, with its picture and its belief."""
     pytest.importorskip("rosbags")

@@ -84,6 +84,7 @@ def test_a_turning_robots_topics_are_followed_although_its_clock_is_off(robot):
     assert "s behind this machine's; its stamps are shifted" in said
 
 
+@pytest.mark.slow
 def test_a_topic_that_is_not_there_is_an_error_that_names_those_there_are(robot, capsys):
     words = ["ros:/nowhere", "red", "--poses", "still", "--domain", str(robot), "--interface", "lo"]
     assert main(["live", *words]) == 2

@@ -163,6 +163,7 @@ def test_the_package_runs_without_the_repository(eagor, installed, tmp_path):
     assert "status" in json.loads(eagor("locate", "room.png", "chair", "--perception", "scout", "--json"))
 
 
+@pytest.mark.slow
 def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
     dist_info = next(installed.glob("eagor_example-*.dist-info"))
     assert {point.group for point in PathDistribution(dist_info).entry_points} == {

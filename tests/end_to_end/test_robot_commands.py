@@ -79,6 +79,7 @@ def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, c
         wait_for(lambda: not alive(sessions))
 
 
+@pytest.mark.slow
 def test_a_simulated_robot_ends_by_itself_and_says_what_happened():
     domain = free_domain()
     words = ("--camera", "none", "--seconds", 1, "--lying", "--short")
@@ -111,6 +112,7 @@ def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
         servers[1].close()
 
 
+@pytest.mark.slow
 def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
     domain = free_domain()
     with Link(domain, "lo") as link, Go2Server(Plant(PlantSettings(), np.random.default_rng(1)), link) as server:

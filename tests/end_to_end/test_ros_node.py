@@ -224,6 +224,7 @@ def test_queries_come_on_a_topic_and_faults_are_told(robot):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_node_without_a_camera_or_with_a_wrong_topic(robot, capsys):
     domain = robot(0.0)
     where = ["--domain", str(domain), "--interface", "lo"]

@@ -114,6 +114,7 @@ def test_the_simulated_go2_stops_in_time_too(simulated, name):
     in_time(once)
 
 
+@pytest.mark.slow
 def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself():
     domain = free_domain()
     with Simulated(domain=domain) as robot:

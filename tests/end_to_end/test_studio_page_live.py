@@ -145,6 +145,7 @@ def test_a_walk_shows_a_belief_that_is_the_servers(studio: Studio) -> None:
     page.kept("walk")
 
 
+@pytest.mark.slow
 def test_no_answer_is_shown_to_another_question(studio: Studio) -> None:
     """Another perception and another query within a moment; then a word that nobody knows."""
     page = go(studio, "walk")
@@ -195,6 +196,7 @@ def test_what_is_paused_is_drawn_with_all_pixels_and_a_fine_picture(studio: Stud
     page.get_by_role("button", name="Go on").click()
 
 
+@pytest.mark.slow
 def test_a_person_steers_with_the_arrow_keys_and_the_stick(studio: Studio) -> None:
     page = go(studio, "walk")
     page.until("window.eagorStudio.store.step")
@@ -268,6 +270,7 @@ def dropped(studio: Studio) -> Watched:
     return page
 
 
+@pytest.mark.slow
 def test_a_picture_is_opened_by_keyboard(studio: Studio) -> None:
     page = go(studio, "picture")
     page.until("document.querySelector('.empty button')")  # nothing is open yet
@@ -340,6 +343,7 @@ def test_the_newest_look_is_a_layer(studio: Studio) -> None:
     page.get_by_role("button", name="Newest look", exact=True).click()
 
 
+@pytest.mark.slow
 def test_a_video_is_dropped_paused_and_sought(studio: Studio, tmp_path: Path) -> None:
     page = go(studio, "picture")
     frames = [np.asarray(room(60)) for _ in range(40)]

@@ -112,6 +112,7 @@ def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(serve
         assert max(term["degree"] for term in belief["terms"]) == 7
 
 
+@pytest.mark.slow
 def test_the_policy_walks_towards_the_thing(served):
     with served.page() as page:
         page.say(type="open", view="walk", perception="truth")
@@ -143,6 +144,7 @@ def test_what_nobody_knows_is_said_in_words_and_changes_nothing(served):
         assert (said["type"], said["question"]) == ("problem", 4)
 
 
+@pytest.mark.slow
 def test_the_first_walk_begins_in_sight_and_leads_behind_a_wall(served):
     with served.page() as page:
         page.say(type="open", view="walk", drive="tour", perception="truth")
@@ -155,6 +157,7 @@ def test_the_first_walk_begins_in_sight_and_leads_behind_a_wall(served):
                 rows = Image.open(io.BytesIO(page.blobs["panorama"])).height
 
 
+@pytest.mark.slow
 def test_an_eye_that_dies_is_replaced_and_the_view_begins_anew(served):
     with served.page() as page:
         page.say(type="open", view="walk", query="sofa", perception="truth", drive="person")

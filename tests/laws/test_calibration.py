@@ -114,6 +114,7 @@ def fitted(found, base):
     return base.fitted(found.calibration, found.detector, found.forgetting)
 
 
+@pytest.mark.slow
 def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
     monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
     monkeypatch.setattr("eagor.evaluation.calibration.DRAWS", 8)

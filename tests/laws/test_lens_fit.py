@@ -32,6 +32,7 @@ def turned():
     return moments
 
 
+@pytest.mark.slow
 def test_pictures_of_a_camera_that_turns_give_its_lenses_everywhere(turned):
     """The bar: within 0.3 degrees everywhere, from pictures alone; the start is off by several degrees."""
     steps = []
@@ -48,6 +49,7 @@ def test_pictures_of_a_camera_that_turns_give_its_lenses_everywhere(turned):
     assert 0.1 < after.share < 0.2
 
 
+@pytest.mark.slow
 def test_the_overlap_alone_fits_there_and_owns_up_to_the_rest(turned):
     found = calibrate(turned[:3])
     assert found.pairs[1] == 0

@@ -72,6 +72,7 @@ def test_regions_of_90_percent_hold_the_truth_while_the_camera_turns(rate, poses
     assert 0.85 <= coverage(lambda now: math.radians(rate) * now, *poses) <= 0.97
 
 
+@pytest.mark.slow
 def test_regions_grow_where_the_camera_does_not_turn_steadily():
     assert 0.85 <= coverage(lambda now: 0.3 * math.sin(4 * now), *PICTURES) <= 0.97
 

@@ -221,6 +221,7 @@ def test_corners_are_followed_over_pictures_that_were_left_out(monkeypatch):
         assert gap(turned.world_R_body, world_R_body(1.2 * stamp)) < 0.05
 
 
+@pytest.mark.slow
 def test_rounding_does_not_grow_from_picture_to_picture():
     odometer, pictures = VisualOdometer(), [PatternRoom(3).panorama(world_R_body(angle)) for angle in (0.0, 0.05)]
     for number in range(30):

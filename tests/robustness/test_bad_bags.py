@@ -208,6 +208,7 @@ for file in sorted(folder.iterdir()):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits memory as Linux does")
 def test_bags_that_ask_for_much_room(tmp_path):
     zeros, head = bytes(1 << 26), MAGIC + record(1, text("ros2") + text(""))

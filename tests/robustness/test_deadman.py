@@ -151,6 +151,7 @@ def test_a_robot_moves_while_the_space_bar_is_held_and_x_latches():
             assert child.wait(20) != 0  # interrupted
 
 
+@pytest.mark.slow
 def test_a_robot_moves_while_l1_of_its_remote_control_is_held():
     pytest.importorskip("cyclonedds")
     from go2_peer import Peer

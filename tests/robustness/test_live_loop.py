@@ -200,6 +200,7 @@ def test_a_cameras_clock_that_jumps_is_said_and_followed():
     assert all(answer.image_age > -0.1 for answer in answers)
 
 
+@pytest.mark.slow
 def test_this_machines_clock_that_is_set_is_said(monkeypatch):
     shift = [0.0]
     real = time.time
@@ -285,6 +286,7 @@ def test_a_query_can_be_changed_while_it_runs():
     followed(loop, well, change, lambda a: a.query == "blue ball" and well(a))
 
 
+@pytest.mark.slow
 def test_a_recording_is_played_at_its_own_speed_with_its_poses():
     """The loop waits for the perception, and ends with the film; stamps are of now."""
     poses = [Pose(95 + k / 20, yawed(0.2 * (95 + k / 20))) for k in range(160)]

@@ -61,6 +61,7 @@ def eagor(site, *words):
     return done
 
 
+@pytest.mark.slow
 def test_the_doctor_names_each_and_goes_on(site):
     done = eagor(site, "doctor", "--json")
     assert done.returncode == 0, done.stderr

@@ -130,6 +130,7 @@ def check_end(out, number, whole_session, workers, *more):
     assert {record["status"] for record in after} == {"ok"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", NUMBERS)
 def test_threads_that_wait_for_a_silent_model_hold_nobody_up(tmp_path, number):
     (tmp_path / "silent_model.py").write_text(MODEL)

@@ -32,6 +32,7 @@ def seeing(monkeypatch):
     eye._leave(())
 
 
+@pytest.mark.slow
 def test_apartments_go_with_the_last_page_that_shows_them(seeing):
     gone = []
     for session, seed in enumerate([3, 3, 8]):
