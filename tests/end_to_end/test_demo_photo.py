@@ -188,6 +188,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(photo, tmp_path, monkeypatc
 def test_a_real_room_with_a_real_detector(coco_model, tmp_path, capsys):
     assert main(["demo", "--photo", str(LYTHWOOD), "--out", str(tmp_path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["query"], found["perception"], found["status"]) == ("bed", "coco", "tracking")
-    assert found["methods"]["eagor"]["mean_deg"] < 20, "there are two beds, 33 degrees apart"
+    assert (found["query"], found["perception"]) == ("bed", "coco")
+    assert found["status"] in ("tracking", "ambiguous"), "there are two beds, 33 degrees apart"
+    assert found["methods"]["eagor"]["mean_deg"] < 20
     assert found["seam_crossings"] >= 1
