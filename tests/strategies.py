@@ -6,7 +6,9 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from eagor.evidence import Evidence
 from eagor.sphere import rotation
+from eagor.tracking.tracker import DirectionTracker
 
 # Readers of hostile input are tried with a hundred cases in every run, whatever laws are tried with.
 HOSTILE = settings(max_examples=max(100, settings.default.max_examples))
@@ -55,3 +57,16 @@ def random_directions(count, seed=0):
     """Uniform directions ``(count, 3)``, seeded."""
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def points_look(places, stamp, model, **more):
+    """Evidence of a detector that saw the thing at `places` ``(n, 3)``."""
+    return Evidence.from_points(np.reshape(places, (-1, 3)), detector=model, stamp=float(stamp), **more)
+
+
+def estimate_after(looks, config):
+    """What a tracker says right after the last of some looks."""
+    tracker = DirectionTracker(config)
+    for each in looks:
+        tracker.observe(each)
+    return tracker.estimate(looks[-1].stamp)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import betaln
-from strategies import random_directions, rotations
+from strategies import estimate_after, points_look, random_directions, rotations
 
 from eagor.belief.bank import Bank, Shown
 from eagor.evidence import Evidence
@@ -32,14 +32,11 @@ SOME = random_directions(60, 7)
 
 
 def look(places, stamp, model=MODEL, **more):
-    return Evidence.from_points(np.reshape(places, (-1, 3)), detector=model, stamp=float(stamp), **more)
+    return points_look(places, stamp, model, **more)
 
 
 def after(looks, config=FLAT):
-    tracker = DirectionTracker(config)
-    for each in looks:
-        tracker.observe(each)
-    return tracker.estimate(looks[-1].stamp)
+    return estimate_after(looks, config)
 
 
 def odds(estimate):

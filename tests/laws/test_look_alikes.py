@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from strategies import random_directions
+from strategies import estimate_after, points_look, random_directions
 
-from eagor.evidence import Evidence
 from eagor.evidence.detector import DetectorModel, Spread
 from eagor.grids import PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
@@ -23,14 +22,11 @@ SPREAD = Spread.unsure()
 
 
 def look(places, stamp, model=MODEL, **more):
-    return Evidence.from_points(np.reshape(places, (-1, 3)), detector=model, stamp=float(stamp), **more)
+    return points_look(places, stamp, model, **more)
 
 
 def after(looks, config=FLAT):
-    tracker = DirectionTracker(config)
-    for each in looks:
-        tracker.observe(each)
-    return tracker.estimate(looks[-1].stamp)
+    return estimate_after(looks, config)
 
 
 def density(known, places, model=MODEL, position=None, **more):

@@ -162,10 +162,10 @@ class Bank:
         own, other = self.habits.levels, self.habits.alike_levels
         maps = np.empty(self.maps.shape)
         count, middle = len(own), len(self.maps) - EXTRAS
-        total = _learnt(self.target, own, self.recall, said, maps[:count])
+        total = learnt(self.target, own, self.recall, said, maps[:count])
         maps[-EXTRAS:] = self.maps[-EXTRAS:]
         if len(other):
-            total = _learnt(self.alike, other, self.alike_recall, said, maps[count:middle]) / total
+            total = learnt(self.alike, other, self.alike_recall, said, maps[count:middle]) / total
             maps[LEAD] += taken * np.log(total)
         hit = shown.share * np.maximum(1 - 1 / np.maximum(ratio, 1.0), 0.0)
         maps[SILENT] += np.log1p(-np.minimum(hit, 1 - 1e-12))
@@ -180,7 +180,7 @@ class Bank:
         shape = np.broadcast_shapes(self.never.shape[1:], silence.shape)
         never = np.empty((count + 1, *shape))
         unseen = self.never[:-1]
-        never[-1] = self.never[-1] + np.log(_learnt(unseen, own, mixed(own, unseen), silence, never[:-1]))
+        never[-1] = self.never[-1] + np.log(learnt(unseen, own, mixed(own, unseen), silence, never[:-1]))
         return altered(self, maps=maps, never=never)
 
     def renewed(self, share: float) -> Bank:
@@ -268,9 +268,7 @@ def _column(values: np.ndarray, dimensions: int) -> np.ndarray:
     return values.reshape(-1, *[1] * dimensions)
 
 
-def _learnt(
-    prior: np.ndarray, levels: np.ndarray, recall: np.ndarray, said: np.ndarray, into: np.ndarray
-) -> np.ndarray:
+def learnt(prior: np.ndarray, levels: np.ndarray, recall: np.ndarray, said: np.ndarray, into: np.ndarray) -> np.ndarray:
     """The posterior of a habit ``(P, ...)`` after a look, written to `into`, and the look's mean ratio ``(...)``.
 
     `recall` ``(...)``: the mean of the `levels` over the `prior`; `said` ``(...)``: v (S - 1).

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._values import altered
-from eagor.belief.bank import linear
+from eagor._values import altered, lazy
+from eagor.belief.bank import learnt, linear
 from eagor.evidence.detections import Detections, tangent_frames
 from eagor.evidence.detector import Alarms, Habits, Spread
 from eagor.grids import ErpGrid
@@ -52,7 +52,7 @@ class Heard:
     pull: np.ndarray
     noise: np.ndarray
 
-    @property
+    @lazy
     def density(self) -> np.ndarray:
         """The density ``(n,)`` of detections that look-alikes cause."""
         return self.own.sum(axis=0) + self.new.sum(axis=1)
@@ -89,12 +89,12 @@ class LookAlikes:
     def __len__(self) -> int:
         return len(self.odds)
 
-    @property
+    @lazy
     def distances(self) -> np.ndarray:
         """Metres ``(m, K)``."""
         return np.maximum(np.sqrt(np.einsum("mki,mki->mk", self.points, self.points)), NEAREST)
 
-    @property
+    @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(m, K, 3)``."""
         return self.points / self.distances[..., None]
@@ -173,18 +173,18 @@ class LookAlikes:
         others = heard.density + moving - heard.own
         rest = np.einsum("a,amn->mn", alarms.weights, 1 / (alarms.numbers[:, None, None] + others))
         ratios = heard.drawn * rest[:, None]  # (m, K, n)
-        recall = (self.levels @ levels)[:, None] * heard.seen
+        recall = self.levels @ levels
         said = heard.seen * (ratios.sum(axis=2) - 1)
-        totals = 1 + (self.levels @ levels)[:, None] * said
-        each = recall[..., None] * ratios / totals[..., None]
+        totals = 1 + recall[:, None] * said
+        each = (recall[:, None] * heard.seen / totals)[..., None] * ratios
         step = np.einsum("mkn,mkna->mka", each, heard.pull)
         points = self.points + np.einsum("mkia,mka->mki", heard.gains, step)
         # Of the mean update, and of how far the updates by single detections lie apart.
         inner = np.einsum("mkn,mkna,mknb->mkab", each, heard.pull, heard.pull) - step[..., :, None] * step[..., None, :]
         inner -= np.einsum("mkn,mknab->mkab", each, heard.inverse)
         covariances = self.covariances + heard.gains @ inner @ np.swapaxes(heard.gains, 2, 3)
-        total = np.einsum("mk,mk->m", self.shares, totals)
-        habit = self.levels * (1 + np.einsum("mk,mk->m", self.shares, said)[:, None] * levels) / total[:, None]
+        habit = np.empty(self.levels.T.shape)
+        total = learnt(self.levels.T, levels, recall, np.einsum("mk,mk->m", self.shares, said), habit)
         # A detection may be a place of its own, unless a known one is the likelier cause.
         lone = alarms.weights @ (1 / (alarms.numbers[:, None] + heard.own.sum(axis=0) + moving))
         new = np.flatnonzero(heard.own.max(axis=0, initial=0.0) * lone < 0.5)
@@ -197,7 +197,7 @@ class LookAlikes:
             covariances=np.concatenate([covariances, widths]),
             shares=np.concatenate([self.shares * totals / total[:, None], even]),
             odds=np.concatenate([self.odds + np.log(total), np.log(np.maximum(amounts * lone[new], 1e-300))]),
-            levels=np.concatenate([habit, heard.new[new] / np.maximum(amounts, 1e-300)[:, None]]),
+            levels=np.concatenate([habit.T, heard.new[new] / np.maximum(amounts, 1e-300)[:, None]]),
             hidden=self.hidden * (1 - levels.reshape(-1, 1, 1) * np.asarray(share)),
         )
         return found._likeliest()
