@@ -254,7 +254,7 @@ def told_to(name: str, model: DetectorModel) -> DetectorModel:
 
 def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:
     """One method on one case, told the poses `say`."""
-    config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else 0.0)
+    config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else None)
     model = told_to(name, model)
     method: Method = (
         box_trackers.BoxTracker(name)

@@ -1,4 +1,7 @@
-"""The list of known look-alikes: what stands and is detected again and again is no news to a target that moves."""
+"""The list of known look-alikes: what stands and is detected again and again is no news to a target that moves.
+
+And what seems to turn together tells how far the odometry drifts.
+"""
 
 import math
 from dataclasses import replace
@@ -7,15 +10,17 @@ import numpy as np
 import pytest
 from strategies import estimate_after, points_look, random_directions
 
-from eagor.evidence.detector import DetectorModel, Spread
+from eagor._values import altered
+from eagor.evidence.detector import Alarms, DetectorModel, Spread
 from eagor.grids import PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.look import Sight
-from eagor.tracking.look_alikes import LEAST, LookAlikes
+from eagor.tracking.look_alikes import DRIFT, LEAST, LookAlikes, LookAlikesByDrift
 from eagor.tracking.tracker import DirectionTracker
 
-FLAT = TrackerConfig(ranges=None)
+FLAT = TrackerConfig(ranges=None, drift=0.0)
+LEARNT = TrackerConfig(ranges=None)  # the drift of the odometry is
 MODEL = DetectorModel(false_alarms_per_look=0.2, spread=math.radians(5), look_alikes=0.7, kept_for=None)
 HERE, THERE = direction(0.5, 0.1), direction(-1.9, -0.2)
 SPREAD = Spread.unsure()
@@ -155,3 +160,85 @@ def test_what_is_hardly_there_is_forgotten():
     known = after(many, replace(FLAT, target_motion=MotionModel.still())).hypotheses.look_alikes
     assert len(known) <= 32
     assert likelihoods(known).min() > LEAST / 2
+
+
+# --- the drift of the odometry ----------------------------------------------------------------------------------------
+
+
+def drifting(rate, seed=0, count=40, places=(HERE,), model=MODEL, config=LEARNT):
+    """The last estimate, and where the first place then seems to be, if the heading drifts by `rate` degrees a look."""
+    random, found = np.random.default_rng(seed), []
+    tracker = DirectionTracker(config)
+    for stamp in range(count):
+        turned = np.array(places) @ rotation([0, 0, 1], math.radians(rate * stamp)).T
+        seen = turned[random.random(len(places)) < 0.8]
+        tracker.observe(look(unit(seen + 0.04 * random.standard_normal(seen.shape)), stamp, model))
+        found.append(tracker.estimate(float(stamp)))
+    return found[-1], turned[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_poses_that_drift_untold_are_noticed(seed):
+    estimate, there = drifting(1.0, seed)
+    assert estimate.drift == DRIFT
+    assert angular_distance(estimate.direction, there) < math.radians(12)
+    assert estimate.mass_above(there) < 0.95
+    assert drifting(1.0, seed, config=FLAT)[0].credible_angle < estimate.credible_angle
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_poses_that_do_not_drift_are_trusted_as_if_that_were_known(seed):
+    estimate, there = drifting(0.0, seed)
+    assert estimate.drift == 0
+    known, _ = drifting(0.0, seed, config=FLAT)
+    assert angular_distance(estimate.direction, known.direction) < math.radians(1)
+    assert estimate.credible_angle == pytest.approx(known.credible_angle, rel=0.1)
+    assert angular_distance(estimate.direction, there) < math.radians(6)
+
+
+def test_one_thing_that_moves_among_others_that_stand_is_no_drift():
+    random, stand, tracker = np.random.default_rng(4), np.array([THERE, -HERE]), DirectionTracker(LEARNT)
+    for stamp in range(40):
+        seen = np.concatenate([stand, [rotation([0, 0, 1], math.radians(4 * stamp)) @ HERE]])
+        seen = unit(seen[random.random(3) < 0.9] + 0.04 * random.standard_normal(3))
+        tracker.observe(look(seen, stamp))
+    assert tracker.estimate(39.0).drift == 0
+
+
+def test_a_drift_that_is_told_is_believed():
+    """Whatever the looks say; and without look-alikes (looks are independent) nothing tells it."""
+    assert drifting(1.0, config=FLAT)[0].drift == 0
+    assert drifting(0.0, config=replace(LEARNT, drift=0.02))[0].drift == 0.02
+    alone = replace(MODEL, look_alikes=0, detection_probability=0.8)
+    assert drifting(1.0, model=alone)[0].drift == 0
+
+
+def test_before_any_look_one_odometry_in_ten_drifts_untold():
+    prior = LookAlikesByDrift.prior(MODEL.habits, None, None)
+    assert prior.weights == pytest.approx([0.9, 0.1])
+    assert prior.drifts.tolist() == [0, DRIFT]
+    assert prior.drift == 0
+
+
+def test_what_one_place_explains_is_not_explained_again():
+    """The density of a look's detections, for no place, one, and one that is written down twice."""
+    known = after([look([HERE], stamp) for stamp in range(12)]).hypotheses.look_alikes
+    best = int(known.odds.argmax())
+    names = "points", "covariances", "shares", "odds", "levels"
+    none, once, twice = (
+        altered(known, **{name: getattr(known, name)[[best] * count] for name in names}) for count in range(3)
+    )
+    sight = Sight.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
+    alarms = Alarms.prior(MODEL)
+
+    def evidence(places):
+        return places.evidence(places.heard(sight, SPREAD), alarms, np.zeros(1))
+
+    number, heard = float(alarms.weights @ alarms.numbers), once.heard(sight, SPREAD)
+    new, own = float(heard.new.sum()), float(heard.own[0, 0])
+    there = float(known.levels[best] @ known.habits.alike_levels / (1 + math.exp(-known.odds[best])))
+    assert evidence(none) == pytest.approx(math.log(number + new))
+    assert evidence(once) == pytest.approx(math.log((1 - there) * (number + new) + own))
+    assert evidence(once) > evidence(none) + 2
+    # Either of the two was found, and the other was missed.
+    assert evidence(twice) == pytest.approx(math.log((1 - there) ** 2 * (number + new) + 2 * (1 - there) * own))

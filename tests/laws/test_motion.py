@@ -42,8 +42,8 @@ def prior(motion=ONE, ranged=False):
     return TargetHypotheses.prior(motion, StationaryTarget.uniform(DEGREE, RANGES if ranged else None))
 
 
-def passed(hypotheses, elapsed, motion=ONE, drift=0.0, step=None):
-    return hypotheses.after(elapsed, motion, drift, step, None)
+def passed(hypotheses, elapsed, motion=ONE, step=None):
+    return hypotheses.after(elapsed, motion, step, None)
 
 
 def resultant(density):

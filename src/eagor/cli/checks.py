@@ -60,8 +60,10 @@ def checked_modes(modes: int) -> int:
     return modes
 
 
-def checked_drift(drift: float) -> float:
+def checked_drift(drift: float | None) -> float | None:
     """``--drift``, in radians."""
+    if drift is None:
+        return None
     if not 0 <= drift <= MOST_DRIFT:
         raise UsageError(f"--drift {drift:g}; wanted degrees from 0 to {MOST_DRIFT}")
     return math.radians(drift)

@@ -115,8 +115,8 @@ class Live(Common):
     floor: Floor = None
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63."""
-    drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
-    """Heading drift of the poses in the first second, degrees; it grows with the square root of time."""
+    drift: Annotated[float | None, bare("DEG_PER_S")] = None
+    """Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time."""
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None

@@ -58,8 +58,8 @@ class Track(Footage):
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
     static: Static = False
-    drift: Annotated[float, arg(metavar="DEG_PER_S")] = 0.0
-    """Heading drift of the poses in the first second, degrees; it grows with the square root of time."""
+    drift: Annotated[float | None, bare("DEG_PER_S")] = None
+    """Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time."""
     compare: Flag = False
     """Run the baselines on the same evidence as well."""
     degree: Whole = 15

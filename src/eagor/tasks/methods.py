@@ -353,7 +353,7 @@ _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
     "heights": ("", "floor_height", _heights),
     **{key: ("target_motion", key, _kinds) for key in ("wander", "turn")},
     **{key: ("target_motion", key, _number) for key in ("start", "stop", "jump", "birth", "death")},
-    "drift": ("", "drift", _number),
+    "drift": ("", "drift", _rate),
 }
 SETTINGS: dict[str, tuple[str, ...]] = {
     "plain": (),
@@ -380,7 +380,7 @@ def tracker_config(
 
     - degree, decode; shells (0: directions only), heights (0: unknown floor height);
     - target motion: wander (degrees per root second) and turn (degrees per second; several kinds are joined by +,
-      0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second);
+      0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second, ?: learnt);
     - response maps: floor, neutral, temperature, persistence, spread (degrees). They change `calibration` if the config
       has none of its own;
     - detections: detection_probability (?: differs from place to place), false_alarms_per_look (?: learnt online),

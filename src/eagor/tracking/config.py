@@ -141,7 +141,8 @@ class TrackerConfig:
     - `floor_height`: z (metres) of the floor in the odometry's world, if known. Things stand on it, so a thing's
       elevation tells its distance (`eagor.belief.ranged.height_prior`).
     - `target_motion`: how targets come, go and move.
-    - `drift`: drift of the odometry's heading, radians per root second.
+    - `drift`: drift of the odometry's heading, radians per root second; None: not known, and told by what is detected
+      again and again (`eagor.tracking.look_alikes`).
     - `history`: seconds for which poses and evidence are kept; late evidence must not be older.
     - `answers`: how answers are read (`AnswerSettings`).
 
@@ -156,7 +157,7 @@ class TrackerConfig:
     ranges: Sequence[float] | None = field(default_factory=lambda: tuple(log_ranges(count=14).tolist()))
     floor_height: float | None = None
     target_motion: MotionModel = field(default_factory=MotionModel)
-    drift: float = 0.0
+    drift: float | None = None
     history: float = 10.0
     answers: AnswerSettings = field(default_factory=AnswerSettings)
 
@@ -170,7 +171,10 @@ class TrackerConfig:
             "ranges": (_are_ranges(self.ranges), "at least two rising distances in metres, or None"),
             "floor_height": (self.floor_height is None or within(self.floor_height, -math.inf), "metres, or None"),
             "target_motion": (isinstance(self.target_motion, kinds[2]), "an eagor.MotionModel"),
-            "drift": (within(self.drift, 0, math.pi), "radians per root second, from 0 to pi"),
+            "drift": (
+                self.drift is None or within(self.drift, 0, math.pi),
+                "radians per root second, from 0 to pi, or None",
+            ),
             "history": (within(self.history, 0), "seconds from 0 on"),
             "answers": (isinstance(self.answers, kinds[3]), "an eagor.tracking.AnswerSettings"),
         }
@@ -187,6 +191,7 @@ class TrackerConfig:
             calibration=Calibration.paper(),
             ranges=None,
             target_motion=MotionModel.still(),
+            drift=0.0,
             answers=AnswerSettings(decode="mean"),
         )
 

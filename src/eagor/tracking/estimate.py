@@ -212,6 +212,11 @@ class Estimate:
         return self.hypotheses.presence
 
     @property
+    def drift(self) -> float:
+        """How far the odometry drifts, radians per root second: as the config says, or as the looks tell."""
+        return self.hypotheses.drift
+
+    @property
     def moving(self) -> float | None:
         """Probability that the target moves, if it is present; None if the motion model has no motion."""
         return self.hypotheses.moving if len(self.config.target_motion.kinds) else None

@@ -29,7 +29,7 @@ from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.tracking.config import MotionModel
 from eagor.tracking.look import Look, Shares, Sight
-from eagor.tracking.look_alikes import LookAlikes
+from eagor.tracking.look_alikes import LookAlikes, LookAlikesByDrift
 from eagor.tracking.moving import FAINTEST, TurningTarget, WanderingTarget
 from eagor.tracking.stationary import StationaryTarget
 
@@ -48,8 +48,9 @@ class TargetHypotheses:
 
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `moves`:
     the habits of a moving target, and of a look-alike that moves as it does, which explains as well what the target
-    would; `alike`: log(1 + Q) of that. `look_alikes`: those that stand, for what moves. `offset`: radians by which all
-    looks together may be off, `of_size`: what half the size of a thing adds to that.
+    would; `alike`: log(1 + Q) of that. `known`: look-alikes that stand, for what moves; they tell how far the odometry
+    drifts, if `told_drift` (radians per root second) is None. `offset`: radians by which all looks together may be off,
+    `of_size`: what half the size of a thing adds to that.
     """
 
     weights: np.ndarray
@@ -58,17 +59,20 @@ class TargetHypotheses:
     turning: TurningTarget | None = None
     moves: Bank | None = None
     alike: float = 0.0
-    look_alikes: LookAlikes | None = None
+    known: LookAlikesByDrift | None = None
+    told_drift: float | None = None
     offset: float = 0.0
     of_size: float = 0.0
 
     @classmethod
-    def prior(cls, motion: MotionModel, standing: StationaryTarget, presence: float = 0.5) -> TargetHypotheses:
-        """Before any look; `standing` is a uniform belief."""
+    def prior(
+        cls, motion: MotionModel, standing: StationaryTarget, presence: float = 0.5, drift: float | None = None
+    ) -> TargetHypotheses:
+        """Before any look; `standing` is a uniform belief. `drift`: of the odometry, None if it is not known."""
         moving = motion.moving
         weights = np.array([1 - presence, presence * (1 - moving), *(presence * moving * motion.kinds)])
         turning = TurningTarget.prior(motion.turn) if motion.turn else None
-        return cls(weights, standing, WanderingTarget.prior(motion, standing.degree), turning)
+        return cls(weights, standing, WanderingTarget.prior(motion, standing.degree), turning, told_drift=drift)
 
     @property
     def grid(self) -> ErpGrid:
@@ -85,6 +89,18 @@ class TargetHypotheses:
         """Probability that it moves, if it is here."""
         here = self.weights[1:].sum()
         return float(self.weights[2:].sum() / here) if here > 0 else 0.0
+
+    @property
+    def look_alikes(self) -> LookAlikes | None:
+        """The known look-alikes, for the likeliest drift; None before any detection."""
+        return None if self.known is None else self.known.likeliest
+
+    @property
+    def drift(self) -> float:
+        """How far the odometry drifts, radians per root second: as told, or as known look-alikes say."""
+        if self.told_drift is not None:
+            return self.told_drift
+        return 0.0 if self.known is None else self.known.drift
 
     @lazy
     def field(self) -> SphereField:
@@ -165,14 +181,14 @@ class TargetHypotheses:
 
     def ranged(self, ranges: np.ndarray, height: float | None) -> TargetHypotheses:
         """With positions from here on: what is known so far holds for all `ranges` ``(K,)``, metres."""
-        alike = None if self.look_alikes is None else self.look_alikes.ranged(ranges)
-        return altered(self, standing=self.standing.ranged(ranges, height), look_alikes=alike)
+        known = None if self.known is None else self.known.ranged(ranges)
+        return altered(self, standing=self.standing.ranged(ranges, height), known=known)
 
     def after(
-        self, elapsed: float, motion: MotionModel, drift: float, step: np.ndarray | None, height: float | None
+        self, elapsed: float, motion: MotionModel, step: np.ndarray | None, height: float | None
     ) -> TargetHypotheses:
-        """After `elapsed` seconds, in which the body has moved by `step` ``(3,)`` metres; `drift`: of the odometry."""
-        standing, moves = self.standing, self.moves
+        """After `elapsed` seconds, in which the body has moved by `step` ``(3,)`` metres."""
+        standing, moves, known = self.standing, self.moves, self.known
         if step is not None and step.any():
             standing = standing.moved(step, height)
         if standing.bank is not None:
@@ -181,13 +197,14 @@ class TargetHypotheses:
             anew = own.anew(elapsed, moved)
             standing = standing.renewed(anew)
             moves = None if moves is None else moves.renewed(anew)
-        kept, alike = self, self.look_alikes
-        if alike is not None:
-            alike = alike.after(max(elapsed, 0.0), drift, step)
-        if standing is not self.standing or moves is not self.moves or alike is not self.look_alikes:
-            kept = altered(self, standing=standing, moves=moves, look_alikes=alike)
+        if known is not None:
+            known = known.after(max(elapsed, 0.0), step)
+        kept = self
+        if standing is not self.standing or moves is not self.moves or known is not self.known:
+            kept = altered(self, standing=standing, moves=moves, known=known)
         if elapsed <= 0:
             return kept
+        drift = self.drift
         flows = self.weights[:, None] * motion.transitions(elapsed)
         stands = self._standing_density() if len(self.wandering) and flows[1, 2:].any() else 0.0
         wandering = self.wandering.after(elapsed, motion, drift, flows, stands)
@@ -277,12 +294,12 @@ class TargetHypotheses:
         spread = self._otherwise(look, foretold, recall)
         weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
-        kept = sight.offset, sight.of_size
+        kept = self.told_drift, sight.offset, sight.of_size
         return TargetHypotheses(weights, standing, wandering, turning, moves, alike, known, *kept), look, alarms
 
-    def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None, LookAlikes | None]:
+    def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None, LookAlikesByDrift | None]:
         """A look as likelihood ratios; the number of false alarms and the known look-alikes after it."""
-        found, spread, known = sight.detections, self.standing.detecting().spread, self.look_alikes
+        found, spread, known = sight.detections, self.standing.detecting().spread, self.known
         if found is None or sight.habits is None:
             return sight.read(None, self.standing.spread), alarms, known
         before = Alarms.prior(found.model) if alarms is None else alarms
@@ -290,15 +307,18 @@ class TargetHypotheses:
             return sight.read(before.after(np.zeros(len(found))), spread), before.after(self._caused(sight)), known
         coarse = self.standing.coarse
         ranges = coarse.ranges if isinstance(coarse, RangedBelief) else None
-        known = LookAlikes.prior(sight.habits, ranges) if known is None else known.read_with(sight.habits)
+        if known is None:
+            known = LookAlikesByDrift.prior(sight.habits, ranges, self.told_drift)
+        known = known.read_with(sight.habits)
         heard = known.heard(sight, spread)
-        given, passing = before.after(heard.density), self._passing(sight)
+        density = known.density(heard)
+        given, passing = before.after(density), self._passing(sight)
         their = 0.0 if self.moves is None else -math.expm1(-self.alike) * float(self.moves.alike_recall)
-        shares = Shares(given.share(their * passing), given.share(heard.density), passing)
+        shares = Shares(given.share(their * passing), given.share(density), passing)
         look = sight.read(given, spread, shares)
         moving = float(self.weights[2:].sum()) * (sight.habits.mean if self.moves is None else float(self.moves.recall))
         known = known.updated(sight, heard, given, look.shown.share, (moving + their) * passing)
-        return look, before.after(heard.density + self._caused(sight)), known
+        return look, before.after(density + self._caused(sight)), known
 
     def _weighed(self, gains: np.ndarray, look: Look, moves: Bank | None) -> tuple[np.ndarray, Bank | None, float]:
         """The weights of the hypotheses after these `gains` in log likelihood; habits and `alike` of what moves."""

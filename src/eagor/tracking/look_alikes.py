@@ -11,11 +11,15 @@ m_j the probability that a look detects the place, a detection z_i of a look has
 
 and place j learns from the look as cells do (`eagor.belief.bank`), with S_j = sum_i g(z_i | j) over what else may have
 caused z_i. Where positions are known, it may stand at any of several ranges: a Gaussian for each, which a step shifts.
+
+If the odometry drifts, all that stands seems to turn, and the list foretells the looks badly. So there is one list for
+each drift that is thought possible, and Bayes' rule weighs them (`LookAlikesByDrift`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +35,7 @@ from eagor.tracking.moving import innovations
 MOST = 32  # places
 LEAST = 1e-3  # probability to exist: what is less likely is forgotten
 NEAREST = 0.05  # metres from the body
+DRIFT, UNTOLD = math.radians(1), 0.1  # of the odometry, radians per root second, and how often it drifts untold
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +207,97 @@ class LookAlikes:
         )
         return found._likeliest()
 
+    def evidence(self, heard: Heard, alarms: Alarms, moving: np.ndarray) -> float:
+        """log of the density of a look's detections, up to what is the same for any list; arguments as for `updated`.
+
+        One place after the other, the likeliest first: what it explains is no longer there to be explained. Exact if
+        there is one detection.
+        """
+        order = np.argsort(-self.odds, kind="stable")
+        exist, recall = 1 / (1 + np.exp(-self.odds)), self.levels @ self.habits.alike_levels
+        found = (exist * recall * np.einsum("mk,mk->m", self.shares, heard.seen))[order]
+        alone = float(alarms.weights @ alarms.numbers) + heard.new.sum(axis=1) + moving
+        own, missed = heard.own[order], np.maximum(1 - found, LEAST)
+        caused = own / missed[:, None]
+        each = missed + (own / (alone + np.cumsum(caused, axis=0) - caused)).sum(axis=1)
+        return float(np.log(alone).sum() + np.log(each).sum())
+
     def _likeliest(self) -> LookAlikes:
         """The likeliest places, `MOST` at most."""
         order = np.argsort(-self.odds, kind="stable")[:MOST]
         order = np.sort(order[self.odds[order] > math.log(LEAST)])
         names = "points", "covariances", "shares", "odds", "levels"
         return altered(self, **{name: getattr(self, name)[order] for name in names})
+
+
+@dataclass(frozen=True, eq=False)
+class LookAlikesByDrift:
+    """The known look-alikes for each drift that the odometry may have.
+
+    `drifts` ``(D,)``: radians per root second; `logs` ``(D,)``: log weights, the largest is 0; `lists`: one for each.
+    """
+
+    drifts: np.ndarray
+    logs: np.ndarray
+    lists: tuple[LookAlikes, ...]
+
+    @classmethod
+    def prior(cls, habits: Habits, ranges: np.ndarray | None, drift: float | None) -> LookAlikesByDrift:
+        """Before any look; `drift`: radians per root second, None if it is not known. Others as for `LookAlikes`."""
+        drifts, shares = ([0.0, DRIFT], [1 - UNTOLD, UNTOLD]) if drift is None else ([drift], [1.0])
+        return cls(np.array(drifts), np.log(shares), (LookAlikes.prior(habits, ranges),) * len(drifts))
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Probabilities ``(D,)`` of the `drifts`."""
+        found = np.exp(self.logs)
+        return found / found.sum()
+
+    @property
+    def drift(self) -> float:
+        """The likeliest, radians per root second. A mean would blur all that is known for the sake of a doubt."""
+        return float(self.drifts[int(self.logs.argmax())])
+
+    @property
+    def likeliest(self) -> LookAlikes:
+        """The list for the likeliest drift."""
+        return self.lists[int(self.logs.argmax())]
+
+    def read_with(self, habits: Habits) -> LookAlikesByDrift:
+        """As of `LookAlikes`."""
+        return altered(self, lists=tuple(known.read_with(habits) for known in self.lists))
+
+    def ranged(self, ranges: np.ndarray) -> LookAlikesByDrift:
+        """As of `LookAlikes`."""
+        return altered(self, lists=tuple(known.ranged(ranges) for known in self.lists))
+
+    def after(self, elapsed: float, step: np.ndarray | None) -> LookAlikesByDrift:
+        """As of `LookAlikes`."""
+        pairs = zip(self.lists, map(float, self.drifts), strict=True)
+        return altered(self, lists=tuple(known.after(elapsed, drift, step) for known, drift in pairs))
+
+    def heard(self, sight: Sight, spread: Spread) -> list[Heard]:
+        """As of `LookAlikes`, for each list."""
+        return [known.heard(sight, spread) for known in self.lists]
+
+    def density(self, heard: Sequence[Heard]) -> np.ndarray:
+        """The density ``(n,)`` of detections that look-alikes cause."""
+        return self.weights @ [each.density for each in heard]
+
+    def updated(
+        self,
+        sight: Sight,
+        heard: Sequence[Heard],
+        alarms: Alarms,
+        share: np.ndarray | float,
+        moving: np.ndarray,
+    ) -> LookAlikesByDrift:
+        """After the look; arguments as for `LookAlikes`."""
+        pairs, logs = list(zip(self.lists, heard, strict=True)), self.logs
+        if len(pairs) > 1:
+            logs = logs + [known.evidence(each, alarms, moving) for known, each in pairs]
+        lists = tuple(known.updated(sight, each, alarms, share, moving) for known, each in pairs)
+        return altered(self, logs=logs - logs.max(), lists=lists)
 
 
 def _at_ranges(directions: np.ndarray, widths: np.ndarray, ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

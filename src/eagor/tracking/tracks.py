@@ -42,7 +42,7 @@ class State:
     def blank(cls, config: TrackerConfig, stamp: float, position: np.ndarray | None) -> State:
         """Before any look."""
         standing = StationaryTarget.uniform(config.degree, config.shells(position), config.above_floor(position))
-        return cls(stamp, position, TargetHypotheses.prior(config.target_motion, standing))
+        return cls(stamp, position, TargetHypotheses.prior(config.target_motion, standing, drift=config.drift))
 
     def at(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> State:
         """Carried to a later time and another place; `stamp` is still the look's."""
@@ -65,7 +65,7 @@ class State:
             # Positions are known from here on.
             hypotheses = hypotheses.ranged(ranges, height)
         step = None if position is None or self.position is None else position - self.position
-        return hypotheses.after(now - self.stamp, config.target_motion, config.drift, step, height)
+        return hypotheses.after(now - self.stamp, config.target_motion, step, height)
 
 
 SAME_MOMENT = 1e-3  # seconds: stamps this close are one moment
