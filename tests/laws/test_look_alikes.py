@@ -11,8 +11,9 @@ import pytest
 from strategies import estimate_after, points_look, random_directions
 
 from eagor._values import altered
+from eagor.evidence import Evidence
 from eagor.evidence.detector import Alarms, DetectorModel, Spread
-from eagor.grids import PerspectiveGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.look import Sight
@@ -162,6 +163,49 @@ def test_what_is_hardly_there_is_forgotten():
     assert likelihoods(known).min() > LEAST / 2
 
 
+def boxes_look(about, stamp, model):
+    """Boxes `about` ``(n, 4)``: azimuth, elevation, width, height, degrees."""
+    a, e, width, height = np.reshape(about, (-1, 4)).T
+    x, y = 2 * (180 - a), 2 * (90 - e)
+    corners = np.stack([x - width, y - height, x + width, y + height], axis=-1)
+    return Evidence.from_boxes(corners, ErpGrid(360, 720), detector=model, stamp=float(stamp))
+
+
+WHOLE, PART = (30, 0, 40, 40), (42, 8, 8, 8)  # a thing, and a box on its corner
+
+
+def seen_in_parts(parts):
+    """What is known after looks at a thing of which each third shows a part, here and there."""
+    model = replace(MODEL, spread=math.radians(1), spread_of_size=0.2, parts=parts)
+    random, looks = np.random.default_rng(5), []
+    for stamp in range(30):
+        corner = 30 + 12 * random.uniform(-1, 1), 12 * random.uniform(-1, 1), 8, 8
+        looks.append(boxes_look([corner] if stamp % 3 == 2 else [WHOLE], stamp, model))
+    return after(looks).hypotheses, model
+
+
+def test_a_box_on_a_part_of_a_known_thing_is_no_news_to_what_moves():
+    (with_parts, model), (without, _) = seen_in_parts(0.15), seen_in_parts(0.0)
+    there = boxes_look([PART], 99, model)
+    sight = Sight.of([there], FLAT.degree, 99.0, np.eye(3), None)
+    heard = with_parts.look_alikes.heard(sight, SPREAD)
+    assert float(heard.parts.sum()) > 1  # a false alarm there is rarer
+    assert float(heard.parts.sum()) > 3 * float(heard.own.sum())
+    beyond = Sight.of([boxes_look([(120, 0, 8, 8)], 99, model)], FLAT.degree, 99.0, np.eye(3), None)
+    assert float(with_parts.look_alikes.heard(beyond, SPREAD).parts.sum()) < 1e-6
+    assert with_parts.moving < without.moving
+
+
+def test_the_size_of_a_thing_is_the_mean_of_its_boxes_and_points_have_no_parts():
+    hypotheses, _ = seen_in_parts(0.15)
+    known = hypotheses.look_alikes
+    best = known.boxes[int(known.odds.argmax())]
+    assert best[1] / best[0] == pytest.approx(math.radians(20), rel=0.1)
+    points = after([look([HERE], stamp) for stamp in range(5)]).hypotheses.look_alikes
+    sight = Sight.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
+    assert not points.heard(sight, SPREAD).parts.any()
+
+
 # --- the drift of the odometry ----------------------------------------------------------------------------------------
 
 
@@ -224,7 +268,7 @@ def test_what_one_place_explains_is_not_explained_again():
     """The density of a look's detections, for no place, one, and one that is written down twice."""
     known = after([look([HERE], stamp) for stamp in range(12)]).hypotheses.look_alikes
     best = int(known.odds.argmax())
-    names = "points", "covariances", "shares", "odds", "levels"
+    names = "points", "covariances", "shares", "odds", "levels", "boxes"
     none, once, twice = (
         altered(known, **{name: getattr(known, name)[[best] * count] for name in names}) for count in range(3)
     )

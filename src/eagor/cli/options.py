@@ -45,7 +45,8 @@ Detector = Annotated[
         "again (learnt if omitted or ?). look_alikes=N: places all around that are taken for the thing again and "
         "again, look_alike_habit=A+B as above. kept_for=SECONDS, kept_within=METRES: after which places lose their "
         "habits. spread=DEG: error that differs in each look, offset=DEG: error that stays at a place; "
-        "spread_of_size=S, offset_of_size=S: what a box adds to them, as a share of the deviation of its area.",
+        "spread_of_size=S, offset_of_size=S: what a box adds to them, as a share of the deviation of its area. "
+        "parts=P: share of the boxes on a thing that show only a part of it.",
     ),
 ]
 Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]

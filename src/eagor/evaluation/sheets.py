@@ -57,6 +57,7 @@ KEYS = {
     "offset": "detector: error that a place keeps",
     "spread_of_size": "detector: spread that grows with the size of a box",
     "offset_of_size": "detector: error that a place keeps and that grows with the size of a box",
+    "parts": "detector: how many boxes show only a part of a thing",
     "kept_for": "detector: how long places keep their habits",
     "kept_within": "detector: how far places keep their habits",
     "wander": "how far a target wanders, if it does",

@@ -347,7 +347,10 @@ _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
         for key in ("detection_probability", "false_alarms_per_look", "kept_for", "kept_within")
     },
     **{key: ("detector", key, _beta) for key in ("habit", "look_alike_habit")},
-    **{key: ("detector", key, _number) for key in ("look_alikes", "offset", "spread_of_size", "offset_of_size")},
+    **{
+        key: ("detector", key, _number)
+        for key in ("look_alikes", "offset", "spread_of_size", "offset_of_size", "parts")
+    },
     "dspread": ("detector", "spread", _number),
     "shells": ("", "ranges", _shells),
     "heights": ("", "floor_height", _heights),
@@ -384,9 +387,9 @@ def tracker_config(
     - response maps: floor, neutral, temperature, persistence, spread (degrees). They change `calibration` if the config
       has none of its own;
     - detections: detection_probability (?: differs from place to place), false_alarms_per_look (?: learnt online),
-      dspread and offset (degrees), spread_of_size and offset_of_size (shares of a box's deviation), look_alikes, habit
-      and look_alike_habit (two numbers joined by +), kept_for (seconds), kept_within (metres). They change `detector`
-      if the config has none of its own.
+      dspread and offset (degrees), spread_of_size and offset_of_size (shares of a box's deviation), parts (a share of
+      the boxes), look_alikes, habit and look_alike_habit (two numbers joined by +), kept_for (seconds), kept_within
+      (metres). They change `detector` if the config has none of its own.
     """
     found: dict[str, dict[str, Any]] = {
         part: {} for part in ("", "calibration", "detector", "target_motion", "answers")

@@ -11,6 +11,8 @@ m_j the probability that a look detects the place, a detection z_i of a look has
 
 and place j learns from the look as cells do (`eagor.belief.bank`), with S_j = sum_i g(z_i | j) over what else may have
 caused z_i. Where positions are known, it may stand at any of several ranges: a Gaussian for each, which a step shifts.
+A share of the boxes on a thing show only a part of it (`DetectorModel.parts`). These lie anywhere on it, and are no
+news either: they count as caused by the place, which learns nothing from them.
 
 If the odometry drifts, all that stands seems to turn, and the list foretells the looks badly. So there is one list for
 each drift that is thought possible, and Bayes' rule weighs them (`LookAlikesByDrift`).
@@ -26,7 +28,7 @@ import numpy as np
 
 from eagor._values import altered, lazy
 from eagor.belief.bank import learnt, linear
-from eagor.evidence.detections import Detections, tangent_frames
+from eagor.evidence.detections import LOWEST, Detections, tangent_frames
 from eagor.evidence.detector import Alarms, Habits, Spread
 from eagor.grids import ErpGrid
 from eagor.tracking.look import Sight
@@ -35,6 +37,7 @@ from eagor.tracking.moving import innovations
 MOST = 32  # places
 LEAST = 1e-3  # probability to exist: what is less likely is forgotten
 NEAREST = 0.05  # metres from the body
+ACROSS = 0.6  # of half a thing's size: the standard deviation per axis of parts of it about its middle
 DRIFT, UNTOLD = math.radians(1), 0.1  # of the odometry, radians per root second, and how often it drifts untold
 
 
@@ -43,13 +46,15 @@ class Heard:
     """How the n detections of a look fit m look-alikes at K ranges, before they are taken in.
 
     Densities of detections, relative to that of one false alarm a look: `drawn` ``(m, K, n)``, of each place that a
-    look detects; `own` ``(m, n)``, as expected of each place; `new` ``(n, A)``, of look-alikes that were never
-    detected, by habit. `seen` ``(m, K)``: v of each. `gains` ``(m, K, 3, 2)``, `inverse` ``(m, K, n, 2, 2)`` and `pull`
-    ``(m, K, n, 2)``: the terms of a Kalman update. `noise` ``(n, 3, 3)``: covariances of the detections.
+    look detects; `own` ``(m, n)``, as expected of each place; `parts` ``(m, n)``, of boxes on a part of it; `new`
+    ``(n, A)``, of look-alikes that were never detected, by habit. `seen` ``(m, K)``: v of each. `gains`
+    ``(m, K, 3, 2)``, `inverse` ``(m, K, n, 2, 2)`` and `pull` ``(m, K, n, 2)``: the terms of a Kalman update. `noise`
+    ``(n, 3, 3)``: covariances of the detections.
     """
 
     drawn: np.ndarray
     own: np.ndarray
+    parts: np.ndarray
     new: np.ndarray
     seen: np.ndarray
     gains: np.ndarray
@@ -60,7 +65,7 @@ class Heard:
     @lazy
     def density(self) -> np.ndarray:
         """The density ``(n,)`` of detections that look-alikes cause."""
-        return self.own.sum(axis=0) + self.new.sum(axis=1)
+        return (self.own + self.parts).sum(axis=0) + self.new.sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +74,8 @@ class LookAlikes:
 
     `points` ``(m, K, 3)`` with `covariances` ``(m, K, 3, 3)``: where each stands for each of `ranges` ``(K,)``, metres;
     one range of 1 without positions. `shares` ``(m, K)``: probabilities of the ranges. `odds` ``(m,)``: log odds that
-    the place exists; `levels` ``(m, A)``: posterior of its habit. `hidden` ``(A, H, W)`` or ``(A, 1, 1)``: the number
+    the place exists; `levels` ``(m, A)``: posterior of its habit; `boxes` ``(m, 2)``: how many detections it had, and
+    the sum of their `sizes`. `hidden` ``(A, H, W)`` or ``(A, 1, 1)``: the number
     of look-alikes of each habit that were never detected, if the whole sphere were like this cell.
     """
 
@@ -80,6 +86,7 @@ class LookAlikes:
     shares: np.ndarray
     odds: np.ndarray
     levels: np.ndarray
+    boxes: np.ndarray
     hidden: np.ndarray
 
     @classmethod
@@ -89,7 +96,9 @@ class LookAlikes:
         count, many = len(ranges), habits.look_alikes * habits.alike_shares
         points, covariances = np.zeros((0, count, 3)), np.zeros((0, count, 3, 3))
         levels, hidden = np.zeros((0, len(many))), many.reshape(-1, 1, 1)
-        return cls(habits, ranges, points, covariances, np.zeros((0, count)), np.zeros(0), levels, hidden)
+        return cls(
+            habits, ranges, points, covariances, np.zeros((0, count)), np.zeros(0), levels, np.zeros((0, 2)), hidden
+        )
 
     def __len__(self) -> int:
         return len(self.odds)
@@ -155,8 +164,17 @@ class LookAlikes:
         exist, recall = 1 / (1 + np.exp(-self.odds)), self.levels @ self.habits.alike_levels
         expected = (exist * recall)[:, None] * np.einsum("mk,mkn->mn", self.shares * seen, drawn)
         new = self._hidden_at(world) * self.habits.alike_levels
+        parts = (exist * recall)[:, None] * np.einsum("mk,mkn->mn", self.shares * seen, self._parts_at(world))
         gains = gains.reshape(*shape[:2], 3, 2) * self.distances[..., None, None]
-        return Heard(drawn, expected, new, seen, gains, inverse.reshape(*shape, 2, 2), pull.reshape(*shape, 2), noise)
+        terms = gains, inverse.reshape(*shape, 2, 2), pull.reshape(*shape, 2), noise
+        return Heard(drawn, expected, parts, new, seen, *terms)
+
+    def _parts_at(self, found: Detections) -> np.ndarray:
+        """The density ``(m, K, n)`` of detections of a part of each place, if each look detects it."""
+        sizes = self.boxes[:, 1] / np.maximum(self.boxes[:, 0], 1e-300)
+        precision = np.where(sizes > 0, 1 / np.maximum(ACROSS * sizes, 1e-3) ** 2, 0.0)[:, None, None]
+        falls = np.exp(np.maximum((self.directions @ found.directions.T - 1) * precision, LOWEST))
+        return found.model.parts * precision / (2 * math.pi) * falls * (found.area / found.clutter)
 
     def _hidden_at(self, found: Detections) -> np.ndarray:
         """The density ``(n, A)`` of detections of look-alikes that were never detected, if each look detects them."""
@@ -175,13 +193,14 @@ class LookAlikes:
         """
         levels, world = self.habits.alike_levels, sight.world
         assert world is not None
-        others = heard.density + moving - heard.own
+        others = heard.density + moving - heard.own - heard.parts
         rest = np.einsum("a,amn->mn", alarms.weights, 1 / (alarms.numbers[:, None, None] + others))
         ratios = heard.drawn * rest[:, None]  # (m, K, n)
         recall = self.levels @ levels
         said = heard.seen * (ratios.sum(axis=2) - 1)
         totals = 1 + recall[:, None] * said
         each = (recall[:, None] * heard.seen / totals)[..., None] * ratios
+        taken, boxes = np.einsum("mk,mkn->mn", self.shares, each), np.stack([np.ones(len(world)), world.sizes], axis=-1)
         step = np.einsum("mkn,mkna->mka", each, heard.pull)
         points = self.points + np.einsum("mkia,mka->mki", heard.gains, step)
         # Of the mean update, and of how far the updates by single detections lie apart.
@@ -203,6 +222,7 @@ class LookAlikes:
             shares=np.concatenate([self.shares * totals / total[:, None], even]),
             odds=np.concatenate([self.odds + np.log(total), np.log(np.maximum(amounts * lone[new], 1e-300))]),
             levels=np.concatenate([habit.T, heard.new[new] / np.maximum(amounts, 1e-300)[:, None]]),
+            boxes=np.concatenate([self.boxes + taken @ boxes, boxes[new]]),
             hidden=self.hidden * (1 - levels.reshape(-1, 1, 1) * np.asarray(share)),
         )
         return found._likeliest()
@@ -226,7 +246,7 @@ class LookAlikes:
         """The likeliest places, `MOST` at most."""
         order = np.argsort(-self.odds, kind="stable")[:MOST]
         order = np.sort(order[self.odds[order] > math.log(LEAST)])
-        names = "points", "covariances", "shares", "odds", "levels"
+        names = "points", "covariances", "shares", "odds", "levels", "boxes"
         return altered(self, **{name: getattr(self, name)[order] for name in names})
 
 
