@@ -331,6 +331,30 @@ def persists(case: Case) -> bool:
     return False
 
 
+def parts_of(cases: Sequence[Case]) -> tuple[float, float, int]:
+    """Of the boxes on things, the share that lies over three deviations from where most lie; how far, and of how many.
+
+    The median distance is in half sizes of the thing. They show a part of it, mostly.
+    """
+    off, far = [], []
+    for case in cases:
+        seen = [case.evidence(frame, DETECTOR).detections for frame in range(FRAMES)]
+        turned = [each.turned(pose) for each, pose in zip(seen, poses(case.condition), strict=True) if each is not None]
+        boxes = np.concatenate([each.directions for each in turned])
+        widths = np.concatenate([1 / np.sqrt((each.axes**2).sum(axis=-1)).min(axis=-1) for each in turned])
+        for target, size in zip(case.targets, case.sizes, strict=True):
+            on = angular_distance(boxes, target) < max(size / 2, math.radians(3))
+            if np.count_nonzero(on) < 5:
+                continue
+            apart = np.arccos(np.clip(boxes[on] @ boxes[on].T, -1, 1)) / np.median(widths[on])
+            middle = unit(boxes[on][apart[np.exp(-(apart**2) / 2).sum(axis=0).argmax()] < 2.5].mean(axis=0))
+            distances = angular_distance(boxes[on], middle)
+            off += (distances / widths[on]).tolist()
+            far += (distances / (size / 2)).tolist()
+    parts = np.array(off) > 3
+    return float(parts.mean()), float(np.median(np.array(far)[parts])), len(parts)
+
+
 def says(case: Case, sight: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
     """The poses that the methods are told."""
     return sight[case.photograph] if case.condition == "sight" else told(case.condition)
@@ -402,6 +426,7 @@ def main() -> None:
                 unseen[alike] = play(case, name, models[case.photograph], say, lookalike)
             runs.append(replace(unseen[alike], query=case.query))
     print_all(runs)
+    print("Boxes on parts of things: {:.2f} of them, {:.2f} of half the size off ({} boxes)".format(*parts_of(cases)))
 
 
 if __name__ == "__main__":
