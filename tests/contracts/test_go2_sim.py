@@ -139,6 +139,7 @@ def test_cameras_that_cannot_be_are_refused(wrong):
         CameraSettings(**wrong)
 
 
+@pytest.mark.slow
 @live
 def test_live_it_walks_sends_pictures_and_tells_the_truth_beside():
     domain, frames, truths, things = free_domain(), [], [], []

@@ -140,6 +140,7 @@ def test_an_ordinary_camera_s_lens_is_told_beside_its_pictures():
             RosCamera(graph=graph, info="/else")
 
 
+@pytest.mark.slow
 def test_several_cameras_take_turns_and_one_that_is_silent_leaves_the_others(monkeypatch):
     """What panoramas alone can be looked at gets both in one."""
     monkeypatch.setattr("eagor.robots.ros.sources.SILENT", 0.2)

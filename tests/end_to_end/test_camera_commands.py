@@ -230,6 +230,7 @@ def red_ball(pose):
 
 
 # To the right, where the ball stays in the front picture; to the left, out of it and into the back one.
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [-0.06, 0.16])
 def test_track_looks_at_each_picture_of_a_rig_of_ordinary_lenses(capsys, tmp_path, two_cameras, step):
     poses = two_cameras(step)

@@ -34,6 +34,7 @@ def run(file, tmp_path_factory):
     return out, words
 
 
+@pytest.mark.slow
 def test_a_run_plays_some_episodes_of_each_scene_and_says_how_they_were_judged(run, capsys):
     out, words = run
     assert main(words) == 0

@@ -297,6 +297,7 @@ def test_a_guard_that_is_killed_and_a_robot_that_does_not_listen_is_said(driving
         say_until_the_pipe_is_closed()
 
 
+@pytest.mark.slow
 def test_a_guard_that_is_frozen_is_stood_in_for_and_goes_on_afterwards(driving):
     driver, peer = driving
     guard, begun = driver.guard, time.monotonic()

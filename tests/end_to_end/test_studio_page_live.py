@@ -228,6 +228,7 @@ def test_the_degree_is_changed_and_the_belief_with_it(studio: Studio) -> None:
     page.until("window.eagorStudio.store.scene?.degree === 15 && window.eagorStudio.summary.peak")
 
 
+@pytest.mark.slow
 def test_an_episode_of_a_run_is_chosen_and_scrubbed(studio: Studio) -> None:
     page = go(studio, "run")
     page.until("window.eagorStudio.store.scene && window.eagorStudio.store.panorama")
@@ -445,6 +446,7 @@ def test_the_page_is_small_and_asks_only_its_server(studio: Studio) -> None:
     assert 10_000 < size < 900_000
 
 
+@pytest.mark.slow
 def test_a_server_that_goes_is_said_so(studio: Studio) -> None:
     page = go(studio, "walk")
     page.until("window.eagorStudio.store.step")

@@ -329,7 +329,7 @@ class _Told:
 
     def what_else(self, perception: str, source: str) -> None:
         """Tell all that was seen, where that was wanted."""
-        from eagor.cli.recorded import entries, say_things
+        from eagor.cli.answers import entries, say_things
 
         if self.around is None or not self.around.among:
             return

@@ -1,6 +1,6 @@
 """``eagor look``: a detector goes through footage once, and what it saw is kept for any question.
 
-`eagor track LOOKS.jsonl QUERY` answers from the file at once, and without QUERY lists what was seen: see `recorded`.
+`eagor track LOOKS.jsonl QUERY` answers from the file at once, and without QUERY lists what was seen: see `answers`.
 """
 
 from __future__ import annotations

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.answers import header, line, methods_as_dict, table
+from eagor.cli.answers import header, line, list_seen, methods_as_dict, recorded, table
 from eagor.cli.options import Detector, Flag, Floor, Footage, Mask, Modes, Out, Rerun, Static, Whole, bare, given
-from eagor.cli.recorded import list_seen, recorded
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
