@@ -334,10 +334,12 @@ def persists(case: Case) -> bool:
 def parts_of(cases: Sequence[Case]) -> tuple[float, float, int]:
     """Of the boxes on things, the share that lies over three deviations from where most lie; how far, and of how many.
 
-    The median distance is in half sizes of the thing. They show a part of it, mostly.
+    The median distance is in half sizes of the thing. They show a part of it, mostly. Looks count once.
     """
     off, far = [], []
     for case in cases:
+        if case.condition not in SEEN or not len(case.targets):
+            continue
         seen = [case.evidence(frame, DETECTOR).detections for frame in range(FRAMES)]
         turned = [each.turned(pose) for each, pose in zip(seen, poses(case.condition), strict=True) if each is not None]
         boxes = np.concatenate([each.directions for each in turned])

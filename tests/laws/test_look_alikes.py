@@ -209,16 +209,14 @@ def test_the_size_of_a_thing_is_the_mean_of_its_boxes_and_points_have_no_parts()
 # --- the drift of the odometry ----------------------------------------------------------------------------------------
 
 
-def drifting(rate, seed=0, count=40, places=(HERE,), model=MODEL, config=LEARNT):
-    """The last estimate, and where the first place then seems to be, if the heading drifts by `rate` degrees a look."""
-    random, found = np.random.default_rng(seed), []
-    tracker = DirectionTracker(config)
-    for stamp in range(count):
-        turned = np.array(places) @ rotation([0, 0, 1], math.radians(rate * stamp)).T
-        seen = turned[random.random(len(places)) < 0.8]
-        tracker.observe(look(unit(seen + 0.04 * random.standard_normal(seen.shape)), stamp, model))
-        found.append(tracker.estimate(float(stamp)))
-    return found[-1], turned[0]
+def drifting(rate, seed=0, model=MODEL, config=LEARNT):
+    """The last estimate, and where the place then seems to be, if the heading drifts by `rate` degrees a look."""
+    random, looks = np.random.default_rng(seed), []
+    for stamp in range(40):
+        turned = HERE[None] @ rotation([0, 0, 1], math.radians(rate * stamp)).T
+        seen = turned[random.random(1) < 0.8]
+        looks.append(look(unit(seen + 0.04 * random.standard_normal(seen.shape)), stamp, model))
+    return after(looks, config), turned[0]
 
 
 @pytest.mark.parametrize("seed", range(3))

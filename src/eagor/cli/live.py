@@ -42,6 +42,7 @@ from eagor.cli.options import (
     CameraFile,
     Common,
     Detector,
+    Drift,
     Flag,
     Floor,
     Force,
@@ -115,8 +116,7 @@ class Live(Common):
     floor: Floor = None
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63."""
-    drift: Annotated[float | None, bare("DEG_PER_S")] = None
-    """Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time."""
+    drift: Drift = None
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None

@@ -49,6 +49,13 @@ Detector = Annotated[
         "parts=P: share of the boxes on a thing that show only a part of it.",
     ),
 ]
+Drift = Annotated[
+    float | None,
+    bare(
+        "DEG_PER_S",
+        "Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time.",
+    ),
+]
 Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]
 Floor = Annotated[
     float | None,

@@ -20,7 +20,7 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
 from eagor.cli.answers import header, line, list_seen, methods_as_dict, recorded, table
-from eagor.cli.options import Detector, Flag, Floor, Footage, Mask, Modes, Out, Rerun, Static, Whole, bare, given
+from eagor.cli.options import Detector, Drift, Flag, Floor, Footage, Mask, Modes, Out, Rerun, Static, Whole, bare, given
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
@@ -57,8 +57,7 @@ class Track(Footage):
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
     static: Static = False
-    drift: Annotated[float | None, bare("DEG_PER_S")] = None
-    """Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time."""
+    drift: Drift = None
     compare: Flag = False
     """Run the baselines on the same evidence as well."""
     degree: Whole = 15

@@ -75,8 +75,8 @@ class LookAlikes:
     `points` ``(m, K, 3)`` with `covariances` ``(m, K, 3, 3)``: where each stands for each of `ranges` ``(K,)``, metres;
     one range of 1 without positions. `shares` ``(m, K)``: probabilities of the ranges. `odds` ``(m,)``: log odds that
     the place exists; `levels` ``(m, A)``: posterior of its habit; `boxes` ``(m, 2)``: how many detections it had, and
-    the sum of their `sizes`. `hidden` ``(A, H, W)`` or ``(A, 1, 1)``: the number
-    of look-alikes of each habit that were never detected, if the whole sphere were like this cell.
+    the sum of their `sizes`. `hidden` ``(A, H, W)`` or ``(A, 1, 1)``: the number of look-alikes of each habit that were
+    never detected, if the whole sphere were like this cell.
     """
 
     habits: Habits
@@ -112,6 +112,16 @@ class LookAlikes:
     def directions(self) -> np.ndarray:
         """Unit vectors ``(m, K, 3)``."""
         return self.points / self.distances[..., None]
+
+    @lazy
+    def recall(self) -> np.ndarray:
+        """The probability ``(m,)`` that a look detects the place, if it exists."""
+        return self.levels @ self.habits.alike_levels
+
+    @lazy
+    def expected(self) -> np.ndarray:
+        """The probability ``(m,)`` that the place exists, and that a look detects it."""
+        return 1 / (1 + np.exp(-self.odds)) * self.recall
 
     def read_with(self, habits: Habits) -> LookAlikes:
         """For looks of another detector: habits are drawn anew, the places stay."""
@@ -161,13 +171,12 @@ class LookAlikes:
         seen = np.ones(shape[:2])
         if world.views:
             seen = np.asarray(world.share(directions @ sight.world_R_body))
-        exist, recall = 1 / (1 + np.exp(-self.odds)), self.levels @ self.habits.alike_levels
-        expected = (exist * recall)[:, None] * np.einsum("mk,mkn->mn", self.shares * seen, drawn)
+        there, expected = self.shares * seen, self.expected[:, None]
+        own, parts = (expected * np.einsum("mk,mkn->mn", there, each) for each in (drawn, self._parts_at(world)))
         new = self._hidden_at(world) * self.habits.alike_levels
-        parts = (exist * recall)[:, None] * np.einsum("mk,mkn->mn", self.shares * seen, self._parts_at(world))
         gains = gains.reshape(*shape[:2], 3, 2) * self.distances[..., None, None]
         terms = gains, inverse.reshape(*shape, 2, 2), pull.reshape(*shape, 2), noise
-        return Heard(drawn, expected, parts, new, seen, *terms)
+        return Heard(drawn, own, parts, new, seen, *terms)
 
     def _parts_at(self, found: Detections) -> np.ndarray:
         """The density ``(m, K, n)`` of detections of a part of each place, if each look detects it."""
@@ -196,7 +205,7 @@ class LookAlikes:
         others = heard.density + moving - heard.own - heard.parts
         rest = np.einsum("a,amn->mn", alarms.weights, 1 / (alarms.numbers[:, None, None] + others))
         ratios = heard.drawn * rest[:, None]  # (m, K, n)
-        recall = self.levels @ levels
+        recall = self.recall
         said = heard.seen * (ratios.sum(axis=2) - 1)
         totals = 1 + recall[:, None] * said
         each = (recall[:, None] * heard.seen / totals)[..., None] * ratios
@@ -234,8 +243,7 @@ class LookAlikes:
         there is one detection.
         """
         order = np.argsort(-self.odds, kind="stable")
-        exist, recall = 1 / (1 + np.exp(-self.odds)), self.levels @ self.habits.alike_levels
-        found = (exist * recall * np.einsum("mk,mk->m", self.shares, heard.seen))[order]
+        found = (self.expected * np.einsum("mk,mk->m", self.shares, heard.seen))[order]
         alone = float(alarms.weights @ alarms.numbers) + heard.new.sum(axis=1) + moving
         own, missed = heard.own[order], np.maximum(1 - found, LEAST)
         caused = own / missed[:, None]
