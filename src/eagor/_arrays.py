@@ -30,13 +30,13 @@ def namespace(*arrays: Array) -> Any:
 
 
 def as_float(values: Array) -> Array:
-    """`values` as a floating array; other dtypes become float64 (NumPy) or float32 (other libraries)."""
-    if type(values) is np.ndarray and values.dtype.kind == "f":
+    """`values` as a floating array; other dtypes, half precision too, become float64 (NumPy) or float32 (others)."""
+    if type(values) is np.ndarray and values.dtype.kind == "f" and values.dtype.itemsize > 2:
         return values
     xp = namespace(values)
     if xp is np:
         array = np.asarray(values)
-        return array if array.dtype.kind == "f" else array.astype(np.float64)
+        return array if array.dtype.kind == "f" and array.dtype.itemsize > 2 else array.astype(np.float64)
     return values if xp.isdtype(values.dtype, "real floating") else xp.astype(values, xp.float32)
 
 

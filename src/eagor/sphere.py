@@ -200,6 +200,14 @@ def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = OR
     raise RotationError(_what_is_wrong(to_numpy(matrix), name))
 
 
+def checked_pose(matrix: Array, name: str = "world_R_body") -> np.ndarray:
+    """`matrix` as a float64 array ``(3, 3)``. Raises `RotationError` unless it is one rotation."""
+    found = np.asarray(to_numpy(check_rotation(matrix, name)), dtype=np.float64)
+    if found.shape != (3, 3):
+        raise RotationError(f"{name} has the shape {found.shape}; wanted one rotation (3, 3), such as {name}[0]")
+    return found
+
+
 def _what_is_wrong(matrix: np.ndarray, name: str) -> str:
     """Why `matrix` is not a rotation, and what to change."""
     wanted = f"{name} must be a rotation matrix (..., 3, 3) with {name} @ direction_old = direction_new"

@@ -134,7 +134,7 @@ def side(*yaws, fov=60):
 def test_a_rig_of_one_camera_ahead_turns_to_where_the_camera_does():
     """A body that turns can tilt nothing, so the camera has no reach either."""
     tracker = eagor.DirectionTracker()
-    tracker.observe(Evidence.from_points([[-0.2, 1.0, 0.1]], grid=PerspectiveGrid(48, 64, 2.6), stamp=0.0))
+    tracker.observe(Evidence.from_points([[0.4, 1.0, 0.1]], grid=PerspectiveGrid(48, 64, 2.6), stamp=0.0))
     estimate = tracker.estimate(0.0)
     level = TurningCamera.of_view(side(0)[0])
     one, rig = estimate.next_look(TurningCamera(level.hfov, level.vfov, reach=0.0)), TurningRig(side(0))
@@ -159,7 +159,7 @@ def test_a_rig_turns_the_way_on_which_any_of_its_cameras_sees_more(tilt):
 
 
 def test_a_rig_that_sees_all_around_need_not_turn():
-    estimate = looked(np.eye(3), found=np.array([[0.1, 1.0, 0.1]]))
+    estimate = looked(np.eye(3), found=np.array([[0.8, 1.0, 0.1]]))
     assert estimate.next_look(TurningRig(side(0, 60, 120, 180, 240, 300, fov=80))).turn < math.radians(61)
     nothing = eagor.DirectionTracker().estimate(0.0)
     assert nothing.next_look(TurningRig(side(0, 90, 180, 270, fov=100))).turn == 0.0

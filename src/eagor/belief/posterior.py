@@ -63,7 +63,7 @@ class CredibleRegion:
     area: float
     angle: float
     mode: np.ndarray
-    log_density: Callable[[np.ndarray], np.ndarray]
+    log_density: Callable[[np.ndarray], Array]
 
     def __repr__(self) -> str:
         mode = where(*(float(angle) for angle in azimuth_elevation(self.mode)))
@@ -72,7 +72,7 @@ class CredibleRegion:
 
     def contains(self, directions: np.ndarray) -> np.ndarray:
         """Which of the directions ``(..., 3)`` lie in the region, bool ``(...)``."""
-        return self.log_density(np.asarray(directions)) >= self.threshold - 1e-9
+        return to_numpy(self.log_density(np.asarray(directions))) >= self.threshold - 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,7 +381,7 @@ class Readable:
             area=area,
             angle=posterior.cone(mass),
             mode=posterior.mode,
-            log_density=lambda directions: to_numpy(self.log_density(directions)),
+            log_density=self.log_density,
         )
 
     def mass_above(self, direction: np.ndarray) -> float:

@@ -11,8 +11,10 @@ otherwise a small thing would nearly vanish.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -105,7 +107,7 @@ class Evidence:
 
         `detector` (default: `DetectorModel()`) says how far each may be off. `scores` ``(n,)`` in [0, 1].
         """
-        model = detector or DetectorModel()
+        model = _checked_reading(detector, DetectorModel) or DetectorModel()
         points = np.array([centre for centre, _ in found]).reshape(-1, 3)
         own = np.array([spread for _, spread in found]).reshape(-1, 2, 2)
         # A box whose solid angle has the standard deviation s along an axis goes sqrt(3) s to each side.
@@ -138,8 +140,8 @@ class Evidence:
         response is ignored and may be NaN. `source` tells what produced the response. Raises `ResponseError` on another
         shape, an empty array, NaN, or values outside [0, 1]. An all-zero response is valid: we looked and saw nothing.
         """
-        calibration = calibration or _DEFAULT
-        response = checked_response(response, grid)
+        calibration = _checked_reading(calibration, Calibration) or _DEFAULT
+        response = checked_response(response, _checked_grid(grid))
         mask = None
         if coverage is not None:
             coverage = checked_coverage(coverage, grid)
@@ -173,7 +175,7 @@ class Evidence:
         With a `calibration` the masks are read as a response map instead: where they overlap, the best score counts,
         and small masks are widened to a bump of `min_spread` radians (0: not widened).
         """
-        masks = np.asarray(to_numpy(masks))
+        masks, grid = np.asarray(to_numpy(masks)), _checked_grid(grid)
         if masks.dtype.kind == "f" and not np.isin(masks, (0, 1)).all():
             raise ResponseError("a mask has values other than 0 and 1; wanted bool: apply a threshold first")
         masks = masks.astype(bool)
@@ -214,7 +216,7 @@ class Evidence:
         `min_spread` (radians). The values are drawn on a grid of their own: cells of 2 degrees for a panorama, a coarse
         copy of a large view.
         """
-        table = _rows(boxes, 4, "boxes")
+        table, grid = _rows(boxes, 4, "boxes"), _checked_grid(grid)
         weights = _checked_scores(scores, len(table))
         if calibration is None or detector is not None:
             found = [moments(box, grid) for box in table]
@@ -249,12 +251,18 @@ class Evidence:
         """
         points = _rows(directions, 3, "directions")
         points = unit(points) if len(points) else points
-        model = detector or DetectorModel()
+        model = _checked_reading(detector, DetectorModel) or DetectorModel()
         if concentration is None:
             concentration = model.spread**-2
-        kappa = np.broadcast_to(np.asarray(to_numpy(concentration), dtype=np.float64), (len(points),))
-        if not (np.isfinite(kappa).all() and (kappa > 0).all()):
-            raise ResponseError("concentration must be finite and positive: 1 / spread^2, with the spread in radians")
+        kappa = np.asarray(to_numpy(concentration), dtype=np.float64)
+        if kappa.shape not in ((), (1,), (len(points),)) or not (np.isfinite(kappa).all() and (kappa > 0).all()):
+            raise ResponseError(
+                f"concentration is {concentration!r} for {len(points)} directions; wanted one positive number, or one "
+                "for each: 1 / spread^2, with the spread in radians"
+            )
+        kappa = np.broadcast_to(kappa, (len(points),))
+        if isinstance(grid, PerspectiveGrid):
+            _check_in_view(points, kappa, grid)
         weights = _checked_scores(scores, len(points))
         canvas = WHOLE_SPHERE if grid is None else canvas_of(grid)
         if calibration is None or detector is not None:
@@ -360,11 +368,42 @@ class Evidence:
 
 
 _DEFAULT = Calibration()
+Reading = TypeVar("Reading", Calibration, DetectorModel)
+
+
+def _checked_reading(found: Any, kind: type[Reading]) -> Reading | None:
+    """What turns a look into likelihood ratios, or None. Raises `ResponseError` for anything else."""
+    if found is not None and not isinstance(found, kind):
+        name = {Calibration: "calibration", DetectorModel: "detector"}[kind]
+        raise ResponseError(f"{name} is {type(found).__name__}; wanted eagor.{kind.__name__}")
+    return found
+
+
+def _checked_grid(grid: Any) -> Any:
+    if not hasattr(grid, "directions"):
+        raise ResponseError(f"grid is {grid!r}; wanted a grid, such as eagor.ErpGrid(height, width)")
+    return grid
+
+
+def _check_in_view(points: np.ndarray, kappa: np.ndarray, grid: PerspectiveGrid) -> None:
+    """Raise `ResponseError` for a point that lies outside of a view by more than three deviations."""
+    ahead = points @ np.asarray(grid.body_R_view)[:, 0]
+    corner = math.atan(math.hypot(1, grid.height / grid.width) * math.tan(grid.hfov / 2))
+    outside = np.arccos(np.clip(ahead, -1, 1)) > corner + 3 * kappa**-0.5
+    if outside.any():
+        raise ResponseError(
+            f"the direction {np.round(points[outside][0], 3).tolist()} is not in the view of "
+            f"{math.degrees(grid.hfov):.0f} degrees; wanted directions of the body frame (x forward, y left, z up), "
+            "not of the world"
+        )
 
 
 def _rows(values: Array, columns: int, name: str) -> np.ndarray:
     """`values` as a table ``(n, columns)``; one row and an empty list are tables too."""
-    table = np.asarray(to_numpy(values), dtype=np.float64)
+    try:
+        table = np.asarray(to_numpy(values), dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ResponseError(f"{name} are not a table of numbers ({error}); wanted (n, {columns})") from error
     if table.size == 0:
         return np.zeros((0, columns))
     if table.ndim > 2 or table.shape[-1:] != (columns,):
@@ -376,7 +415,10 @@ def _checked_scores(scores: Array | None, count: int) -> np.ndarray:
     """Scores ``(count,)`` in [0, 1], all 1 by default."""
     if scores is None:
         return np.ones(count)
-    weights = np.asarray(to_numpy(scores), dtype=np.float64).reshape(-1)
+    try:
+        weights = np.asarray(to_numpy(scores), dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError) as error:
+        raise ResponseError(f"scores are no numbers ({error}); wanted {count} in [0, 1]") from error
     if weights.shape != (count,) or not ((weights >= 0) & (weights <= 1)).all():
         raise ResponseError(f"scores must be {count} numbers in [0, 1], one per detection; got {weights.tolist()[:5]}")
     return weights

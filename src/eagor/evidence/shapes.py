@@ -36,12 +36,13 @@ def moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     height, width = grid.shape
     x0, y0, x1, y1 = box
     seam = not hasattr(grid, "body_R_view")
+    apart = seam and is_beside(x0, x1, width)
     if seam and x1 < x0:
         x1 += width
     y0, y1 = max(y0, 0.0), min(y1, float(height))
     if not seam:
         x0, x1 = max(x0, 0.0), min(x1, float(width))
-    if not (np.isfinite(box).all() and x1 > x0 and y1 > y0 and x1 - x0 <= width):
+    if apart or are_fractions(box) or not (np.isfinite(box).all() and x1 > x0 and y1 > y0 and x1 - x0 <= width):
         raise ResponseError(
             f"box {box.tolist()} has no area inside the {width} x {height} image; wanted x0, y0, x1, y1 in its pixels "
             "(not x, y, width, height, and not 0 to 1)"
@@ -50,6 +51,17 @@ def moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     if float(np.linalg.norm(areas @ points)) < 1e-9 * areas.sum():
         raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it has no direction")
     return moments_of(points, areas)
+
+
+def are_fractions(boxes: np.ndarray) -> bool:
+    """Whether boxes ``(n, 4)`` seem to be in fractions of the picture: all lie in its first pixel."""
+    inside = boxes.size > 0 and boxes.min() >= 0 and boxes.max() <= 1
+    return bool(inside and (boxes != np.round(boxes)).any())
+
+
+def is_beside(x0: float, x1: float, width: float) -> bool:
+    """Whether a box from column x0 to x1 does not touch a panorama of this width; x0 > x1 crosses the seam."""
+    return x0 >= width or max(x0, x1) <= 0
 
 
 def box_samples(box: Sequence[float] | np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:

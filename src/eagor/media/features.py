@@ -21,7 +21,6 @@ import numpy as np
 
 from eagor._extras import need
 from eagor._values import lazy
-from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.media.consensus import SPHERE
 from eagor.media.panorama import checked_picture, cut, tangent_views
@@ -93,12 +92,7 @@ class Views:
         need("finding features in a picture", "photos", "cv2")
         import cv2
 
-        image = checked_picture(picture, "the picture")
-        if image.shape[:2] != grid.shape:
-            raise ImageError(
-                f"the picture is {image.shape[1]} x {image.shape[0]}, its grid {grid.width} x {grid.height}; wanted "
-                "the same size: give the grid of this picture, such as grid.resized(rows, columns)"
-            )
+        image = checked_picture(picture, "the picture", grid)
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
         by = WIDE / max(grid.shape)
         if by < 1:

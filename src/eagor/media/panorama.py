@@ -246,13 +246,19 @@ def _half_turn(row: np.ndarray) -> np.ndarray:
 # --- sizes ---
 
 
-def checked_picture(image: np.ndarray, name: str = "the panorama") -> np.ndarray:
-    """`image`, checked to be uint8 ``(H, W, 3)``. Raises `ImageError`."""
+def checked_picture(image: np.ndarray, name: str = "the panorama", grid: PerspectiveGrid | None = None) -> np.ndarray:
+    """`image`, checked to be uint8 ``(H, W, 3)``, and of the size of `grid`, if given. Raises `ImageError`."""
     image = np.asarray(image)
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
         raise ImageError(
             f"{name} is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
             "eagor.media.panorama.read_panorama"
+        )
+    if grid is not None and image.shape[:2] != grid.shape:
+        height, width = image.shape[:2]
+        raise ImageError(
+            f"{name} is {width} x {height}, its grid is for {grid.width} x {grid.height}; wanted the same size: the "
+            f"grid of this picture, such as grid.resized({height}, {width})"
         )
     return image
 

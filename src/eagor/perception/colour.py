@@ -23,6 +23,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
+from eagor.media.panorama import checked_picture
 from eagor.perception.things import blobs, blurred, spread_evidence
 
 # A fuzzy interval: 0 up to the first number, 1 between the second and the third, 0 from the fourth on.
@@ -122,7 +123,8 @@ class ColourPerception:
         """Evidence from one perspective picture ``(h, w, 3)``, whose pixels `grid` describes. Errors as for a call."""
         colour = parse_colour(query)
         times = max(grid.height / self.rows, grid.width / (2 * self.rows), 1.0)  # the same factor in both directions
-        linear = _reduced(image, max(1, round(grid.height / times)), max(1, round(grid.width / times)))
+        picture = checked_picture(image, "the picture", grid)
+        linear = _reduced(picture, max(1, round(grid.height / times)), max(1, round(grid.width / times)))
         response = _likeness(linear, colour, around=False)
         return self._evidence(response, grid.resized(*response.shape), grid, stamp)
 

@@ -18,7 +18,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from eagor.conventions import wxyz_from_rotation
-from eagor.errors import EagorError, FormatError, PoseError, QueryError
+from eagor.errors import EagorError, FormatError, ImageError, PoseError, QueryError
 from eagor.evidence import BodyMask, Evidence, model_as_json
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.defects import NeverSeen
@@ -70,6 +70,8 @@ class HiddenParts:
         hidden = black if frame.unseen is None else black | frame.unseen
         if not hidden.any():
             return None
+        if hidden.all():
+            raise ImageError("the picture is black everywhere: nothing can be seen in it")
         mask = BodyMask(~hidden)
         self._tell(mask, black)
         return mask

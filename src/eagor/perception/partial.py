@@ -51,13 +51,7 @@ def look_at_view(
     What the picture does not show gains and loses nothing. Raises `ImageError` if the image is not such a picture, or
     the perception does not answer on a panorama grid; otherwise what the perception raises.
     """
-    picture = checked_picture(image, "the picture")
-    if picture.shape[:2] != grid.shape:
-        height, width = picture.shape[:2]
-        raise ImageError(
-            f"the picture is {width} x {height}, its grid is for {grid.width} x {grid.height}; wanted the same: "
-            "grid.resized(height, width)"
-        )
+    picture = checked_picture(image, "the picture", grid)
     if isinstance(perception, ViewPerception):
         return perception.view(picture, grid, query, stamp=stamp)
     panorama = pasted(picture, grid, rows_of(perception))

@@ -21,6 +21,7 @@ from eagor.errors import FormatError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
+from eagor.evidence.shapes import are_fractions, is_beside
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.lenses import PinholeLens
 from eagor.media.pose_files import FramePose
@@ -474,7 +475,8 @@ def _box(box: tuple[float, float, float, float], height: int, width: int, panora
     """The four pixel coordinates of a box that overlaps the image."""
     x0, y0, x1, y1 = box
     left, right = (x0, x1 + width * (x1 < x0)) if panorama else (max(x0, 0.0), min(x1, float(width)))
-    fine = left < right <= left + width and max(y0, 0.0) < min(y1, float(height))
+    touches = not (panorama and is_beside(x0, x1, width)) and not are_fractions(np.array(box))
+    fine = touches and left < right <= left + width and max(y0, 0.0) < min(y1, float(height))
     need(fine, "box", [*box], _CORNERS.format(f"{width} x {height} "))
     return [x0, y0, x1, y1]
 

@@ -21,15 +21,15 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor._checks import shown, warn_unless_whole, within
-from eagor.errors import EagorError, GridError, QueryError, ResponseError
+from eagor.errors import EagorError, GridError, ImageError, QueryError, ResponseError
 from eagor.evidence import DetectorModel, Evidence, View
-from eagor.evidence.shapes import WHOLE_SPHERE
+from eagor.evidence.shapes import WHOLE_SPHERE, are_fractions
 from eagor.grids import PerspectiveGrid
 from eagor.media.panorama import checked_picture, cut, tangent_views
 from eagor.perception.colour import colour_in, share_of
 from eagor.perception.things import Thing, ViewBox, spread_evidence, things
 from eagor.perception.words import meant
-from eagor.sphere import azimuth_elevation, check_rotation, world_R_body
+from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 from eagor.tracking import Around
 
 # Of a box's pixels, so many have the thing's colour at least: it fills about half of its box, and has others, too.
@@ -101,7 +101,7 @@ class Views:
         """Where the views look, in the body frame: level with gravity and ahead, for a body with this orientation."""
         if world_R_body_now is None:
             return self._views
-        pose = check_rotation(np.asarray(world_R_body_now, dtype=np.float64), "world_R_body")
+        pose = checked_pose(world_R_body_now)
         # Ahead of the body; where it looks straight up or down, its left side tells the heading.
         ahead = pose[:, 0] if np.hypot(*pose[:2, 0]) > 0.1 else np.cross(pose[:, 1], [0.0, 0.0, 1.0])
         level = pose.T @ world_R_body(float(azimuth_elevation(ahead)[0]))
@@ -160,7 +160,7 @@ class Views:
 
     def _shown(self, picture: np.ndarray, pose: np.ndarray | None, grid: PerspectiveGrid | None) -> Shown:
         """What the detector is shown: the views of a panorama, or the ordinary picture of a `grid`."""
-        picture = checked_picture(picture, "the panorama" if grid is None else "the picture")
+        picture = checked_picture(picture, "the panorama" if grid is None else "the picture", grid)
         if grid is not None:
             return [(grid, picture)]
         warn_unless_whole(picture)
@@ -196,7 +196,12 @@ class Views:
         return [Seen(view, boxes) for (view, _), boxes in zip(shown, self._detected(shown, query), strict=True)]
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
-        """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes."""
+        """One look at an ordinary picture ``(h, w, 3)`` uint8 that `grid` describes.
+
+        Errors as for a panorama, and `ImageError` if the picture has another size than `grid`.
+        """
+        if not isinstance(grid, PerspectiveGrid):
+            raise ImageError(f"grid is {type(grid).__name__}; wanted eagor.PerspectiveGrid(height, width, hfov)")
         (found,) = self.things(image, (query,), grid=grid)
         return spread_evidence(found, self.detector, View(grid), stamp)
 
@@ -245,6 +250,11 @@ def _pieces(
         if label is not None and not _fits(label, query, wanted):
             continue
         inside = np.clip(box, 0, size)
+        if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
+            raise ResponseError(
+                f"the box {np.round(box, 1).tolist()} lies outside of the {grid.width} x {grid.height} picture; wanted "
+                "its pixels: if the detector resizes pictures, scale its boxes back"
+            )
         if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
             yield ViewBox(number, grid, inside, float(score))
 
@@ -276,6 +286,7 @@ def _layout(size: int, hfov: float, count: int) -> tuple[PerspectiveGrid, ...]:
 
 # --- what detectors return --------------------------------------------------------------------------------------------
 
+BEYOND = 0.1  # of the picture: a box that lies farther outside is in the pixels of another one
 _SLACK = 1e-6  # by which rounding may take a probability out of [0, 1]
 
 Names = Sequence[str] | Mapping[int, str]
@@ -336,7 +347,7 @@ def _checked(boxes: Any, scores: Any, labels: Any, names: Names | None) -> Boxes
             f"the box {corners[wrong[0]].tolist()} came; wanted x0 < x1 and y0 < y1. If it is x, y, width, height, add "
             "x to the width and y to the height"
         )
-    if corners.size and corners.max() <= 1 and (corners[:, 2:] - corners[:, :2]).any():
+    if are_fractions(corners):
         raise ResponseError(
             f"boxes came within {corners.max():.3g} of the corner: they seem to be fractions of the picture. Wanted "
             "pixels: multiply x by its width and y by its height"

@@ -9,13 +9,15 @@ from typing import Any, Literal
 import numpy as np
 
 from eagor._arrays import to_numpy
+from eagor._checks import checked_stamp
 from eagor._values import lazy, where
 from eagor.belief.field import cells_of
 from eagor.belief.reading import Reading
+from eagor.errors import EagorError, TimeError
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
-from eagor.sphere import azimuth_elevation, check_directions, check_rotation
+from eagor.sphere import azimuth_elevation, check_unit, checked_pose
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.hypotheses import TargetHypotheses
 from eagor.tracking.looking import Heights, Known, NextLook, TurningCamera, TurningRig, best_look
@@ -136,7 +138,9 @@ class Estimate:
         return self.posterior.cone(0.9, self._about) if self._alike is None else self._alike.credible_angle
 
     def within(self, angle: float) -> float:
-        """Probability that the target is present and within `angle` radians of the answer."""
+        """Probability that the target is present and within `angle` radians of the answer, from 0 to pi."""
+        if not 0 <= angle <= math.pi:
+            raise EagorError(f"angle = {angle!r}; wanted radians from 0 to pi: math.radians(30) for 30 degrees")
         return self.presence * self.posterior.within(angle, self._about)
 
     @lazy
@@ -155,7 +159,7 @@ class Estimate:
 
         That is within 15 degrees of the answer, or half its angular size, where that is more.
         """
-        return self.within(max(SURE, 0.5 * self.size))
+        return self.within(min(max(SURE, 0.5 * self.size), math.pi))
 
     @property
     def progress(self) -> float:
@@ -177,7 +181,7 @@ class Estimate:
 
     def log_density(self, directions: np.ndarray) -> np.ndarray:
         """log of the posterior density (per steradian) ``(...)`` at unit vectors ``(..., 3)``; it integrates to 1."""
-        found = np.asarray(to_numpy(check_directions(np.asarray(directions, dtype=np.float64))))
+        found = check_unit(np.asarray(to_numpy(directions), dtype=np.float64))
         return self.posterior.field(found @ self.world_R_body.T) - self.posterior.log_total
 
     def density(self, grid: Grid) -> np.ndarray:
@@ -200,10 +204,12 @@ class Estimate:
 
     def mass_above(self, direction: np.ndarray) -> float:
         """The mass of the smallest credible region that reaches `direction` ``(3,)``, body frame."""
-        return self.posterior.mass_above(self.world_R_body @ np.asarray(direction, dtype=np.float64))
+        return self.posterior.mass_above(self.world_R_body @ check_unit(np.asarray(direction, dtype=np.float64)))
 
     def region(self, mass: float = 0.9) -> tuple[float, float]:
         """The smallest region that holds `mass`: log density (per steradian) at its border, and area (steradians)."""
+        if not 0 < mass < 1:
+            raise EagorError(f"mass = {mass!r}; wanted a probability strictly between 0 and 1, such as 0.9")
         return self.posterior.region(mass)
 
     @property
@@ -294,7 +300,7 @@ class Estimate:
             True
         """
         camera = camera if isinstance(camera, TurningCamera | TurningRig) else TurningCamera(camera)
-        view = np.eye(3) if body_R_view is None else np.asarray(check_rotation(body_R_view, "body_R_view"))
+        view = np.eye(3) if body_R_view is None else checked_pose(body_R_view, "body_R_view")
         to, tells, turn = best_look(self._known, camera, usual, self.world_R_body, view[:, 0])
         toward = to @ self.world_R_body
         azimuth, elevation = azimuth_elevation(toward)
@@ -312,8 +318,11 @@ class Estimate:
         `spread`: radians per axis by which that orientation may be off.
 
         Exact for the camera's turns. What else may have happened since (the target moved, the camera moved past it) is
-        left out: for a short while only. `stamp` must not be earlier than this estimate's.
+        left out: for a short while only. Raises `TimeError` if `stamp` is earlier than this estimate's.
         """
+        if checked_stamp(stamp) < self.stamp:
+            raise TimeError(f"turned to t = {stamp:.6f} s from {self.stamp:.6f} s; wanted that time or later")
+        world_R_body = checked_pose(world_R_body)
         age = self.age + (stamp - self.stamp)
         return replace(self, stamp=stamp, age=age, world_R_body=world_R_body, spread=spread, of=self.of or self)
 

@@ -11,7 +11,7 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._checks import checked_stamp
 from eagor.errors import PoseError, TimeError
-from eagor.sphere import check_rotation, interpolate_rotation
+from eagor.sphere import checked_pose, interpolate_rotation
 
 __all__ = ["PoseHistory"]
 
@@ -74,7 +74,7 @@ class PoseHistory:
                 f"pose at t = {stamp:.6f} s came after one at {self._stamps[-1]:.6f} s; time ran backwards. "
                 "Sort the poses, or call tracker.reset() where the clock was reset"
             )
-        pose = np.array(to_numpy(check_rotation(world_R_body, "world_R_body")), dtype=np.float64)
+        pose = checked_pose(world_R_body).copy()
         place = None
         if position is not None:
             place = np.array(to_numpy(position), dtype=np.float64)

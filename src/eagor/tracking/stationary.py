@@ -455,8 +455,8 @@ class StationaryTarget:
                 ranges = np.exp(window.logs)
                 return float(mean_range(mass / mass.sum(), ranges)), float(range_spread(mass / mass.sum(), ranges))
         probabilities = self.coarse.range_probabilities(about)
-        ranges = self.coarse.ranges
-        return float(mean_range(probabilities, ranges)), float(range_spread(probabilities, ranges))
+        ranges, within = self.coarse.ranges, self.coarse.within_shell
+        return float(mean_range(probabilities, ranges)), math.hypot(range_spread(probabilities, ranges), within)
 
     def _prior(self, window: Window) -> np.ndarray | None:
         """The prior of heights at the nodes of a window ``(K, n, n)``, log ratios."""

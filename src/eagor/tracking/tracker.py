@@ -23,7 +23,7 @@ from eagor.tracking.config import TrackerConfig
 from eagor.tracking.estimate import Estimate
 from eagor.tracking.looking import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import HELD, PoseHistory
-from eagor.tracking.tracks import PENDING, Moment, State, Track
+from eagor.tracking.tracks import PENDING, SAME_MOMENT, Moment, State, Track
 
 __all__ = ["DirectionTracker"]
 
@@ -44,6 +44,8 @@ class DirectionTracker:
     """
 
     def __init__(self, config: TrackerConfig | None = None) -> None:
+        if config is not None and not isinstance(config, TrackerConfig):
+            raise EagorError(f"config is {type(config).__name__}; wanted eagor.TrackerConfig(degree=..., ...)")
         self.config = config or TrackerConfig()
         self._poses = PoseHistory(self.config.history)
         self._tracks: dict[str, Track] = {}
@@ -120,6 +122,11 @@ class DirectionTracker:
                 f"observe() got {what}; wanted eagor.Evidence: what a perception returns, perception(panorama, query, "
                 "stamp=t), or Evidence.from_points(directions, stamp=t), from_boxes, from_mask, from_response"
             )
+        if evidence.drawn is not None and len(evidence.drawn.shape) > 2:
+            raise EagorError(
+                f"the evidence is a batch of shape {tuple(evidence.drawn.shape)}; wanted one look (H, W): make it of "
+                "response[0], response[1], ..., and observe each with its own stamp"
+            )
         if evidence.stamp is None:
             raise TimeError(
                 "the evidence has no time stamp; pass stamp=... (time of capture, seconds) where it is made"
@@ -171,6 +178,8 @@ class DirectionTracker:
             if track is None or track.newest is None:
                 blank = State.blank(self.config, now, position)
                 return Estimate(now, math.inf, blank.hypotheses, pose, self.config)
+            if track.newest - SAME_MOMENT <= now < track.newest:
+                now = track.newest  # rounding: 0.3 is not 3 * 0.1
             if now < track.newest:
                 raise TimeError(
                     f"asked for t = {now:.6f} s, but evidence up to {track.newest:.6f} s is already in; ask for that "
