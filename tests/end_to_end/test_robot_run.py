@@ -7,14 +7,17 @@ import re
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from processes import alive, sessions_of, wait_for
+from processes import alive, little_room, sessions_of, wait_for
 
-from eagor.cli import main
+from eagor.cli import main, robot_run
+from eagor.errors import DeviceError
 from eagor.robots.dds import free_domain
+from eagor.robots.run_page import Sample
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -187,3 +190,71 @@ def test_what_cannot_be_is_said_and_nothing_is_started(words, said, capsys, tmp_
     assert main(["robot", "run", *words]) == 2
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+SAMPLES = [
+    Sample(
+        float(seconds), "tracking", 0.9, 0.1, 0.2, 2.0, "walking", "it walks: 2.0 m", (0.3, 0.0, 0.0), (0.3, 0.0, 0.0),
+        0, "armed", (), 0.2, 0.0, (0.2 * seconds, 0.0), 0.0,
+    )
+    for seconds in range(2)
+]  # fmt: skip
+
+
+@pytest.fixture
+def stands_in(monkeypatch, tmp_path):
+    """The command with nothing of a robot: `walk()` is all that happens after two samples; what it says and returns."""
+
+    loop, guard = SimpleNamespace(stopped=False, clock=None), SimpleNamespace(stop=None)
+    loop.stop = lambda: setattr(loop, "stopped", True)
+    place = robot_run.Place(0, "lo", lambda: None)
+    monkeypatch.setattr("eagor.cli.robot_run._simulated", lambda *_: nullcontext(place))
+    monkeypatch.setattr("eagor.robots.safety.guard.Guard", lambda **_: nullcontext(guard))
+    monkeypatch.setattr("eagor.live.loop.LiveLoop", lambda *_, **__: loop)
+
+    def run(walk, *words, meanwhile=lambda: None):
+        def walked(_, __, page, ___):
+            page.samples.extend(SAMPLES)
+            return walk()
+
+        guard.stop = meanwhile
+        monkeypatch.setattr("eagor.cli.robot_run._walk", walked)
+        return main(["robot", "run", "sofa", "--sim", "--arm", "--report", str(tmp_path / "walk"), *words])
+
+    return run
+
+
+def interrupt():
+    signal.raise_signal(signal.SIGINT)
+
+
+def the_guard_ends():
+    raise DeviceError("the guard has ended; this program sent StopMove itself")
+
+
+@pytest.mark.parametrize(
+    ("walk", "ended", "code"), [(lambda: "arrived", "arrived", 1), (interrupt, "interrupted", 130)]
+)
+def test_a_full_disk_costs_the_report_alone(stands_in, capsys, walk, ended, code):
+    with little_room(100):
+        assert stands_in(walk, "--json") == code
+    out, err = capsys.readouterr()
+    assert "run.json cannot be written" in err
+    told = json.loads(out)
+    assert (told["ended"], told["report"], told["seconds"]) == (ended, None, 1.0)
+
+
+def test_a_full_disk_does_not_hide_that_the_guard_ended_and_that_is_no_usage_error(stands_in, capsys):
+    with little_room(100):
+        assert stands_in(the_guard_ends) == 1
+    first, last = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert "run.json cannot be written" in first
+    assert "the guard has ended; this program sent StopMove itself" in last
+
+
+def test_further_interrupts_do_not_stop_the_report(stands_in, capsys, tmp_path):
+    assert stands_in(interrupt, meanwhile=interrupt) == 130
+    out, err = capsys.readouterr()
+    assert (tmp_path / "walk" / "report.html").exists()
+    assert "interrupted; writing the report" in err
+    assert out == "interrupted: it walks: 2.0 m; 0.20 m in 1.0 s\n"

@@ -28,7 +28,7 @@ from eagor.cli.checks import (
     wants_panoramas,
 )
 from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static, Whole, bare
-from eagor.errors import DeviceError
+from eagor.errors import DeviceError, EagorError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -168,7 +168,9 @@ def robot_run(options: RobotRun) -> int:
     deadman = options.deadman or ("none" if options.sim or not options.arm else "key")
     limits = replace(Limits(), belief_age=options.belief_age, calm_codes=(0, *options.calm))
     walking = WalkSettings(distance=options.distance, speed=options.speed, blind=options.blind)
-    with ExitStack() as stack:
+    loops: list[LiveLoop] = []
+    # As soon as the loop ends, nothing stops the cleanup and the report any more.
+    with terminal.unhurried(lambda: any(each.stopped for each in loops)), ExitStack() as stack:
         place = stack.enter_context(_simulated(options, query, spec) if options.sim else _real(options, spec))
         guard = stack.enter_context(
             Guard(
@@ -183,6 +185,7 @@ def robot_run(options: RobotRun) -> int:
             poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
             watchers=[odometer],
         )  # fmt: skip
+        loops.append(loop)
         used = {
             "robot": "simulated Go2" if options.sim else "Go2", "perception": spec,
             "dead-man switch": f"{deadman}: {DEADMEN[deadman]}", "armed": "yes" if options.arm else "no (dry run)",
@@ -190,16 +193,25 @@ def robot_run(options: RobotRun) -> int:
         }  # fmt: skip
         page = RobotPage(query, used, place.plan)
         terminal.log("armed: " + DEADMEN[deadman] if options.arm else "dry run: nothing is commanded (--arm moves it)")
-        why = None
+        why, report = None, None
         try:
             why = _walk(options, steer(loop, guard, odometer, walking), page, place)
+        except KeyboardInterrupt:
+            why = "interrupted"
+            raise
+        except DeviceError as error:  # the guard has ended, or hangs: it was there, so no option is wrong
+            raise terminal.RunError(str(error)) from error
         finally:
+            loop.stop()
             with suppress(DeviceError):  # Ctrl-C in a terminal ends the guard as well
                 guard.stop()
-            loop.stop()
             if folder is not None and page.samples:
-                _leave(folder, page, options, walking, limits, why)
-    return _end(options, page, folder, why)
+                if why == "interrupted":
+                    terminal.log("interrupted; writing the report")
+                report = _leave(folder, page, options, walking, limits, why)
+            if why is not None:
+                _tell(options, page, report, why)
+    return _end(options, page, why, lost=folder is not None and report is None)
 
 
 def _check(options: RobotRun) -> None:
@@ -346,20 +358,27 @@ def _sample(step: Step, seconds: float, place: Place) -> Sample:
 
 def _leave(
     folder: Path, page: RobotPage, options: RobotRun, walking: WalkSettings, limits: Limits, why: str | None
-) -> None:
-    """The report: report.html and run.json."""
+) -> Path | None:
+    """The report: report.html and run.json. None if they cannot be written, which is said.
+
+    That raises nothing: what ended the walk matters more.
+    """
     from eagor._files import written
     from eagor.robots.run_page import summary
 
-    folder.mkdir(parents=True, exist_ok=True)
     record = {
         "query": options.query, "ended": why, "armed": options.arm, "simulated": options.sim, "used": page.used,
         "summary": summary(page.samples), "walking": asdict(walking), "limits": asdict(limits),
         "samples": [_plain(asdict(sample)) for sample in page.samples],
     }  # fmt: skip
-    written(folder / "run.json", json.dumps(record, ensure_ascii=False, allow_nan=False))
-    page.write(folder / "report.html")
-    terminal.log(f"report: {folder / 'report.html'}")
+    try:
+        written(folder / "run.json", json.dumps(record, ensure_ascii=False, allow_nan=False))
+        report = page.write(folder / "report.html")
+    except (EagorError, OSError) as error:
+        terminal.error(f"no report: {error}")
+        return None
+    terminal.log(f"report: {report}")
+    return report
 
 
 def _plain(value: Any) -> Any:
@@ -386,18 +405,23 @@ def _held(page: RobotPage) -> str:
     )
 
 
-def _end(options: RobotRun, page: RobotPage, folder: Path | None, why: str | None) -> int:
-    """Say how it ended; the exit code."""
+def _tell(options: RobotRun, page: RobotPage, report: Path | None, why: str) -> None:
+    """Say on stdout how it ended."""
     from eagor.robots.run_page import summary
 
+    facts, last = summary(page.samples), page.samples[-1].words if page.samples else "there was no answer"
+    if options.json:
+        where = None if report is None else str(report)
+        terminal.emit({"query": options.query, "ended": why, "report": where, "at_the_end": last} | facts)
+    elif facts:
+        print(f"{why}: {last}; {facts['metres']:.2f} m in {facts['seconds']:.1f} s")
+
+
+def _end(options: RobotRun, page: RobotPage, why: str | None, lost: bool) -> int:
+    """The exit code; `lost`: there should be a report, and is none."""
     if not page.samples:
         raise terminal.RunError("there was no answer")
-    facts, last = summary(page.samples), page.samples[-1]
-    if options.json:
-        report = None if folder is None else str(folder / "report.html")
-        terminal.emit({"query": options.query, "ended": why, "report": report, "at_the_end": last.words} | facts)
-    else:
-        print(f"{why}: {last.words}; {facts['metres']:.2f} m in {facts['seconds']:.1f} s")
+    seconds, last = page.samples[-1].time - page.samples[0].time, page.samples[-1]
     if why == "time" and options.sim and options.arm and last.doing != "arrived":
-        raise terminal.RunError(f"it did not get there in {facts['seconds']:.0f} s: {last.words}{_held(page)}")
-    return terminal.OK
+        raise terminal.RunError(f"it did not get there in {seconds:.0f} s: {last.words}{_held(page)}")
+    return terminal.FAILED if lost else terminal.OK

@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 from eagor._files import redacted
@@ -110,6 +111,29 @@ def heeding_sigterm() -> Iterator[list[int]]:
         yield told
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def unhurried(ending: Callable[[], bool]) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM do nothing once `ending()`: a second one must not stop the cleanup after the first."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: handler for number, handler in handlers.items() if callable(handler)}
+
+    def heed(number: int, frame: FrameType | None) -> None:
+        if not ending():
+            before[signal.Signals(number)](number, frame)
+
+    try:
+        for number in before:
+            signal.signal(number, heed)
+    except ValueError:  # as above
+        yield
+        return
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
