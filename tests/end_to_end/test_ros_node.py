@@ -10,6 +10,8 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -250,6 +252,15 @@ def test_a_run_of_some_seconds_is_recorded(robot, tmp_path):
     assert process.returncode == 0, err
     assert json.loads(out)["answers"] > 10
     assert Bag(tmp_path / "run").counts["/eagor/events"] > 10
+
+
+def test_ctrl_c_ends_a_node_with_its_object(monkeypatch, capsys):
+    node = SimpleNamespace(run=lambda: signal.raise_signal(signal.SIGINT), answers=12, queries=("red",))
+    graph = SimpleNamespace(link=SimpleNamespace(domain=7))
+    monkeypatch.setattr("eagor.robots.ros.graph.DdsGraph", lambda *_: nullcontext(graph))
+    monkeypatch.setattr("eagor.robots.ros.node.Node", lambda *_, **__: node)
+    assert main(["ros", "red", "--json"]) == 130
+    assert json.loads(capsys.readouterr().out) == {"queries": ["red"], "answers": 12, "ended": "interrupted"}
 
 
 @pytest.mark.slow

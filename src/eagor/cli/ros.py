@@ -100,7 +100,7 @@ class Ros(Common):
     static: Static = False
     force: Force = False
     json: Flag = False
-    """At the end, print one JSON object: what was counted."""
+    """At the end, also after Ctrl-C, print one JSON object: what was counted."""
 
 
 NAME = re.compile(r"(/[A-Za-z]\w*)+")
@@ -177,12 +177,17 @@ def ros(options: Ros) -> int:
             timer = threading.Timer(options.seconds, node.stop)
             timer.daemon = True
             timer.start()
+        ended = None
         try:
             node.run()
+            ended = "time"
+        except KeyboardInterrupt:
+            ended = "interrupted"
+            raise
         finally:
             if timer is not None:
                 timer.cancel()
             terminal.log(f"{node.answers} answers")
-    if options.json:
-        terminal.emit({"queries": list(node.queries), "answers": node.answers})
+            if options.json and ended is not None:
+                terminal.emit({"queries": list(node.queries), "answers": node.answers, "ended": ended})
     return terminal.OK
