@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from processes import alive, little_room, sessions_of, wait_for
 from eagor.cli import main, robot_run
 from eagor.errors import DeviceError
 from eagor.robots.dds import free_domain
-from eagor.robots.run_page import Sample
+from eagor.robots.run_page import RobotPage, Sample
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -182,6 +183,9 @@ def test_a_report_tells_of_a_perception_that_hung(tmp_path):
     (["red chair", "--sim", "--interface", "eth0"], "--sim brings its own camera and network"),
     (["red chair", "--sim", "--seconds", "-1"], "wanted seconds above 0"),
     (["red chair", "--sim", "--distance", "0"], "distance = 0.0"),
+    (["red chair", "--sim", "--mount", "nan", "0", "0"], "--mount nan 0 0; wanted metres"),
+    (["red chair", "--sim", "--mount", "0", "0", "40"], "--mount 0 0 40; wanted metres"),
+    (["red chair", "--sim", "--latency", "1"], "never moves by pictures older than 1 s"),
     (["red chair", "--sim", "--seed", "602"], "there is no red chair in apartment"),
     (["red chair", "--source", "x.mp4", "--interface", "eth7"], "there is no network interface 'eth7'"),
 ])  # fmt: skip
@@ -258,3 +262,24 @@ def test_further_interrupts_do_not_stop_the_report(stands_in, capsys, tmp_path):
     assert (tmp_path / "walk" / "report.html").exists()
     assert "interrupted; writing the report" in err
     assert out == "interrupted: it walks: 2.0 m; 0.20 m in 1.0 s\n"
+
+
+def test_why_it_stands_is_said_where_the_gate_has_no_objection(monkeypatch, capsys):
+    still = replace(SAMPLES[0], doing="holding", words="", reasons=("zero velocity is wanted",), mode="standing")
+    samples = iter([
+        SAMPLES[0], replace(SAMPLES[0], words="it walks: 1.9 m"),
+        replace(still, words="several places are likely: it stands"),
+        replace(still, words="the distance is still not known after 3 m: it stands"),
+        replace(still, reasons=("the newest picture is 1.20 s old",)),
+    ])  # fmt: skip
+    monkeypatch.setattr(robot_run, "_sample", lambda *_: next(samples))
+    monkeypatch.setattr(robot_run, "QUIET", 0.0)
+    step = SimpleNamespace(frame=None, answer=SimpleNamespace(estimate=None))
+    options = SimpleNamespace(seconds=None, sim=False, stay=True)
+    robot_run._walk(options, iter([step] * 5), RobotPage("sofa"), None)
+    assert [line.partition(" s  ")[2] for line in capsys.readouterr().err.splitlines()] == [
+        "armed, walking: it walks: 2.0 m",
+        "standing, holding: several places are likely: it stands",
+        "standing, holding: the distance is still not known after 3 m: it stands",
+        "standing, holding: the newest picture is 1.20 s old",
+    ]

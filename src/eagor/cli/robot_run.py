@@ -125,6 +125,7 @@ QUIET, LOUD = 1.0, ("stopping", "latched")  # seconds between two lines; modes t
 HELD = 0.2  # of the time: a gate that held the robot for longer is named as a cause
 LONGEST = 120.0  # seconds of a simulated walk
 PICTURE, PICTURES = 128, 5.0  # rows of a simulated picture, and pictures per second
+REACH = 2.0  # metres from the body's centre at which no camera is any more: a Go2 is 0.7 m long
 FLOOR = 0.0  # metres: the odometry of a Go2 begins on the floor
 
 
@@ -216,6 +217,8 @@ def robot_run(options: RobotRun) -> int:
 
 def _check(options: RobotRun) -> None:
     """Raise `UsageError` for what cannot be, before anything is started."""
+    from eagor.robots.safety.limits import Limits
+
     if options.sim:
         if options.source is not None or options.interface is not None:
             raise terminal.UsageError("--sim brings its own camera and network: leave out --source and --interface")
@@ -231,8 +234,18 @@ def _check(options: RobotRun) -> None:
             "--deadman none is only for simulated robots (--sim, --interface lo): a real one moves while somebody "
             "holds a switch"
         )
+    if not all(abs(each) <= REACH for each in options.mount):  # so is no NaN
+        raise terminal.UsageError(
+            f"--mount {' '.join(f'{each:g}' for each in options.mount)}; wanted metres forward, left and up from the "
+            f"body's centre, each at most {REACH:g} either way"
+        )
     checked_seconds(options.seconds)
-    checked_latency(options.latency)
+    oldest = Limits().image_age
+    if checked_latency(options.latency) >= oldest:
+        raise terminal.UsageError(
+            f"--latency {options.latency:g}: the robot never moves by pictures older than {oldest:g} s; wanted seconds "
+            "from capture to arrival, less than that"
+        )
 
 
 @contextmanager
@@ -311,6 +324,8 @@ def say_slow() -> None:
 
 def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:
     """Walk until it is over; why it is."""
+    from eagor.robots.safety.gate import ZERO
+
     begun, there, said, spoke = time.monotonic(), None, None, -math.inf
     longest = options.seconds or (LONGEST if options.sim else math.inf)
     for step in steps:
@@ -319,8 +334,10 @@ def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Plac
         frame = step.frame
         picture, grid = (None, None) if frame is None else (frame.picture, frame.grid)
         page.add(sample, picture, step.answer.estimate, grid)
-        words = f"{sample.mode}, {sample.doing}: {'; '.join(sample.reasons) or sample.words}"
-        told = sample.mode, sample.doing, sample.reasons[:1] and sample.reasons[0][:16]
+        # Where the gate has no objection, why it stands is what the policy says.
+        why = (sample.words,) if sample.reasons == (ZERO,) else sample.reasons
+        words = f"{sample.mode}, {sample.doing}: {'; '.join(why) or sample.words}"
+        told = sample.mode, sample.doing, why[:1] and why[0][:12]  # no numbers, which change all the time
         if told != said and (now - spoke >= QUIET or sample.mode in LOUD):
             said, spoke = told, now
             terminal.log(f"{sample.time:6.2f} s  {words}")

@@ -23,7 +23,9 @@ from eagor.robots.safety.limits import (
     responded,
 )
 
-__all__ = ["Gate", "Mode", "Output", "State", "Stop"]
+__all__ = ["ZERO", "Gate", "Mode", "Output", "State", "Stop"]
+
+ZERO = "zero velocity is wanted"  # the remark where nothing but the wish itself keeps the robot standing
 
 
 class Mode(StrEnum):
@@ -197,7 +199,7 @@ class Gate:
             _within(wanted.left, -limits.sideways, limits.sideways),
             _within(wanted.turn, -turn, turn),
         )
-        return found, "zero velocity is wanted" if found.still else ""
+        return found, ZERO if found.still else ""
 
     def _move(
         self, state: State, time: float, inputs: Inputs, wanted: Velocity, remark: str
