@@ -44,10 +44,23 @@ def panorama_at(t):
     return paint(ROOM, tuple(place), turn, 64, 128)
 
 
-def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False, frame="x3", lost=()):
+def as_it_is(t):
+    return t
+
+
+def set_back(t):
+    """A clock that is set back by a second, once."""
+    return t - (t >= 1.5)
+
+
+def recorded(
+    path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False, frame="x3", lost=(), poses_at=as_it_is,
+    pictures_at=as_it_is,
+):  # fmt: skip
     """Pictures at 4 Hz and odometry at 20 Hz for three seconds; the pictures are recorded 0.2 s after their capture.
 
-    Of the poses with the numbers `lost` the place is beyond all reason.
+    Of the poses with the numbers `lost` the place is beyond all reason. `poses_at(t)` and `pictures_at(t)` are what the
+    headers say.
     """
     messages = []
     for k in range(COUNT):
@@ -58,13 +71,13 @@ def recorded(path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_ze
                 (t + 0.2, "/x3/image/compressed", m.COMPRESSED, m.compressed_message(panorama, START + t, "x3"))
             )
         else:
-            stamp = 0.0 if at_zero else START + t
+            stamp = 0.0 if at_zero else START + pictures_at(t)
             late = 0.0 if at_zero else 0.2
             messages.append((t + late, "/x3/image", m.IMAGE, m.image_message(panorama, stamp, frame)))
     for k in range(-2, 62):
         t = 0.05 * k
         turn, place = body_at(t)
-        pose = Pose(START + t, turn, place + 1e30 * (k in lost))
+        pose = Pose(START + poses_at(t), turn, place + 1e30 * (k in lost))
         if odometry == m.ODOMETRY:
             messages.append((t, "/odom", m.ODOMETRY, m.odometry_message(pose)))
         elif odometry == m.IMU:
@@ -284,6 +297,31 @@ def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
     assert len(found["frames"]) == COUNT
     check_directions(found["frames"])
     assert err.count("a pose of /odom is left out: a position is [1e+30, 1e+30, 1e+30]; wanted finite metres") == 1
+
+
+def test_poses_whose_stamps_go_back_are_left_out_and_counted(tmp_path, capsys):
+    code, _, err = track(capsys, recorded(tmp_path / "bag", poses_at=set_back), "red", "--rate", "4")
+    assert code == 3
+    assert err.count("the stamps of /odom go back by 0.95 s at 1700000001.575 s: its poses are left out until") == 1
+    assert "warning: 19 poses of /odom whose stamps go back are left out" in err
+
+
+def test_pictures_whose_stamps_go_back_are_left_out_and_counted(tmp_path, capsys):
+    code, found, err = track(capsys, recorded(tmp_path / "bag", pictures_at=set_back), "red", "--rate", "4")
+    assert code == 3
+    assert len(found["frames"]) == COUNT - 4
+    assert err.count("the stamps of /x3/image go back by 0.75 s at 1700000001.375 s: its pictures are left out") == 1
+    assert "warning: 3 pictures of /x3/image whose stamps go back are left out" in err
+
+
+@pytest.mark.parametrize(("jump", "left_out"), [(1000.0, 5), (1.0, 0)])
+def test_pictures_in_a_long_hole_of_the_poses_are_left_out_and_counted(tmp_path, capsys, jump, left_out):
+    bag = recorded(tmp_path / "bag", poses_at=lambda t: t + jump * (t > 1.52))
+    code, found, err = track(capsys, bag, "red", "--rate", "4")
+    assert (code, len(found["frames"])) == (3 if left_out else 0, COUNT - left_out)
+    said = f"{left_out} pictures are left out: /odom has no pose for more than 2 s about them"
+    assert (said in err) == bool(left_out)
+    assert ("/odom has no pose for 1.05 s about it" in err) == (not left_out)
 
 
 def test_pictures_that_name_no_frame_are_said(tmp_path, capsys):

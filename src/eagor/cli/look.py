@@ -76,6 +76,9 @@ def look(options: Look) -> int:
                 raise
             broken = str(error)
             terminal.warning(f"the frames end early: {broken}")
+    lost = journey.left_out()
+    for text in lost:
+        terminal.warning(text)
     if not looks:
         raise terminal.RunError(f"none of the {bad} frames could be used" if bad else "there was no frame to look at")
     if options.json:
@@ -90,7 +93,7 @@ def look(options: Look) -> int:
             f"what there is:  eagor track {options.out}",
             f'where it is:    eagor track {options.out} "{example}"',
         )
-    return terminal.INCOMPLETE if bad or broken else terminal.OK
+    return terminal.INCOMPLETE if bad or broken or lost else terminal.OK
 
 
 def _views(options: Look, queries: list[str]) -> Views:

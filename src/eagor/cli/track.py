@@ -158,6 +158,7 @@ class Journey:
     span: float | None = None  # seconds from the first frame to the last, if known
     begins: float = 0.0  # the stamp of the first frame, where stamps are those of another clock
     placed: bool = False  # whether positions come, though not as `poses`
+    left_out: Callable[[], list[str]] = list  # what of a bag could not be used, in words; once the frames have come
 
 
 def journey_of(options: Footage, places: Sequence[Path], perception: Perception, shown: float | None = None) -> Journey:
@@ -272,16 +273,24 @@ def _of_bag(
     if camera.views[0] is not None and not poses and odometry is None:
         shown = max(shown, BY_SIGHT)
     source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
+    lost: list[str] = []
     if odometry is not None:
-        frames, told = posed_by_odometry(source, odometry, terminal.log), f"poses from {odometry.topic}"
+        frames = posed_by_odometry(source, odometry, terminal.log, lost.append)
+        told = f"poses from {odometry.topic}"
     else:
         frames, told = _posed(options, source, poses)
     terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
     terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
     placed = odometry is not None and odometry.kind != IMU
-    return Journey(
-        thinned(frames, looks, camera.begins, len(camera.views)), None, told, poses, shown, None, camera.begins, placed
-    )
+
+    def left_out() -> list[str]:
+        back = {f"pictures of {camera.topic}": camera.back}
+        if odometry is not None:
+            back[f"poses of {odometry.topic}"] = odometry.reader.back
+        return lost + [f"{many} {what} whose stamps go back are left out" for what, many in back.items() if many]
+
+    frames = thinned(frames, looks, camera.begins, len(camera.views))
+    return Journey(frames, None, told, poses, shown, None, camera.begins, placed, left_out)
 
 
 def _check(options: Footage) -> FrameCheck:
@@ -386,6 +395,9 @@ class _Run:
 
     def close(self, journey: Journey) -> int:
         """Print the rest; returns the exit code."""
+        lost = journey.left_out()
+        for text in lost:
+            terminal.warning(text)
         if self.options.json:
             summary = {"query": self.query, "perception": self.spec, "poses": journey.told, "frames": self.entries}
             terminal.emit(summary | {"left_out": self.bad})
@@ -406,7 +418,7 @@ class _Run:
             terminal.log(f"{self.bad} of {self.frames} frames were left out")
         if not self.options.json:
             self._say_last()
-        return terminal.INCOMPLETE if self.bad or self.broken else terminal.OK
+        return terminal.INCOMPLETE if self.bad or self.broken or lost else terminal.OK
 
     def _say_last(self) -> None:
         """The last answer in words, and what was written."""

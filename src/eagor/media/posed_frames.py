@@ -26,6 +26,7 @@ from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pai
 __all__ = ["PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
 
 HOLE = 0.5  # seconds without a pose that are worth a word
+LONGEST = 2.0  # and over which poses are interpolated: a robot may turn half round in them, either way
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,18 +126,22 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
 
 
 def posed_by_odometry(
-    source: BagFrames, poses: Any, say: Callable[[str], object] = lambda text: None
+    source: BagFrames,
+    poses: Any,
+    say: Callable[[str], object] = lambda text: None,
+    lost: Callable[[str], object] = lambda text: None,
 ) -> Iterator[PosedFrame]:
     """Frames of a bag with the `poses` of its odometry (`eagor.robots.ros.sources`), interpolated at their stamps.
 
     Frames before the first pose and after the last one are left out, and `say` is told of it, and of what is wrong with
-    the poses. Raises `PoseError` if all are left out.
+    the poses. Those in a hole of more than `LONGEST` seconds are as well, and `lost` is told. Raises `PoseError` if all
+    are left out.
     """
     coming: Iterator[Pose] = iter(poses)
     last: Pose | None = None
     ahead = next(coming, None)
     first = math.nan if ahead is None else ahead.stamp
-    early = late = used = 0
+    early = late = within = used = 0
     told = False
     for stamp, name, read in source.frames():
         while ahead is not None and ahead.stamp < stamp:
@@ -152,16 +157,25 @@ def posed_by_odometry(
         if ahead is None and last is not None and stamp - last.stamp > BEYOND:
             late += 1
             continue
+        hole = 0.0 if last is None or ahead is None else ahead.stamp - last.stamp
+        if last is not None and ahead is not None and hole > LONGEST:
+            if min(stamp - last.stamp, ahead.stamp - stamp) > BEYOND:
+                within += 1
+                continue
+        elif hole > HOLE:
+            say(f"warning: {name}: {poses.topic} has no pose for {hole:.2f} s about it")
         pose = between(last, ahead, stamp)
-        if last is not None and ahead is not None and ahead.stamp - last.stamp > HOLE:
-            say(f"warning: {name}: {poses.topic} has no pose for {ahead.stamp - last.stamp:.2f} s about it")
         used += 1
         yield PosedFrame(FramePose(stamp, *pose, name), name, read)
-    if not used and early + late:
+    if within and used:
+        lost(f"{within} pictures are left out: {poses.topic} has no pose for more than {LONGEST:g} s about them")
+    if not used and early + late + within:
+        holes = f" with a hole of more than {LONGEST:g} s about {within} of the pictures" if within else ""
         raise PoseError(
             f"no picture of {source.camera.topic} has a pose of {poses.topic}, which tells those from {first:.3f} to "
-            f"{math.nan if last is None else last.stamp:.3f} s; the pictures begin at {source.camera.begins:.3f} s. "
-            "Are both stamped by one clock? Or --poses level: headings from the pictures themselves"
+            f"{math.nan if last is None else last.stamp:.3f} s{holes}; the pictures begin at "
+            f"{source.camera.begins:.3f} s. Are both stamped by one clock? Or --poses level: headings from the "
+            "pictures themselves"
         )
     for count, side in ((early, "before the first"), (late, "after the last")):
         if count:

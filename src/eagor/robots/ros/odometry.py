@@ -7,6 +7,7 @@ transform is (R, t): a point p of the child frame is ``R @ p + t`` in the parent
 from __future__ import annotations
 
 import math
+import warnings
 from collections import deque
 from statistics import fmean, median
 from typing import Any
@@ -219,8 +220,8 @@ class PoseReader:
     `body` is wanted. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
     taken for those of the message. `world`: the frame of the poses for transforms (default: odom, else map, else the
     root of the tree). `rewinds`: whether the stamps may go back by more than a second, as those of a clock that was
-    set; otherwise such poses are left out. `turning`: how well the poses tell what lies between them. `problem`: what
-    is missing, in words, or None.
+    set; otherwise such poses are left out, which is said once, and `back` counts them. `turning`: how well the poses
+    tell what lies between them. `problem`: what is missing, in words, or None.
     """
 
     def __init__(
@@ -241,7 +242,7 @@ class PoseReader:
         self.tree = TransformTree()
         self.turning = Turning()
         self._frames: tuple[str, str] | None = None
-        self._last = -math.inf
+        self._last, self.back = -math.inf, 0
 
     def transforms(self, received: Any, fixed: bool) -> list[Pose]:
         """Take in a message of /tf_static (`fixed`) or /tf; the poses that it gives, if these come from /tf."""
@@ -331,6 +332,15 @@ class PoseReader:
 
     def _in_order(self, pose: Pose) -> list[Pose]:
         if pose.stamp <= self._last and not (self.rewinds and pose.stamp < self._last - BACK):
+            if pose.stamp < self._last and not self.rewinds:
+                if not self.back:
+                    warnings.warn(
+                        f"the stamps of {self.topic} go back by {self._last - pose.stamp:.2f} s at {self._last:.3f} s: "
+                        "its poses are left out until they have passed that, and may be those of other times after it",
+                        UserWarning,
+                        stacklevel=2,
+                    )
+                self.back += 1
             return []
         self._last = pose.stamp
         self.turning.add(pose)

@@ -239,7 +239,8 @@ class BagCamera:
 
     `topic`: None is the only one with pictures, and several have commas between, as for `RosCamera`; or `bag` is the
     text ``BAG?topic=/image``. Stamps are those of the headers less the `latency`; where a header has none, the time of
-    recording. `rate`: the most pictures per second of each topic. `count`: how many pictures there are; `frame`: as of
+    recording. `rate`: the most pictures per second of each topic. `back`: of the `dropped`, how many had stamps that go
+    back, which is said once. `count`: how many pictures there are; `frame`: as of
     `TopicPictures`; `lens`: the ordinary camera, if it is one; `views`: the grid of each camera's pictures, None where
     they become panoramas. Otherwise as `RosCamera`. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
     """
@@ -263,7 +264,7 @@ class BagCamera:
         if isinstance(bag, str) and topic is None:
             bag, topic = split_bag(bag)
         self.bag = bag if isinstance(bag, Bag) else Bag(bag)
-        self.latency, self.dropped, self.problem = latency, 0, None
+        self.latency, self.dropped, self.back, self.problem = latency, 0, 0, None
         self._closed = False
         where = str(self.bag.path)
         found = [pick(self.bag.topics, PICTURES, each, where=where, option=OPTION) for each in topics_of(topic, OPTION)]
@@ -335,6 +336,14 @@ class BagCamera:
                 )
             if stamp <= last:  # sent twice, or out of order
                 self.dropped += 1
+                if stamp < last and not self.back:
+                    warnings.warn(
+                        f"the stamps of {topic} go back by {last - stamp:.2f} s at {last:.3f} s: its pictures are left "
+                        "out until they have passed that",
+                        UserWarning,
+                        stacklevel=1,
+                    )
+                self.back += stamp < last
                 continue
             last = stamp
             yield stamp, lens, received
