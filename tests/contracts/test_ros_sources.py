@@ -435,6 +435,17 @@ def test_a_turning_mount_and_an_optical_frame(tmp_path):
         np.testing.assert_allclose(pose.position, [2 * k, 0, 1.1], atol=1e-9)
 
 
+def test_odometry_of_which_no_message_is_a_pose_says_why(tmp_path):
+    odometry = m.odometry_message(Pose(START, np.eye(3), np.zeros(3)))
+    odometry.pose.pose.orientation.w = 0.0
+    with BagWriter(tmp_path / "bag") as bag:
+        for k in range(3):
+            bag.write("/odom", m.ODOMETRY, odometry, START + k)
+    poses, said = BagPoses(tmp_path / "bag"), "all 3 messages are left out; the first: a quaternion"
+    with pytest.warns(match="a pose of /odom is left out"), pytest.raises(PoseError, match=said):
+        list(poses)
+
+
 def test_damaged_messages_are_left_out_and_counted(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         for k in range(10):

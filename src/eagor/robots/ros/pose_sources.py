@@ -190,7 +190,7 @@ class BagPoses:
 
     def __iter__(self) -> Iterator[Pose]:
         self.reader = reader = self._new_reader()
-        self.dropped, came = 0, False
+        self.dropped, came, first = 0, False, ""
         wanted = {self.topic} | ({TF} & self.bag.topics.keys())
         for _, topic, _, received in self.bag.messages(wanted):
             if self._closed:
@@ -199,6 +199,7 @@ class BagPoses:
                 poses = reader.take(received) if topic == self.topic else reader.transforms(received, False)
             except PoseError as error:
                 if not self.dropped:
+                    first = str(error)
                     warnings.warn(f"a pose of {self.topic} is left out: {error}", UserWarning, stacklevel=2)
                 self.dropped += 1
                 continue
@@ -207,7 +208,10 @@ class BagPoses:
             came = came or bool(poses)
             yield from poses
         if not came:
-            raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {reader.problem or 'it has no message'}")
+            told = reader.problem or "it has no message"
+            if self.dropped:
+                told = f"all {self.dropped} messages are left out; the first: {first}"
+            raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {told}")
 
     def close(self) -> None:
         self._closed = True
