@@ -111,6 +111,13 @@ def test_stamps_of_another_clock_are_shifted_and_it_is_said_once(offset, jitter)
     assert np.abs(ours - (stamps + offset)[-50:]).max() <= 0.011 + jitter
 
 
+def test_first_messages_that_come_late_are_no_clock_that_jumped():
+    clock = RelatedClock("camera")
+    for number in range(100):
+        stamp = number / RATE
+        assert clock.take(stamp, stamp + (0.2 if number < 3 else 0.02))[1] is None
+
+
 def test_a_clock_that_jumps_and_jumps_back_is_followed_in_words():
     clock = RelatedClock("camera", latency=0.1)
     stamps, arrivals = sent(30, 0.0, delay=0.1)

@@ -220,7 +220,7 @@ def test_this_machines_clock_that_is_set_is_said(monkeypatch):
 def test_poses_that_stop_are_said():
     odometry = Odometry()
     loop = loop_of(Camera(), Seeing(), poses=odometry)
-    answers = followed(loop, well, pulled(odometry), says("the last pose holds for 1."))
+    answers = followed(loop, well, pulled(odometry), says("no pose for 1."))
     assert answers[-1].pose_age > 0.99
 
 

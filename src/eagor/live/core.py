@@ -49,6 +49,7 @@ UNKNOWN_TURN = math.pi / 2  # radians: nothing is known of the direction any mor
 
 HELD = 0.05  # seconds that the newest pose may be old without a word
 STARTING = 1.0  # seconds that the first pose may take
+STALE_POSE = 1.0  # ... and without words of their own: those for a moment are heard often, and told seldom
 STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
 INTERVALS = 2.5  # between pictures, or poses, if that is longer: slow ones are not stale
 BEATS = 9  # intervals between poses of which the middle one counts
@@ -304,12 +305,6 @@ class LiveCore:
             return
         for look in event.looks:
             own = stamp if look.stamp is None else stamp + (look.stamp - event.told)
-            if own < self._first < math.inf:
-                if own < self._first - HELD:
-                    text = f"a look is left out: its picture was taken {self._first - own:.2f} s before the first pose"
-                    self._say("poses", text, event.arrival)
-                    continue
-                own = self._first
             self._early.append((event.query, replace(look, stamp=checked_stamp(own)), event.arrival))
         self._settle(event.arrival)
 
@@ -335,12 +330,21 @@ class LiveCore:
             if look.stamp > now or waits:
                 self._early.append((query, look, arrival))
                 continue
+            stamp = look.stamp
+            before = self._first - stamp
+            if HELD < before < math.inf:
+                text = f"a look is left out: its picture was taken {before:.2f} s before the first pose"
+                self._say("poses", text, now)
+                continue
+            if 0 < before < math.inf:
+                stamp = self._first
+                look = replace(look, stamp=stamp)
             try:
                 self._tracker.observe(look, query)
             except EagorError as error:
                 self._say("perception", f"a look at {query!r} is left out: {error}", now)
                 continue
-            self._looks[query] = max(self._looks.get(query, -math.inf), look.stamp)
+            self._looks[query] = max(self._looks.get(query, -math.inf), stamp)
             self._fresh.add(query)
 
     def _of_picture(self, stamp: float) -> float | None:
@@ -456,11 +460,9 @@ class LiveCore:
                 found.append(_overdue("camera", what, now, image, begun))
         held = max(HELD, INTERVALS * median(self._beats)) if self._beats else HELD
         if self.has_poses and now - self._pose > held and (math.isfinite(self._pose) or now - begun > STARTING):
-            fault = _overdue("poses", "pose", now, self._pose, begun)
-            if not math.isinf(self._pose):
-                fault = replace(
-                    fault, text=f"the last pose holds for {now - self._pose:.2f} s already: the turn since is a guess"
-                )
+            fault, age = _overdue("poses", "pose", now, self._pose, begun), now - self._pose
+            if age < STALE_POSE:
+                fault = replace(fault, text=f"the last pose holds for {age:.2f} s already: the turn since is a guess")
             found.append(fault)
         if self.queries:
             looked = max((self._looks.get(query, -math.inf) for query in self.queries), default=-math.inf)

@@ -199,7 +199,9 @@ class RelatedClock:
         if jump is not None:
             way = "forward" if jump.seconds > 0 else "back"
             news = f"the clock of the {self.name} jumped {way} by {abs(jump.seconds):.2f} s; its stamps are shifted"
-            if not self.related:
+            if not (self.related or was):  # the first messages came late, and those after them do not
+                news = None
+            elif not self.related:
                 news = f"the clock of the {self.name} jumped {way} by {abs(jump.seconds):.2f} s, to this machine's time"
         elif self.related and not was:
             way = "behind" if self.shift > 0 else "ahead of"
