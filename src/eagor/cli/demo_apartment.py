@@ -56,8 +56,8 @@ STUDY = {
     "a grid filter": ((9.58, 7.5, 12.0), (7.81, 6.3, 9.7), (23.48, 15.8, 32.6)),
 }
 STUDY_IN_WORDS = (
-    "One search proves nothing. Over 200 of them memory takes a third off the error while the thing is hidden again. In "
-    "sight no memory helps, and other filters are as good as ours: compare them with eagor bench."
+    "One search proves nothing. Over 200 of them memory takes a third off the error while the thing is hidden again. "
+    "In sight no memory helps, and other filters are as good as ours: compare them with eagor bench."
 )
 
 

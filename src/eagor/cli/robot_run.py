@@ -203,9 +203,9 @@ def robot_run(options: RobotRun) -> int:
         except DeviceError as error:  # the guard has ended, or hangs: it was there, so no option is wrong
             raise terminal.RunError(str(error)) from error
         finally:
-            loop.stop()
             with suppress(DeviceError):  # Ctrl-C in a terminal ends the guard as well
                 guard.stop()
+            loop.stop()
             if folder is not None and page.samples:
                 if why == "interrupted":
                     terminal.log("interrupted; writing the report")

@@ -115,12 +115,15 @@ def heeding_sigterm() -> Iterator[list[int]]:
 
 @contextmanager
 def unhurried(ending: Callable[[], bool]) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM do nothing once `ending()`: a second one must not stop the cleanup after the first."""
+    """Heed one Ctrl-C or SIGTERM, and none once `ending()`: a second one must not stop the cleanup after the first."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     before = {number: handler for number, handler in handlers.items() if callable(handler)}
 
+    heeded: list[int] = []
+
     def heed(number: int, frame: FrameType | None) -> None:
-        if not ending():
+        if not heeded and not ending():
+            heeded.append(number)
             before[signal.Signals(number)](number, frame)
 
     try:
