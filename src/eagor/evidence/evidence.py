@@ -36,7 +36,16 @@ from eagor.evidence.coverage import Region, confine, region, taper
 from eagor.evidence.detections import Detections, View, anisotropic, isotropic
 from eagor.evidence.detector import DetectorModel, Habits
 from eagor.evidence.masking import BodyMask
-from eagor.evidence.shapes import MIN_SPREAD, WHOLE_SPHERE, bump, canvas_of, mask_moments, moments, widened
+from eagor.evidence.shapes import (
+    MIN_SPREAD,
+    WHOLE_SPHERE,
+    bump,
+    canvas_of,
+    check_on_picture,
+    mask_moments,
+    moments,
+    widened,
+)
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import unit
@@ -218,6 +227,8 @@ class Evidence:
         """
         table, grid = _rows(boxes, 4, "boxes"), _checked_grid(grid)
         weights = _checked_scores(scores, len(table))
+        for box in table:
+            check_on_picture(box, grid)
         if calibration is None or detector is not None:
             found = [moments(box, grid) for box in table]
             return cls.from_moments(found, None if scores is None else weights, View(grid), detector, stamp)

@@ -36,21 +36,32 @@ def moments(box: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     height, width = grid.shape
     x0, y0, x1, y1 = box
     seam = not hasattr(grid, "body_R_view")
-    apart = seam and is_beside(x0, x1, width)
     if seam and x1 < x0:
         x1 += width
     y0, y1 = max(y0, 0.0), min(y1, float(height))
     if not seam:
         x0, x1 = max(x0, 0.0), min(x1, float(width))
-    if apart or are_fractions(box) or not (np.isfinite(box).all() and x1 > x0 and y1 > y0 and x1 - x0 <= width):
-        raise ResponseError(
-            f"box {box.tolist()} has no area inside the {width} x {height} image; wanted x0, y0, x1, y1 in its pixels "
-            "(not x, y, width, height, and not 0 to 1)"
-        )
+    if not (np.isfinite(box).all() and x1 > x0 and y1 > y0 and x1 - x0 <= width):
+        raise _no_area(box, grid)
     points, areas = box_samples((x0, y0, x1, y1), grid)
     if float(np.linalg.norm(areas @ points)) < 1e-9 * areas.sum():
         raise ResponseError(f"box {box.tolist()} spans the whole sphere, so it has no direction")
     return moments_of(points, areas)
+
+
+def check_on_picture(box: np.ndarray, grid: Grid) -> None:
+    """Raise `ResponseError` for a box beside a panorama, or in fractions of the picture."""
+    x0, _, x1, _ = box
+    if are_fractions(box) or (not hasattr(grid, "body_R_view") and is_beside(x0, x1, grid.shape[1])):
+        raise _no_area(box, grid)
+
+
+def _no_area(box: np.ndarray, grid: Grid) -> ResponseError:
+    height, width = grid.shape
+    return ResponseError(
+        f"box {box.tolist()} has no area inside the {width} x {height} image; wanted x0, y0, x1, y1 in its pixels "
+        "(not x, y, width, height, and not 0 to 1)"
+    )
 
 
 def are_fractions(boxes: np.ndarray) -> bool:

@@ -221,7 +221,7 @@ class PoseReader:
     `body` is wanted. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
     taken for those of the message. `world`: the frame of the poses for transforms (default: odom, else map, else the
     root of the tree). `rewinds`: whether the stamps may go back by more than a second, as those of a clock that was
-    set; otherwise such poses are left out, which is said once, and `back` counts those of over `OVERTAKEN`.
+    set; otherwise such poses are left out, which is said once, from `OVERTAKEN` on, and `back` counts them.
     `turning`: how well the poses tell what lies between them. `problem`: what is missing, in words, or None.
     """
 
@@ -333,7 +333,7 @@ class PoseReader:
 
     def _in_order(self, pose: Pose) -> list[Pose]:
         if pose.stamp <= self._last and not (self.rewinds and pose.stamp < self._last - BACK):
-            if pose.stamp < self._last - OVERTAKEN and not self.rewinds:
+            if pose.stamp < self._last - (0.0 if self.back else OVERTAKEN) and not self.rewinds:
                 if not self.back:
                     warnings.warn(
                         f"the stamps of {self.topic} go back by {self._last - pose.stamp:.2f} s at {self._last:.3f} s: "
