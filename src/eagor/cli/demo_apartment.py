@@ -224,7 +224,10 @@ def write_report(search: Search, folder: Path) -> Path:
     )
     means, rules, parts = search.means, search.rules, tuple(PARTS.values())
     every = [([_degrees(means[name][part]) for part in PARTS], name) for name in EVERY]
-    rows = [Row(n, _boxes([*cells, DESCRIPTIONS.get(n) or NEWEST]), "ours" if n == OURS else "") for cells, n in every]
+    rows = [
+        Row(n, _boxes([*cells, DESCRIPTIONS.get(n) or NEWEST]), "told ours" if n == OURS else "told")
+        for cells, n in every
+    ]
     study = [
         Row(name, _boxes(map(_interval, cells)), "ours" if name == SPOKEN[OURS] else "")
         for name, cells in STUDY.items()

@@ -117,7 +117,7 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     for name in looks.directions:
         mean, last, near = figures(looks, name).values()
         boxes = (Box(f"{mean:.1f}"), Box(f"{last:.1f}"), Box(f"{near:.0f}"), Box(DESCRIPTIONS[name]))
-        rows.append(Row(name, boxes, "ours" if name == OURS else ""))
+        rows.append(Row(name, boxes, "told ours" if name == OURS else "told"))
     sheet = Sheet(f"Angles to our last answer, over {len(looks.poses)} looks", _HEADS, tuple(rows))
     steady = "How steady each method is: no truth is known, so an error here is the angle to our last answer"
     both = [
