@@ -50,6 +50,12 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         ((*TRACK, "red", "--poses", "folder"), "folder cannot be read"),
         ((*TRACK, "red", "--poses", "poses.csv", "--pictures", "bad.json"), "bad.json is not a folder"),
         (("track", "a.png", "b" * 300, "red", "--poses", "poses.csv"), "there is no file bbb"),
+        (
+            ("track", "clip.mp4", "red", "chair"),
+            'there is no file red. Write a query of several words in quotes: "red chair"',
+        ),
+        (("track", "folder", "red", "chair"), 'a query of several words in quotes: "red chair"'),
+        (("track", "looks.jsonl", "chair,", "tv"), 'there is no file chair,. Ask for one thing at a time: "chair"'),
         (("demo", "--out", "a.png"), "cannot be made a folder"),
         (("demo", "--out", "new", "--perception", "nonsense"), "no perception 'nonsense'"),
         (("demo", "--seed", "-1"), "0 to 9999"),

@@ -141,6 +141,25 @@ def places_of(words: Sequence[str], rig: bool) -> list[Path]:
     return [Path(word) for word in words]
 
 
+def in_quotes(query: str) -> str:
+    """What to change about a query that came as several words; of several with commas between, the first is taken."""
+    first, comma, _ = query.partition(",")
+    return f'{"Ask for one thing at a time" if comma else "Write a query of several words in quotes"}: "{first}"'
+
+
+def frames_and_query(words: Sequence[str]) -> tuple[Sequence[str], str]:
+    """What names the frames, and the query after it, "" for one word alone.
+
+    Raises `UsageError` if words between them are no files: they belong to the query.
+    """
+    if len(words) < 2:
+        return words, ""
+    for at, word in enumerate(words[1:-1], 1):
+        if not os.path.exists(word) and not Path(word).suffix:  # with a suffix it is a file's name, misspelt
+            raise UsageError(f"there is no file {word}. {in_quotes(' '.join(words[at:]))}")
+    return words[:-1], checked_query(words[-1])
+
+
 def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:
     """Raise `UsageError` if the output `path` is one of the `inputs`, which would be overwritten."""
     if path is not None and os.path.realpath(path) in map(os.path.realpath, inputs):

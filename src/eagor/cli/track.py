@@ -83,9 +83,8 @@ def track(options: Track) -> int:
     from eagor.media.posed_frames import ahead
     from eagor.perception.footage import HiddenParts, about, follow
 
-    alone = len(options.words) < 2
-    query = "" if alone else checks.checked_query(options.words[-1])
-    places = checks.places_of(options.words if alone else options.words[:-1], options.rig is not None)
+    words, query = checks.frames_and_query(options.words)
+    places, alone = checks.places_of(words, options.rig is not None), not query
     replay = recorded(options, places)
     if alone and replay is None:
         raise terminal.UsageError(
