@@ -200,6 +200,25 @@ def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, eagor, tmp_path
     assert [each["frame"] for each in json.loads(out)["frames"]] == ["0.png", "1.png", "2.png", "3.png"]
 
 
+def test_where_no_picture_can_be_read_the_input_is_wrong(paints, eagor, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("text.png", "more.png"):
+        (tmp_path / name).write_bytes(b"no picture")
+    track = ("track", "text.png", "ball", "--out", "found.csv")
+    for words in (track, ("look", "text.png", "--out", "looks.jsonl", "--perception", "paints")):
+        code, _, err = eagor(*words)
+        assert code == 2
+        assert err.splitlines()[-1] == "eagor: error: the only frame could not be read; the reason is above"
+    assert "eagor: written: found.csv" in eagor(*track)[2]
+    code, _, err = eagor("track", "text.png", "more.png", "ball")
+    assert code == 2
+    assert err.splitlines()[-1] == "eagor: error: none of the 2 frames could be read; the reasons are above"
+    Image.fromarray(np.zeros((64, 128, 3), np.uint8)).save("text.png")
+    code, _, err = eagor(*track)
+    assert code == 1, "it can be read, but is black everywhere"
+    assert err.splitlines()[-1] == "eagor: error: the only frame could not be used; the reason is above"
+
+
 LENS = PinholeLens("phone", (320, 240), (160.0, 158.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))
 
 

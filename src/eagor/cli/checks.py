@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eagor.cli.terminal import UsageError, log, warning
-from eagor.errors import EagorError, QueryError
+from eagor.cli.terminal import RunError, UsageError, log, warning
+from eagor.errors import EagorError, ImageError, QueryError
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -158,6 +158,14 @@ def frames_and_query(words: Sequence[str]) -> tuple[Sequence[str], str]:
         if not os.path.exists(word) and not Path(word).suffix:  # with a suffix it is a file's name, misspelt
             raise UsageError(f"there is no file {word}. {in_quotes(' '.join(words[at:]))}")
     return words[:-1], checked_query(words[-1])
+
+
+def nothing_of(frames: int, unread: int) -> EagorError:
+    """The error where none of so many frames could be used; the input is wrong if all are `unread`."""
+    error, what = (ImageError, "read") if unread == frames else (RunError, "used")
+    if frames == 1:
+        return error(f"the only frame could not be {what}; the reason is above")
+    return error(f"none of the {frames} frames could be {what}; the reasons are above")
 
 
 def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, places_of
+from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, nothing_of, places_of
 from eagor.cli.options import Footage
 from eagor.cli.track import journey_of
 from eagor.errors import ImageError, PoseError
@@ -54,7 +54,7 @@ def look(options: Look) -> int:
     views = _views(options, queries)
     journey = journey_of(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
-    hidden, looks, bad, broken = HiddenParts(say=terminal.log), 0, 0, None
+    hidden, looks, bad, unread, broken = HiddenParts(say=terminal.log), 0, 0, 0, None
     labels: Counter[str] = Counter()
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, journey.told, journey.begins)]
@@ -67,6 +67,7 @@ def look(options: Look) -> int:
                 looks, bad = looks + ("views" in entries[0]), bad + ("problem" in entries[0])
                 if "problem" in entries[0]:
                     terminal.warning(f"{frame.frame} is left out: {entries[0]['problem']}")
+                    unread += frame.read is None
                 for entry in entries:
                     found = [box for view in entry.get("views", ()) for box in view["boxes"]]
                     labels.update(entry.get("query") or box.get("label", "") for box in found)
@@ -77,7 +78,7 @@ def look(options: Look) -> int:
             broken = str(error)
             terminal.warning(f"the frames end early: {broken}")
     if not looks:
-        raise terminal.RunError(f"none of the {bad} frames could be used" if bad else "there was no frame to look at")
+        raise nothing_of(bad, unread) if bad else terminal.RunError("there was no frame to look at")
     if options.json:
         terminal.emit(
             {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": bad,

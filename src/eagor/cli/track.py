@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.answers import header, line, list_seen, methods_as_dict, recorded, table
+from eagor.cli.answers import header, in_words, line, list_seen, methods_as_dict, recorded, table
 from eagor.cli.options import Detector, Drift, Flag, Floor, Footage, Mask, Modes, Out, Rerun, Static, Whole, bare, given
 from eagor.errors import ImageError, PoseError
 
@@ -357,7 +357,7 @@ class _Run:
     def __init__(self, options: Track, query: str, spec: str, perception: Perception, begins: float) -> None:
         self.options, self.query, self.spec, self.perception = options, query, spec, perception
         self.begins = begins
-        self.frames = self.bad = self.looked = 0
+        self.frames = self.bad = self.unread = self.looked = 0
         self.entries: list[dict[str, Any]] = []
         self.broken: str | None = None
         self.last: FollowedFrame | None = None
@@ -374,6 +374,7 @@ class _Run:
         if result.problem is not None:
             terminal.warning(f"{result.frame} is left out: {result.problem}")
             self.bad += 1
+            self.unread += result.picture is None
         self.looked += len(result.evidence)
         if not result.told:
             return
@@ -393,7 +394,8 @@ class _Run:
         if self.frames == 0:
             raise terminal.RunError("there was no frame to look at")
         if self.bad == self.frames:
-            raise terminal.RunError(f"none of the {self.bad} frames could be used; the reasons are above")
+            self._say_written()
+            raise checks.nothing_of(self.bad, self.unread)
         checks.say_of_replay(self.perception, self.query, self.looked)
         if self.looked == 0:
             stamps = f" ({journey.poses[0].stamp:g} to {journey.poses[-1].stamp:g} s)" if journey.poses else ""
@@ -403,21 +405,16 @@ class _Run:
             )
         if self.bad:
             terminal.log(f"{self.bad} of {self.frames} frames were left out")
-        if not self.options.json:
-            self._say_last()
+        if not self.options.json and self.last is not None:
+            terminal.log(in_words(self.last, self.query, self.begins))
+        self._say_written()
         return terminal.INCOMPLETE if self.bad or self.broken else terminal.OK
 
-    def _say_last(self) -> None:
-        """The last answer in words, and what was written."""
-        from eagor.drawing.style import STATUS, candidates_in_words
-
-        if self.last is not None:
-            estimate, at = self.last.estimate, self.last.stamp - self.begins
-            said = f"at {at:.2f} s “{self.query}”: {candidates_in_words(estimate)}"
-            terminal.log(f"{said} ({estimate.status}: {STATUS[estimate.status]})")
+    def _say_written(self) -> None:
         options = self.options
         files = (options.out, options.picture, options.video, options.rerun, options.page)
-        if written := [str(each) for each in files if each is not None and each.exists()]:
+        written = [str(each) for each in files if each is not None and each.exists()]
+        if written and not options.json:
             terminal.log(f"written: {', '.join(written)}")
 
 
