@@ -54,7 +54,7 @@ def look(options: Look) -> int:
     views = _views(options, queries)
     journey = journey_of(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
-    hidden, looks, bad, unread, broken = HiddenParts(say=terminal.log), 0, 0, 0, None
+    hidden, looks, bad, unread, last, broken = HiddenParts(say=terminal.log), 0, 0, 0, 0.0, None
     labels: Counter[str] = Counter()
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, journey.told, journey.begins)]
@@ -65,6 +65,7 @@ def look(options: Look) -> int:
                 if frame.frame is None or not frame.looked:
                     continue
                 looks, bad = looks + ("views" in entries[0]), bad + ("problem" in entries[0])
+                last = frame.pose.stamp
                 if "problem" in entries[0]:
                     terminal.warning(f"{frame.frame} is left out: {entries[0]['problem']}")
                     unread += frame.read is None
@@ -77,8 +78,14 @@ def look(options: Look) -> int:
                 raise
             broken = str(error)
             terminal.warning(f"the frames end early: {broken}")
+        except KeyboardInterrupt:
+            if looks:
+                terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - journey.begins:.2f} s")
+            raise
     if not looks:
         raise nothing_of(bad, unread) if bad else terminal.RunError("there was no frame to look at")
+    if bad:
+        terminal.log(f"{bad} of {bad + looks} frames were left out")
     if options.json:
         terminal.emit(
             {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": bad,
@@ -87,7 +94,7 @@ def look(options: Look) -> int:
     else:
         example = next(iter(dict(labels.most_common(1))), None) or next(iter([*queries, *(views.classes or ())]))
         terminal.say(
-            f"{labels.total()} boxes of {len(labels)} things in {looks} look{'s' * (looks != 1)}: {options.out}",
+            f"{labels.total()} boxes of {len(labels)} things in {terminal.many(looks, 'look')}: {options.out}",
             f"what there is:  eagor track {options.out}",
             f'where it is:    eagor track {options.out} "{example}"',
         )

@@ -195,12 +195,13 @@ def _of_looks(replay: ReplayPerception) -> Journey:
     from eagor.perception.footage import about, recorded_frames
 
     frames, footage = recorded_frames(replay), about(replay)
-    looks = sum(each.frame is not None for each in frames)
+    named = [each for each in frames if each.frame is not None]
+    looks = sum(each.read is None for each in named)  # the others could not be read, and were left out
     span = frames[-1].pose.stamp - frames[0].pose.stamp
     poses = [each.pose for each in frames]
-    many = "1 look" if looks == 1 else f"{looks} looks"
-    terminal.log(f"{many} of {footage.perception} at {footage.of}, {footage.poses}")
-    return Journey(iter(frames), looks, footage.poses, poses, None, span, footage.begins)
+    left = f"; {len(named) - looks} more left out" if looks < len(named) else ""
+    terminal.log(f"{terminal.many(looks, 'look')} of {footage.perception} at {footage.of}, {footage.poses}{left}")
+    return Journey(iter(frames), len(named), footage.poses, poses, None, span, footage.begins)
 
 
 def _of_video(
@@ -242,8 +243,7 @@ def _of_images(
     frames, told = _posed(options, source, poses)
     if poses:
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
-    many = "1 image" if source.count == 1 else f"{source.count} images"
-    terminal.log(f"{many}, taken at {rate:g} per second (--rate), {told}")
+    terminal.log(f"{terminal.many(source.count, 'image')}, taken at {rate:g} per second (--rate), {told}")
     return Journey(frames, source.count, told, poses, rate, (len(source.paths) - 1) / rate)
 
 
