@@ -48,6 +48,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         ((*TRACK, "red", "--poses", "poses.csv", "--floor", "nan"), "--floor nan"),
         ((*TRACK, "red", "--poses", "poses.csv", "--out", "nowhere/new.csv"), "no folder"),
         ((*TRACK, "red", "--poses", "folder"), "folder cannot be read"),
+        ((*TRACK, "red", "--poses", "levle"), "there is no file levle; --poses takes auto, level or a CSV file"),
         ((*TRACK, "red", "--poses", "poses.csv", "--pictures", "bad.json"), "bad.json is not a folder"),
         (("track", "a.png", "b" * 300, "red", "--poses", "poses.csv"), "there is no file bbb"),
         (

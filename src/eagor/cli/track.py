@@ -8,6 +8,7 @@ after every line.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -170,6 +171,8 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     from eagor.perception import rows_of
     from eagor.perception.replay import takes_pictures
 
+    if options.poses not in SEEN and not os.path.exists(options.poses):
+        raise terminal.UsageError(f"there is no file {options.poses}; --poses takes {', '.join(SEEN)} or a CSV file")
     poses = () if options.poses in SEEN else read_poses(options.poses)
     _check_above_0(options.rate, "--rate")
     rows, looks = max(rows_of(perception), LEAST_ROWS), options.rate or RATE
