@@ -76,6 +76,13 @@ def checked_seconds(seconds: float | None, option: str = "--seconds") -> float |
     return seconds
 
 
+def checked_rate(rate: float | None, option: str = "--rate") -> float | None:
+    """A number per second that is more than nothing; None is the usual one."""
+    if rate is not None and not 0 < rate < math.inf:
+        raise UsageError(f"{option} {rate:g}; wanted a number per second above 0")
+    return rate
+
+
 def checked_latency(latency: float) -> float:
     """``--latency``."""
     if not 0 <= latency < math.inf:
@@ -368,6 +375,13 @@ def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> Non
     log(f"{name}: {facts[0]}{lasting}")
     for fact in facts[1:]:
         log(f"{name}: {fact}")
+
+
+def looks_in_words(rate: float, pictures: float | None) -> str:
+    """The looks per second that ``--rate`` gives with so many `pictures` per second, if that is known."""
+    if pictures is None or rate < 1.01 * pictures:  # the mean of a video is not exact
+        return f"{rate:g} looks per second (--rate)"
+    return f"{pictures:g} looks per second: the video has no more (--rate {rate:g})"
 
 
 def say_of_replay(perception: Perception, query: str, looks: int) -> None:

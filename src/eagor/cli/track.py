@@ -102,7 +102,7 @@ def track(options: Track) -> int:
     checks.checked_modes(options.modes)
     if replay is None:
         perception = checks.make_perception(spec, busy=True)
-        _check_above_0(options.fps, "--fps")
+        checks.checked_rate(options.fps, "--fps")
         shown = None if options.video is None else options.fps or FPS
         journey = journey_of(options, places, perception, shown)
     else:
@@ -174,7 +174,7 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     if options.poses not in SEEN and not os.path.exists(options.poses):
         raise terminal.UsageError(f"there is no file {options.poses}; --poses takes {', '.join(SEEN)} or a CSV file")
     poses = () if options.poses in SEEN else read_poses(options.poses)
-    _check_above_0(options.rate, "--rate")
+    checks.checked_rate(options.rate, "--rate")
     rows, looks = max(rows_of(perception), LEAST_ROWS), options.rate or RATE
     rates = looks, max(looks, shown or 0)
     if len(places) == 1 and is_bag(places[0]):
@@ -186,11 +186,6 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     if is_video(places, rig is not None):
         return _of_video(options, places, poses, rows, rig, stitched, *rates)
     return _of_images(options, places, poses, rig, stitched)
-
-
-def _check_above_0(rate: float | None, option: str) -> None:
-    if rate is not None and not 0 < rate < math.inf:
-        raise terminal.UsageError(f"{option} {rate:g}; wanted a number per second above 0")
 
 
 def _of_looks(replay: ReplayPerception) -> Journey:
@@ -226,7 +221,7 @@ def _of_video(
     checks.say_of_video(places[0].name, video.facts, video.duration)
     source = VideoFrames(video, check)
     frames, told = _posed(options, source, poses, video.motion)
-    terminal.log(f"{looks:g} looks per second (--rate), {told}")
+    terminal.log(f"{checks.looks_in_words(looks, video.frame_rate)}, {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
     return Journey(thinned(frames, looks, lenses=max(1, lenses)), source.count, told, poses, shown, span)
