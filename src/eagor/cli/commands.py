@@ -218,7 +218,8 @@ def _wrong_places(path: str, places: Sequence[_Option], words: Sequence[str]) ->
         if says := _wanted(option, word):
             return f"{option.metavar} {word!r}: wanted {says}; {path} --help"
     if lacking := [option.metavar for option in places[len(words) :] if option.required]:
-        return f"{path} needs {wanted}, and lacks {' and '.join(lacking)}; {path} --help"
+        lacks = "" if len(lacking) == len(places) else f", and lacks {' and '.join(lacking)}"
+        return f"{path} needs {wanted}{lacks}; {path} --help"
     return None
 
 
