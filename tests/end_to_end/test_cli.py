@@ -734,6 +734,7 @@ def test_the_demo_leaves_a_report(tmp_path):
     assert {len(errors) for errors in found["errors_deg"].values()} == {len(found["visible"])}
     assert found["walk"]["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
+    assert "A camera walks through apartment 3 and looks for it" in page, "as --seed names it"
     assert page.count("data:image/png;base64,") == 3
     assert page.index("data:image/png") < page.index("<table>") < page.index("<details>"), "first a picture"
     assert "http" not in re.sub(r"base64,[^\"]+", "", page)  # nothing is fetched

@@ -233,8 +233,8 @@ def write_report(search: Search, folder: Path) -> Path:
         for name, cells in STUDY.items()
     ]
     lead = page.text(
-        f"A camera walks through {search.episode['scene']} and looks for it. Heat is what our tracker believes, and "
-        f"the white line holds 90 % of that. {' '.join(summary(search))}"
+        f"A camera walks through {APARTMENT} {search.slot.seed} and looks for it. Heat is what our tracker believes, "
+        f"and the white line holds 90 % of that. {' '.join(summary(search))}"
     )
     way = page.text(
         f"Each step goes {Camera().step} m, sliding along walls; the search is over within {rules.success_distance} m "
