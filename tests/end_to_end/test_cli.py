@@ -600,8 +600,8 @@ def test_a_run_without_one_good_frame_has_failed(three):
     for image in images.iterdir():
         image.write_bytes(b"torn")
     done = eagor("track", images, "red", "--poses", write(GOOD))
-    assert done.returncode == 1
-    assert "none of the 3 frames" in done.stderr
+    assert done.returncode == 2, "the input is wrong"
+    assert "none of the 3 frames could be read" in done.stderr
 
 
 @pytest.mark.parametrize("zero", [0.0, 5.0])
@@ -688,7 +688,7 @@ def test_track_refuses_what_it_cannot_use(three, tmp_path):
     (tmp_path / "empty").mkdir()
     assert "no images" in refused("track", tmp_path / "empty", "red", "--poses", poses)
     assert "wanted FRAMES" in refused("track", "red", "--poses", poses)
-    assert "cannot be read" in refused("track", images, "red", "--poses", tmp_path / "nowhere.csv")
+    assert "there is no file" in refused("track", images, "red", "--poses", tmp_path / "nowhere.csv")
     assert ".csv, .jsonl or .parquet" in refused("track", images, "red", "--poses", poses, "--out", tmp_path / "x.txt")
     assert "no file" in refused("track", tmp_path / "a.png", tmp_path / "b.png", "red", "--poses", poses)
     done = eagor("track", images, "chair", "--poses", poses, "--perception", "colour")  # the header is out already
@@ -734,6 +734,7 @@ def test_the_demo_leaves_a_report(tmp_path):
     assert {len(errors) for errors in found["errors_deg"].values()} == {len(found["visible"])}
     assert found["walk"]["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
+    assert "A camera walks through apartment 3 and looks for it" in page, "as --seed names it"
     assert page.count("data:image/png;base64,") == 3
     assert page.index("data:image/png") < page.index("<table>") < page.index("<details>"), "first a picture"
     assert "http" not in re.sub(r"base64,[^\"]+", "", page)  # nothing is fetched

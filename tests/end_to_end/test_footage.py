@@ -267,6 +267,12 @@ def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
     assert "2 looks per second (--rate), orientations from the pictures themselves" in err
 
 
+def test_the_rate_that_is_said_is_the_one_that_happens(tilting, answers):
+    found = answers("track", tilting, "red", "--end", 1, "--rate", 30)
+    assert len(found["frames"]) == RATE
+    assert f"eagor: {RATE} looks per second: the video has no more (--rate 30), orientations" in found["stderr"]
+
+
 def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
     """Somebody watches stderr on a terminal, and sends the results to a file."""
     pty = pytest.importorskip("pty")

@@ -194,10 +194,51 @@ def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, eagor, tmp_path
     code, _, err = eagor("look", folder, "--out", looks, "--perception", "paints")
     assert code == 3
     assert "2.png is left out" in err
+    assert err.splitlines()[-1] == "eagor: 1 of 4 frames were left out"
     code, out, err = eagor("track", looks, "ball", "--json")
     assert code == 3
+    assert "3 looks of paints at frames, orientations from the pictures themselves; 1 more left out" in err
     assert "2.png is left out" in err
     assert [each["frame"] for each in json.loads(out)["frames"]] == ["0.png", "1.png", "2.png", "3.png"]
+
+
+def test_an_interruption_says_what_is_kept(paints, eagor, tmp_path, monkeypatch):
+    folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
+    folder.mkdir()
+    for k in range(4):
+        Image.fromarray(painted_room(64, 128)).save(folder / f"{k}.png")
+    seen, two = Views.seen, [1, 2]
+
+    def broken_off(self, *of):
+        if not two:
+            raise KeyboardInterrupt
+        two.pop()
+        return seen(self, *of)
+
+    monkeypatch.setattr(Views, "seen", broken_off)
+    code, out, err = eagor("look", folder, "--out", looks, "--perception", "paints", "--rate", 2)
+    assert (code, out) == (130, "")
+    assert err.splitlines()[-2:] == [f"eagor: kept: {looks}, 2 looks to 0.50 s", "eagor: interrupted"]
+    assert len(looks.read_text().splitlines()) == 3, "the footage, and two looks"
+
+
+def test_where_no_picture_can_be_read_the_input_is_wrong(paints, eagor, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("text.png", "more.png"):
+        (tmp_path / name).write_bytes(b"no picture")
+    track = ("track", "text.png", "ball", "--out", "found.csv")
+    for words in (track, ("look", "text.png", "--out", "looks.jsonl", "--perception", "paints")):
+        code, _, err = eagor(*words)
+        assert code == 2
+        assert err.splitlines()[-1] == "eagor: error: the only frame could not be read; the reason is above"
+    assert "eagor: written: found.csv" in eagor(*track)[2]
+    code, _, err = eagor("track", "text.png", "more.png", "ball")
+    assert code == 2
+    assert err.splitlines()[-1] == "eagor: error: none of the 2 frames could be read; the reasons are above"
+    Image.fromarray(np.zeros((64, 128, 3), np.uint8)).save("text.png")
+    code, _, err = eagor(*track)
+    assert code == 1, "it can be read, but is black everywhere"
+    assert err.splitlines()[-1] == "eagor: error: the only frame could not be used; the reason is above"
 
 
 LENS = PinholeLens("phone", (320, 240), (160.0, 158.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))

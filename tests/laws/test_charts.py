@@ -33,6 +33,14 @@ def test_what_is_not_known_is_a_gap_and_in_no_mean(monkeypatch):
     assert texts[-9:] == ["■", "other", "6.0°", "■", "ours", "15.0°", "■", "lost", "–"]
 
 
+def test_what_is_no_error_is_not_called_one(monkeypatch):
+    sheet, texts = drawn(monkeypatch, [0.0, 0.5], {"ours": [30.0, 20.0]}, what="angle")
+    assert sheet.axes[0].get_ylabel() == "angle (degrees, log scale)"
+    assert "mean angle over the run" in texts
+    sheet, _ = drawn(monkeypatch, [0.0, 0.5], {"ours": [30.0, 20.0]})
+    assert sheet.axes[0].get_ylabel() == "direction error (degrees, log scale)"
+
+
 @pytest.mark.parametrize("errors", [{}, {"ours": []}, {"ours": [12.0]}])
 def test_one_stamp_is_enough(monkeypatch, errors):
     _, texts = drawn(monkeypatch, [2.0], errors, shaded=[(1.5, 2.5, "away")], title="one look")

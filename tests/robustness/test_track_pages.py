@@ -17,6 +17,7 @@ from eagor.drawing.page import BeliefPage
 from eagor.drawing.step import ScenePainter
 from eagor.drawing.style import answer_in_words
 from eagor.errors import EagorError, StorageError, TimeError
+from eagor.grids import PerspectiveGrid
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)> \" ' & $x ${title} `"
 VOID = {"meta", "img", "input", "br", "link", "hr", "path", "line"}
@@ -112,6 +113,19 @@ def test_the_page_tells_what_was_answered(tmp_path):
         drawn = ScenePainter(pages.WIDTH).paint(PANORAMA, estimate).astype(int)
         assert np.abs(np.asarray(picture).astype(int) - drawn).mean() < 4
     assert "every frame was used" in found.texts["section"]
+
+
+def test_the_note_is_that_of_the_camera(tmp_path):
+    _, _, around = made(tmp_path)
+    assert "its edges are behind it" in around.texts["main"]
+    assert "an arrow that shows which way to turn where 90 % lie within 90 degrees" in around.texts["main"]
+    view, path = PerspectiveGrid(90, 160, np.radians(70)), tmp_path / "view.html"
+    with BeliefPage(path, query="door") as page:
+        page.add(np.zeros((90, 160, 3), np.uint8), turning(1)[0], grid=view)
+    found = Reader(path.read_text(encoding="utf-8"))
+    assert "behind it" not in found.texts["main"]
+    assert "an arrow at the edge of the picture leads to it" in found.texts["main"]
+    assert shown(found)[0]["x"] is None, "the picture's columns are not those of a panorama"
 
 
 @pytest.mark.parametrize("text", [EVIL, "$", "<!--", "\u2028", "ドア", "]]>"])

@@ -5,7 +5,8 @@ Exit codes:
 - 0: success.
 - 1: the input was valid, but the run failed (nothing could be looked at, a server did not answer, a model's answer
   could not be read, a result could not be written, a bug).
-- 2: usage: an option, a query or an input file is wrong. Nothing was computed.
+- 2: usage: an option, a query or an input file is wrong, or no picture of the footage can be read. Nothing was
+  computed.
 - 3: finished, but some frames or episodes could not be run; the output has the others.
 - 130: interrupted (Ctrl-C). 143: terminated (SIGTERM). Records are kept, and no process is left running.
 - 141: the reader of the output closed it (``eagor track ... | head``).

@@ -61,6 +61,15 @@ def line(frame: FollowedFrame, begins: float = 0.0) -> str:
     return ours + "".join(f" {_cell(direction):>{CELL}}" for direction in frame.others.values())
 
 
+def in_words(frame: FollowedFrame, query: str, begins: float = 0.0) -> str:
+    """The answer at one frame as a sentence, its stamp counted from `begins`."""
+    from eagor.drawing.style import STATUS, candidates_in_words
+
+    e = frame.estimate
+    said = f"at {frame.stamp - begins:.2f} s “{query}”: {candidates_in_words(e)}"
+    return f"{said} ({e.status}: {STATUS[e.status]})"
+
+
 def _cell(direction: np.ndarray | None) -> str:
     """A direction ``(3,)`` as azimuth/elevation in whole degrees; "-" for None."""
     if direction is None:

@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eagor.cli.terminal import UsageError, log, warning
-from eagor.errors import EagorError, QueryError
+from eagor.cli.terminal import RunError, UsageError, log, warning
+from eagor.errors import EagorError, ImageError, QueryError
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -74,6 +74,13 @@ def checked_seconds(seconds: float | None, option: str = "--seconds") -> float |
     if seconds is not None and not 0 < seconds < math.inf:
         raise UsageError(f"{option} {seconds:g}; wanted seconds above 0")
     return seconds
+
+
+def checked_rate(rate: float | None, option: str = "--rate") -> float | None:
+    """A number per second that is more than nothing; None is the usual one."""
+    if rate is not None and not 0 < rate < math.inf:
+        raise UsageError(f"{option} {rate:g}; wanted a number per second above 0")
+    return rate
 
 
 def checked_latency(latency: float) -> float:
@@ -139,6 +146,33 @@ def places_of(words: Sequence[str], rig: bool) -> list[Path]:
     if rig:
         words = [part for word in words for part in ([word] if os.path.exists(word) else word.split(","))]
     return [Path(word) for word in words]
+
+
+def in_quotes(query: str) -> str:
+    """What to change about a query that came as several words; of several with commas between, the first is taken."""
+    first, comma, _ = query.partition(",")
+    return f'{"Ask for one thing at a time" if comma else "Write a query of several words in quotes"}: "{first}"'
+
+
+def frames_and_query(words: Sequence[str]) -> tuple[Sequence[str], str]:
+    """What names the frames, and the query after it, "" for one word alone.
+
+    Raises `UsageError` if words between them are no files: they belong to the query.
+    """
+    if len(words) < 2:
+        return words, ""
+    for at, word in enumerate(words[1:-1], 1):
+        if not os.path.exists(word) and not Path(word).suffix:  # with a suffix it is a file's name, misspelt
+            raise UsageError(f"there is no file {word}. {in_quotes(' '.join(words[at:]))}")
+    return words[:-1], checked_query(words[-1])
+
+
+def nothing_of(frames: int, unread: int) -> EagorError:
+    """The error where none of so many frames could be used; the input is wrong if all are `unread`."""
+    error, what = (ImageError, "read") if unread == frames else (RunError, "used")
+    if frames == 1:
+        return error(f"the only frame could not be {what}; the reason is above")
+    return error(f"none of the {frames} frames could be {what}; the reasons are above")
 
 
 def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:
@@ -341,6 +375,13 @@ def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> Non
     log(f"{name}: {facts[0]}{lasting}")
     for fact in facts[1:]:
         log(f"{name}: {fact}")
+
+
+def looks_in_words(rate: float, pictures: float | None) -> str:
+    """The looks per second that ``--rate`` gives with so many `pictures` per second, if that is known."""
+    if pictures is None or rate < 1.01 * pictures:  # the mean of a video is not exact
+        return f"{rate:g} looks per second (--rate)"
+    return f"{pictures:g} looks per second: the video has no more (--rate {rate:g})"
 
 
 def say_of_replay(perception: Perception, query: str, looks: int) -> None:

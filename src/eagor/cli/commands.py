@@ -21,6 +21,7 @@ from tyro.conf import Positional, subcommand
 from eagor.cli.bench import Bench
 from eagor.cli.calibrate import Calibrate
 from eagor.cli.camera import Camera
+from eagor.cli.checks import in_quotes
 from eagor.cli.demo import Demo
 from eagor.cli.export import Export
 from eagor.cli.live import Live
@@ -211,14 +212,14 @@ def _wrong_places(path: str, places: Sequence[_Option], words: Sequence[str]) ->
             return f"{path} takes no {surplus!r}, only options; {path} --help"
         quotes = ""
         if places[-1].metavar == "QUERY":
-            query = " ".join(words[len(places) - 1 :])
-            quotes = f'. Write a query of several words in quotes: "{query}"'
+            quotes = f". {in_quotes(' '.join(words[len(places) - 1 :]))}"
         return f"{path} takes {wanted}, and got {surplus!r} too{quotes}; {path} --help"
     for option, word in zip(places, words, strict=False):
         if says := _wanted(option, word):
             return f"{option.metavar} {word!r}: wanted {says}; {path} --help"
     if lacking := [option.metavar for option in places[len(words) :] if option.required]:
-        return f"{path} needs {wanted}, and lacks {' and '.join(lacking)}; {path} --help"
+        lacks = "" if len(lacking) == len(places) else f", and lacks {' and '.join(lacking)}"
+        return f"{path} needs {wanted}{lacks}; {path} --help"
     return None
 
 

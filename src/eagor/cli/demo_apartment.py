@@ -224,14 +224,17 @@ def write_report(search: Search, folder: Path) -> Path:
     )
     means, rules, parts = search.means, search.rules, tuple(PARTS.values())
     every = [([_degrees(means[name][part]) for part in PARTS], name) for name in EVERY]
-    rows = [Row(n, _boxes([*cells, DESCRIPTIONS.get(n) or NEWEST]), "ours" if n == OURS else "") for cells, n in every]
+    rows = [
+        Row(n, _boxes([*cells, DESCRIPTIONS.get(n) or NEWEST]), "told ours" if n == OURS else "told")
+        for cells, n in every
+    ]
     study = [
         Row(name, _boxes(map(_interval, cells)), "ours" if name == SPOKEN[OURS] else "")
         for name, cells in STUDY.items()
     ]
     lead = page.text(
-        f"A camera walks through {search.episode['scene']} and looks for it. Heat is what our tracker believes, and "
-        f"the white line holds 90 % of that. {' '.join(summary(search))}"
+        f"A camera walks through {APARTMENT} {search.slot.seed} and looks for it. Heat is what our tracker believes, "
+        f"and the white line holds 90 % of that. {' '.join(summary(search))}"
     )
     way = page.text(
         f"Each step goes {Camera().step} m, sliding along walls; the search is over within {rules.success_distance} m "

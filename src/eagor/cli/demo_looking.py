@@ -234,7 +234,7 @@ def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Pat
         keep_picture(drawn, folder / f"look-{number:02}.jpg")
         moments.append((as_image(drawn, title), f"{title}, presence {taken.estimate.presence:.2f}"))
     rows = [
-        Row(choice, (Box(told), Box(off or "-"), Box(CHOICES[choice][1])), "ours" if choice == OURS else "")
+        Row(choice, (Box(told), Box(off or "-"), Box(CHOICES[choice][1])), "told ours" if choice == OURS else "told")
         for choice, told, off in _cells(searches)
     ]
     heads = ("where to look", "looks until sure", "off the looks all around (°)", "what it is")

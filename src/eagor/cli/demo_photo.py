@@ -107,7 +107,8 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
         keep_picture(drawn, folder / f"look-{index + 1:02}.jpg")
         moments.append((as_image(drawn, title), f"{title}, {looks.angles(OURS)[index]:.0f}° from the last answer"))
     times = [SECONDS * index for index in range(len(looks.poses))]
-    errors = draw_errors(times, {name: looks.angles(name).tolist() for name in names}, title="Angle to our last answer")
+    angles = {name: looks.angles(name).tolist() for name in names}
+    errors = draw_errors(times, angles, title="Angle to our last answer", what="angle")
     pose = looks.poses[-1]
     rivals = {name: pose.T @ looks.directions[name][-1] for name in RIVALS}
     every = draw_belief(looks.panorama(-1), looks.estimates[-1], others=rivals, title="Methods after the last look")
@@ -117,9 +118,9 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     for name in looks.directions:
         mean, last, near = figures(looks, name).values()
         boxes = (Box(f"{mean:.1f}"), Box(f"{last:.1f}"), Box(f"{near:.0f}"), Box(DESCRIPTIONS[name]))
-        rows.append(Row(name, boxes, "ours" if name == OURS else ""))
+        rows.append(Row(name, boxes, "told ours" if name == OURS else "told"))
     sheet = Sheet(f"Angles to our last answer, over {len(looks.poses)} looks", _HEADS, tuple(rows))
-    steady = "How steady each method is: no truth is known, so an error here is the angle to our last answer"
+    steady = "How steady each method is: no truth is known, so the angles are to our last answer"
     both = [
         (as_image(errors, "Angle of each method to our last answer, over time"), steady),
         (

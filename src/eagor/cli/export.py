@@ -76,7 +76,7 @@ def habitat(options: ExportHabitat) -> int:
         def done(found: Exported) -> None:
             advance()
             terminal.log(
-                f"{found.source}: {found.instances} instances, {found.goals} goals with {found.view_points} view "
+                f"{found.scene.stem}: {found.instances} instances, {found.goals} goals with {found.view_points} view "
                 f"points, {found.episodes} episodes"
             )
 
@@ -93,7 +93,7 @@ def habitat(options: ExportHabitat) -> int:
         meshes = mesh is not None
         terminal.emit({"episodes_file": str(path), "config": str(config), "meshes": meshes, "scenes": scenes})
         return terminal.OK
-    print(f"{len(found)} scene{'s' * (len(found) != 1)}, {total} episodes in {options.out}")
+    print(f"{terminal.many(len(found), 'scene')}, {terminal.many(total, 'episode')} in {options.out}")
     terminal.facts({"episodes": str(path), "scenes": str(config)}, indent=2)
     return terminal.OK
 
@@ -116,7 +116,7 @@ def glb(options: ExportGlb) -> int:
         terminal.emit({"scenes": written})
     else:
         for each in written:
-            print(f"{each['scene']}: {each['source']}, {each['instances']} instances")
+            print(f"{each['scene']}: {each['instances']} instances")
     return terminal.OK
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, places_of
+from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, nothing_of, places_of
 from eagor.cli.options import Footage
 from eagor.cli.track import journey_of
 from eagor.errors import ImageError, PoseError
@@ -54,7 +54,7 @@ def look(options: Look) -> int:
     views = _views(options, queries)
     journey = journey_of(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
-    hidden, looks, bad, broken = HiddenParts(say=terminal.log), 0, 0, None
+    hidden, looks, bad, unread, last, broken = HiddenParts(say=terminal.log), 0, 0, 0, 0.0, None
     labels: Counter[str] = Counter()
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, journey.told, journey.begins)]
@@ -65,8 +65,10 @@ def look(options: Look) -> int:
                 if frame.frame is None or not frame.looked:
                     continue
                 looks, bad = looks + ("views" in entries[0]), bad + ("problem" in entries[0])
+                last = frame.pose.stamp
                 if "problem" in entries[0]:
                     terminal.warning(f"{frame.frame} is left out: {entries[0]['problem']}")
+                    unread += frame.read is None
                 for entry in entries:
                     found = [box for view in entry.get("views", ()) for box in view["boxes"]]
                     labels.update(entry.get("query") or box.get("label", "") for box in found)
@@ -76,11 +78,17 @@ def look(options: Look) -> int:
                 raise
             broken = str(error)
             terminal.warning(f"the frames end early: {broken}")
+        except KeyboardInterrupt:
+            if looks:
+                terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - journey.begins:.2f} s")
+            raise
     lost = journey.left_out()
     for text in lost:
         terminal.warning(text)
     if not looks:
-        raise terminal.RunError(f"none of the {bad} frames could be used" if bad else "there was no frame to look at")
+        raise nothing_of(bad, unread) if bad else terminal.RunError("there was no frame to look at")
+    if bad:
+        terminal.log(f"{bad} of {bad + looks} frames were left out")
     if options.json:
         terminal.emit(
             {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": bad,
@@ -89,7 +97,7 @@ def look(options: Look) -> int:
     else:
         example = next(iter(dict(labels.most_common(1))), None) or next(iter([*queries, *(views.classes or ())]))
         terminal.say(
-            f"{labels.total()} boxes of {len(labels)} things in {looks} look{'s' * (looks != 1)}: {options.out}",
+            f"{labels.total()} boxes of {len(labels)} things in {terminal.many(looks, 'look')}: {options.out}",
             f"what there is:  eagor track {options.out}",
             f'where it is:    eagor track {options.out} "{example}"',
         )

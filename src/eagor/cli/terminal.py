@@ -61,6 +61,11 @@ def emit(result: dict[str, Any]) -> None:
     print(_STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text), flush=True)
 
 
+def many(count: int, what: str) -> str:
+    """So many of something: "1 look", "3 looks"."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 def columns(pairs: Mapping[str, Any], indent: int = 4) -> None:
     """Print names and what they mean."""
     wide = max((len(name) for name in pairs), default=0)

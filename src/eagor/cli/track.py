@@ -8,6 +8,7 @@ after every line.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.answers import header, line, list_seen, methods_as_dict, recorded, table
+from eagor.cli.answers import header, in_words, line, list_seen, methods_as_dict, recorded, table
 from eagor.cli.options import Detector, Drift, Flag, Floor, Footage, Mask, Modes, Out, Rerun, Static, Whole, bare, given
 from eagor.errors import ImageError, PoseError
 
@@ -83,9 +84,8 @@ def track(options: Track) -> int:
     from eagor.media.posed_frames import ahead
     from eagor.perception.footage import HiddenParts, about, follow
 
-    alone = len(options.words) < 2
-    query = "" if alone else checks.checked_query(options.words[-1])
-    places = checks.places_of(options.words if alone else options.words[:-1], options.rig is not None)
+    words, query = checks.frames_and_query(options.words)
+    places, alone = checks.places_of(words, options.rig is not None), not query
     replay = recorded(options, places)
     if alone and replay is None:
         raise terminal.UsageError(
@@ -102,7 +102,7 @@ def track(options: Track) -> int:
     checks.checked_modes(options.modes)
     if replay is None:
         perception = checks.make_perception(spec, busy=True)
-        _check_above_0(options.fps, "--fps")
+        checks.checked_rate(options.fps, "--fps")
         shown = None if options.video is None else options.fps or FPS
         journey = journey_of(options, places, perception, shown)
     else:
@@ -172,8 +172,10 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     from eagor.perception import rows_of
     from eagor.perception.replay import takes_pictures
 
+    if options.poses not in SEEN and not os.path.exists(options.poses):
+        raise terminal.UsageError(f"there is no file {options.poses}; --poses takes {', '.join(SEEN)} or a CSV file")
     poses = () if options.poses in SEEN else read_poses(options.poses)
-    _check_above_0(options.rate, "--rate")
+    checks.checked_rate(options.rate, "--rate")
     rows, looks = max(rows_of(perception), LEAST_ROWS), options.rate or RATE
     rates = looks, max(looks, shown or 0)
     if len(places) == 1 and is_bag(places[0]):
@@ -187,22 +189,18 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     return _of_images(options, places, poses, rig, stitched)
 
 
-def _check_above_0(rate: float | None, option: str) -> None:
-    if rate is not None and not 0 < rate < math.inf:
-        raise terminal.UsageError(f"{option} {rate:g}; wanted a number per second above 0")
-
-
 def _of_looks(replay: ReplayPerception) -> Journey:
     """The journey that a file of looks holds: no pictures, and the poses as they were when it was made."""
     from eagor.perception.footage import about, recorded_frames
 
     frames, footage = recorded_frames(replay), about(replay)
-    looks = sum(each.frame is not None for each in frames)
+    named = [each for each in frames if each.frame is not None]
+    looks = sum(each.read is None for each in named)  # the others could not be read, and were left out
     span = frames[-1].pose.stamp - frames[0].pose.stamp
     poses = [each.pose for each in frames]
-    many = "1 look" if looks == 1 else f"{looks} looks"
-    terminal.log(f"{many} of {footage.perception} at {footage.of}, {footage.poses}")
-    return Journey(iter(frames), looks, footage.poses, poses, None, span, footage.begins)
+    left = f"; {len(named) - looks} more left out" if looks < len(named) else ""
+    terminal.log(f"{terminal.many(looks, 'look')} of {footage.perception} at {footage.of}, {footage.poses}{left}")
+    return Journey(iter(frames), len(named), footage.poses, poses, None, span, footage.begins)
 
 
 def _of_video(
@@ -224,7 +222,7 @@ def _of_video(
     checks.say_of_video(places[0].name, video.facts, video.duration)
     source = VideoFrames(video, check)
     frames, told = _posed(options, source, poses, video.motion)
-    terminal.log(f"{looks:g} looks per second (--rate), {told}")
+    terminal.log(f"{checks.looks_in_words(looks, video.frame_rate)}, {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
     return Journey(thinned(frames, looks, lenses=max(1, lenses)), source.count, told, poses, shown, span)
@@ -244,8 +242,7 @@ def _of_images(
     frames, told = _posed(options, source, poses)
     if poses:
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
-    many = "1 image" if source.count == 1 else f"{source.count} images"
-    terminal.log(f"{many}, taken at {rate:g} per second (--rate), {told}")
+    terminal.log(f"{terminal.many(source.count, 'image')}, taken at {rate:g} per second (--rate), {told}")
     return Journey(frames, source.count, told, poses, rate, (len(source.paths) - 1) / rate)
 
 
@@ -367,7 +364,7 @@ class _Run:
     def __init__(self, options: Track, query: str, spec: str, perception: Perception, begins: float) -> None:
         self.options, self.query, self.spec, self.perception = options, query, spec, perception
         self.begins = begins
-        self.frames = self.bad = self.looked = 0
+        self.frames = self.bad = self.unread = self.looked = 0
         self.entries: list[dict[str, Any]] = []
         self.broken: str | None = None
         self.last: FollowedFrame | None = None
@@ -384,6 +381,7 @@ class _Run:
         if result.problem is not None:
             terminal.warning(f"{result.frame} is left out: {result.problem}")
             self.bad += 1
+            self.unread += result.picture is None
         self.looked += len(result.evidence)
         if not result.told:
             return
@@ -406,7 +404,8 @@ class _Run:
         if self.frames == 0:
             raise terminal.RunError("there was no frame to look at")
         if self.bad == self.frames:
-            raise terminal.RunError(f"none of the {self.bad} frames could be used; the reasons are above")
+            self._say_written()
+            raise checks.nothing_of(self.bad, self.unread)
         checks.say_of_replay(self.perception, self.query, self.looked)
         if self.looked == 0:
             stamps = f" ({journey.poses[0].stamp:g} to {journey.poses[-1].stamp:g} s)" if journey.poses else ""
@@ -416,21 +415,16 @@ class _Run:
             )
         if self.bad:
             terminal.log(f"{self.bad} of {self.frames} frames were left out")
-        if not self.options.json:
-            self._say_last()
+        if not self.options.json and self.last is not None:
+            terminal.log(in_words(self.last, self.query, self.begins))
+        self._say_written()
         return terminal.INCOMPLETE if self.bad or self.broken or lost else terminal.OK
 
-    def _say_last(self) -> None:
-        """The last answer in words, and what was written."""
-        from eagor.drawing.style import STATUS, candidates_in_words
-
-        if self.last is not None:
-            estimate, at = self.last.estimate, self.last.stamp - self.begins
-            said = f"at {at:.2f} s “{self.query}”: {candidates_in_words(estimate)}"
-            terminal.log(f"{said} ({estimate.status}: {STATUS[estimate.status]})")
+    def _say_written(self) -> None:
         options = self.options
         files = (options.out, options.picture, options.video, options.rerun, options.page)
-        if written := [str(each) for each in files if each is not None and each.exists()]:
+        written = [str(each) for each in files if each is not None and each.exists()]
+        if written and not options.json:
             terminal.log(f"written: {', '.join(written)}")
 
 

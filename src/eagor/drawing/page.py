@@ -34,6 +34,16 @@ COLUMNS = ("frame", "time (s)", "picture", "azimuth (°)", "elevation (°)", "90
 LEFT, WIDE = 64, 914  # user units of the time line: where the axis begins, its width
 AZIMUTH_STRIP, PRESENCE_STRIP, STATUS_STRIP = (8, 148), (158, 186), (194, 206)  # rows: from, to
 TALL = 226  # the whole height
+AROUND = (  # what a picture of a panorama shows
+    "The middle of a picture is ahead of the camera, its edges are behind it. Cyan: the answer, with an arrow that "
+    "shows which way to turn where 90 % lie within 90 degrees of it."
+)
+IN_VIEW = (  # and one of an ordinary camera
+    "Large: the camera's picture. Small: all around, with straight ahead in the middle and the outline of the picture; "
+    "what was not looked at yet is dark. Cyan: the answer; out of view, an arrow at the edge of the picture leads to "
+    "it, unless it may be anywhere. “80 % sure”: the probability that it is here, and within 15 degrees of the answer "
+    "or half its own size."
+)
 
 
 class BeliefPage:
@@ -68,7 +78,7 @@ class BeliefPage:
         self._problems: list[str] = []
         self._last: tuple[int, str, Moment]  # what is known of the newest frame, and all that is drawn of it
         self._newest: tuple[np.ndarray | None, Estimate, str | None, PerspectiveGrid | None]
-        self._closed = False
+        self._ordinary = self._closed = False
 
     def add(
         self,
@@ -90,6 +100,7 @@ class BeliefPage:
         name = name or f"frame {self._rows.count}"
         if problem:
             self._problems.append(f"{name}: {problem}")
+        self._ordinary = self._ordinary or grid is not None
         self._last, self._newest = (self._rows.count, name, moment), (picture, estimate, problem, grid)
         if not self._pictures.wants:
             self._painter.look(picture, estimate, grid)
@@ -137,7 +148,7 @@ class BeliefPage:
                 "name": name,
                 "at": round(moment.stamp - self.line.first, 4),
                 "row": index,
-                "x": None if moment.azimuth is None else round(0.5 - moment.azimuth / (2 * np.pi), 4),
+                "x": None if self._ordinary or moment.azimuth is None else round(0.5 - moment.azimuth / (2 * np.pi), 4),
             }
             for picture, index, name, moment in pictures
         ]
@@ -157,6 +168,7 @@ class BeliefPage:
             said=escape(steps[-1]["said"]),
             most=len(pictures) - 1,
             count=len(pictures),
+            seen=escape(IN_VIEW if self._ordinary else AROUND),
             pictures=escape(self._thinned()),
             line=time_line(self.line),
             key=key([*lines, *((status, f"status: {status}") for status in COLOURS)]),

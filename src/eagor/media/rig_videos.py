@@ -228,6 +228,7 @@ class LensVideos:
         first, counts = self.videos[0], [video.count for video in self.videos]
         self.path, self.shape, self.facts, self.duration = first.path, first.shape, first.facts, first.duration
         self.motion, self.unseen, self.level_R_body, self.told = first.motion, None, None, Told()
+        self.frame_rate = first.frame_rate
         self.count = None if None in counts else sum(count for count in counts if count is not None)
 
     def __iter__(self) -> Iterator[Frame]:

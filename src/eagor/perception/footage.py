@@ -275,8 +275,8 @@ def looked_at(
 ) -> Iterator[tuple[PosedFrame, list[dict[str, Any]]]]:
     """Each pose, and its entries, one for each line: one for a look; without classes, one for each of `queries`.
 
-    A frame that cannot be used has one with the reason. What is `hidden` is written as not seen. Raises `EagorError`
-    as `eagor.perception.footage.follow` does.
+    A frame that cannot be used has one with the reason, and no `read` if there was no picture. What is `hidden` is
+    written as not seen. Raises `EagorError` as `eagor.perception.footage.follow` does.
     """
     hidden, first = hidden or HiddenParts(), True
     for frame in frames:
@@ -285,6 +285,7 @@ def looked_at(
             yield frame, [at]
             continue
         at |= {"frame": frame.frame} | ({"lost": True} if frame.lost else {})
+        picture = None
         try:
             picture = frame.read()
             mask = hidden.of(picture)
@@ -301,7 +302,7 @@ def looked_at(
                 raise
             entries = [at | {"problem": str(error)}]
         first = False
-        yield frame, entries
+        yield (replace(frame, read=None) if picture is None else frame), entries
 
 
 def _pose(pose: FramePose, spread: float) -> dict[str, float]:

@@ -235,7 +235,7 @@ def _unknown(query: str, words: Sequence[str], classes: Sequence[str]) -> QueryE
     near = nearest(" ".join(words), classes)
     hint = f"the nearest that it knows: {', '.join(near)}" if near else f"it knows {_some(classes)}"
     if not near:
-        hint += ", and nothing near that word"
+        hint += ", and none spelt like it"
     return QueryError(
         f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. To look for any "
         f"words: {for_any_words()}"
@@ -247,7 +247,8 @@ def nearest(name: str, classes: Sequence[str], most: int = 5) -> tuple[str, ...]
     name = singular(plain(name))
     last = name.rpartition(" ")[2]
     by_way = dict.fromkeys([*_spelt(tuple(classes)), *(other for other in _groups() if _other(other, classes))])
-    alike = difflib.get_close_matches(name, by_way, n=3, cutoff=0.82)
+    swapped = [way for way in by_way if way[:1] == name[:1] and sorted(way) == sorted(name)]  # "chiar"
+    alike = swapped or difflib.get_close_matches(name, by_way, n=3, cutoff=0.82)  # a lower one takes a wall for a ball
     found = [each for way in alike for each in _named(way, classes) or _other(way, classes)]
     same = dict.fromkeys((name, *_groups().get(name, ()), last))
     for kind in (each for way in same for each in KIN.get(way, ())):
