@@ -175,7 +175,7 @@ export const words = {
   layers: {
     label: "What is drawn",
     heat: "Belief",
-    border: (mass: number) => `${whole(100 * mass)} % region`,
+    border: (mass: number, undrawn = "") => `${whole(100 * mass)} % region${undrawn && ` not drawn: ${undrawn}`}`,
     evidence: "Newest look",
     estimate: "Answer",
     modes: "Candidates",

@@ -85,6 +85,7 @@ def belief_json(density: Density, stamp: float, mode: np.ndarray | None) -> dict
         "stamp": rounded(stamp),
         "mass": MASS,
         "level": float(f"{density.level:.6g}"),
+        "undrawn": density.undrawn,
         "mode": rounded(mode),
         "terms": [{"weight": float(f"{term.weight:.6g}"), "degree": term.degree} for term in density.terms],
     }
