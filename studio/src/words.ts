@@ -192,11 +192,12 @@ export const words = {
     ambiguous: "ambiguous",
     stale: "stale",
     means: {
-      searching: "It may not be here, or lie anywhere.",
+      searching: "It may not be here, or has not been found yet.",
       tracking: "More likely than not it is here, within 15 degrees of the answer or half its own size.",
       ambiguous: "It is likely here, and several directions fit.",
       stale: "There was an answer, and nothing has been looked at for a while.",
     } as Record<string, string>,
+    likely: "It is likely here, but its direction is uncertain.",
     none: "not asked yet",
     waiting: "looking",
   },

@@ -410,12 +410,12 @@ class _Run:
 
     def _say_last(self) -> None:
         """The last answer in words, and what was written."""
-        from eagor.drawing.style import STATUS, candidates_in_words
+        from eagor.drawing.style import candidates_in_words, status_in_words
 
         if self.last is not None:
             estimate, at = self.last.estimate, self.last.stamp - self.begins
             said = f"at {at:.2f} s “{self.query}”: {candidates_in_words(estimate)}"
-            terminal.log(f"{said} ({estimate.status}: {STATUS[estimate.status]})")
+            terminal.log(f"{said} ({estimate.status}: {status_in_words(estimate.status, estimate.presence)})")
         options = self.options
         files = (options.out, options.picture, options.video, options.rerun, options.page)
         if written := [str(each) for each in files if each is not None and each.exists()]:
