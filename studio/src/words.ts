@@ -81,7 +81,7 @@ export const words = {
     none: "No runs yet",
     noneChange: (folder: string) =>
       `There is no run in ${folder}. Make one with “eagor bench run navigation --out runs/first”, then come back.`,
-    choose: "Choose an episode on the right",
+    reading: "The run is read …",
     episodes: "Episodes",
     episodesHint: "Failures first, then the largest error.",
     episode: "Episode",

@@ -182,6 +182,7 @@ export interface Run {
   kind: string;
   methods: string[];
   episodes: RunEpisode[];
+  problem: string; // why none of them can be shown; empty if they can
 }
 
 export interface Picture {
