@@ -214,6 +214,17 @@ def test_a_benchmark_that_names_no_causes_has_failures_all_the_same():
     assert run.study.worst(run, None).lines == ["a2  wrong  [odd]  '': 7"]
 
 
+def test_few_clusters_are_said_and_give_no_interval_of_their_own():
+    records = [
+        {"key": f"a{k}", "case": f"a{k}", "cluster": f"c{k % 3}", "status": "ok", "attempt": 1, "score": 0.0}
+        for k in range(4)
+    ]
+    run = Published(small_benchmark.Numbers()).loaded({"task": "numbers", "agent": "right"}, records)
+    report = run.study.report([run])
+    assert "right: 0.0 % (0.0 to 49.0)" in report.lead[0]  # Wilson's
+    assert "Only 3 clusters: intervals that resample so few are too narrow." in report.sheets[0].notes
+
+
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     found = answer("list")
     assert {"waypoint", "hstar-hos", "hstar-hps"} <= found.keys()

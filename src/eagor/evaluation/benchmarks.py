@@ -18,7 +18,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.evaluation import benchmark_tables, ledger, page
 from eagor.evaluation.benchmark_tables import OURS, labels_of
 from eagor.evaluation.page import Curve, Part, Section, Series, Sheet, could_not, line_chart, lines_of
-from eagor.evaluation.samples import LEVEL, RESAMPLES, checked, computing_time, finished, published
+from eagor.evaluation.samples import FEW, LEVEL, RESAMPLES, checked, computing_time, finished, published
 from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Study, Summary, Worst, latex, samples, words
 from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
@@ -134,6 +134,7 @@ class Published(Study):
         sheet = benchmark_tables.main_sheet(self.benchmark, [summary], published=False)
         lines = [f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters"]
         lines += [*lines_of(sheet), "In brackets: 95 %, Wilson's | cluster bootstrap."]
+        lines += benchmark_tables.few_clusters([summary])
         return lines + ([f"{summary['failed']} could not be run; they are in no figure."] if summary["failed"] else [])
 
     def as_json(self, summary: Summary) -> dict[str, Any]:
@@ -220,8 +221,11 @@ def _outcome(labels: Sequence[str], summaries: Sequence[Summary]) -> str:
         if summary["overall"] is None:
             said.append(f"{label}: no results")
             continue
-        ends = summary["intervals"]["overall"]["cluster"] or summary["intervals"]["overall"]["wilson"]
-        span = f" ({ends[0]:.1f} to {ends[1]:.1f})" if ends else ""
+        both = summary["intervals"]["overall"]
+        ends, few = both["cluster"], summary["clusters"] < FEW
+        if few or not ends or ends[0] == ends[1]:  # resampling cannot tell how uncertain the figure is
+            ends = both["wilson"]
+        span = f" ({ends[0]:.1f} to {ends[1]:.1f})" if ends else " (too few clusters for an interval)" if few else ""
         said.append(f"{label}: {summary['overall']:.1f} %{span}")
     return "Overall: " + "; ".join(said) + "."
 
