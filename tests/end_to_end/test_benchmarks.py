@@ -196,6 +196,10 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         words = ("--data", settings["data"], "--agent", agent, "--limit", 1, "--out", tmp_path / agent)
         answer("run", "hstar-hos", *words)
     assert "Only one cluster" in bench("compare", tmp_path / "oracle", tmp_path / "constant").stdout
+    part = bench("report", tmp_path / "oracle")
+    assert "without --limit and --shard, plays the rest" in " ".join(part.stderr.split())
+    assert "1 of 16 cases" in (tmp_path / "oracle" / "report.html").read_text()
+    assert "Cases: 1 of 16 with results, 0 could not be run" in (tmp_path / "oracle" / "tables.md").read_text()
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout

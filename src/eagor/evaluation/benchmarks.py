@@ -154,7 +154,7 @@ class Published(Study):
 
     def report(self, runs: Sequence[LoadedRun], open_place: Any = None) -> Report:
         summaries = [run.summary for run in runs]
-        labels = labels_of(summaries)
+        labels, planned = labels_of(summaries), [self.planned(run.settings) for run in runs]
         turns, views = benchmark_tables.turn_sheet(summaries), benchmark_tables.views_sheet(summaries)
         sheets = [benchmark_tables.main_sheet(self.benchmark, summaries)]
         sections = [Section("figures", "Figures", [*sheets])]
@@ -165,7 +165,7 @@ class Published(Study):
             sheets.append(views)
             sections.append(Section("views", "Views, and stopping", [views, *_reliability_charts(summaries)]))
         facts: list[tuple[str, str]] = []
-        for label, run in zip(labels, runs, strict=True):
+        for label, run, whole in zip(labels, runs, planned, strict=True):
             if found := self.failure_sheets(run.summary):
                 parts: list[Part] = [*found]
                 if lines := self.worst(run).lines[:LISTED]:
@@ -176,10 +176,11 @@ class Published(Study):
                 title = f"What could not be run: {label}"
                 sections.append(Section(f"errors-{len(sections)}", title, could_not(run.summary)))
             facts += [("Run", label)] if len(runs) > 1 else []
-            facts += _facts(run)
+            facts += _facts(run, whole)
+        counts = [_of(summary["episodes"], whole) for summary, whole in zip(summaries, planned, strict=True)]
         many = f", {len(runs)} runs" if len(runs) > 1 else ""
         return Report(
-            f"{self.benchmark.title}: {summaries[0]['episodes']} cases{many}",
+            f"{self.benchmark.title}: {' and '.join(dict.fromkeys(counts))} cases{many}",
             [page.text(_outcome(labels, summaries)), page.folded("What was run", page.facts(facts))],
             sections,
             facts,
@@ -230,11 +231,16 @@ def _outcome(labels: Sequence[str], summaries: Sequence[Summary]) -> str:
     return "Overall: " + "; ".join(said) + "."
 
 
-def _facts(run: LoadedRun) -> list[tuple[str, str]]:
+def _of(there: int, planned: int | None) -> str:
+    """How many cases there are, and of how many, where that is a part."""
+    return str(there) if planned is None or there >= planned else f"{there} of {planned}"
+
+
+def _facts(run: LoadedRun, planned: int | None) -> list[tuple[str, str]]:
     settings = [(key, value) for key, value in run.settings.items() if key != "kind" and value is not None]
     return [
         *((key.capitalize(), words(value)) for key, value in settings),
-        ("Cases", f"{run.summary['episodes']} with results, {run.summary['failed']} without"),
+        ("Cases", f"{_of(run.summary['episodes'], planned)} with results, {run.summary['failed']} could not be run"),
         ("Computing time", computing_time(run.records)),
         ("Intervals", f"{100 * LEVEL:.0f} %; Wilson's, and {RESAMPLES} resamples of whole clusters"),
     ]
