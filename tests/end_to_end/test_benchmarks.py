@@ -21,6 +21,7 @@ from eagor.cli import main
 from eagor.errors import EagorError
 from eagor.evaluation import ledger, workers
 from eagor.evaluation.benchmarks import Published
+from eagor.evaluation.page import Curve, Series, line_chart
 from eagor.evaluation.workers import Outcome, Unit, run_units
 
 TESTS = Path(__file__).parents[1]
@@ -227,6 +228,15 @@ def test_few_clusters_are_said_and_give_no_interval_of_their_own():
     report = run.study.report([run])
     assert "right: 0.0 % (0.0 to 49.0)" in report.lead[0]  # Wilson's
     assert "Only 3 clusters: intervals that resample so few are too narrow." in report.sheets[0].notes
+
+
+def test_each_point_of_a_reliability_chart_has_its_mark():
+    def marks(points):
+        x, none = tuple(k / (points - 1) for k in range(points)), (None,) * points
+        line = Series("ours", Curve(x, x, none, none, (1,) * points), "x0")
+        return line_chart([line], "Reliability", "stated", "found", (0.0, 1.0)).count("<use")
+
+    assert marks(9) - marks(5) == 4  # beside those of the ticks and of the legend
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):

@@ -205,6 +205,7 @@ def _palette(colours: Mapping[str, str]) -> str:
 # --- charts by matplotlib, as SVG for a page --------------------------------------------------------------------------
 
 RING = "ring"
+ALL_MARKED = 10  # points of a line that all have a mark; of more some
 STYLES: dict[str, tuple[Any, str]] = {  # dashes and marks, as matplotlib names them
     "eagor": ("-", "o"),
     "eagor_paper": ((0, (7, 3)), "s"),
@@ -319,7 +320,8 @@ def line_chart(
         y, below, above = (np.clip(_floats(v), low, high) for v in (line.curve.y, line.curve.low, line.curve.high))
         axes.fill_between(x, below, above, where=np.isfinite(y + below + above), linewidth=0, alpha=0.13,
                           color=colour_of(f"c-{line.look}"), clip_on=False)  # fmt: skip
-        every = max(1, math.ceil(np.count_nonzero(np.isfinite(y)) / 7))
+        count = np.count_nonzero(np.isfinite(y))
+        every = 1 if count <= ALL_MARKED else math.ceil(count / 7)
         axes.plot(x, y, label=line.name, markevery=(index % every, every), markersize=7 if line.strong else 6,
                   linewidth=3.2 if line.strong else 1.7, **style_of(line.look))  # fmt: skip
     _legend(figure, axes, [line.name for line in series])
