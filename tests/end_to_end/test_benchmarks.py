@@ -20,6 +20,7 @@ from processes import alive, sessions_of, wait_for
 from eagor.cli import main
 from eagor.errors import EagorError
 from eagor.evaluation import ledger, workers
+from eagor.evaluation.benchmark_tables import labels_of
 from eagor.evaluation.benchmarks import Published
 from eagor.evaluation.page import Curve, Series, line_chart
 from eagor.evaluation.workers import Outcome, Unit, run_units
@@ -237,6 +238,18 @@ def test_each_point_of_a_reliability_chart_has_its_mark():
         return line_chart([line], "Reliability", "stated", "found", (0.0, 1.0)).count("<use")
 
     assert marks(9) - marks(5) == 4  # beside those of the ticks and of the legend
+
+
+def test_a_legend_of_long_names_has_one_column_and_models_go_without_their_address():
+    def height(*names):
+        lines = [Series(name, Curve((0.0, 1.0), (0.0, 1.0), (None,) * 2, (None,) * 2, (1, 1)), "x0") for name in names]
+        return float(line_chart(lines, "Success", "turn", "success").split('viewBox="0 0 ')[1].split('"')[0].split()[1])
+
+    long = [f"vlm · endpoint:Qwen/Qwen2.5-VL-{size}B-Instruct" for size in (3, 7, 72)]
+    assert height(*long) - height("a", "b", "c") == pytest.approx(32, abs=1)  # two more lines of the legend
+    model = "endpoint:Qwen/Qwen2.5-VL-7B-Instruct@http://127.0.0.1:8000/v1?max_tokens=9"
+    summaries = [{"agent": "vlm", "model": model}, {"agent": "eagor", "perception": "truth:miss=0.5"}]
+    assert labels_of(summaries) == [long[1], "eagor · truth:miss=0.5"]
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):

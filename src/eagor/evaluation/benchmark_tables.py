@@ -6,6 +6,7 @@ tables are the same for the page, for Markdown and for the terminal.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -142,8 +143,14 @@ def _rows(table: Sequence[Any]) -> list[list[float]]:
 
 
 def labels_of(summaries: Sequence[Summary]) -> list[str]:
-    """What runs are called in tables: their agent, who looked or talked, and a number where that would be the same."""
-    parts = ((str(s["agent"]), s.get("perception") or s.get("model")) for s in summaries)
+    """What runs are called in tables: their agent, who looked or talked, and a number where that would be the same.
+
+    A model goes without its address and its options, which are under what was run.
+    """
+    parts = (
+        (str(s["agent"]), re.sub(r"(@https?://|\?).*", "", s.get("perception") or s.get("model") or ""))
+        for s in summaries
+    )
     found = [" · ".join(filter(None, part)) for part in parts]
     return [
         f"{label} ({found[: index + 1].count(label)})" if found.count(label) > 1 else label
