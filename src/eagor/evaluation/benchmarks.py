@@ -277,8 +277,9 @@ def _turn_chart(summaries: Sequence[Summary]) -> Part:
         x = tuple(float(k + 1) for k in range(count))
         return Curve(x, tuple(told["success"]), tuple(told["low"]), tuple(told["high"]), (summary["episodes"],) * count)
 
-    chart = line_chart(list(_curves(summaries, curve)), "Success by turn", "turn", "success, %", (0.0, 100.0))
-    return page.pictures([(chart, "Success had the answer been given at this turn; 95 % bands.")])
+    series = list(_curves(summaries, curve))
+    chart = line_chart(series, "Success by turn", "turn", "success, %", (0.0, 100.0))
+    return page.pictures([(chart, f"Success had the answer been given at this turn{page.bands(series)}.")])
 
 
 def _reliability_charts(summaries: Sequence[Summary]) -> list[Part]:

@@ -246,6 +246,11 @@ class Series:
     strong: bool = False
 
 
+def bands(series: Sequence[Series]) -> str:
+    """What a caption says of the bands of these lines; "" where none is drawn."""
+    return "; bands: 95 % intervals" if any(v is not None for line in series for v in line.curve.low) else ""
+
+
 def look_of(name: str, index: int = 0) -> str:
     """The looks of a method; others get one of the spare ones, by `index`."""
     return name if name in STYLES else f"x{index % SPARE}"
