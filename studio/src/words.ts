@@ -81,7 +81,7 @@ export const words = {
     none: "No runs yet",
     noneChange: (folder: string) =>
       `There is no run in ${folder}. Make one with “eagor bench run navigation --out runs/first”, then come back.`,
-    choose: "Choose an episode on the right",
+    reading: "The run is read …",
     episodes: "Episodes",
     episodesHint: "Failures first, then the largest error.",
     episode: "Episode",
@@ -175,7 +175,7 @@ export const words = {
   layers: {
     label: "What is drawn",
     heat: "Belief",
-    border: (mass: number) => `${whole(100 * mass)} % region`,
+    border: (mass: number, undrawn = "") => `${whole(100 * mass)} % region${undrawn && ` not drawn: ${undrawn}`}`,
     evidence: "Newest look",
     estimate: "Answer",
     modes: "Candidates",
@@ -192,11 +192,12 @@ export const words = {
     ambiguous: "ambiguous",
     stale: "stale",
     means: {
-      searching: "It may not be here, or lie anywhere.",
+      searching: "It may not be here, or has not been found yet.",
       tracking: "More likely than not it is here, within 15 degrees of the answer or half its own size.",
       ambiguous: "It is likely here, and several directions fit.",
       stale: "There was an answer, and nothing has been looked at for a while.",
     } as Record<string, string>,
+    likely: "It is likely here, but its direction is uncertain.",
     none: "not asked yet",
     waiting: "looking",
   },

@@ -57,3 +57,8 @@ it("finds both of two separate regions", () => {
   const heat = heatOf({ terms, level: one.density.level / 2 }, 128);
   expect(heat.border.length).toBe(2);
 });
+
+it("draws no border that the server says is not to be drawn", () => {
+  const { density } = fisher(direction(1, 0), 400);
+  expect(heatOf({ ...density, undrawn: "over half of the sphere" }, 64).border).toEqual([]);
+});

@@ -468,6 +468,21 @@ def test_a_body_that_is_no_completion(server, body, says, monkeypatch):
         asking(server, model="")(ball(0, 0), "red ball")  # the list of its models is no better
 
 
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        (b'{"choices": []}', "^qwen returned no choices"),
+        (b'{"choices": [{"message": {"content": ""}, "finish_reason": "stop"}]}', r"^qwen gave .* of 'stop'\)"),
+    ],
+    ids=["no choices", "no words"],
+)
+def test_an_empty_answer_is_said_of_the_model_that_was_asked(server, body, says, monkeypatch):
+    write = server._write
+    monkeypatch.setattr(server, "_write", lambda handler, status, _, kind: write(handler, status, body, kind))
+    with pytest.raises(AnswerError, match=says):
+        asking(server, "qwen")(ball(0, 0), "red ball")
+
+
 def test_a_box_of_the_whole_panorama_is_no_error(server):
     server.answer = lambda request: '[{"bbox_2d": [0, 0, 392, 196]}]'
     evidence = asking(server)(ball(0, 0), "red ball")

@@ -20,7 +20,9 @@ from processes import alive, sessions_of, wait_for
 from eagor.cli import main
 from eagor.errors import EagorError
 from eagor.evaluation import ledger, workers
+from eagor.evaluation.benchmark_tables import labels_of
 from eagor.evaluation.benchmarks import Published
+from eagor.evaluation.page import Curve, Series, line_chart
 from eagor.evaluation.workers import Outcome, Unit, run_units
 
 TESTS = Path(__file__).parents[1]
@@ -196,6 +198,10 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         words = ("--data", settings["data"], "--agent", agent, "--limit", 1, "--out", tmp_path / agent)
         answer("run", "hstar-hos", *words)
     assert "Only one cluster" in bench("compare", tmp_path / "oracle", tmp_path / "constant").stdout
+    part = bench("report", tmp_path / "oracle")
+    assert "without --limit and --shard, plays the rest" in " ".join(part.stderr.split())
+    assert "1 of 16 cases" in (tmp_path / "oracle" / "report.html").read_text()
+    assert "Cases: 1 of 16 with results, 0 could not be run" in (tmp_path / "oracle" / "tables.md").read_text()
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
@@ -212,6 +218,38 @@ def test_a_benchmark_that_names_no_causes_has_failures_all_the_same():
     run = Published(small_benchmark.Numbers()).loaded({"task": "numbers"}, records)
     assert run.summary["causes"] == run.summary["tags"]["odd"]["causes"] == {"wrong": 1}
     assert run.study.worst(run, None).lines == ["a2  wrong  [odd]  '': 7"]
+
+
+def test_few_clusters_are_said_and_give_no_interval_of_their_own():
+    records = [
+        {"key": f"a{k}", "case": f"a{k}", "cluster": f"c{k % 3}", "status": "ok", "attempt": 1, "score": 0.0}
+        for k in range(4)
+    ]
+    run = Published(small_benchmark.Numbers()).loaded({"task": "numbers", "agent": "right"}, records)
+    report = run.study.report([run])
+    assert "right: 0.0 % (0.0 to 49.0)" in report.lead[0]  # Wilson's
+    assert "Only 3 clusters: intervals that resample so few are too narrow." in report.sheets[0].notes
+
+
+def test_each_point_of_a_reliability_chart_has_its_mark():
+    def marks(points):
+        x, none = tuple(k / (points - 1) for k in range(points)), (None,) * points
+        line = Series("ours", Curve(x, x, none, none, (1,) * points), "x0")
+        return line_chart([line], "Reliability", "stated", "found", (0.0, 1.0)).count("<use")
+
+    assert marks(9) - marks(5) == 4  # beside those of the ticks and of the legend
+
+
+def test_a_legend_of_long_names_has_one_column_and_models_go_without_their_address():
+    def height(*names):
+        lines = [Series(name, Curve((0.0, 1.0), (0.0, 1.0), (None,) * 2, (None,) * 2, (1, 1)), "x0") for name in names]
+        return float(line_chart(lines, "Success", "turn", "success").split('viewBox="0 0 ')[1].split('"')[0].split()[1])
+
+    long = [f"vlm · endpoint:Qwen/Qwen2.5-VL-{size}B-Instruct" for size in (3, 7, 72)]
+    assert height(*long) - height("a", "b", "c") == pytest.approx(32, abs=1)  # two more lines of the legend
+    model = "endpoint:Qwen/Qwen2.5-VL-7B-Instruct@http://127.0.0.1:8000/v1?max_tokens=9"
+    summaries = [{"agent": "vlm", "model": model}, {"agent": "eagor", "perception": "truth:miss=0.5"}]
+    assert labels_of(summaries) == [long[1], "eagor · truth:miss=0.5"]
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):

@@ -220,6 +220,8 @@ def test_development_seeds_are_no_results(tmp_path):
     text = write_report(runs.write_run(tmp_path, records, development=True), place).read_text()
     assert "parameters were chosen on them" in text
     assert "Only one apartment" in text
+    assert "Means over" in text
+    assert "bands" not in text
     assert "beyond chance" not in text
 
 
@@ -231,6 +233,9 @@ def test_a_run_without_ours_or_with_failures_alone_still_has_a_report(tmp_path):
     failed = {"key": "waypoint/1", "task": "waypoint", "attempt": 2, "status": "failed", "error": "none"}
     text = write_report(runs.write_run(tmp_path / "b", [failed]), place).read_text()
     assert "There are no results" in text
+    assert "none has a result" in text
+    for needless in ("Episodes behind each figure", "‡", "What the columns are"):
+        assert needless not in text
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path):

@@ -377,6 +377,18 @@ def test_a_video_is_dropped_paused_and_sought(studio: Studio, tmp_path: Path) ->
     assert page.get_by_label("Where is the").input_value() == "green ball"
 
 
+def test_a_run_without_results_shows_nothing_of_the_one_before(studio: Studio) -> None:
+    page = go(studio, "run")
+    page.until("window.eagorStudio.store.answer && window.eagorStudio.store.panorama")
+    none = json.dumps({"kind": "bench", "methods": [], "episodes": [], "problem": "no episode has a result"})
+    page.route("**/api/runs/half*", lambda route: route.fulfill(status=200, content_type="application/json", body=none))
+    page.locator(".controls select").first.select_option("half")
+    page.until("document.querySelector('.empty').textContent.includes('No episode has a result')")
+    assert page.evaluate("window.eagorStudio.store.answer") is None
+    assert page.get_by_role("button", name="Play", exact=True).count() == 0
+    page.unroute("**/api/runs/half*")
+
+
 @pytest.mark.slow
 def test_a_run_that_is_empty_is_said_so(studio: Studio) -> None:
     page = go(studio, "run")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.cli.answers import SHORT, header, line
-from eagor.drawing.style import distance_in_words
+from eagor.drawing.style import distance_in_words, status_in_words
 from eagor.sphere import direction
 from eagor.tasks.methods import NAMES
 
@@ -120,3 +120,9 @@ def test_nine_of_ten_log_normal_distances_are_inside(median, spread):
 def test_the_interval_is_a_decade_at_most():
     known = [spread for spread in np.linspace(0.01, 1.5, 150) if distance_in_words(4.0, float(spread)) != "-"]
     assert math.exp(2 * 1.645 * max(known)) == pytest.approx(10, rel=0.05)
+
+
+def test_what_searching_means_agrees_with_the_probability_of_presence():
+    assert status_in_words("searching", 0.99).startswith("it is likely here")
+    assert status_in_words("searching", 0.3).startswith("it may not be here")
+    assert status_in_words("tracking", 0.99).startswith("more likely than not")

@@ -81,6 +81,12 @@ def test_the_level_bounds_the_region_that_holds_the_stated_mass(belief):
     assert float(np.sum((drawn * FINE.weights)[drawn > density.level])) == pytest.approx(MASS, abs=0.02)  # of the drawn
 
 
+def test_a_border_that_would_run_in_a_flat_background_is_not_drawn():
+    seen_once = told(detections(0.4), positions=False)  # a peak of less than 90 %; elsewhere all is equally likely
+    assert density_of(seen_once.posterior).undrawn == "over half of the sphere"
+    assert density_of(BELIEFS["one peak"]().posterior).undrawn == ""
+
+
 def test_it_is_close_to_the_belief_everywhere(belief):
     estimate, density = belief
     _, weights, directions = estimate.posterior.parts

@@ -18,6 +18,7 @@ from PIL import Image
 from starlette.datastructures import Headers
 
 from eagor.errors import EagorError, ImageError
+from eagor.evaluation.study import LoadedRun
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
@@ -304,6 +305,21 @@ def test_a_run_is_found_by_its_name_alone(tmp_path):
             runs.folder_of(root, name)
     assert list(runs.runs_in(outside)) == ["."]
     assert runs.runs_in(tmp_path / "nowhere") == {}
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"task": "navigation"}, "no episode has a result, 2 could not be run"),
+        ({"kind": "benchmark"}, "still pictures"),
+    ],
+)
+def test_a_run_of_which_no_episode_can_be_shown_says_why(settings, says):
+    failed = [{"key": f"e{k}", "attempt": 1, "status": "failed", "error": "no"} for k in range(2)]
+    run = LoadedRun(SimpleNamespace(name="some task"), settings, failed, {"failed": 2})
+    assert not runs.episodes_of(run)["playable"]
+    with pytest.raises(EagorError, match=says):
+        runs.episode_of(run, None)
 
 
 # --- the body ---

@@ -63,11 +63,11 @@ def line(frame: FollowedFrame, begins: float = 0.0) -> str:
 
 def in_words(frame: FollowedFrame, query: str, begins: float = 0.0) -> str:
     """The answer at one frame as a sentence, its stamp counted from `begins`."""
-    from eagor.drawing.style import STATUS, candidates_in_words
+    from eagor.drawing.style import candidates_in_words, status_in_words
 
     e = frame.estimate
     said = f"at {frame.stamp - begins:.2f} s “{query}”: {candidates_in_words(e)}"
-    return f"{said} ({e.status}: {STATUS[e.status]})"
+    return f"{said} ({e.status}: {status_in_words(e.status, e.presence)})"
 
 
 def _cell(direction: np.ndarray | None) -> str:

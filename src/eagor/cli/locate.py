@@ -176,12 +176,12 @@ def _checked_floor(floor: float | None) -> float | None:
 
 
 def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:
-    from eagor.drawing.style import STATUS, answer_in_words, far_in_words, signed
+    from eagor.drawing.style import answer_in_words, far_in_words, signed, status_in_words
     from eagor.perception import short_name
 
     known = estimate.direction is not None
     print(f"{options.query}, in {name}, as {short_name(spec)} sees it")
-    print(f"  status          {estimate.status}: {STATUS[estimate.status]}")
+    print(f"  status          {estimate.status}: {status_in_words(estimate.status, estimate.presence)}")
     print(f"  direction       {answer_in_words(estimate)}")
     if known:
         print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")

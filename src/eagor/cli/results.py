@@ -114,9 +114,10 @@ def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
     """How many records a run has, and how many it is to have; said, if these are fewer."""
     planned, there = run.study.planned(run.settings), len(run.records)
     if planned is not None and there < planned:
+        part = ", without --limit and --shard," if run.study.several else ""
         terminal.warning(
-            f"{folder} has {there} of {planned} records; the figures are about these. The command of the run goes on "
-            "where it stopped"
+            f"{folder} has {there} of {planned} records; the figures are about these. The command of the run{part} "
+            "plays the rest"
         )
     return {"folder": str(folder), "records": there, "planned": planned}
 

@@ -18,7 +18,7 @@ from eagor._files import written
 from eagor._version import __version__
 from eagor.drawing.html_parts import FULL, Strips, as_address, facts, filled, items, key
 from eagor.drawing.step import ScenePainter
-from eagor.drawing.style import STATUS, candidates_in_words, far_in_words, in_words, signed
+from eagor.drawing.style import STATUS, candidates_in_words, far_in_words, in_words, signed, status_in_words
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, Thinned, TimeLine
 from eagor.errors import EagorError, StorageError
 from eagor.grids import PerspectiveGrid
@@ -187,7 +187,7 @@ class BeliefPage:
 
     def _status(self) -> str:
         _, _, last = self._last
-        texts = [f"The status is {last.status}: {STATUS[last.status]}."]
+        texts = [f"The status is {last.status}: {status_in_words(last.status, last.presence)}."]
         texts.append(f"The probability that it is here at all is {last.presence:.2f}.")
         if last.cone is not None:
             texts.append(f"90 % of the belief lies within {np.degrees(last.cone):.0f} degrees of the answer.")

@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     from eagor.tracking.estimate import Estimate
 
 STATUS = {
-    "searching": "it may not be here, or lie anywhere",
+    "searching": "it may not be here, or has not been found yet",
     "tracking": "more likely than not it is here, within 15 degrees of the answer or half its own size",
     "ambiguous": "it is likely here, and several directions fit",
     "stale": "there was an answer, and nothing has been looked at for a while",
 }
+
+LIKELY = "it is likely here, but its direction is uncertain"  # searching, and it is present rather than not
 
 _SIGMAS_90 = 1.645  # standard deviations on either side that hold 90 % of a normal distribution
 
@@ -61,6 +63,11 @@ def answer_in_words(estimate: Estimate) -> str:
     if estimate.azimuth is None or estimate.elevation is None:
         return "not known"
     return in_words(estimate.azimuth, estimate.elevation)
+
+
+def status_in_words(status: str, presence: float) -> str:
+    """What a status means, as of an estimate with this probability of presence."""
+    return LIKELY if status == "searching" and presence > 0.5 else STATUS[status]
 
 
 def candidates_in_words(estimate: Estimate) -> str:

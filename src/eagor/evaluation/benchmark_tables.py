@@ -6,6 +6,7 @@ tables are the same for the page, for Markdown and for the terminal.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,7 +14,17 @@ from typing import Any
 import numpy as np
 
 from eagor.evaluation.page import NOTHING, Box, Row, Sheet, box, number, span
-from eagor.evaluation.samples import Record, cause_of, clustered, failures, finished, mean_intervals, sample, wilson
+from eagor.evaluation.samples import (
+    FEW,
+    Record,
+    cause_of,
+    clustered,
+    failures,
+    finished,
+    mean_intervals,
+    sample,
+    wilson,
+)
 from eagor.evaluation.tables import FAILURE_TAGS, FIGURES, OURS, headed
 from eagor.statistics import calibration_error, reliability
 from eagor.tasks.benchmark import Benchmark, Figure
@@ -132,8 +143,14 @@ def _rows(table: Sequence[Any]) -> list[list[float]]:
 
 
 def labels_of(summaries: Sequence[Summary]) -> list[str]:
-    """What runs are called in tables: their agent, who looked or talked, and a number where that would be the same."""
-    parts = ((str(s["agent"]), s.get("perception") or s.get("model")) for s in summaries)
+    """What runs are called in tables: their agent, who looked or talked, and a number where that would be the same.
+
+    A model goes without its address and its options, which are under what was run.
+    """
+    parts = (
+        (str(s["agent"]), re.sub(r"(@https?://|\?).*", "", s.get("perception") or s.get("model") or ""))
+        for s in summaries
+    )
     found = [" · ".join(filter(None, part)) for part in parts]
     return [
         f"{label} ({found[: index + 1].count(label)})" if found.count(label) > 1 else label
@@ -164,6 +181,7 @@ def main_sheet(benchmark: Benchmark, summaries: Sequence[Summary], published: bo
         "Small print: 95 % intervals; Wilson's | cluster bootstrap, which knows that the cases of one target or scene "
         f"are not independent. {counts}.",
         *(f"{figure.title}: {figure.what}." for figure in figures),
+        *few_clusters(summaries),
     ]
     if known:
         notes.append(
@@ -171,6 +189,14 @@ def main_sheet(benchmark: Benchmark, summaries: Sequence[Summary], published: bo
             "only where model, data and scoring are the same."
         )
     return Sheet(benchmark.title, tuple(heads), tuple(rows), tuple(notes))
+
+
+def few_clusters(summaries: Sequence[Summary]) -> list[str]:
+    """What so few clusters cannot tell; nothing where every run with results has enough."""
+    least = min((s["clusters"] for s in summaries if s["clusters"]), default=FEW)
+    if least == 1:
+        return ["Only one cluster: nothing can be said about how far the figures carry over to others."]
+    return [f"Only {least} clusters: intervals that resample so few are too narrow."] if least < FEW else []
 
 
 def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:

@@ -18,7 +18,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.evaluation import benchmark_tables, ledger, page
 from eagor.evaluation.benchmark_tables import OURS, labels_of
 from eagor.evaluation.page import Curve, Part, Section, Series, Sheet, could_not, line_chart, lines_of
-from eagor.evaluation.samples import LEVEL, RESAMPLES, checked, computing_time, finished, published
+from eagor.evaluation.samples import FEW, LEVEL, RESAMPLES, checked, computing_time, finished, published
 from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Study, Summary, Worst, latex, samples, words
 from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
@@ -134,6 +134,7 @@ class Published(Study):
         sheet = benchmark_tables.main_sheet(self.benchmark, [summary], published=False)
         lines = [f"{sheet.title}: {summary['episodes']} cases in {summary['clusters']} clusters"]
         lines += [*lines_of(sheet), "In brackets: 95 %, Wilson's | cluster bootstrap."]
+        lines += benchmark_tables.few_clusters([summary])
         return lines + ([f"{summary['failed']} could not be run; they are in no figure."] if summary["failed"] else [])
 
     def as_json(self, summary: Summary) -> dict[str, Any]:
@@ -153,7 +154,7 @@ class Published(Study):
 
     def report(self, runs: Sequence[LoadedRun], open_place: Any = None) -> Report:
         summaries = [run.summary for run in runs]
-        labels = labels_of(summaries)
+        labels, planned = labels_of(summaries), [self.planned(run.settings) for run in runs]
         turns, views = benchmark_tables.turn_sheet(summaries), benchmark_tables.views_sheet(summaries)
         sheets = [benchmark_tables.main_sheet(self.benchmark, summaries)]
         sections = [Section("figures", "Figures", [*sheets])]
@@ -164,7 +165,7 @@ class Published(Study):
             sheets.append(views)
             sections.append(Section("views", "Views, and stopping", [views, *_reliability_charts(summaries)]))
         facts: list[tuple[str, str]] = []
-        for label, run in zip(labels, runs, strict=True):
+        for label, run, whole in zip(labels, runs, planned, strict=True):
             if found := self.failure_sheets(run.summary):
                 parts: list[Part] = [*found]
                 if lines := self.worst(run).lines[:LISTED]:
@@ -175,10 +176,11 @@ class Published(Study):
                 title = f"What could not be run: {label}"
                 sections.append(Section(f"errors-{len(sections)}", title, could_not(run.summary)))
             facts += [("Run", label)] if len(runs) > 1 else []
-            facts += _facts(run)
+            facts += _facts(run, whole)
+        counts = [_of(summary["episodes"], whole) for summary, whole in zip(summaries, planned, strict=True)]
         many = f", {len(runs)} runs" if len(runs) > 1 else ""
         return Report(
-            f"{self.benchmark.title}: {summaries[0]['episodes']} cases{many}",
+            f"{self.benchmark.title}: {' and '.join(dict.fromkeys(counts))} cases{many}",
             [page.text(_outcome(labels, summaries)), page.folded("What was run", page.facts(facts))],
             sections,
             facts,
@@ -220,17 +222,25 @@ def _outcome(labels: Sequence[str], summaries: Sequence[Summary]) -> str:
         if summary["overall"] is None:
             said.append(f"{label}: no results")
             continue
-        ends = summary["intervals"]["overall"]["cluster"] or summary["intervals"]["overall"]["wilson"]
-        span = f" ({ends[0]:.1f} to {ends[1]:.1f})" if ends else ""
+        both = summary["intervals"]["overall"]
+        ends, few = both["cluster"], summary["clusters"] < FEW
+        if few or not ends or ends[0] == ends[1]:  # resampling cannot tell how uncertain the figure is
+            ends = both["wilson"]
+        span = f" ({ends[0]:.1f} to {ends[1]:.1f})" if ends else " (too few clusters for an interval)" if few else ""
         said.append(f"{label}: {summary['overall']:.1f} %{span}")
     return "Overall: " + "; ".join(said) + "."
 
 
-def _facts(run: LoadedRun) -> list[tuple[str, str]]:
+def _of(there: int, planned: int | None) -> str:
+    """How many cases there are, and of how many, where that is a part."""
+    return str(there) if planned is None or there >= planned else f"{there} of {planned}"
+
+
+def _facts(run: LoadedRun, planned: int | None) -> list[tuple[str, str]]:
     settings = [(key, value) for key, value in run.settings.items() if key != "kind" and value is not None]
     return [
         *((key.capitalize(), words(value)) for key, value in settings),
-        ("Cases", f"{run.summary['episodes']} with results, {run.summary['failed']} without"),
+        ("Cases", f"{_of(run.summary['episodes'], planned)} with results, {run.summary['failed']} could not be run"),
         ("Computing time", computing_time(run.records)),
         ("Intervals", f"{100 * LEVEL:.0f} %; Wilson's, and {RESAMPLES} resamples of whole clusters"),
     ]
@@ -267,8 +277,9 @@ def _turn_chart(summaries: Sequence[Summary]) -> Part:
         x = tuple(float(k + 1) for k in range(count))
         return Curve(x, tuple(told["success"]), tuple(told["low"]), tuple(told["high"]), (summary["episodes"],) * count)
 
-    chart = line_chart(list(_curves(summaries, curve)), "Success by turn", "turn", "success, %", (0.0, 100.0))
-    return page.pictures([(chart, "Success had the answer been given at this turn; 95 % bands.")])
+    series = list(_curves(summaries, curve))
+    chart = line_chart(series, "Success by turn", "turn", "success, %", (0.0, 100.0))
+    return page.pictures([(chart, f"Success had the answer been given at this turn{page.bands(series)}.")])
 
 
 def _reliability_charts(summaries: Sequence[Summary]) -> list[Part]:

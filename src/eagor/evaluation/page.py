@@ -205,6 +205,7 @@ def _palette(colours: Mapping[str, str]) -> str:
 # --- charts by matplotlib, as SVG for a page --------------------------------------------------------------------------
 
 RING = "ring"
+ALL_MARKED = 10  # points of a line that all have a mark; of more some
 STYLES: dict[str, tuple[Any, str]] = {  # dashes and marks, as matplotlib names them
     "eagor": ("-", "o"),
     "eagor_paper": ((0, (7, 3)), "s"),
@@ -243,6 +244,11 @@ class Series:
     curve: Curve
     look: str
     strong: bool = False
+
+
+def bands(series: Sequence[Series]) -> str:
+    """What a caption says of the bands of these lines; "" where none is drawn."""
+    return "; bands: 95 % intervals" if any(v is not None for line in series for v in line.curve.low) else ""
 
 
 def look_of(name: str, index: int = 0) -> str:
@@ -292,7 +298,7 @@ def line_chart(
     values = [v for line in series for v in (*line.curve.y, *line.curve.low, *line.curve.high) if v is not None]
     low, high = y_range or (0.0, max(values, default=1.0) * 1.04)
     high = max(high, low + 1e-6)
-    rows = math.ceil(len(series) / 3)
+    rows = math.ceil(len(series) / _columns([line.name for line in series]))
     height = 300 + 16 * rows
     figure, axes = blank(480, height, (46 / 480, (42 + 16 * rows) / height, 418 / 480, 246 / height))
     axes.axis("on")
@@ -319,7 +325,8 @@ def line_chart(
         y, below, above = (np.clip(_floats(v), low, high) for v in (line.curve.y, line.curve.low, line.curve.high))
         axes.fill_between(x, below, above, where=np.isfinite(y + below + above), linewidth=0, alpha=0.13,
                           color=colour_of(f"c-{line.look}"), clip_on=False)  # fmt: skip
-        every = max(1, math.ceil(np.count_nonzero(np.isfinite(y)) / 7))
+        count = np.count_nonzero(np.isfinite(y))
+        every = 1 if count <= ALL_MARKED else math.ceil(count / 7)
         axes.plot(x, y, label=line.name, markevery=(index % every, every), markersize=7 if line.strong else 6,
                   linewidth=3.2 if line.strong else 1.7, **style_of(line.look))  # fmt: skip
     _legend(figure, axes, [line.name for line in series])
@@ -328,7 +335,7 @@ def line_chart(
 
 def legend(names: Sequence[str], strong: str, of: str) -> str:
     """The names of methods, each with a sample of its line, as a picture of its own; `of`: what it belongs to."""
-    figure, axes = blank(480, 16 * math.ceil(len(names) / 3) + 2)
+    figure, axes = blank(480, 16 * math.ceil(len(names) / _columns(names)) + 2)
     for name in names:
         axes.plot([], [], label=name, linewidth=3.2 if name == strong else 1.7, **style_of(look_of(name)))
     _legend(figure, axes, names)
@@ -365,11 +372,17 @@ def finished(figure: Any, title: str, words: str, image: str = "") -> str:
     )
 
 
+def _columns(names: Sequence[str]) -> int:
+    """How many columns of a legend of 480 pixels these names fit into, at about 6.5 pixels a letter."""
+    widest = 60 + 6.5 * max(map(len, names), default=0)
+    return max(1, min(3, len(names), int(480 / widest)))
+
+
 def _legend(figure: Any, axes: Any, names: Sequence[str]) -> None:
     """All lines that are named, in this order, at the foot of the figure."""
     handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     figure.legend(
-        [handles[name] for name in names], names, loc="lower center", ncol=min(3, len(names)), frameon=False,
+        [handles[name] for name in names], names, loc="lower center", ncol=_columns(names), frameon=False,
         fontsize=12, labelcolor=colour_of("ink"), handlelength=3, borderpad=0, borderaxespad=0, columnspacing=1.5,
         labelspacing=0.3,
     )  # fmt: skip

@@ -387,7 +387,7 @@ def _panels(
             continue
         whole = f"{title}: {label} and {OURS}" if group and OURS in chosen else title
         chart = line_chart(series, whole, x_label, "error, degrees", (0.0, 1.03 * top), event)
-        pictures.append((chart, f"{whole}. Means over {_episodes(series)}; bands: 95 % intervals."))
+        pictures.append((chart, f"{whole}. Means over {_episodes(series)}{page.bands(series)}."))
         lines += [line for line in series if line not in lines]
     return [page.pictures(pictures), page.folded("The numbers", _numbers(title, x_label, lines))]
 

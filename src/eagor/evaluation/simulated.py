@@ -279,7 +279,7 @@ class Simulated(Study):
     def report(self, runs: Sequence[LoadedRun], open_place: Any = None) -> Report:
         (run,) = runs
         summary, task, good, degrees = run.summary, self.task, finished(run.records), _degrees(run.settings)
-        main = sheets.main_sheet(summary)
+        main = [sheets.main_sheet(summary)] if summary["methods"] else []
         ordering = _there(sheets.ordering_sheet(good, task.name))
         made_of = _there(sheets.parts_sheet(good, summary))
         covered = _there(sheets.coverage_sheet(good, summary))
@@ -289,7 +289,9 @@ class Simulated(Study):
         honest = [*covered, *sheets.reliability_chart(good)] if covered else []
         variants = [*varied, *sheets.kernel_chart(summary, degrees)] if varied else []
         sections = [
-            Section("figures", "Figures", [main, page.folded("What the columns are", page.facts(named))]),
+            Section(
+                "figures", "Figures", [*main, page.folded("What the columns are", page.facts(named))] if main else []
+            ),
             Section("ordering", "How far the paper's ordering carries over", ordering),
             Section("parts", "What the errors are made of", made_of),
             *sheets.curve_sections(good, task),
@@ -305,7 +307,7 @@ class Simulated(Study):
             [*_lead(run, task), page.facts(facts)],
             [section for section in sections if section.parts],
             facts,
-            [main, *ordering, *made_of, *strata, *covered, *varied],
+            [*main, *ordering, *made_of, *strata, *covered, *varied],
             {"tables.csv": table_csv(summary)},
         )
 
@@ -404,7 +406,7 @@ def _facts(run: LoadedRun, task: Task) -> list[tuple[str, str]]:
     asked = words(config.get("episodes", "unknown"))
     pairs.append(("Episodes", f"{summary['episodes']} with results of {asked} asked"))
     pairs.append(("Units of work", f"{len(records)} recorded, {summary['failed']} of them failed"))
-    pairs.append(("Methods", ", ".join(summary["methods"])))
+    pairs.append(("Methods", ", ".join(summary["methods"]) or "none has a result"))
     before = {"task", "perception", "world", "rows", "seed", "episodes", "development", "methods"}
     others = [(name.capitalize(), words(value)) for name, value in config.items() if name not in before]
     pairs += [(name, text) for name, text in others if text]

@@ -12,6 +12,7 @@ import importlib
 import signal
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -148,6 +149,9 @@ def attempt_unit(
         raise
     except Exception as error:
         text = f"{type(error).__name__}: {error}"
+        if not isinstance(error, EagorError):  # whoever wrote the plugin wants to know where
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            text = f"{text[: LONGEST_ERROR - 100]} ({Path(last.filename).name}:{last.lineno})"
         record = failure(unit, attempt, task, text, time.perf_counter() - began)
         keep(record)
     return head_of(record)

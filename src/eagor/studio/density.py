@@ -20,6 +20,7 @@ from eagor.belief.field import SphereField
 from eagor.belief.reading import Reading
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
+from eagor.thumbnail import undrawn
 
 __all__ = ["Density", "Term", "density_of"]
 
@@ -52,10 +53,14 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Density:
-    """A density per steradian: the sum of its `terms`, in world axes. `level`: at the border of the 90 % region."""
+    """A density per steradian: the sum of its `terms`, in world axes. `level`: at the border of the 90 % region.
+
+    `undrawn`: why that border is not drawn; empty if it is.
+    """
 
     terms: tuple[Term, ...]
     level: float
+    undrawn: str = ""
 
     def __call__(self, directions: np.ndarray) -> np.ndarray:
         """The density ``(...)`` at unit vectors ``(..., 3)``."""
@@ -70,9 +75,10 @@ class Density:
 def density_of(reading: Reading, degree: int = DEGREE) -> Density:
     """The density that a reading answers from, as terms; the widest has this degree.
 
-    The level is that of the region of these terms which holds 90 % of the true belief.
+    The level is that of the region of these terms which holds 90 % of the true belief. Where the true belief is flat at
+    that border, the terms' ripples would decide where it runs: it is not drawn, by the rule of the panoramas.
     """
-    _, weights, directions = reading.parts
+    logs, weights, directions = reading.parts
     mass, field = reading.mass, reading.field
     values = field.values - reading.log_total
     hidden = ~field.layout.outside if field.patches else np.zeros(values.shape, dtype=bool)
@@ -108,7 +114,8 @@ def density_of(reading: Reading, degree: int = DEGREE) -> Density:
     order = np.argsort(-found, kind="stable")
     reached = np.cumsum(mass[order]) - mass[order] / 2
     place = min(int(np.searchsorted(reached, MASS)), len(order) - 1)
-    return Density(tuple(terms), float(found[order[place]] / total))
+    missing = undrawn(logs - reading.log_total, weights, *reading.region(MASS))
+    return Density(tuple(terms), float(found[order[place]] / total), missing)
 
 
 def _ground(field: SphereField, values: np.ndarray, hidden: np.ndarray, degree: int) -> np.ndarray:

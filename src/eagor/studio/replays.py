@@ -72,7 +72,7 @@ def redraw(run: LoadedRun, case: str, advance: Advance = lambda _: None) -> Redr
     """Episode `case` of a run of a simulated task, again, with pictures finer than what the perception looked at.
 
     `advance` is called with the number of each step, and for each picture.
-    Raises `EagorError` for an unknown episode, one of a benchmark of still pictures, or a run without a tracker.
+    Raises `EagorError` for an unknown episode, or a run without a tracker.
     """
     records = [record for record in finished(run.records) if case_of(record) == case]
     if not records:
@@ -115,8 +115,8 @@ def _believer(run: LoadedRun, case: str, methods: Mapping[str, Any]) -> str:
     trackers = [name for name in known if name.partition(":")[0] in (OURS, "eagor_paper")]
     if not trackers:
         raise EagorError(
-            f"episode {case!r} was played by {', '.join(known) or 'no method'}: none keeps a belief that could be "
-            "shown. Run it with --methods eagor"
+            f"episode {case!r} was played by {', '.join(known)}: none keeps a belief that could be shown. Run it with "
+            "--methods eagor"
         )
     return trackers[0]
 

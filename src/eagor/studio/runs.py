@@ -22,6 +22,7 @@ from eagor._checks import parsed
 from eagor._files import written
 from eagor.errors import EagorError, FormatError
 from eagor.evaluation import ledger, studies
+from eagor.evaluation.benchmarks import KIND
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import LoadedRun
 from eagor.evaluation.tables import OURS
@@ -39,6 +40,7 @@ MOST = 200  # runs that are listed
 LARGEST = 1 << 22  # bytes of a run.json that is listed
 ITSELF = "."  # the name of a folder that is a run itself
 WALK = "walk"  # the only case of a robot's report
+STILL = "episodes of a benchmark of still pictures cannot be played again; see its report (eagor bench report RUN)"
 
 
 def key_of(case: str) -> str:
@@ -102,7 +104,8 @@ def _line(name: str, folder: Path) -> dict[str, Any]:
         done = sum(path.read_bytes().count(b"\n") for path in ledger.files(folder))
     except (EagorError, OSError) as error:
         return line | {"episodes": 0, "done": 0, "problem": str(error)}
-    problem = "" if done else "It has no records yet."
+    still = settings.get("kind") == KIND
+    problem = "" if done and not still else "still pictures, see its report" if done else "It has no records yet."
     line |= {"task": str(settings.get("task", "")), "perception": str(settings.get("perception", ""))}
     return line | {"episodes": settings.get("episodes"), "done": done, "problem": problem}
 
@@ -134,11 +137,13 @@ def episodes_of(run: LoadedRun) -> dict[str, Any]:
         ours = entry["methods"].get(OURS) or next(iter(entry["methods"].values()), {})
         entry |= {"error_deg": ours.get("error_deg"), "success": ours.get("success")}
     order = sorted(episodes.values(), key=_badness)
-    playable = bool(methods)
-    problem = "" if playable else "Episodes of a benchmark of still pictures cannot be played again; see its report."
-    failed = run.summary.get("failed", 0)
+    failed, problem = run.summary.get("failed", 0), ""
+    if run.settings.get("kind") == KIND:
+        problem = STILL
+    elif not order:
+        problem = f"no episode has a result, {failed} could not be run; eagor bench failures RUN says why"
     return {"kind": "bench", "task": run.study.name, "methods": methods, "episodes": order, "failed": failed,
-            "playable": playable, "problem": problem}  # fmt: skip
+            "playable": not problem, "problem": problem}  # fmt: skip
 
 
 def _few(kind: str, cases: list[tuple[str, str, str]]) -> dict[str, Any]:
@@ -182,9 +187,12 @@ def again(folder: Path, key: str | None, advance: Callable[[int], object] = lamb
 
 
 def episode_of(run: LoadedRun, key: str | None, advance: Callable[[int], object] = lambda _: None) -> Redrawn:
-    """One episode of a bench run, as `again` gives it."""
+    """One episode of a bench run, as `again` gives it. Raises `EagorError` where there is none to be played again."""
+    told = episodes_of(run)
+    if told["problem"]:
+        raise EagorError(told["problem"])
     if key is None:
-        key = episodes_of(run)["episodes"][0]["key"]
+        key = told["episodes"][0]["key"]
     cases = {key_of(case): case for record in finished(run.records) for case in (case_of(record),)}
     cases |= {case: case for case in cases.values()}
     if key not in cases:

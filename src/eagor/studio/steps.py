@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from eagor.drawing.style import STATUS, answer_in_words, far_in_words
+from eagor.drawing.style import answer_in_words, far_in_words, status_in_words
 from eagor.drawing.view import Mosaic
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PerspectiveGrid
@@ -62,7 +62,8 @@ def in_words(estimate: Estimate) -> str:
     where, far = answer_in_words(e), far_in_words(e)
     cone = f"90 % within {math.degrees(e.credible_angle):.0f} degrees"
     parts = [where, *([f"{far} away"] if far else []), cone]
-    said = f"{', '.join(parts)}. Presence {100 * e.presence:.0f} %, {e.status}: {STATUS[e.status]}."
+    meaning = status_in_words(e.status, e.presence)
+    said = f"{', '.join(parts)}. Presence {100 * e.presence:.0f} %, {e.status}: {meaning}."
     return said[0].upper() + said[1:]
 
 
@@ -85,6 +86,7 @@ def belief_json(density: Density, stamp: float, mode: np.ndarray | None) -> dict
         "stamp": rounded(stamp),
         "mass": MASS,
         "level": float(f"{density.level:.6g}"),
+        "undrawn": density.undrawn,
         "mode": rounded(mode),
         "terms": [{"weight": float(f"{term.weight:.6g}"), "degree": term.degree} for term in density.terms],
     }

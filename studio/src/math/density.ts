@@ -12,6 +12,7 @@ export interface Term {
 export interface Density {
   terms: Term[];
   level: number; // density at the border of the region
+  undrawn?: string; // why that border is not drawn
 }
 
 const NOTHING = -30; // nats: exp() of less is not worth computing

@@ -52,7 +52,7 @@ export function heatOf(density: Density, rows: number): Heat {
   const best = fine ?? coarse;
   const step = Math.PI / rows;
   const peak = climb(density, highest(best.values, best.lattice), fine ? step / 4 : step);
-  const raw = contours(best.values, best.lattice, density.level, fine === null);
+  const raw = density.undrawn ? [] : contours(best.values, best.lattice, density.level, fine === null);
   const points = raw.reduce((sum, line) => sum + line.length, 0);
   const border = points > EXACT * rows ? raw : raw.map((line) => line.map((d) => onto(density, density.level, d, step)));
   return {

@@ -43,7 +43,7 @@ export interface LayerActions {
 }
 
 export function layers(store: Store, shell: Shell, actions: LayerActions): void {
-  const text = (name: LayerName) => (name === "border" ? words.layers.border(store.scene?.region ?? 0.9) : words.layers[name as "heat"]);
+  const text = (name: LayerName) => (name === "border" ? words.layers.border(store.scene?.region ?? 0.9, store.waiting === null ? store.density?.undrawn : "") : words.layers[name as "heat"]);
   const chips = LAYERS.map((name) =>
     chip(text(name), glyph(name), store.layers.has(name), (on) => store.toggle(name, on)));
   const degree = h("select", { onchange: () => actions.degree(Number(degree.value)) });
@@ -51,9 +51,9 @@ export function layers(store: Store, shell: Shell, actions: LayerActions): void 
   const rivals = h("details", { class: "rivals" }, h("summary", {}, words.layers.rivals), h("div", { class: "chips" }));
   shell.legend.append(...chips, rivals, degreeField);
 
+  const border = chips[LAYERS.indexOf("border")].querySelector("span")!;
   const renew = () => {
     const { scene } = store;
-    LAYERS.forEach((name, i) => { chips[i].querySelector("span")!.textContent = text(name); });
     const choices = [...new Set([...(scene?.degrees ?? [3, 7, 15, 23, 31]), scene?.degree ?? 15])].sort((a, b) => a - b);
     degree.replaceChildren(...choices.map((L) => h("option", { value: L, selected: L === (scene?.degree ?? 15) }, String(L))));
     degree.disabled = !scene || actions.fixed();
@@ -71,5 +71,6 @@ export function layers(store: Store, shell: Shell, actions: LayerActions): void 
     }));
   };
   store.on("scene", renew);
+  store.on("step", () => { if (border.textContent !== text("border")) border.textContent = text("border"); });
   renew();
 }

@@ -76,7 +76,9 @@ export class Panels {
     const told = direction ? this.where(direction) : none;
     say(shell.sentence, told[0].toUpperCase() + told.slice(1));
     const age = store.waiting === null ? (step?.look?.age ?? null) : null;
-    say(shell.means, age !== null && age > SLOW && state ? words.answer.slow : (words.status.means[state] ?? ""));
+    const likely = state === "searching" && (answer?.presence ?? 0) > 0.5;
+    const means = likely ? words.status.likely : (words.status.means[state] ?? "");
+    say(shell.means, age !== null && age > SLOW && state ? words.answer.slow : means);
     const region = store.scene?.region ?? 0.9;
     const dash = words.answer.unknown;
     const rows: [string, string, boolean?][] = [

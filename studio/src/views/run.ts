@@ -7,7 +7,7 @@ import type { Run, RunEntry } from "../wire/messages";
 import { words } from "../words";
 
 export function run(page: Page): ViewHandler {
-  const { shell, player, problems } = page;
+  const { store, shell, player, problems } = page;
   const chooser = h("select", { onchange: () => void choose(chooser.value) });
   const refresh = h("button", { type: "button", onclick: () => void list() }, words.run.refresh);
   let loading = new AbortController();
@@ -45,6 +45,9 @@ export function run(page: Page): ViewHandler {
     const mine = ++asked;
     chosen = name;
     loading.abort();
+    player.unload(); // what is shown is of another run
+    store.begin(null);
+    page.empty(words.run.reading);
     problems.clear("run");
     try {
       const told = await fetchRun(name);
@@ -58,23 +61,24 @@ export function run(page: Page): ViewHandler {
 
   function fill(name: string, told: Run): void {
     const rows = told.episodes.map((one) => {
-      const button = h("button", { type: "button", onclick: () => void load(name, one.key) }, one.title || one.key);
+      const title = one.title || one.key;
+      const button = () => h("button", { type: "button", onclick: () => void load(name, one.key) }, title);
       const row = h("tr", { "data-key": one.key },
-        h("th", { scope: "row" }, button), h("td", {}, one.query),
+        h("th", { scope: "row" }, told.problem ? title : button()), h("td", {}, one.query),
         h("td", { class: "number" }, one.error_deg === null ? words.run.unknown : words.answer.degrees(one.error_deg)),
         h("td", { class: one.success === false ? "missed" : "" },
           one.success === null ? words.run.unknown : one.success ? words.run.success : words.run.failure));
       return row;
     });
     const { episode, query, error, found } = words.run;
-    shell.choice.hidden = false;
+    shell.choice.hidden = !told.episodes.length;
     shell.choice.replaceChildren(h("section", { class: "card episodes", "aria-labelledby": "episodes-title" },
       h("h2", { id: "episodes-title" }, words.run.episodes), h("p", { class: "hint" }, words.run.episodesHint),
       h("div", { class: "scroll" },
         h("table", {}, h("thead", {}, h("tr", {}, ...[episode, query, error, found].map((head) => h("th", { scope: "col" }, head)))),
           h("tbody", {}, ...rows)))));
-    if (!player.active) page.empty(words.run.choose);
-    if (told.episodes.length) void load(name, told.episodes[0].key);
+    if (told.problem) page.empty(h("strong", {}, told.problem[0].toUpperCase() + told.problem.slice(1)));
+    else void load(name, told.episodes[0].key);
   }
 
   async function load(name: string, key: string): Promise<void> {

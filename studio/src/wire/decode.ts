@@ -36,5 +36,5 @@ export function densityOf(head: BeliefHead | null | undefined, blob?: ArrayBuffe
   if (!head) return null;
   const stored = head.coefficients;
   const values = blob ? new Float32Array(blob) : typeof stored === "string" ? floats(stored) : stored;
-  return values ? { terms: termsOf(head.terms, values), level: head.level } : null;
+  return values ? { terms: termsOf(head.terms, values), level: head.level, undrawn: head.undrawn } : null;
 }

@@ -83,6 +83,7 @@ export interface BeliefHead {
   frame: "world" | "body";
   terms: { weight: number; degree: number }[];
   level: number;
+  undrawn?: string; // why the border of the region is not drawn; empty if it is
   mass?: number;
   mode?: Vector;
   stamp?: number;
@@ -181,6 +182,7 @@ export interface Run {
   kind: string;
   methods: string[];
   episodes: RunEpisode[];
+  problem: string; // why none of them can be shown; empty if they can
 }
 
 export interface Picture {

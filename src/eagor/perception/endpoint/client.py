@@ -99,8 +99,8 @@ class Request:
             body["response_format"] = {"type": "json_schema", "json_schema": named}
         return body
 
-    def read(self, completion: Any, tries: int) -> Answer:
-        """The answer in a completion that took this many `tries`.
+    def read(self, completion: Any, model: str, tries: int) -> Answer:
+        """The answer in a completion of the `model` that was asked, which took this many `tries`.
 
         Raises `AnswerError` if it is empty; `AttributeError` or `TypeError`, which show what came, if it is not a chat
         completion: the client does not validate what servers send.
@@ -110,12 +110,15 @@ class Request:
         choice = completion.choices[0] if completion.choices else None
         text = choice.message.content if choice else None
         prompt_tokens, completion_tokens = _counts(completion.usage)
+        who = completion.model or model
+        if not choice:
+            raise AnswerError(f"{who} returned no choices; look at the log of its server")
         if text is None or (not self.silence and not text.strip()):
-            why = f"it stopped because of {choice.finish_reason!r}" if choice else "no choices"
+            why = f"it stopped because of {choice.finish_reason!r}"
+            why += f", {completion_tokens} tokens" if completion_tokens is not None else ""
             raise AnswerError(
-                f"{completion.model} gave an empty answer ({why}, {completion_tokens} tokens). If it thinks before it "
-                "answers, allow more tokens (max_tokens=...) or turn that off; else look at the server's chat template "
-                "for this model"
+                f"{who} gave an empty answer ({why}). If it thinks before it answers, allow more tokens "
+                "(max_tokens=...) or turn that off; else look at the server's chat template for this model"
             )
         if not isinstance(text, str):
             raise TypeError(f"the answer is {text!r}")

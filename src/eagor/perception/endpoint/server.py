@@ -200,7 +200,7 @@ class Server:
         async with self._room:
             for count in range(1, 2 + self._retries):
                 try:
-                    return request.read(await self._completion(request), count)
+                    return request.read(await self._completion(request), self._model, count)
                 except self._failures as error:
                     if isinstance(error, EagorError):
                         raise
