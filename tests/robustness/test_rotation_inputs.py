@@ -77,7 +77,7 @@ def test_a_grid_that_does_not_fit_and_another_kind_of_camera_are_refused():
     grid, odometer = PerspectiveGrid(90, 120, 1.0), VisualOdometer()
     picture = PatternRoom(1).panorama(np.eye(3))
     odometer.add(np.ascontiguousarray(picture[:90, :120]), 0.0, grid)
-    with pytest.raises(ImageError, match=r"120 x 80, its grid 120 x 90; wanted the same size"):
+    with pytest.raises(ImageError, match=r"120 x 80, its grid is for 120 x 90; wanted the same size"):
         odometer.add(np.ascontiguousarray(picture[:80, :120]), 0.1, grid)
     with pytest.raises(ImageError, match=r"a panorama .* after ordinary pictures"):
         odometer.add(picture, 0.2)

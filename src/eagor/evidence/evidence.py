@@ -391,7 +391,7 @@ def _checked_reading(found: Any, kind: type[Reading]) -> Reading | None:
 
 
 def _checked_grid(grid: Any) -> Any:
-    if not hasattr(grid, "directions"):
+    if not hasattr(type(grid), "directions"):  # of a large grid they are gigabytes: they must not be computed here
         raise ResponseError(f"grid is {grid!r}; wanted a grid, such as eagor.ErpGrid(height, width)")
     return grid
 
