@@ -368,13 +368,13 @@ class Readable:
 
     def credible_angle(self, mass: float = 0.9) -> Any:
         """Half-angle (radians, ``(...)``) of the cone that is centred on the mode and holds `mass` of the belief."""
-        return self._each(lambda p: p.cone(_checked_mass(mass)))
+        return self._each(lambda p: p.cone(checked_mass(mass)))
 
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
         """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
         self._check_single()
         posterior = Posterior(self._field(()), decoding_grid(self.degree).height, CELLS_FOR_REGIONS)
-        level, area = posterior.level(_checked_mass(mass))
+        level, area = posterior.level(checked_mass(mass))
         return CredibleRegion(
             mass=mass,
             threshold=level - posterior.log_total,
@@ -428,7 +428,8 @@ def _clip(exponent: float) -> float:
     return max(-700.0, min(700.0, exponent))
 
 
-def _checked_mass(mass: float) -> float:
+def checked_mass(mass: float) -> float:
+    """`mass` itself. Raises `EagorError` unless it is strictly between 0 and 1."""
     if not 0 < mass < 1:
         raise EagorError(f"mass = {mass!r}; wanted a probability strictly between 0 and 1, such as 0.9")
     return mass

@@ -236,7 +236,7 @@ class RangedBelief(Readable):
     @property
     def within_shell(self) -> float:
         """The standard deviation of the logarithm of a range that may be anywhere in a shell."""
-        return math.log(self.ranges[-1] / self.ranges[0]) / max(len(self.ranges) - 1, 1) / math.sqrt(12)
+        return math.sqrt(variance_in_shell(self.ranges))
 
     @property
     def _shares(self) -> np.ndarray:
@@ -255,6 +255,11 @@ class RangedBelief(Readable):
     def _field(self, index: tuple[int, ...]) -> Field:
         shells, basis, shares = to_numpy(self._believed)[index].astype(np.float64), self.basis, self._shares
         return lambda where: _marginal(basis, shares, shells, where)
+
+
+def variance_in_shell(ranges: np.ndarray) -> float:
+    """The variance of the logarithm of a range that may be anywhere from one of `ranges` ``(K,)`` to the next."""
+    return (math.log(ranges[-1] / ranges[0]) / max(len(ranges) - 1, 1)) ** 2 / 12  # of an even distribution
 
 
 def mean_range(probabilities: np.ndarray, ranges: np.ndarray) -> np.ndarray:

@@ -251,8 +251,7 @@ def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[Labe
                 if seen
             ]
             advance()
-    for text in journey.left_out():
-        terminal.warning(text)
+    journey.say_left_out()
     for query in queries:
         say_of_replay(perception, query, sum(look.group.startswith(f"{query}, ") for look in found))
     if not found:

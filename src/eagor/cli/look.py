@@ -82,9 +82,7 @@ def look(options: Look) -> int:
             if looks:
                 terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - journey.begins:.2f} s")
             raise
-    lost = journey.left_out()
-    for text in lost:
-        terminal.warning(text)
+    lost = journey.say_left_out()
     if not looks:
         raise nothing_of(bad, unread) if bad else terminal.RunError("there was no frame to look at")
     if bad:

@@ -160,6 +160,13 @@ class Journey:
     placed: bool = False  # whether positions come, though not as `poses`
     left_out: Callable[[], list[str]] = list  # what of a bag could not be used, in words; once the frames have come
 
+    def say_left_out(self) -> bool:
+        """Warn of what of a bag could not be used, once the frames have come; whether there is any."""
+        lost = self.left_out()
+        for text in lost:
+            terminal.warning(text)
+        return bool(lost)
+
 
 def journey_of(options: Footage, places: Sequence[Path], perception: Perception, shown: float | None = None) -> Journey:
     """The stream that the options name; what a video tells of itself is said on stderr.
@@ -393,9 +400,7 @@ class _Run:
 
     def close(self, journey: Journey) -> int:
         """Print the rest; returns the exit code."""
-        lost = journey.left_out()
-        for text in lost:
-            terminal.warning(text)
+        lost = journey.say_left_out()
         if self.options.json:
             summary = {"query": self.query, "perception": self.spec, "poses": journey.told, "frames": self.entries}
             terminal.emit(summary | {"left_out": self.bad})

@@ -15,11 +15,11 @@ import numpy as np
 
 from eagor.evaluation.page import NOTHING, Box, Row, Sheet, box, number, span
 from eagor.evaluation.samples import (
-    FEW,
     Record,
     cause_of,
     clustered,
     failures,
+    few_groups,
     finished,
     mean_intervals,
     sample,
@@ -193,10 +193,7 @@ def main_sheet(benchmark: Benchmark, summaries: Sequence[Summary], published: bo
 
 def few_clusters(summaries: Sequence[Summary]) -> list[str]:
     """What so few clusters cannot tell; nothing where every run with results has enough."""
-    least = min((s["clusters"] for s in summaries if s["clusters"]), default=FEW)
-    if least == 1:
-        return ["Only one cluster: nothing can be said about how far the figures carry over to others."]
-    return [f"Only {least} clusters: intervals that resample so few are too narrow."] if least < FEW else []
+    return few_groups(min((s["clusters"] for s in summaries if s["clusters"]), default=0), "cluster")
 
 
 def turn_sheet(summaries: Sequence[Summary]) -> Sheet | None:

@@ -50,7 +50,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Row:
-    """A row: its head, its cells, and its kind ("ours", "paper", or "")."""
+    """A row: its head, its cells, and its kind ("ours", "paper", "told" where the last cell is a text, or "")."""
 
     head: str
     boxes: tuple[Box, ...]

@@ -31,6 +31,13 @@ Record = Mapping[str, Any]
 Measured = Column | Figure  # a column of the table of a simulated task, or of a benchmark
 
 
+def few_groups(count: int, unit: str) -> list[str]:
+    """What so few groups of this kind (apartment, cluster) cannot tell; nothing where there are enough, or none."""
+    if count == 1:
+        return [f"Only one {unit}: nothing can be said about how far the figures carry over to others."]
+    return [f"Only {count} {unit}s: intervals that resample so few are too narrow."] if 0 < count < FEW else []
+
+
 @dataclass(frozen=True)
 class Gap:
     """A mean difference over `n` shared episodes with its interval, and p before and after Holm's correction."""

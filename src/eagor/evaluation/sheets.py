@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor.evaluation import page, tables
 from eagor.evaluation.page import Box, Curve, Part, Row, Section, Series, Sheet, box, line_chart, look_of, span
-from eagor.evaluation.samples import FEW, Gap, Record, gap, lowest_p, method_names, sample
+from eagor.evaluation.samples import Gap, Record, few_groups, gap, lowest_p, method_names, sample
 from eagor.evaluation.tables import (
     FIGURES,
     OURS,
@@ -103,11 +103,10 @@ def main_sheet(summary: dict[str, Any]) -> Sheet:
 
 def _few(summary: dict[str, Any], rivals: Sequence[str]) -> list[str]:
     """What so few apartments cannot tell; nothing where there are enough, or none."""
-    apartments, notes = summary["apartments"], []
+    apartments = summary["apartments"]
+    notes = few_groups(apartments, "apartment")
     if apartments == 1:
-        return ["Only one apartment: nothing can be said about how far the figures carry over to others."]
-    if 0 < apartments < FEW:
-        notes.append(f"Only {apartments} apartments: intervals that resample so few are too narrow.")
+        return notes
     tests = sum(found is not None for name in rivals for found in summary["differences"].get(name, {}).values())
     lowest = lowest_p(apartments, tests)
     if tests and lowest >= SIGNIFICANT:

@@ -12,6 +12,7 @@ from eagor._arrays import to_numpy
 from eagor._checks import checked_stamp
 from eagor._values import lazy, where
 from eagor.belief.field import cells_of
+from eagor.belief.posterior import checked_mass
 from eagor.belief.reading import Reading
 from eagor.errors import EagorError, TimeError
 from eagor.evidence.detector import Alarms
@@ -208,9 +209,7 @@ class Estimate:
 
     def region(self, mass: float = 0.9) -> tuple[float, float]:
         """The smallest region that holds `mass`: log density (per steradian) at its border, and area (steradians)."""
-        if not 0 < mass < 1:
-            raise EagorError(f"mass = {mass!r}; wanted a probability strictly between 0 and 1, such as 0.9")
-        return self.posterior.region(mass)
+        return self.posterior.region(checked_mass(mass))
 
     @property
     def presence(self) -> float:

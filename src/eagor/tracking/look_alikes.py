@@ -28,6 +28,7 @@ import numpy as np
 
 from eagor._values import altered, lazy
 from eagor.belief.bank import learnt, linear
+from eagor.belief.ranged import variance_in_shell
 from eagor.evidence.detections import LOWEST, Detections, tangent_frames
 from eagor.evidence.detector import Alarms, Habits, Spread
 from eagor.grids import ErpGrid
@@ -335,6 +336,5 @@ def _at_ranges(directions: np.ndarray, widths: np.ndarray, ranges: np.ndarray) -
     next.
     """
     points = ranges[:, None] * directions[:, None]
-    depth = (math.log(ranges[-1] / ranges[0]) / max(len(ranges) - 1, 1)) ** 2 / 12  # of an even distribution
-    along = depth * directions[:, :, None] * directions[:, None, :]
+    along = variance_in_shell(ranges) * directions[:, :, None] * directions[:, None, :]
     return points, ranges[:, None, None] ** 2 * (widths + along)[:, None]
