@@ -37,7 +37,9 @@ def test_what_is_no_error_is_not_called_one(monkeypatch):
     sheet, texts = drawn(monkeypatch, [0.0, 0.5], {"ours": [30.0, 20.0]}, what="angle")
     assert sheet.axes[0].get_ylabel() == "angle (degrees, log scale)"
     assert "mean angle over the run" in texts
-    sheet, _ = drawn(monkeypatch, [0.0, 0.5], {"ours": [30.0, 20.0]})
+    sheet, texts = drawn(monkeypatch, [0.0, 0.5], {"ours": [30.0, 20.0]}, shaded=[(0.0, 0.2, "out of sight")])
+    assert "mean direction error over the run" in texts
+    assert [text.get_text() for text in sheet.axes[0].texts] == ["out of sight"]
     assert sheet.axes[0].get_ylabel() == "direction error (degrees, log scale)"
 
 

@@ -213,10 +213,10 @@ def draw_errors(
     highest = next((tick for tick in TICKS[3:] if tick >= highest), TICKS[-1])
     least = min((float(values.min()) for values in known.values() if len(values)), default=LEAST)
     lowest = max(tick for tick in TICKS if tick <= max(min(least, highest / 10), LEAST))
-    for begin, end, what in shaded:
+    for begin, end, label in shaded:
         axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
         middle, place = (begin + end) / 2, axes.get_xaxis_transform()
-        axes.text(middle, 0.975, what, ha="center", va="top", fontsize=9, color=QUIET, transform=place)
+        axes.text(middle, 0.975, label, ha="center", va="top", fontsize=9, color=QUIET, transform=place)
     ends = []
     for index, (name, values) in enumerate(curves.items()):
         colour, first = CURVES[index % len(CURVES)], index == 0
