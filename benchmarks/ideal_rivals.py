@@ -40,8 +40,8 @@ def stated_habits(detector: Detector) -> eagor.DetectorModel:
 
 
 def learnt(detector: Detector) -> eagor.DetectorModel:
-    """Only the spread is stated."""
-    return eagor.DetectorModel(spread=math.radians(detector.spread))
+    """Only the spread is stated, and that no error repeats."""
+    return eagor.DetectorModel(spread=math.radians(detector.spread), offset=0.0)
 
 
 class Tracker(Contestant):
@@ -54,7 +54,9 @@ class Tracker(Contestant):
         self, model: eagor.DetectorModel, config: eagor.TrackerConfig | None = None, motion: Motion | None = None
     ) -> None:
         self.model, self.motion = model, motion or Motion()
-        self.tracker = eagor.DirectionTracker(config or eagor.TrackerConfig())
+        self.tracker = eagor.DirectionTracker(
+            replace(config or eagor.TrackerConfig(), clock_error=0.0)
+        )  # both are true
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         self.tracker.add_pose(time, self.motion.turned(time).T @ pose, position)

@@ -62,6 +62,7 @@ LOOKS_OF = {"drift": "yaw", "drift-told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
 JUDGED = (0, *range(FRAMES - 10, FRAMES))  # frames in which coverage is judged
 FITTED_IN = ("yaw", "tumble")
+USUAL_ALARMS = 0.2  # false alarms in a look of a usual detector
 BOX = 0.3  # score from which on a single box would be believed
 GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
@@ -227,8 +228,24 @@ def labelled(case: Case) -> list[LabelledLook]:
 
 
 def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
-    """The numbers of the detector; the share of looks in which a thing is found differs from place to place."""
-    return replace(fit_detector(looks, resamples=0).model, detection_probability=None)
+    """The numbers of the detector; the share of looks in which a thing is found differs from place to place.
+
+    Drawn towards the default, in logarithms: habits, look-alikes and false alarms halfway, spreads a quarter of the way.
+    """
+    found, usual = fit_detector(looks, resamples=0).model, DetectorModel(false_alarms_per_look=USUAL_ALARMS)
+    shares = dict.fromkeys(("habit", "look_alike_habit", "look_alikes", "false_alarms_per_look"), 0.5)
+    shares |= dict.fromkeys(("spread", "spread_of_size"), 0.25)
+    drawn = {}
+    for name, share in shares.items():
+        own, other = (np.log(np.atleast_1d(value(model, name))) for model in (found, usual))
+        values = [float(f"{number:.3g}") for number in np.exp(own + share * (other - own))]
+        drawn[name] = tuple(values) if len(values) > 1 else values[0]
+    return replace(found, detection_probability=None, **drawn)
+
+
+def value(model: DetectorModel, name: str) -> float | tuple[float, float]:
+    """A number of a model, as it is used."""
+    return model.habits.look_alikes if name == "look_alikes" else getattr(model, name)
 
 
 def by_parts(cases: Sequence[Case], photographs: Sequence[str], parts: int) -> dict[str, DetectorModel]:

@@ -219,7 +219,7 @@ def test_what_is_written_is_read_again(tmp_path):
     assert (config.degree, config.target_motion.jump, config.calibration) == (7, 0.2, made.calibration)
     assert config.target_motion.wander == (0.1, 0.3)
     model = DetectorModel(
-        None, None, 0.1, ((0.2, 0.5), (0.8, 4.0)), 0.3, (2.0, 1.5), (0.4, 3.0), None, 2.0, 0.02
+        None, None, 0.1, ((0.2, 0.5), (0.8, 4.0)), 0.4, 0.3, (2.0, 1.5), (0.4, 3.0), None, 2.0, 0.02
     )  # fmt: skip
     made = Calibrated("colour", None, {"start": 0.01}, {}, model)
     made.write(tmp_path / "detector.json")

@@ -27,7 +27,7 @@ STILL = MotionModel.still()
 
 def model(spread_deg=8.0, **changes):
     """A detector whose looks are independent: section 8 exactly."""
-    stated = {"detection_probability": PD, "false_alarms_per_look": ALARMS, "look_alikes": 0.0}
+    stated = {"detection_probability": PD, "false_alarms_per_look": ALARMS, "look_alikes": 0.0, "offset": 0.0}
     return DetectorModel(**{**stated, **changes}, spread=math.radians(spread_deg))
 
 
@@ -133,11 +133,22 @@ def test_the_likelihood_ratio_is_the_formula(where, spread, pd, alarms):
     assert np.allclose(look.ratio(at), 1 - pd + pd * density * 4 * math.pi / alarms, rtol=1e-9)
 
 
-def test_scores_count_as_likelihood_ratios():
+def test_scores_count_by_their_odds():
+    """Over those of the boxes at large; a detector that gives 1 to all has no scores."""
     at = WHERE[None]
-    full, half, nothing = (float(one(WHERE, scores=[score]).detections.ratio(at)[0]) for score in (1.0, 0.5, 0.0))
-    assert nothing == pytest.approx(1 - PD)
-    assert half - nothing == pytest.approx((full - nothing) / 2)
+
+    def speaks(score, how=None):
+        return float(one(WHERE, how, scores=None if score is None else [score]).detections.ratio(at)[0]) - (1 - PD)
+
+    plain = speaks(None)
+    assert speaks(0.3) == pytest.approx(plain)
+    assert speaks(0.5) == pytest.approx(plain * 7 / 3)
+    assert speaks(0.5, model(prior_correct=0.5)) == pytest.approx(plain)
+    assert speaks(1.0) == pytest.approx(plain)
+    assert speaks(0.0) == pytest.approx(speaks(0.01))
+    assert 0 < speaks(0.0) < 0.1 * plain, "no score is a proof"
+    assert speaks(0.99) == pytest.approx(speaks(0.98))
+    assert speaks(0.98) > speaks(0.9)
     curve = model(score_ratios=((0.2, 0.1), (0.6, 1.0), (1.0, 10.0)))
     found = [float(one(WHERE, curve, scores=[score]).detections.ratios[0]) for score in (0.0, 0.4, 0.6, 0.8)]
     assert found == pytest.approx([0.1, math.sqrt(0.1), 1.0, math.sqrt(10.0)])

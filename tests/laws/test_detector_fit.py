@@ -249,15 +249,16 @@ def test_one_target_is_assigned_as_the_model_says():
     """The likelihood ratio of `Detections`, exactly."""
     rng = np.random.default_rng(0)
     for _ in range(20):
-        model = DetectorModel(rng.uniform(0.1, 0.9), rng.uniform(0.1, 3), rng.uniform(0.02, 0.5))
+        curve = ((0.1, 0.1), (1.0, 1.0))
+        model = DetectorModel(rng.uniform(0.1, 0.9), rng.uniform(0.1, 3), rng.uniform(0.02, 0.5), curve, offset=0.0)
         places, target = unit(rng.normal(size=(rng.integers(1, 5), 3))), unit(rng.normal(size=3))
         look = LabelledLook(
             Evidence.from_points(places, scores=rng.uniform(0.1, 1, len(places)), detector=model), target
         )
         rows = rows_of([look], model)
-        joint = rows.assigned(
-            model.detection_probability, model.false_alarms_per_look, Deviations.stated(model), np.log(rows.scores)
-        )
+        logs = np.log(model.ratios(rows.scores, len(rows.scores)))
+        stated = model.detection_probability, model.false_alarms_per_look
+        joint = rows.assigned(*stated, Deviations.stated(model), logs)
         ratio = look.detections.ratio(target[None])[0]
         assert joint.logs[0] == pytest.approx(math.log(ratio / (1 - model.detection_probability)), abs=1e-9)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.special import betaln
+from scipy.special import betaln, logsumexp
 from strategies import estimate_after, points_look, random_directions, rotations
 
 from eagor.belief.bank import Bank, Shown
@@ -25,7 +25,9 @@ STILL = MotionModel.still()
 FLAT = TrackerConfig(ranges=None, target_motion=STILL)
 HABIT, ALIKE = (0.8, 0.8), (0.5, 2.0)  # beta distributions: of the thing, and of look-alikes
 ONES = np.ones(1)
-MODEL = DetectorModel(false_alarms_per_look=0.2, spread=math.radians(8), look_alikes=0, habit=HABIT, kept_for=None)
+MODEL = DetectorModel(
+    false_alarms_per_look=0.2, spread=math.radians(8), look_alikes=0, habit=HABIT, kept_for=None, offset=0.0
+)
 MANY = replace(MODEL, look_alikes=0.7, look_alike_habit=ALIKE)
 HERE, THERE = direction(0.5, 0.1), direction(-1.9, -0.2)
 SOME = random_directions(60, 7)
@@ -54,30 +56,50 @@ def evidence(found, looks, beta):
 # --- habits -----------------------------------------------------------------------------------------------------------
 
 
+def told(found, looks, shares, levels):
+    """log of the probability of one sequence with so many looks that found the thing, by the levels of a habit."""
+    return float(logsumexp(found * np.log(levels) + (looks - found) * np.log(1 - levels), b=shares))
+
+
+def apart(found, looks, model=MANY):
+    """log of the odds that such a place is the thing, and not one of the look-alikes."""
+    habits = model.habits
+    own, other = ((habits.shares, habits.levels), (habits.alike_shares, habits.alike_levels))
+    return told(found, looks, *own) - told(found, looks, *other) - math.log(habits.look_alikes)
+
+
 @given(st.floats(0.2, 5), st.floats(0.2, 5))
 def test_levels_stand_for_the_beta_distribution(a, b):
-    """Exactly for the mean and the correlation of looks, and for any outcome of fifteen looks."""
+    """But for the last percents: the mean, and any outcome of fifteen looks."""
     habits = replace(MODEL, habit=(a, b)).habits
-    assert habits.mean == pytest.approx(a / (a + b))
-    assert habits.correlation == pytest.approx(1 / (a + b + 1))
+    assert habits.shares.sum() == pytest.approx(1)
+    assert habits.mean == pytest.approx(a / (a + b), abs=0.04)
     for found in range(16):
-        drawn = math.log(habits.levels**found * (1 - habits.levels) ** (15 - found) @ habits.shares)
-        assert drawn == pytest.approx(evidence(found, 15, (a, b)), abs=1e-6)
+        assert told(found, 15, habits.shares, habits.levels) == pytest.approx(evidence(found, 15, (a, b)), abs=1.0)
+
+
+@given(st.floats(0.1, 5), st.floats(0.1, 5), st.sampled_from([80, 1000, 10000]))
+def test_the_share_of_hits_alone_says_only_so_much_of_who_is_there(a, b, looks):
+    """However many looks there are, and whatever the habit of things: a tenth of the look-alikes have the same."""
+    model = replace(MANY, habit=(a, b))
+    most = -math.log(0.1 * model.habits.look_alikes)
+    for missed in (0, 1, looks // 2, looks):
+        assert apart(looks - missed, looks, model) <= most + 1e-9
+
+
+def test_one_miss_among_eighty_looks_decides_nothing():
+    """Always found and nearly always found are hardly told apart; nobody has measured the last percents."""
+    always = apart(80, 80)
+    assert [apart(80 - missed, 80) for missed in (1, 3)] == pytest.approx([always] * 2, abs=0.05)
+    assert apart(40, 80) < always - 1, "half of the looks is another matter"
 
 
 @pytest.mark.parametrize("beta", [(1e-3, 1e-3), (1e-3, 500.0), (500.0, 1e-3), (500.0, 500.0)])
 def test_the_extremes_of_habits_have_levels_too(beta):
     habits = replace(MODEL, habit=beta).habits
     assert habits.shares.sum() == pytest.approx(1)
-    assert habits.mean == pytest.approx(beta[0] / sum(beta))
+    assert habits.mean == pytest.approx(beta[0] / sum(beta), abs=0.07)
     assert ((habits.levels >= 0) & (habits.levels <= 1)).all()
-
-
-@pytest.mark.parametrize("beta", [HABIT, ALIKE])
-def test_forty_looks_are_told_nearly_as_well(beta):
-    habits = replace(MODEL, habit=beta).habits
-    drawn = [math.log(habits.levels**k * (1 - habits.levels) ** (40 - k) @ habits.shares) for k in range(41)]
-    assert drawn == pytest.approx([evidence(k, 40, beta) for k in range(41)], abs=0.1)
 
 
 # --- a bank -----------------------------------------------------------------------------------------------------------
@@ -142,7 +164,7 @@ def test_another_detector_draws_its_habits_anew_and_what_was_learnt_of_places_st
     _, bank = banked(MANY.habits, *spoken(0))
     other = replace(MANY, habit=(3.0, 1.0)).habits
     found = bank.read_with(other)
-    assert found.recall == pytest.approx(np.full(40, 0.75))
+    assert found.recall == pytest.approx(np.full(40, other.mean))
     assert np.array_equal(found.lead, bank.lead)
     assert np.array_equal(found.missed, bank.missed)
 
@@ -190,8 +212,7 @@ def test_without_look_alikes_and_with_a_known_habit_each_look_is_independent(hab
 def test_looks_at_one_place_saturate_at_what_habits_tell_apart(found, looks):
     """Of a place that is found in k of n looks the odds are those of its habit for the thing, and for a look-alike."""
     seen = [look([HERE] if found * (t + 1) // looks > found * t // looks else [], t, MANY) for t in range(looks)]
-    expected = evidence(found, looks, HABIT) - evidence(found, looks, ALIKE) - math.log(MANY.look_alikes)
-    assert odds(after(seen)) == pytest.approx(expected, abs=0.2)
+    assert odds(after(seen)) == pytest.approx(apart(found, looks), abs=0.2)
     alone = [replace(each, detections=each.detections.read(MODEL)) for each in seen]
     assert odds(after(alone)) > odds(after(seen)) + 1
 
@@ -200,7 +221,7 @@ def test_two_places_are_weighed_by_their_habits():
     """One that is found in eight of ten looks, one in three: each is the thing or a look-alike by its own share."""
     found = (np.arange(10) * 7 % 10 < 8), (np.arange(10) * 3 % 10 < 3)
     estimate = after([look([p for p, f in zip((HERE, THERE), found, strict=True) if f[t]], t, MANY) for t in range(10)])
-    logs = [evidence(k, 10, HABIT) - evidence(k, 10, ALIKE) - math.log(MANY.look_alikes) for k in (8, 3)]
+    logs = [apart(k, 10) for k in (8, 3)]
     assert odds(estimate) == pytest.approx(np.logaddexp(*logs), abs=0.1)
     weights = [mode.weight for mode in estimate.modes]
     assert weights == pytest.approx(np.exp(logs - np.logaddexp(*logs)), abs=0.03)
@@ -308,9 +329,9 @@ def test_a_camera_that_has_moved_on_gains_new_evidence():
     """Five looks each from two spots prove as much as two places would, and ten from one spot less."""
     stays, near, far = (seen_from(apart, FLAT) for apart in (0.0, 0.5, 5.0))
     assert stays < near < far
-    half, whole = (evidence(n, n, HABIT) - evidence(n, n, ALIKE) for n in (5, 10))
-    assert stays == pytest.approx(whole - math.log(MANY.look_alikes), abs=0.1)
-    assert far == pytest.approx(2 * half - math.log(MANY.look_alikes), abs=0.2)
+    half, whole = (apart(n, n) for n in (5, 10))
+    assert stays == pytest.approx(whole, abs=0.1)
+    assert far == pytest.approx(2 * half + math.log(MANY.look_alikes), abs=0.2)
 
 
 def test_from_one_place_ranges_tell_nothing_of_presence():
@@ -323,8 +344,8 @@ def test_from_one_place_ranges_tell_nothing_of_presence():
 def test_a_camera_that_has_moved_on_gains_new_evidence_with_ranges(apart):
     walking = TrackerConfig(target_motion=STILL)
     found = seen_from(apart, walking)
-    assert found > seen_from(0.0, walking) - 0.3
-    assert found > 3
+    assert found > seen_from(0.0, walking) + 0.2
+    assert found > 2.5
 
 
 def test_time_lets_habits_go_as_distance_does():

@@ -13,8 +13,8 @@ from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking import TrackerConfig
 
 SPREAD = math.radians(3)
-MODEL = DetectorModel(detection_probability=0.9, false_alarms_per_look=0.1, spread=SPREAD)
-CONFIG = TrackerConfig(degree=7, detector=MODEL)
+MODEL = DetectorModel(detection_probability=0.9, false_alarms_per_look=0.1, spread=SPREAD, offset=0.0)
+CONFIG = TrackerConfig(degree=7, detector=MODEL, clock_error=0.0)
 ODOMETRY, PICTURES = (100.0, 0.01), (10.0, 0.15)  # poses a second, and how late they are at most (seconds)
 
 SECONDS = 3.0

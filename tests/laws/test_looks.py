@@ -77,8 +77,8 @@ def test_a_detector_has_the_chance_that_its_model_states(stated, recall, repeats
     model = DetectorModel(detection_probability=stated, habit=(2.0, 1.5), kept_for=10.0, kept_within=2.0)
     found = Evidence.from_points(direction(0.3, 0.1)[None], scores=np.array([0.9]), detector=model, stamp=0.0)
     chance = Chance.of(found, 0.5)
-    assert chance.recall == pytest.approx(recall)
-    assert chance.repeats == pytest.approx(repeats, abs=1e-9)
+    assert chance.recall == pytest.approx(recall, abs=0.001)  # eight levels stand for the beta distribution
+    assert chance.repeats == pytest.approx(repeats, abs=0.02)
     assert chance.left(0.4) == pytest.approx(math.exp(-0.5 / 10 - 0.4 / 2))
 
 

@@ -203,13 +203,30 @@ def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     `reach`: standard deviations from the middle of a patch to its border. The plane is treated as flat: sigma is small.
     """
     half = np.hypot(patch.half, reach * math.tan(sigma))
-    at = even(len(patch.values))
-    top = float(patch.values.max())
-    mass = np.exp(patch.values - top) * patch.weights
-    new, old = bent(at, half, patch.bend)[0], bent(at, patch.half, patch.bend)[0]
-    first, second = np.exp(-0.5 * ((new[:, :, None] - old[:, None, :]) / sigma) ** 2)
-    density = first @ mass @ second.T / (2 * math.pi * sigma**2)
+    values, top = patch.finer(), float(patch.values.max())
+    new = bent(even(len(patch.values)), half, patch.bend)[0]
+    old = bent(even(len(values)), patch.half, patch.bend)[0]
+    first, second = (_convolving(x, u, sigma) for x, u in zip(new, old, strict=True))
+    density = first @ np.exp(values - top) @ second.T
     return Patch(patch.frame, half, np.log(np.maximum(density, 1e-300)) + top, patch.bend)
+
+
+def _convolving(x: np.ndarray, u: np.ndarray, sigma: float) -> np.ndarray:
+    """The matrix ``(m, n)`` that takes values at nodes `u` ``(n,)`` to those at `x` ``(m,)`` after a convolution.
+
+    With a Gaussian of this sigma, of the function that is linear between the nodes and 0 beyond them. Where they are
+    dense it is a sum over them: differences of the Gaussian's second integral would cancel.
+    """
+    from scipy.special import ndtr
+
+    gaps = np.diff(u)
+    z = (x[:, None] - u) / sigma
+    bell = np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+    rise = np.diff(sigma * (z * ndtr(z) + bell), axis=1) / gaps  # minus that of each ramp
+    above = ndtr(z)
+    exact = np.hstack([above[:, :1] + rise[:, :1], np.diff(rise, axis=1), -rise[:, -1:] - above[:, -1:]])
+    shares = (np.append(gaps, 0.0) + np.append(0.0, gaps)) / 2
+    return np.where(shares < sigma / 3, shares * bell / sigma, exact)
 
 
 def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.ndarray) -> np.ndarray:

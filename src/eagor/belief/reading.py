@@ -9,11 +9,19 @@ import numpy as np
 
 from eagor._values import lazy
 from eagor.belief.basins import PROMINENCE, basins
-from eagor.belief.field import FINER, Patch, SphereField, cells_of
-from eagor.harmonics.peaks import refine
+from eagor.belief.field import FINER, Patch, SphereField
+from eagor.evidence.detections import tangent_frames
+from eagor.sphere import unit
 
 HEAVY = 0.002  # of the belief: cells that hold more are refined
 NEAR = math.radians(20)  # of a peak: within this angle it is the same thing, which parallax may move
+RIPPLE = 0.15  # nats: between the nodes of a patch, splines swing so much beside a steep flank
+FINEST = math.radians(0.02)  # of a peak's place
+# The nine points about a place, in steps, and what of their values gives the slopes ``(2,)`` and the second derivatives
+# ``(3,)`` along, across and mixed, of a quadratic (Savitzky and Golay, Analytical Chemistry 36(8), 1964).
+STENCIL = np.array([(u, v) for u in (-1.0, 0.0, 1.0) for v in (-1.0, 0.0, 1.0)])
+_SLOPE = STENCIL / 6
+_BEND = np.column_stack([(STENCIL**2 - 2 / 3), STENCIL[:, :1] * STENCIL[:, 1:] / 4])
 DEEP = 12.0  # nats below the highest peak: deeper values are clipped
 
 
@@ -119,16 +127,48 @@ class Reading:
         mass = np.exp(values - values.max()) * layout.weights
         return mass / mass.sum(), layout.directions
 
-    def _refined(self, direction: np.ndarray) -> np.ndarray:
-        """The peak next to a direction, by a quadratic through what lies around it."""
-        for patch in self.field.patches:
-            places, inside = patch.places(direction)
-            if inside:
-                return _top_of_patch(patch, places)
-        grid = self.field.grid
-        found, _ = refine(grid, self.field.values.reshape(-1), int(cells_of(grid, direction)))
-        near = found @ direction > math.cos(2 * math.pi / grid.height)
-        return found if near else direction
+    def _refined(self, tops: np.ndarray) -> np.ndarray:
+        """The highest points ``(m, 3)`` of the field beside `tops` ``(m, 3)``."""
+        found = self._climbed(tops)
+        for place, direction in enumerate(tops):
+            for patch in self.field.patches:
+                places, inside = patch.places(direction)
+                if inside:
+                    top = _top_of_patch(patch, places)
+                    rise = self.field(found[[place]]) - self.field(top[None])
+                    if rise < RIPPLE and top @ found[place] > math.cos(float(patch.spacing.min())):
+                        found[place] = top
+                    break
+        return found
+
+    def _climbed(self, tops: np.ndarray) -> np.ndarray:
+        """The highest points ``(m, 3)`` of the field beside `tops` ``(m, 3)``, to `FINEST`.
+
+        Each goes to the top of a quadratic through nine points about it, or, where that is no higher, to the best of
+        the nine; then they draw nearer.
+        """
+        step = math.pi / self.field.grid.height / FINER
+        tops, best = tops.copy(), self.field(tops)
+        while step > FINEST:
+            before = tops.copy()
+            frames = step * tangent_frames(tops)  # (m, 2, 3)
+            values = self.field(unit(tops[:, None] + np.einsum("sk,mki->msi", STENCIL, frames)))
+            slope, bend = np.moveaxis(np.tensordot(values, _SLOPE, 1), -1, 0), np.tensordot(values, _BEND, 1)
+            (a, c), b = np.moveaxis(bend[:, :2], -1, 0), bend[:, 2]
+            det = a * c - b * b
+            curved = (a < 0) & (det > 0)
+            det = np.where(curved, det, 1.0)
+            jump = np.stack([b * slope[1] - c * slope[0], b * slope[0] - a * slope[1]], axis=-1) / det[:, None]
+            jump = np.where(curved[:, None], np.clip(jump, -1.0, 1.0), 0.0)
+            shifts = np.stack([jump, STENCIL[values.argmax(axis=1)]])  # (2, m, 2)
+            found = unit(tops + np.einsum("jmk,mki->jmi", shifts, frames))
+            heights = self.field(found)
+            for direction, height in zip(found, heights, strict=True):
+                higher = height > best
+                tops[higher], best[higher] = direction[higher], height[higher]
+            moved = 1 - np.einsum("mi,mi->m", before, tops).min() > step * step / 4
+            step = step if moved else step / 3
+        return tops
 
     @lazy
     def _basins(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,7 +213,7 @@ class Reading:
         """
         masses, tops, _ = self._basins
         kept = max(1, min(count, int((masses >= least).sum())))
-        return np.array([self._refined(self.parts[2][top]) for top in tops[:kept]]), masses[:kept]
+        return self._refined(self.parts[2][tops[:kept]]), masses[:kept]
 
 
 def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:

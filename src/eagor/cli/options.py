@@ -46,7 +46,8 @@ Detector = Annotated[
         "again, look_alike_habit=A+B as above. kept_for=SECONDS, kept_within=METRES: after which places lose their "
         "habits. spread=DEG: error that differs in each look, offset=DEG: error that stays at a place; "
         "spread_of_size=S, offset_of_size=S: what a box adds to them, as a share of the deviation of its area. "
-        "parts=P: share of the boxes on a thing that show only a part of it.",
+        "parts=P: share of the boxes on a thing that show only a part of it. prior_correct=P: share of all boxes that "
+        "are right, by which scores are read.",
     ),
 ]
 Drift = Annotated[

@@ -159,6 +159,20 @@ class Detections:
         ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
         return altered(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
 
+    @lazy
+    def again(self) -> np.ndarray:
+        """The density ``(n,)`` of detections that show once more what one with a better score in the same look shows.
+
+        Relative to that of one false alarm a look. Overlapping views, or boxes of one thing: two that agree are no sign
+        of many false alarms.
+        """
+        if len(self) < 2:
+            return np.zeros(len(self))
+        order = np.argsort(-self.ratios, kind="stable")
+        drawn = self.densities(self.directions, np.ones(1), np.eye(len(self)))[0]
+        better = np.argsort(order)[:, None] < np.argsort(order)[None, :]
+        return self.area * (drawn * better).sum(axis=0)
+
     def covariances(self, scale: np.ndarray | float = 1.0) -> np.ndarray:
         """Of each detection ``(..., n, 3, 3)``, at each of the factors `scale` ``(...)`` on its deviations."""
         deviations = self.axes / self._lengths[..., None] ** 2
@@ -213,7 +227,7 @@ class Detections:
         share = self.share(directions) if share is None else share
         speaks = 0.0
         if len(self):
-            alarms = Alarms.prior(self.model).after(np.zeros(len(self)))
+            alarms = Alarms.prior(self.model).after(self.again)
             speaks = alarms.inverse * self.area * self.densities(directions, np.ones(1), self.ratios[None], least)[0, 0]
         recall = self.model.habits.mean
         return np.ones(directions.shape[:-1]) + share * recall * (speaks - 1)

@@ -40,11 +40,16 @@ from eagor.grids import ErpGrid
 
 __all__ = ["Alarms", "DetectorModel", "Spread", "model_as_json", "parse_model"]
 
-NODES = 8  # of the quadrature over a habit: with so many, forty looks are exact to a few hundredths of a nat
+# Shares of looks that habits are told apart by. They are the same for things and look-alikes: else the roundings of the
+# two would grow apart with each look. None is nearer to 0 or 1: nobody has measured the last percents, which would
+# decide there.
+LEVELS = np.linspace(0.04, 0.96, 8)
 # Beta distributions of the share of looks in which a place is detected: of the thing, and of a look-alike.
 HABIT, LOOK_ALIKE_HABIT = (0.8, 0.8), (0.5, 2.0)
 LOOK_ALIKES = 0.7  # expected on the whole sphere, where that is not known
-BETA = (0.001, 500.0)  # where the quadrature is exact
+# Of the look-alikes, those that are found as often as the thing: mirrors, pictures of it, other things of its shape.
+EQUALS = 0.1
+BETA = (0.001, 500.0)  # beyond, a distribution is a step or a point
 KEPT_FOR, KEPT_WITHIN = 60.0, 1.0  # seconds, metres
 
 
@@ -99,24 +104,23 @@ def habits(
     kept_within: float | None,
 ) -> Habits:
     """The habits with these numbers, the fields of `DetectorModel`."""
-    levels, shares = _nodes(habit)
+    levels, shares = LEVELS, _weights(habit)
     if detection_probability is not None:
         levels, shares = np.array([detection_probability]), np.ones(1)
     if look_alikes is None:
         look_alikes = LOOK_ALIKES if detection_probability is None else 0.0
-    alike_levels, alike_shares = _nodes(look_alike_habit)
+    alike_levels, alike_shares = LEVELS, (1 - EQUALS) * _weights(look_alike_habit) + EQUALS * _weights(habit)
     if look_alikes == 0:
         alike_levels = alike_shares = np.zeros(0)
     return Habits(levels, shares, alike_levels, alike_shares, look_alikes, kept_for, kept_within)
 
 
-def _nodes(habit: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights ``(NODES,)`` of a Gauss-Jacobi quadrature over a beta distribution."""
-    from scipy.special import roots_jacobi
+def _weights(habit: tuple[float, float]) -> np.ndarray:
+    """The probabilities ``(P,)`` of the `LEVELS`: what a beta distribution holds nearer to each than to the others."""
+    from scipy.special import betainc
 
-    first, second = habit
-    places, weights = roots_jacobi(NODES, second - 1, first - 1)
-    return (1 + places) / 2, weights / weights.sum()
+    borders = np.concatenate([[0.0], (LEVELS[1:] + LEVELS[:-1]) / 2, [1.0]])
+    return np.diff(betainc(*habit, borders))
 
 
 def checks(model: object) -> dict[str, tuple[bool, str]]:
@@ -147,6 +151,9 @@ CLUTTER_FLOOR = 1e-3  # least relative density of false alarms: no single detect
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)  # mean numbers of false alarms, alike likely before any look
 # Factors by which the true spread may differ from the stated one, and their prior weights.
 SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.02, 0.94, 0.04)
+# Radians (0.7 degrees), and a share: measured with `coco` on photographs of rooms.
+OFFSET, OFFSET_OF_SIZE = 0.0122, 0.25
+LEAST_SCORE = 0.02  # and most: no score is a proof
 LEAST_OF_SIZE = 0.01  # of `spread_of_size`: with 0 a box's size would be lost
 UNLIKELY = 1e-3  # scales with less weight are dropped
 
@@ -161,8 +168,11 @@ class DetectorModel:
       None: learnt with the belief.
     - `spread`: radians (standard deviation per axis) of a detection about the direction of the thing.
     - `score_ratios`: pairs (score, ratio) by rising score: how many times likelier the target gives this score than a
-      false alarm does; the logarithm is interpolated between them. None: the ratio is the score itself. A score is a
-      habit: it counts once for each place.
+      false alarm does; the logarithm is interpolated between them. None: a score is the probability that the box is
+      right, so the ratio is the odds of the score over those of `prior_correct`; 1 where all scores of a look are 1. A
+      score is a habit: it counts once for each place.
+    - `prior_correct`: the share of the detector's boxes that are right, whatever their score: where nothing else is
+      known, about the lowest score that it reports. Without `score_ratios` only.
     - `look_alikes`: how many places on the whole sphere are taken for the thing again and again, on average. None: 0
       where `detection_probability` is stated, since looks are independent then, otherwise 0.7.
     - `habit`, `look_alike_habit`: two numbers of a beta distribution: the share of looks in which a place is detected
@@ -188,14 +198,15 @@ class DetectorModel:
     false_alarms_per_look: float | None = None
     spread: float = math.radians(5)
     score_ratios: tuple[tuple[float, float], ...] | None = None
+    prior_correct: float = 0.3
     look_alikes: float | None = None
     habit: tuple[float, float] = HABIT
     look_alike_habit: tuple[float, float] = LOOK_ALIKE_HABIT
     kept_for: float | None = KEPT_FOR
     kept_within: float | None = KEPT_WITHIN
-    offset: float = 0.0
+    offset: float = OFFSET
     spread_of_size: float = 1.0
-    offset_of_size: float = 0.0
+    offset_of_size: float = OFFSET_OF_SIZE
     parts: float = 0.15  # measured with `coco` on photographs of rooms
     clutter: np.ndarray | None = field(default=None, compare=False, repr=False)
 
@@ -216,6 +227,10 @@ class DetectorModel:
                 "radians, from 0.01 to 60 degrees (given in degrees? use math.radians)",
             ),
             "score_ratios": (_is_curve(self.score_ratios), "pairs (score, ratio), scores rising, ratios above 0"),
+            "prior_correct": (
+                above(self.prior_correct, 0, 1) and self.prior_correct < 1,
+                "a share of the boxes, above 0 and below 1",
+            ),
             "offset": (within(self.offset, 0, math.radians(60)), "radians, from 0 to 60 degrees"),
             "spread_of_size": (
                 within(self.spread_of_size, LEAST_OF_SIZE, 2),
@@ -235,6 +250,12 @@ class DetectorModel:
             density.setflags(write=False)
             object.__setattr__(self, "clutter", density)
 
+    @classmethod
+    def reporting_from(cls, threshold: Any) -> DetectorModel:
+        """Of a detector that reports boxes from a score of `threshold` on, of which nothing else is known."""
+        known = within(threshold, 0, 1)
+        return cls(prior_correct=min(max(float(threshold), LEAST_SCORE), 1 - LEAST_SCORE)) if known else cls()
+
     @property
     def habits(self) -> Habits:
         """How often places are detected, and for how long."""
@@ -249,10 +270,12 @@ class DetectorModel:
 
     def ratios(self, scores: np.ndarray | None, count: int) -> np.ndarray:
         """s ``(n,)``: how much likelier each score is for the target than for a false alarm; 1 without scores."""
-        if scores is None:
+        # Who writes 1 for all has no scores, as most language models: no detector is always right.
+        if scores is None or (self.score_ratios is None and np.all(scores == 1)):
             return np.ones(count)
         if self.score_ratios is None:
-            return np.asarray(scores, dtype=np.float64)
+            sure = np.clip(np.asarray(scores, dtype=np.float64), LEAST_SCORE, 1 - LEAST_SCORE)
+            return sure / (1 - sure) * ((1 - self.prior_correct) / self.prior_correct)
         places, values = np.array(self.score_ratios, dtype=np.float64).T
         return np.exp(np.interp(scores, places, np.log(values)))
 

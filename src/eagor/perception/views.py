@@ -59,7 +59,7 @@ class Views:
     - `hfov`: field of each view, degrees.
     - `count`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
     - `size`: pixels along each side of a view.
-    - `detector`: how the detector errs (default: `DetectorModel()`).
+    - `detector`: how the detector errs (default: `DetectorModel()`, with the detector's own `threshold` if it has one).
     - `classes`: names of all that the detector knows (default: its own ``classes``); None: it takes any words. A
       detector with classes knows no colours: where the query names one ("brown chair"), the colour weighs its boxes.
 
@@ -82,7 +82,8 @@ class Views:
             raise EagorError(f"detect is a {type(detect).__name__}; wanted a function detect(picture, query)")
         if not within(size, 16, 8192):
             raise EagorError(f"size = {size!r}; wanted pixels along a view's side, 16 to 8192")
-        self.detect, self.detector = detect, detector or DetectorModel()
+        self.detect = detect
+        self.detector = detector or DetectorModel.reporting_from(getattr(detect, "threshold", None))
         known = getattr(detect, "classes", None) if classes is None else classes
         self.classes = None if known is None else tuple(known)
         self._views = _layout(int(size), float(hfov), int(count))

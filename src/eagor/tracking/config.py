@@ -143,6 +143,9 @@ class TrackerConfig:
     - `target_motion`: how targets come, go and move.
     - `drift`: drift of the odometry's heading, radians per root second; None: not known, and told by what is detected
       again and again (`eagor.tracking.look_alikes`).
+    - `clock_error`: seconds (standard deviation) by which the stamps of all looks may be off, against those of poses.
+      While the camera turns, all looks together are off by that time's turn.
+    - `pose_error`: radians (standard deviation per axis) by which all orientations may be off: of the mount, mostly.
     - `history`: seconds for which poses and evidence are kept; late evidence must not be older.
     - `answers`: how answers are read (`AnswerSettings`).
 
@@ -158,6 +161,8 @@ class TrackerConfig:
     floor_height: float | None = None
     target_motion: MotionModel = field(default_factory=MotionModel)
     drift: float | None = None
+    clock_error: float = 0.01
+    pose_error: float = 0.0
     history: float = 10.0
     answers: AnswerSettings = field(default_factory=AnswerSettings)
 
@@ -175,6 +180,8 @@ class TrackerConfig:
                 self.drift is None or within(self.drift, 0, math.pi),
                 "radians per root second, from 0 to pi, or None",
             ),
+            "clock_error": (within(self.clock_error, 0, 10), "seconds, from 0 to 10"),
+            "pose_error": (within(self.pose_error, 0, math.pi / 3), "radians, from 0 to 60 degrees"),
             "history": (within(self.history, 0), "seconds from 0 on"),
             "answers": (isinstance(self.answers, kinds[3]), "an eagor.tracking.AnswerSettings"),
         }
@@ -192,6 +199,7 @@ class TrackerConfig:
             ranges=None,
             target_motion=MotionModel.still(),
             drift=0.0,
+            clock_error=0.0,
             answers=AnswerSettings(decode="mean"),
         )
 

@@ -108,7 +108,7 @@ class Estimate:
         field = self.posterior.field
         if float(np.ptp(field.values)) < FLAT and not field.patches:
             return None
-        return self.posterior.modes(1, 1.0)[0][0]
+        return self._places[0][0]
 
     @property
     def azimuth(self) -> float | None:
@@ -241,7 +241,7 @@ class Estimate:
         """Distance and its spread, from one (slow) computation of the range probabilities."""
         if self.of is not None:
             return self.of._range
-        return None if math.isinf(self.age) else self.hypotheses.standing.distance(self._about)
+        return None if math.isinf(self.age) else self.hypotheses.distance(self._about)
 
     @lazy
     def status(self) -> Status:

@@ -28,7 +28,7 @@ from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.tracking.config import MotionModel
-from eagor.tracking.look import Look, Shares, Sight
+from eagor.tracking.look import NOTHING_SHARED, Look, SharedError, Shares, Sight
 from eagor.tracking.look_alikes import LookAlikes, LookAlikesByDrift
 from eagor.tracking.moving import FAINTEST, TurningTarget, WanderingTarget
 from eagor.tracking.stationary import StationaryTarget
@@ -49,8 +49,7 @@ class TargetHypotheses:
     `weights` ``(2 + M,)`` or, with `turning`, ``(3 + M,)`` sum to 1; M is the number of paces of `wandering`. `moves`:
     the habits of a moving target, and of a look-alike that moves as it does, which explains as well what the target
     would; `alike`: log(1 + Q) of that. `known`: look-alikes that stand, for what moves; they tell how far the odometry
-    drifts, if `told_drift` (radians per root second) is None. `offset`: radians by which all looks together may be off,
-    `of_size`: what half the size of a thing adds to that.
+    drifts, if `told_drift` (radians per root second) is None. `shared`: by how much all looks together may be off.
     """
 
     weights: np.ndarray
@@ -61,8 +60,7 @@ class TargetHypotheses:
     alike: float = 0.0
     known: LookAlikesByDrift | None = None
     told_drift: float | None = None
-    offset: float = 0.0
-    of_size: float = 0.0
+    shared: SharedError = NOTHING_SHARED
 
     @classmethod
     def prior(
@@ -107,9 +105,10 @@ class TargetHypotheses:
         """log of (density / uniform density), given that the target is present; answers are read from it."""
         shares = self.weights[1:] / max(float(self.weights[1:].sum()), 1e-300)
         stands = self.standing.field
-        if self.offset > 0 or self.of_size > 0:
-            sizes = np.array([self.standing.size(patch.top) for patch in stands.patches]) if self.of_size > 0 else 0.0
-            stands = _blurred(stands, np.hypot(self.offset, self.of_size * sizes))
+        if self.shared.looks:
+            sized = self.shared.of_size > 0
+            sizes = np.array([self.standing.size(patch.top) for patch in stands.patches]) if sized else 0.0
+            stands = _blurred(stands, self.shared.angle(sizes))
         turns = float(shares[-1]) if self.turning is not None else 0.0
         stays = float(shares[0])
         if turns < _UNLIKELY:
@@ -178,6 +177,22 @@ class TargetHypotheses:
         there = self.standing.support.values + bank.lead - explained[self.standing.places.cells]
         number = bank.habits.look_alikes * np.exp(np.minimum(there, LARGEST)) * bank.alike_recall
         return number * self.grid.weights / (4 * math.pi)
+
+    def distance(self, about: np.ndarray) -> tuple[float, float] | None:
+        """Mean distance (metres) and standard deviation of its logarithm near a direction; None without ranges."""
+        found = self.standing.distance(about)
+        if found is None or self.shared.last is None:
+            return found
+        bank, (distance, spread) = self.standing.bank, found
+        kept_within = math.inf if bank is None else bank.habits.kept_within or math.inf
+        size = self.standing.size(about) if self.shared.of_size > 0 else 0.0
+        off = self.shared.of_log_distance(about, distance, size, kept_within)
+        if self.standing.height is not None:  # the floor tells the distance by the elevation
+            off = min(off, float(self.shared.angle(size)) * math.hypot(*about[:2]) / max(abs(float(about[2])), 1e-9))
+        more = math.hypot(spread, off)
+        assert isinstance(self.standing.coarse, RangedBelief)
+        first, last = np.log(self.standing.coarse.ranges[[0, -1]])
+        return distance, max(spread, min(more, (last - first) / math.sqrt(12)))  # at most as before any look
 
     def ranged(self, ranges: np.ndarray, height: float | None) -> TargetHypotheses:
         """With positions from here on: what is known so far holds for all `ranges` ``(K,)``, metres."""
@@ -294,7 +309,7 @@ class TargetHypotheses:
         spread = self._otherwise(look, foretold, recall)
         weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
-        kept = self.told_drift, sight.offset, sight.of_size
+        kept = self.told_drift, self.shared.and_of(sight.shared)
         return TargetHypotheses(weights, standing, wandering, turning, moves, alike, known, *kept), look, alarms
 
     def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None, LookAlikesByDrift | None]:
@@ -304,7 +319,7 @@ class TargetHypotheses:
             return sight.read(None, self.standing.spread), alarms, known
         before = Alarms.prior(found.model) if alarms is None else alarms
         if not sight.habits.look_alikes:
-            return sight.read(before.after(np.zeros(len(found))), spread), before.after(self._caused(sight)), known
+            return sight.read(before.after(found.again), spread), before.after(found.again + self._caused(sight)), known
         coarse = self.standing.coarse
         ranges = coarse.ranges if isinstance(coarse, RangedBelief) else None
         if known is None:
@@ -312,13 +327,13 @@ class TargetHypotheses:
         known = known.read_with(sight.habits)
         heard = known.heard(sight, spread)
         density = known.density(heard)
-        given, passing = before.after(density), self._passing(sight)
+        given, passing = before.after(density + found.again), self._passing(sight)
         their = 0.0 if self.moves is None else -math.expm1(-self.alike) * float(self.moves.alike_recall)
         shares = Shares(given.share(their * passing), given.share(density), passing)
         look = sight.read(given, spread, shares)
         moving = float(self.weights[2:].sum()) * (sight.habits.mean if self.moves is None else float(self.moves.recall))
         known = known.updated(sight, heard, given, look.shown.share, (moving + their) * passing)
-        return look, before.after(density + self._caused(sight)), known
+        return look, before.after(density + found.again + self._caused(sight)), known
 
     def _weighed(self, gains: np.ndarray, look: Look, moves: Bank | None) -> tuple[np.ndarray, Bank | None, float]:
         """The weights of the hypotheses after these `gains` in log likelihood; habits and `alike` of what moves."""
@@ -434,7 +449,7 @@ def _blurred(field: SphereField, offsets: np.ndarray | float) -> SphereField:
         outside = ~patch.places(directions)[1]
         around = np.full(wide.values.shape, -np.inf)
         around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
-        patches.append(wide.like(np.logaddexp(wide.values, around)))
+        patches.append(wide.like(np.maximum(wide.values, around)))
     return altered(field, patches=tuple(patches))
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._values import lazy
+from eagor._values import altered, lazy
 from eagor.belief.bank import Bank, Shown, linear, mixed
 from eagor.belief.field import SphereField
 from eagor.evidence import Evidence
@@ -24,12 +24,73 @@ SIGHTINGS = 4  # of a response map
 
 
 @dataclass(frozen=True, eq=False)
+class SharedError:
+    """The errors that looks have in common: no number of looks averages them out.
+
+    `variance`: radians squared per axis, the mean over the `looks` that showed anything; `of_size`: what the square of
+    half a thing's size adds to it. Where the camera walks, the view changes, and a new view errs anew: `place`
+    ``(3,)``, metres, is the mean of where the looks were taken, `scatter` ``(3, 3)`` the sum of squares about it,
+    `last` where the newest was taken, and `way` the metres from look to look.
+    """
+
+    variance: float = 0.0
+    of_size: float = 0.0
+    looks: int = 0
+    place: np.ndarray | None = None
+    last: np.ndarray | None = None
+    scatter: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    way: float = 0.0
+
+    def and_of(self, look: SharedError) -> SharedError:
+        """With those of one more look; it counts if it showed anything."""
+        if not look.looks or not self.looks:
+            return look if look.looks else self
+        count, own = self.looks + 1, 1 / (self.looks + 1)
+        found = altered(
+            self,
+            variance=self.variance + own * (look.variance - self.variance),
+            of_size=self.of_size + own * (look.of_size - self.of_size),
+            looks=count,
+        )
+        if look.place is None:
+            return found
+        if self.place is None or self.last is None:
+            return altered(found, place=look.place, last=look.place)
+        from_mean = look.place - self.place
+        return altered(
+            found,
+            place=self.place + own * from_mean,
+            last=look.place,
+            scatter=self.scatter + (1 - own) * np.outer(from_mean, from_mean),
+            way=self.way + float(np.linalg.norm(look.place - self.last)),
+        )
+
+    def angle(self, half_size: np.ndarray | float = 0.0) -> np.ndarray | float:
+        """Radians per axis ``(...)``, for things of these half angular sizes ``(...)``."""
+        return np.sqrt(self.variance + self.of_size * np.square(half_size))
+
+    def of_log_distance(self, direction: np.ndarray, distance: float, half_size: float, kept_within: float) -> float:
+        """The error of the logarithm of a distance (metres) in a `direction` ``(3,)``.
+
+        It is the angle over the parallax of the looks, the angle by which they were apart as seen from there. Views
+        that are `kept_within` metres apart err independently.
+        """
+        across = np.trace(self.scatter) - direction @ self.scatter @ direction
+        base = math.sqrt(max(float(across), 0.0) / max(self.looks, 1))
+        views = 1 + self.way / kept_within
+        return float(self.angle(half_size)) * distance / max(base * math.sqrt(views), 1e-9)
+
+
+NOTHING_SHARED = SharedError()
+
+
+@dataclass(frozen=True, eq=False)
 class Sight:
     """All evidence of one moment, in world axes, before the number of false alarms is applied.
 
     Views of one moment are one look, in any order: response maps add, detections form one set. `habits`: of the
     detections; None without any. `repeats`: the share of the response maps that an immediate next look repeats.
-    `offset`: radians, the part of its angular error that a place keeps; `of_size`: what half a thing's size adds to it.
+    `shared`: the errors that it shares with other looks.
     """
 
     stamp: float
@@ -40,14 +101,19 @@ class Sight:
     mapped: np.ndarray | None  # coefficients of the response maps
     habits: Habits | None
     repeats: float
-    offset: float
-    of_size: float
+    shared: SharedError
 
     @classmethod
     def of(
-        cls, looks: Sequence[Evidence], degree: int, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None
+        cls,
+        looks: Sequence[Evidence],
+        degree: int,
+        stamp: float,
+        world_R_body: np.ndarray,
+        position: np.ndarray | None,
+        pose_error: float = 0.0,
     ) -> Sight:
-        """The looks of one moment, seen from `position` with this orientation."""
+        """The looks of one moment, seen from `position` with this orientation; `pose_error`: of that, radians."""
         joint: Detections | None = None
         mapped: np.ndarray | None = None
         for look in looks:
@@ -64,7 +130,9 @@ class Sight:
         offset = max(look.read_with.offset for look in looks)
         # The area of a box that goes r to each side has the standard deviation r / sqrt(3).
         of_size = max((model.offset_of_size for model in models), default=0.0) / math.sqrt(3)
-        return cls(stamp, position, world_R_body, degree, joint, mapped, habits, repeats, offset, of_size)
+        shows = joint is None or len(joint) > 0
+        shared = SharedError(offset**2 + pose_error**2, of_size**2, int(shows), position, position)
+        return cls(stamp, position, world_R_body, degree, joint, mapped, habits, repeats, shared)
 
     @lazy
     def world(self) -> Detections | None:

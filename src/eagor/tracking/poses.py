@@ -113,6 +113,15 @@ class PoseHistory:
     def _drop(self, which: slice) -> None:
         del self._stamps[which], self._poses[which], self._awake[which]
 
+    def turning_rate(self, stamp: float) -> float:
+        """Radians per second at which the body turns at a time, from the poses before and after it; 0 without."""
+        after = min(bisect.bisect_left(self._stamps, stamp), len(self) - 1)
+        if after < 1:  # not from the next pose: an answer must not depend on when a look arrives
+            return 0.0
+        (start, _), (end, _) = self._poses[after - 1], self._poses[after]
+        angle = 2 * math.asin(min(float(np.linalg.norm(end - start)) / math.sqrt(8), 1.0))  # of the chord
+        return angle / (self._stamps[after] - self._stamps[after - 1])
+
     def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
         """`world_R_body` ``(3, 3)`` and position ``(3,)`` or None at a time. Raises `PoseError` if it is too old."""
         stamp = checked_stamp(stamp)

@@ -143,7 +143,8 @@ class DirectionTracker:
             place, moment = track.place_of(stamp)
             if moment is None:
                 pose, position = self._poses.at(stamp)
-                moment = Moment(stamp, [evidence], pose, position, self._poses.reach(stamp))
+                turning = self._poses.turning_rate(stamp)
+                moment = Moment(stamp, [evidence], pose, position, self._poses.reach(stamp), turning)
                 track.moments.insert(place, moment)
             else:
                 moment.looks.append(evidence)
@@ -287,7 +288,7 @@ class DirectionTracker:
                 break
             pose, position = self._poses.at(max(moment.stamp, self._poses.first))
             moment.world_R_body, moment.position = pose, position
-            moment.firm = self._poses.reach(moment.stamp)
+            moment.firm, moment.turning = self._poses.reach(moment.stamp), self._poses.turning_rate(moment.stamp)
             track.forget_from(index)
 
     def _check_height(self, position: np.ndarray) -> None:

@@ -8,6 +8,7 @@ looks and after every `APART`-th of the others, so that a late look recomputes o
 from __future__ import annotations
 
 import bisect
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,7 +80,7 @@ NEWEST, APART = 3, 8  # moments whose states are kept
 class Moment:
     """Evidence of one moment and its pose; `firm` once a pose at or after it is known.
 
-    `bare`: its state has no cached values.
+    `turning`: radians per second at which the body turned then. `bare`: its state has no cached values.
     """
 
     stamp: float
@@ -87,12 +88,14 @@ class Moment:
     world_R_body: np.ndarray
     position: np.ndarray | None
     firm: bool
+    turning: float = 0.0
     state: State | None = None  # after it, once it is taken in, and while it is kept
     bare: bool = False
 
-    def sight(self, degree: int) -> Sight:
+    def sight(self, config: TrackerConfig) -> Sight:
         """All of its evidence as one look."""
-        return Sight.of(self.looks, degree, self.stamp, self.world_R_body, self.position)
+        error = math.hypot(config.pose_error, config.clock_error * self.turning)
+        return Sight.of(self.looks, config.degree, self.stamp, self.world_R_body, self.position, error)
 
 
 @dataclass(eq=False)
@@ -171,7 +174,7 @@ class Track:
         for place in range(known, len(self.moments)):
             moment = self.moments[place]
             before = state or State.blank(config, moment.stamp, moment.position)
-            state = moment.state = before.after(moment.sight(config.degree), config)
+            state = moment.state = before.after(moment.sight(config), config)
             if place >= NEWEST:
                 self._thin(place - NEWEST)
         self._fold(config.history)

@@ -103,6 +103,8 @@ class TransformersPerception:
                 threshold=threshold,
             )  # fmt: skip
         self.loaded = model
+        if detector is None:
+            self.detector = DetectorModel.reporting_from(getattr(model, "least", None))
         self.extractor: Extractor = chosen(extractor or self.family.default(heads), self.family, "extractor")
         self.per_view: Extractor = chosen(per_view or self.family.per_view, self.family, "per_view")
         if self.per_view == "views":
