@@ -230,7 +230,7 @@ def labelled(case: Case) -> list[LabelledLook]:
 def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
     """The numbers of the detector; the share of looks in which a thing is found differs from place to place.
 
-    Drawn towards the default, in logarithms: habits, look-alikes and false alarms halfway, spreads a quarter of the way.
+    Drawn towards the default, in logarithms: habits, look-alikes and false alarms halfway, spreads by a quarter.
     """
     found, usual = fit_detector(looks, resamples=0).model, DetectorModel(false_alarms_per_look=USUAL_ALARMS)
     shares = dict.fromkeys(("habit", "look_alike_habit", "look_alikes", "false_alarms_per_look"), 0.5)

@@ -477,7 +477,7 @@ def test_looks_that_agree_are_believed_and_a_box_that_may_be_a_look_alike_less()
         tracker = DirectionTracker()
         for step in range(looks):
             model = DetectorModel(look_alikes=alikes)
-            tracker.observe(Evidence.from_boxes(boxes, grid, [0.9], detector=model, stamp=0.5 * step))
+            tracker.observe(Evidence.from_boxes(boxes, grid, [0.3], detector=model, stamp=0.5 * step))
         return tracker.estimate(0.5 * looks).presence
 
     assert 0.5 < presence(0.7, 1) < presence(0.7, 3) < presence(0.0, 3)

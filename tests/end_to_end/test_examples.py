@@ -53,7 +53,7 @@ def test_they_are_numbered_short_and_say_what_is_learnt():
 
 def test_a_belief_turns_with_the_camera_and_grows_surer(printed):
     first, turned, later = (numbers(line, " deg left", " deg off", " deg\n") for line in _ended(printed("01")))
-    assert (first[0], turned[0], later[0]) == (90.0, 60.0, 60.0)
+    assert (first[0], turned[0], later[0]) == pytest.approx((90.0, 60.0, 60.0), abs=0.15)
     assert max(first[1], turned[1], later[1]) <= 0.5
     assert turned[2] == first[2] > 10 * later[2], "turning changes nothing about how sure it is; looks do"
 

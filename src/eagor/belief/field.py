@@ -203,7 +203,9 @@ def blurred(patch: Patch, sigma: float, reach: float) -> Patch:
     `reach`: standard deviations from the middle of a patch to its border. The plane is treated as flat: sigma is small.
     """
     half = np.hypot(patch.half, reach * math.tan(sigma))
-    values, top = patch.finer(), float(patch.values.max())
+    # Splines between nodes swing beside a steep peak: they are for nodes that are not dense against the blur.
+    values = patch.values if float(patch.spacing.max()) < sigma / 3 else patch.finer()
+    top = float(patch.values.max())
     new = bent(even(len(patch.values)), half, patch.bend)[0]
     old = bent(even(len(values)), patch.half, patch.bend)[0]
     first, second = (_convolving(x, u, sigma) for x, u in zip(new, old, strict=True))
