@@ -54,9 +54,7 @@ class Tracker(Contestant):
         self, model: eagor.DetectorModel, config: eagor.TrackerConfig | None = None, motion: Motion | None = None
     ) -> None:
         self.model, self.motion = model, motion or Motion()
-        self.tracker = eagor.DirectionTracker(
-            replace(config or eagor.TrackerConfig(), clock_error=0.0)
-        )  # both are true
+        self.tracker = eagor.DirectionTracker(replace(config or eagor.TrackerConfig(), clock_error=0.0))
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         self.tracker.add_pose(time, self.motion.turned(time).T @ pose, position)

@@ -129,16 +129,17 @@ class Reading:
 
     def _refined(self, tops: np.ndarray) -> np.ndarray:
         """The highest points ``(m, 3)`` of the field beside `tops` ``(m, 3)``."""
-        found = self._climbed(tops)
+        found, of_nodes, reach = self._climbed(tops), tops.copy(), np.ones(len(tops))
         for place, direction in enumerate(tops):
             for patch in self.field.patches:
                 places, inside = patch.places(direction)
                 if inside:
-                    top = _top_of_patch(patch, places)
-                    rise = self.field(found[[place]]) - self.field(top[None])
-                    if rise < RIPPLE and top @ found[place] > math.cos(float(patch.spacing.min())):
-                        found[place] = top
+                    of_nodes[place], reach[place] = _top_of_patch(patch, places), math.cos(float(patch.spacing.min()))
                     break
+        near = np.flatnonzero(np.einsum("mi,mi->m", of_nodes, found) > reach)
+        if len(near):
+            near = near[self.field(found[near]) - self.field(of_nodes[near]) < RIPPLE]
+            found[near] = of_nodes[near]
         return found
 
     def _climbed(self, tops: np.ndarray) -> np.ndarray:
@@ -152,7 +153,8 @@ class Reading:
         while step > FINEST:
             before = tops.copy()
             frames = step * tangent_frames(tops)  # (m, 2, 3)
-            values = self.field(unit(tops[:, None] + np.einsum("sk,mki->msi", STENCIL, frames)))
+            around = unit(tops[:, None] + np.einsum("sk,mki->msi", STENCIL, frames))
+            values = self.field(around)
             slope, bend = np.moveaxis(np.tensordot(values, _SLOPE, 1), -1, 0), np.tensordot(values, _BEND, 1)
             (a, c), b = np.moveaxis(bend[:, :2], -1, 0), bend[:, 2]
             det = a * c - b * b
@@ -160,10 +162,9 @@ class Reading:
             det = np.where(curved, det, 1.0)
             jump = np.stack([b * slope[1] - c * slope[0], b * slope[0] - a * slope[1]], axis=-1) / det[:, None]
             jump = np.where(curved[:, None], np.clip(jump, -1.0, 1.0), 0.0)
-            shifts = np.stack([jump, STENCIL[values.argmax(axis=1)]])  # (2, m, 2)
-            found = unit(tops + np.einsum("jmk,mki->jmi", shifts, frames))
-            heights = self.field(found)
-            for direction, height in zip(found, heights, strict=True):
+            jumped = unit(tops + np.einsum("mk,mki->mi", jump, frames))
+            highest = np.arange(len(tops)), values.argmax(axis=1)
+            for direction, height in ((jumped, self.field(jumped)), (around[highest], values[highest])):
                 higher = height > best
                 tops[higher], best[higher] = direction[higher], height[higher]
             moved = 1 - np.einsum("mi,mi->m", before, tops).min() > step * step / 4

@@ -168,10 +168,9 @@ class Detections:
         """
         if len(self) < 2:
             return np.zeros(len(self))
-        order = np.argsort(-self.ratios, kind="stable")
+        rank = np.argsort(np.argsort(-self.ratios, kind="stable"))
         drawn = self.densities(self.directions, np.ones(1), np.eye(len(self)))[0]
-        better = np.argsort(order)[:, None] < np.argsort(order)[None, :]
-        return self.area * (drawn * better).sum(axis=0)
+        return self.area * (drawn * (rank[:, None] < rank)).sum(axis=0)
 
     def covariances(self, scale: np.ndarray | float = 1.0) -> np.ndarray:
         """Of each detection ``(..., n, 3, 3)``, at each of the factors `scale` ``(...)`` on its deviations."""

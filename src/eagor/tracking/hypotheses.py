@@ -450,6 +450,8 @@ def _blurred(field: SphereField, offsets: np.ndarray | float) -> SphereField:
         around = np.full(wide.values.shape, -np.inf)
         around[outside] = SphereField(field.grid, field.values).smooth(directions[outside], 1)
         patches.append(wide.like(np.maximum(wide.values, around)))
+    if all(new is old for new, old in zip(patches, field.patches, strict=True)):
+        return field  # with the layout that it has
     return altered(field, patches=tuple(patches))
 
 

@@ -54,7 +54,7 @@ class SharedError:
         )
         if look.place is None:
             return found
-        if self.place is None or self.last is None:
+        if self.place is None or self.last is None:  # both come with the first position
             return altered(found, place=look.place, last=look.place)
         from_mean = look.place - self.place
         return altered(
