@@ -257,7 +257,7 @@ def test_track_takes_a_folder_for_each_camera_of_a_rig(capsys, tmp_path, two_cam
     frames = json.loads(out)["frames"]
     assert [each["frame"] for each in frames] == [f"{name}/{k}.png" for k in range(3) for name in ("front", "back")]
     for number, each in enumerate(frames):
-        assert abs(math.remainder(each["azimuth_deg"] - red_ball(poses[number // 2]), 360)) < 5.5
+        assert abs(math.remainder(each["azimuth_deg"] - red_ball(poses[number // 2]), 360)) < 3
     (tmp_path / "back" / "2.png").unlink()
     code, _, err = run(capsys, "track", both, "red", *rig)
     assert (code, "hold different numbers of pictures: 3 in " in err) == (2, True)
@@ -285,7 +285,7 @@ def test_locate_looks_at_a_rig_s_pictures_as_they_are(capsys, tmp_path, two_came
         assert code == 0, err
         found = json.loads(out)
         assert found["frame"] == f"front.{kind}, back.{kind}"
-        assert abs(found["azimuth_deg"] - red_ball(pose)) < 5.5  # an edge cuts the ball: its box is off
+        assert abs(found["azimuth_deg"] - red_ball(pose)) < 3
         with Image.open(tmp_path / "drawn.png") as drawn:
             assert drawn.width > 240
     assert run(capsys, "locate", tmp_path / "front.png", "red", *rig)[0] == 2

@@ -153,7 +153,7 @@ ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)  # mean numbers of false alarms, alike
 SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.02, 0.94, 0.04)
 # Radians (0.7 degrees), and a share: measured with `coco` on photographs of rooms.
 OFFSET, OFFSET_OF_SIZE = 0.0122, 0.25
-LEAST_SCORE = 0.02  # and most: no score is a proof
+LEAST_SCORE = 0.1  # and 0.9 at most: no score is a proof, and nobody has measured the last tenth
 LEAST_OF_SIZE = 0.01  # of `spread_of_size`: with 0 a box's size would be lost
 UNLIKELY = 1e-3  # scales with less weight are dropped
 
@@ -169,8 +169,8 @@ class DetectorModel:
     - `spread`: radians (standard deviation per axis) of a detection about the direction of the thing.
     - `score_ratios`: pairs (score, ratio) by rising score: how many times likelier the target gives this score than a
       false alarm does; the logarithm is interpolated between them. None: a score is the probability that the box is
-      right, so the ratio is the odds of the score over those of `prior_correct`; 1 where all scores of a look are 1. A
-      score is a habit: it counts once for each place.
+      right, so the ratio is the odds of the score over those of `prior_correct`. A score is a habit: it counts
+      once for each place.
     - `prior_correct`: the share of the detector's boxes that are right, whatever their score: where nothing else is
       known, about the lowest score that it reports. Without `score_ratios` only.
     - `look_alikes`: how many places on the whole sphere are taken for the thing again and again, on average. None: 0
@@ -270,8 +270,7 @@ class DetectorModel:
 
     def ratios(self, scores: np.ndarray | None, count: int) -> np.ndarray:
         """s ``(n,)``: how much likelier each score is for the target than for a false alarm; 1 without scores."""
-        # Who writes 1 for all has no scores, as most language models: no detector is always right.
-        if scores is None or (self.score_ratios is None and np.all(scores == 1)):
+        if scores is None:
             return np.ones(count)
         if self.score_ratios is None:
             sure = np.clip(np.asarray(scores, dtype=np.float64), LEAST_SCORE, 1 - LEAST_SCORE)

@@ -242,6 +242,7 @@ class Record:
             wanted = fitting(query, among or own) if self.query is None and own else ()
         keep = [self.query is not None or label is None or label in wanted for label in self.labels]
         values, scores = self.values[keep], self.scores[keep]
+        scores = scores if (scores != 1).any() else None  # 1 everywhere: the file tells none
         if self.kind == "boxes" and self.grid is not None:
             return Evidence.from_boxes(values, self.grid, scores, calibration, self.stamp, detector=detector)
         spread = (detector or DetectorModel()).spread

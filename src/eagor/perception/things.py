@@ -223,9 +223,13 @@ def spread_evidence(
     model: DetectorModel | None,
     view: View,
     stamp: float | None = None,
+    scored: bool = True,
 ) -> Evidence:
-    """The evidence of detections (mean direction, covariance, score) in `view`, widened by the spread of `model`."""
-    scores = np.array([score for _, _, score in found])
+    """The evidence of detections (mean direction, covariance, score) in `view`, widened by the spread of `model`.
+
+    `scored`: whether the scores mean anything.
+    """
+    scores = np.array([score for _, _, score in found]) if scored else None
     return Evidence.from_moments([(centre, spread) for centre, spread, _ in found], scores, view, model, stamp)
 
 

@@ -102,7 +102,8 @@ def detected(
     """The evidence of `found` within `grid`, as far as `coverage` ``(H, W)`` says (None: all of it)."""
     seen = None if coverage is None or bool((coverage >= WHOLE).all()) else coverage
     parts = [(thing.direction, thing.covariance, thing.score) for thing in found]
-    return replace(spread_evidence(parts, model, View(grid, seen), stamp), source=source)
+    scored = any(thing.score != 1 for thing in found)  # a model that tells none has 1 everywhere
+    return replace(spread_evidence(parts, model, View(grid, seen), stamp, scored), source=source)
 
 
 # --- boxes as responses -----------------------------------------------------------------------------------------------
