@@ -52,7 +52,7 @@ class Detections:
     `directions` ``(n, 3)``, with `scores` ``(n,)``. `axes` ``(n, 2, 3)``: its principal axes, each divided by the
     standard deviation along it (radians). `ratios` ``(n,)``: s. `clutter` ``(n,)``: relative density of
     false alarms there. `sizes` ``(n,)``: half the angular size of each, radians; 0 for points. `views`: empty where the
-    whole sphere was looked at.
+    whole sphere was looked at. `scored`: whether the detector told scores; else they are 1.
     """
 
     model: DetectorModel
@@ -63,6 +63,7 @@ class Detections:
     scores: np.ndarray
     sizes: np.ndarray
     views: tuple[View, ...] = ()
+    scored: bool = True
 
     @classmethod
     def around(
@@ -77,8 +78,9 @@ class Detections:
         """The set of one picture."""
         count = len(directions)
         ratios, clutter = model.ratios(scores, count), model.clutter_at(directions)
-        scores, sizes = np.ones(count) if scores is None else scores, np.zeros(count) if sizes is None else sizes
-        return cls(model, directions, axes, ratios, clutter, scores, sizes, () if view.is_whole else (view,))
+        each, sizes = np.ones(count) if scores is None else scores, np.zeros(count) if sizes is None else sizes
+        views = () if view.is_whole else (view,)
+        return cls(model, directions, axes, ratios, clutter, each, sizes, views, scores is not None)
 
     def __len__(self) -> int:
         return len(self.directions)
@@ -93,7 +95,7 @@ class Detections:
             key: np.concatenate([getattr(self, key), getattr(other, key)])
             for key in ("directions", "axes", "ratios", "clutter", "scores", "sizes")
         }
-        return altered(self, views=views, **pairs)
+        return altered(self, views=views, scored=self.scored or other.scored, **pairs)
 
     def turned(self, new_R_old: np.ndarray) -> Detections:
         """The detections in other axes; `share` still takes directions of the body."""
@@ -156,7 +158,8 @@ class Detections:
         lengths = np.linalg.norm(self.axes, axis=-1, keepdims=True)
         each = model.spread_of_size**2 * self.own + model.spread**2
         axes = self.axes / lengths / np.sqrt(each)[..., None]
-        ratios, clutter = model.ratios(self.scores, len(self)), model.clutter_at(self.directions)
+        scores = self.scores if self.scored else None
+        ratios, clutter = model.ratios(scores, len(self)), model.clutter_at(self.directions)
         return altered(self, model=model, axes=axes, ratios=ratios, clutter=clutter)
 
     @lazy
