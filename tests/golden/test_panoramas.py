@@ -65,7 +65,7 @@ def test_panoramas_stay_the_same(seed, look):
     hashes = ("scene", "rgb", "range", "ids")
     if all(kept[name] == found[name] for name in hashes):
         return
-    # Another processor may round otherwise: then some pixels take the next texel, of any colour. Nearly all blocks stay.
+    # Another processor may round otherwise: then some pixels take the next texel. Nearly all blocks stay.
     moved = np.abs(np.subtract(kept["colours"], found["colours"])) * BLOCK**2 / 255  # in pixels from black to white
     assert moved.max() <= 4
     assert np.quantile(moved, 0.9) <= 0.5
