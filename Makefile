@@ -169,12 +169,8 @@ test-slow: $(VENV)/.eagor-test-installed models page-check
 bench: $(VENV)/.eagor-test-installed
 	@echo "==> benchmarks/core.py"
 	$(BIN)/python benchmarks/core.py
-	echo "==> benchmarks/quality.py"
-	$(BIN)/python benchmarks/quality.py
 	echo "==> benchmarks/ideal.py"
 	$(BIN)/python benchmarks/ideal.py
-	echo "==> benchmarks/studio.py"
-	$(BIN)/python benchmarks/studio.py
 
 figures: $(VENV)/.eagor-installed
 	@for figure in architecture mean degree parallax belief presence moving demo results; do

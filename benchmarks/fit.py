@@ -3,7 +3,7 @@
     python benchmarks/fit.py [--perception scout] [--methods eagor vmf ...] [--trials 48] [--workers 2] [--folder DIR]
 
 Waypoint Following and `tracking` are open loop: their episodes are recorded once (poses and responses), and every
-trial reads the recordings, which are those of ``eagor calibrate`` and of benchmarks/estimator.py. A trial is a random
+trial reads the recordings, which are those of ``eagor calibrate``. A trial is a random
 draw from the method's space; the first is the setting in use now. All trials see the episodes of half of the
 apartments; the best eighth of them is judged by the other half, and that ranking is printed, with intervals over
 apartments. Seeds are of development apartments only; others are refused.

@@ -118,31 +118,28 @@ STOP, FORWARD = 0, 1  # its actions; 2 and 3 are turns to the left and to the ri
 WITHIN = 0.1  # metres: habitat-lab's success_distance in ObjectNav
 APART = 0.3  # metres between a view point that could not be reached and the next one that is tried
 PATIENCE = 12  # actions without coming nearer until another view point is tried
-SENSORS = "habitat.simulator.agents.main_agent.sim_sensors"
-BLIND = [f"~{SENSORS}.rgb_sensor", f"{SENSORS}.depth_sensor.width=8", f"{SENSORS}.depth_sensor.height=8"]
 
 
-def walked(file, out, blind=False):
+def walked(file, out):
     """Every episode of ``<split>.json.gz``, walked by an oracle inside habitat-lab, as dicts; kept in the file `out`.
 
     Runs in a process of its own, in the folder that holds ``data``, as Habitat's examples do: only the path of the
-    episodes is set (and the CPU, where there is no NVIDIA card). `blind`: no pictures in colour, and small ones of
-    depth; pictures take most of the time on the CPU, and change no measure. A walk has the ``scene_id``, the index of
-    its ``episode`` in the scene, ``actions``, ``path`` ``(n, 3)``, ``metrics``, ``start_m`` (habitat-lab's distance at
-    the start), and ``off_mesh``: how far the start and the farthest view point lie from habitat-lab's mesh.
+    episodes is set (and the CPU, where there is no NVIDIA card). A walk has the ``scene_id``,
+    the index of its ``episode`` in the scene, ``actions``, ``path`` ``(n, 3)``, ``metrics``, ``start_m`` (habitat-lab's
+    distance at the start), and ``off_mesh``: how far the start and the farthest view point lie from habitat-lab's mesh.
     """
     if not Path(out).is_file():
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # Habitat may end its process
-            pool.submit(_walk_all, str(Path(file).resolve()), str(Path(out).resolve()), blind).result()
+            pool.submit(_walk_all, str(Path(file).resolve()), str(Path(out).resolve())).result()
     return [json.loads(line) for line in Path(out).read_text().splitlines()]
 
 
-def _walk_all(file, out, blind):
+def _walk_all(file, out):
     warnings.simplefilter("ignore")
     (data,) = (parent for parent in Path(file).parents if parent.name == "data")
     os.chdir(data.parent)
     device = [] if Path("/dev/nvidia0").exists() else ["habitat.simulator.habitat_sim_v0.gpu_device_id=-1"]
-    settings = config(f"habitat.dataset.data_path={file}", *device, *(BLIND if blind else []))
+    settings = config(f"habitat.dataset.data_path={file}", *device)
     import habitat
 
     found = []

@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from eagor.conventions import wxyz_from_rotation
-from eagor.sphere import azimuth_elevation, direction, world_R_body
+from eagor.sphere import azimuth_elevation, world_R_body
 
 METHODS = ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "grid_filter", "particle_filter", "eagor")
 SKILL = dict(zip(METHODS, (60, 45, 40, 32, 22, 18, 16, 11), strict=True))  # typical error, degrees
@@ -214,10 +214,6 @@ def steps_since(event):
 
 def wrapped(degrees):
     return ((np.asarray(degrees) + 180) % 360 - 180).tolist()
-
-
-def direction_of(azimuth_deg, elevation_deg):
-    return direction(np.radians(azimuth_deg), np.radians(elevation_deg))
 
 
 def write_run(folder, records, **config):

@@ -3,7 +3,7 @@
     python docs/figures/parallax.py [FOLDER]
 
 One walk of 30 steps of 0.25 m, one noisy bearing per step (8 degrees; three of ten are missed, every fifth look has a
-false alarm besides), the same evidence for both beliefs. benchmarks/quality.py measures many such walks.
+false alarm besides), the same evidence for both beliefs.
 """
 
 from __future__ import annotations

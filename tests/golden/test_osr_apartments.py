@@ -44,7 +44,7 @@ def test_true_contacts_answer_almost_all_that_is_clear(scenes: Path) -> None:
     records = [do(case.payload) for case in bench.cases(scenes, settings)]
     clear = [record["score"] for record in records if "clear" in record["tags"]]
     assert len(clear) >= 40
-    assert sum(clear) / len(clear) >= 0.9  # over 200 scenes it is 0.956: benchmarks/osr.py
+    assert sum(clear) / len(clear) >= 0.9
     unit = work(settings | {"range": "unit"})
     blind = [unit(case.payload)["score"] for case in bench.cases(scenes, settings)]
     assert sum(blind) / len(blind) < 0.8

@@ -1,7 +1,6 @@
 """habitat-lab reads what we write, its measures of our recorded paths are ours, and our episodes can be won in it.
 
-Needs habitat-lab and Habitat-Sim, which no extra of ours brings: `benchmarks/habitat_walks.py` says
-the figures.
+Needs habitat-lab and Habitat-Sim, which no extra of ours brings.
 """
 
 import habitat_lab

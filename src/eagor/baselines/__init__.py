@@ -10,8 +10,8 @@ distribution have ``log_density(directions)``, its logarithm ``(...)`` per stera
 - `BestDetection`, `LastDetection`: one detection, turned with the camera: the best so far, or the best of the newest
   look that has any. They read detections as such; of a response map they take the strongest response.
 - Stronger ones: `VonMisesFisherFilter`, `HistogramFilter`, `ParticleFilter`. They read the evidence with a
-  calibration of their own. Their defaults are the best on the development seeds of ``benchmarks/quality.py``, with as
-  many trials as for ours.
+  calibration of their own. Their defaults were the best on development seeds, with as many trials as for ours
+  (``benchmarks/quality.py`` of commit 5a35d191).
 
 All accept `translation` and ignore it: distance is what `eagor.RangedBelief` adds. They raise `RotationError` for an
 invalid rotation and `ResponseError` for evidence with batch dimensions. Tensors are read as NumPy arrays.

@@ -8,8 +8,7 @@ this; both depend only on the lens (or the mask) and the degree:
 - a weighted least-squares fit of degree L to the tapered evidence, in which an error more than pi / (L + 1) outside of
   the border costs `PENALTY` times as much as one inside.
 
-``benchmarks/leak.py`` measures both, and a taper alone: even twice as wide, that leaks more and keeps less of what is
-near the border.
+A taper alone, even twice as wide, leaks more and keeps less of what is near the border.
 """
 
 from __future__ import annotations
