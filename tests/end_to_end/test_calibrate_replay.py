@@ -1,4 +1,4 @@
-"""`eagor calibrate` for detectors: what one wrote and the truth, or footage without labels, make its error model."""
+"""`eagor calibrate` for detectors: what one wrote, and the truth, make its error model."""
 
 import json
 import math
@@ -10,7 +10,6 @@ from PIL import Image
 from eagor.cli import main
 from eagor.errors import FormatError, QueryError
 from eagor.evaluation.labelled_looks import read_truth, replayed_looks
-from eagor.media.panorama import turn
 from eagor.perception.calibrated import read_calibrated
 from eagor.perception.replay import ReplayPerception, write_record
 from eagor.sphere import azimuth_elevation, unit, world_R_body
@@ -107,70 +106,7 @@ def test_poses_tell_what_comes_again(files, tmp_path, capsys):
     (late := tmp_path / "late.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n7000,0,0,0\n")
     said = run(*words, "--poses", late, "--out", tmp_path / "a.json", code=2, capsys=capsys)
     assert "has no pose" in said.err
-    assert "wanted a CSV" in run(*words, "--poses", "level", "--out", tmp_path / "a.json", code=2, capsys=capsys).err
-
-
-@pytest.fixture(scope="module")
-def frames(tmp_path_factory):
-    """A camera that turns in a painted room, and its poses."""
-    folder, room = tmp_path_factory.mktemp("footage") / "frames", painted_room(96, 192)
-    folder.mkdir()
-    lines = ["stamp,yaw_deg,pitch_deg,roll_deg,frame"]
-    for step in range(12):
-        Image.fromarray(turn(room, world_R_body(math.radians(15 * step)).T)).save(folder / f"{step:02d}.png")
-        lines.append(f"{step},{15 * step},0,0,{step:02d}.png")
-    (folder.parent / "poses.csv").write_text("\n".join(lines) + "\n")
-    return folder
-
-
-def test_footage_without_labels_is_enough(frames, tmp_path, capsys):
-    queries = ("red", "blue", "green", "yellow", "white")
-    words = ("calibrate", frames, "--poses", frames.parent / "poses.csv", "--out", tmp_path / "mine.json", "--queries")
-    found = json.loads(run(*words, *queries, "--json", capsys=capsys).out)
-    assert found["perception"] == "colour"
-    assert found["found_by"]["counts"]["looks"] == 12 * len(queries)
-    assert found["found_by"]["numbers"]["spread"]["told"]
-    model = read_calibrated(tmp_path / "mine.json").detector
-    assert model.spread < math.radians(3)
-    said = run(*words, *queries, capsys=capsys)
-    assert "60 looks, queries: red, blue" in said.out
-    assert "looks without labels cannot tell" in said.out
-    looked = ("track", frames, "red", "--poses", frames.parent / "poses.csv", "--json")
-    assert json.loads(run(*looked, "--calibration", tmp_path / "mine.json", capsys=capsys).out)["left_out"] == 0
-    few = run(*words, "red", capsys=capsys).out
-    assert "kept: 1 views, wanted 3" in few
-
-
-def test_a_replay_is_fitted_on_the_frames_it_was_made_of(frames, tmp_path, capsys):
-    with (path := tmp_path / "looks.jsonl").open("w") as file:
-        for step in range(12):
-            write_record(file, float(step), points=[{"azimuth_deg": 40 - 15 * step, "elevation_deg": 0}], query="x")
-    poses, out = frames.parent / "poses.csv", tmp_path / "mine.json"
-    words = ("calibrate", frames, "--poses", poses, "--perception", f"replay:{path}", "--out", out)
-    said = run(*words, "--queries", "x", "--json", capsys=capsys)
-    assert json.loads(said.out)["found_by"]["counts"]["detections"] == 12
-    assert "12 of 12 lines" in said.err
-    assert read_calibrated(out).detector.spread < math.radians(3)
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        ("nothing.mp4", "WHAT 'nothing.mp4': wanted responses or heads"),
-        ("FRAMES", "wanted --queries QUERY"),
-        ("FRAMES --queries red --trials 3", "--trials 3 has no meaning with footage"),
-        ("FRAMES --queries red --truth a", "--truth a has no meaning with footage"),
-        ("FRAMES --queries ...", "has no words"),
-        ("--queries red", "--queries is for footage"),
-        ("--poses level", "--poses is for footage"),
-        ("heads --rate 3", "--rate is for footage"),
-        ("FRAMES --queries red --out POSES --poses POSES", "is an input"),
-    ],
-)
-def test_what_footage_needs_is_said(frames, words, says, capsys):
-    poses = str(frames.parent / "poses.csv")
-    given = [{"FRAMES": str(frames), "POSES": poses}.get(word, word) for word in words.split()]
-    assert says in run("calibrate", *given, code=2, capsys=capsys).err
+    assert "no file" in run(*words, "--poses", "level", "--out", tmp_path / "a.json", code=2, capsys=capsys).err
 
 
 def test_a_truth_is_for_one_look_and_a_look_for_one_truth(files, tmp_path):
@@ -238,6 +174,7 @@ def test_a_bad_line_of_truth_is_named_with_its_number(tmp_path, bad, says):
 def test_wrong_usage_is_said(files, tmp_path, capsys):
     looks, truth = files / "looks.jsonl", files / "truth.jsonl"
     assert "belong together" in run("calibrate", "--replay", looks, code=2, capsys=capsys).err
+    assert "belong together" in run("calibrate", "--poses", looks, code=2, capsys=capsys).err
     both = ("--replay", looks, "--truth", truth)
     assert "no meaning" in run("calibrate", *both, "--trials", "5", code=2, capsys=capsys).err
     assert "belong together" in run("calibrate", "heads", *both, code=2, capsys=capsys).err

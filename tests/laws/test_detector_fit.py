@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from eagor.errors import DirectionError, EagorError, ResponseError, RotationError
 from eagor.evaluation.detector_em import ScoreCurve, expected_look_alikes, fitted_curve, knots_of
-from eagor.evaluation.detector_fit import fit_detector, fit_unlabelled
+from eagor.evaluation.detector_fit import fit_detector
 from eagor.evaluation.detector_places import fitted_habit, scatter
 from eagor.evaluation.labelled_looks import Deviations, LabelledLook, rows_of, stretches
 from eagor.evidence import Evidence
@@ -289,75 +289,6 @@ def test_several_targets_are_assigned_as_an_enumeration_says():
     assert np.median(errors) < 0.05
 
 
-# --- without labels --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("truth", "habit_within", "alikes_within"),
-    [
-        ({"alikes": 0.7, "alarms": 0.2, "spread": 0.03}, 0.15, 0.35),
-        pytest.param({"alikes": 0.0, "alarms": 0.5}, 0.12, 0.2, marks=pytest.mark.slow),
-        pytest.param({"alikes": 0.7, "alarms": 0.1, "habit": (4.0, 2.0)}, 0.15, 0.35, marks=pytest.mark.slow),
-    ],
-    ids=["sharp", "no look-alikes", "often found"],
-)
-def test_footage_without_labels_tells_the_same(truth, habit_within, alikes_within):
-    made = {"habit": (1.5, 1.0), "spread": 0.1} | truth
-    for seed in range(2):
-        looks = looks_of(np.random.default_rng(seed), groups=40, each=30, targets=(0, 1), **truth)
-        found = fit_unlabelled(looks, resamples=10)
-        model = found.model
-        assert share(model) == pytest.approx(made["habit"][0] / sum(made["habit"]), abs=habit_within)
-        assert model.look_alikes == pytest.approx(made["alikes"], abs=alikes_within)
-        assert model.false_alarms_per_look == pytest.approx(made["alarms"], rel=0.2, abs=0.03)
-        assert model.spread == pytest.approx(made["spread"], rel=0.15)
-        assert found.things == pytest.approx(0.5, abs=0.3)
-        ratios = [ratio for _, ratio in model.score_ratios]
-        assert ratios == sorted(ratios)
-        assert ratios[0] < 0.6 < 1.6 < ratios[-1]
-        low, high = found.intervals["look_alikes"]
-        assert low <= model.look_alikes <= high
-        assert (model.offset, model.kept_for, model.kept_within) == (BASE.offset, BASE.kept_for, BASE.kept_within)
-
-
-def test_the_targets_of_looks_are_not_read_without_labels():
-    looks = looks_of(np.random.default_rng(0), groups=6)
-    bare = [LabelledLook(look.evidence, NOTHING, None, look.group, look.world_R_body) for look in looks]
-    assert fit_unlabelled(looks, resamples=0).model == fit_unlabelled(bare, resamples=0).model
-
-
-def test_what_little_footage_does_not_tell_stays():
-    base = DetectorModel(look_alikes=0.4, spread=0.06, score_ratios=((0.2, 0.5), (0.8, 3.0)))
-    found = fit_unlabelled(looks_of(np.random.default_rng(0), groups=1, each=6, targets=(1,)), base)
-    for name in ("habit", "look_alikes", "look_alike_habit", "false_alarms_per_look", "score_ratios"):
-        assert not found.tells(name)
-        assert getattr(found.model, name) == getattr(base, name)
-    assert found.intervals == {}
-    nothing = [LabelledLook(Evidence.from_points([]), NOTHING, n, "", np.eye(3)) for n in range(20)]
-    silent = fit_unlabelled(nothing, base)
-    assert silent.model.false_alarms_per_look < 0.05
-    assert silent.model.spread == base.spread
-    assert silent.as_json()["numbers"]["habit"] == {"carried": 0.0, "told": False}
-
-
-def test_views_see_only_a_part():
-    """A place out of view is not missed: one view that turns round and round finds each thing whenever it sees it."""
-    rng, looks = np.random.default_rng(0), []
-    for group in range(30):
-        at = direction(rng.uniform(-3, 3), 0.0)
-        for step in range(36):
-            turn = world_R_body(math.radians(10 * step))
-            body = turn.T @ at
-            ahead = PerspectiveGrid(64, 64, math.radians(90))
-            seen = bool(ahead.project(body[None])[2][0])
-            points = [unit(body + 0.03 * rng.normal(size=3))] if seen and rng.random() < 0.9 else []
-            look = Evidence.from_points(points, grid=ahead)
-            looks.append(LabelledLook(look, NOTHING, 0.1 * step, str(group), turn))
-    found = fit_unlabelled(looks, resamples=0)
-    assert found.carried["habit"] == pytest.approx(30, abs=2)
-    assert share(found.model) > 0.7, "a third of what it would be, were all looks counted"
-
-
 # --- little, and nothing ---------------------------------------------------------------------------------------------
 
 
@@ -420,9 +351,8 @@ def test_what_a_view_does_not_show_is_not_missed():
 def test_what_cannot_be_fitted_is_refused():
     grid = ErpGrid(8, 16)
     mapped = Evidence.from_response(np.zeros((8, 16)), grid, Calibration())
-    for fit in (fit_detector, fit_unlabelled):
-        with pytest.raises(EagorError, match="there are no looks with detections"):
-            fit([])
+    with pytest.raises(EagorError, match="there are no looks with detections"):
+        fit_detector([])
     with pytest.raises(ResponseError, match="a response map has no detections"):
         LabelledLook(mapped, NOTHING)
     with pytest.raises(ResponseError, match=r"wanted eagor\.Evidence"):

@@ -1,12 +1,8 @@
-"""``eagor calibrate``: fit a calibration on episodes, or a detector's model on looks with or without labels.
-
-Or find a model's heads.
-"""
+"""``eagor calibrate``: fit a calibration on episodes, or a detector's model on labelled looks; find a model's heads."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,54 +11,32 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import (
-    check_looks,
-    check_not_read,
-    checked_out,
-    checked_query,
-    checked_rows,
-    make_perception,
-    mask_of,
-    perception_for,
-    say_of_replay,
-)
-from eagor.cli.options import Common, Footage, Force, Mask, Rows, Whole, bare, given
+from eagor.cli.checks import check_looks, check_not_read, checked_out, checked_rows
+from eagor.cli.options import Common, Rows, Whole, bare, given
 from eagor.errors import EagorError, PoseError
 
 if TYPE_CHECKING:
-    from eagor.evaluation.detector_fit import DetectorFit, UnlabelledFit
-    from eagor.evaluation.labelled_looks import LabelledLook, Pose
+    from eagor.evaluation.detector_fit import DetectorFit
+    from eagor.evaluation.labelled_looks import Pose
     from eagor.perception.calibrated import Calibrated, Labelled
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Common):
-    """Calibrate a perception by log score, fit a detector on footage or labels, or find a model's heads."""
+    """Calibrate a perception by log score, fit a detector on labelled looks, or find a model's heads."""
 
     runs: ClassVar[str] = "calibrate"
 
-    words: Annotated[tuple[str, ...], Positional, arg(metavar="WHAT|FRAMES")] = ("responses",)
-    (
-        "responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...). Or "
-        "footage without labels, as for track: fit the error model of a detector on it; needs --queries."
-    )
+    what: Annotated[str, Positional, arg(metavar="WHAT")] = "responses"
+    """responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...)."""
     perception: Annotated[str | None, bare("NAME")] = None
-    (
-        "The perception (default: scout; for footage, what suits the queries). For heads a model (FOLDER, "
-        "Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."
-    )
-    queries: Annotated[tuple[str, ...], arg(metavar="QUERY ...", help_behavior_hint="")] = ()
-    """footage: what to look for; the more, the better. Some of it may be absent."""
-    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
-    """footage: how the camera turned and moved, as for track. With --replay: a CSV, which tells what comes again."""
-    rate: Annotated[float | None, bare("HZ")] = None
-    """footage: looks per second, as for track."""
-    mask: Mask = None
-    force: Force = False
+    """The perception (default: scout). For heads a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, options after ?)."""
     replay: Annotated[Path | None, bare("FILE.jsonl")] = None
     """Fit the error model of the detector that wrote this replay file (docs/replay-format.md); needs --truth."""
     truth: Annotated[Path | None, bare("FILE.jsonl")] = None
     """The true directions for --replay: lines of stamp, query and targets (docs/replay-format.md)."""
+    poses: Annotated[Path | None, bare("CSV")] = None
+    """How the camera turned and moved while --replay was seen, as for track: it tells what comes again."""
     out: Annotated[Path | None, bare("FILE.json")] = None
     (
         "File for the calibration (default: calibration-PERCEPTION.json; pass it to other commands as --calibration) "
@@ -89,20 +63,20 @@ class Calibrate(Common):
 # Options that only some of what can be calibrated take.
 RESPONSES, HEADS = ("trials", "workers"), ("labels", "take")
 EPISODES = ("episodes", "seed", "rows")  # responses and heads
-REPLAY, FOOTAGE = ("replay", "truth"), ("queries", "rate", "mask", "force")
+REPLAY = ("replay", "truth", "poses")
 DEGREES = math.degrees(1)
 
 
 def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
-    if options.words not in (("responses",), ("heads",)):
-        return footage(options)
-    of_heads, replayed = options.words == ("heads",), bool(given(options, REPLAY))
+    if options.what not in ("responses", "heads"):
+        raise terminal.UsageError(
+            f"WHAT {options.what!r}: wanted responses or heads; or labelled looks, as --replay FILE --truth FILE"
+        )
+    of_heads = options.what == "heads"
     other, others = ("responses", RESPONSES) if of_heads else ("heads", HEADS)
     _refuse(options, others, f"is for eagor calibrate {other}")
-    if wrong := given(options, FOOTAGE if replayed else (*FOOTAGE, "poses")):
-        raise terminal.UsageError(f"--{wrong[0]} is for footage: eagor calibrate FRAMES --queries QUERY ...")
-    if replayed:
+    if given(options, REPLAY):
         return replay(options)
     checked_rows(options.rows)
     return heads(options) if of_heads else responses(options)
@@ -149,17 +123,20 @@ def responses(options: Calibrate) -> int:
 
 def replay(options: Calibrate) -> int:
     """``eagor calibrate --replay FILE --truth FILE``."""
+    from eagor._version import __version__
     from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
     from eagor.evaluation.labelled_looks import read_truth, replayed_looks
+    from eagor.perception.calibrated import Calibrated
     from eagor.perception.replay import ReplayPerception
 
     _refuse(options, ("perception", *HEADS, *RESPONSES, *EPISODES), "has no meaning with --replay and --truth")
-    if options.words == ("heads",) or options.replay is None or options.truth is None:
+    if options.what == "heads" or options.replay is None or options.truth is None:
         raise terminal.UsageError("--replay FILE and --truth FILE belong together, and not to eagor calibrate heads")
     out = checked_out(options.out or Path("calibration-replay.json"))
-    check_not_read(out, "--out", [options.replay, options.truth, Path(options.poses)])
+    read = [path for path in (options.replay, options.truth, options.poses) if path is not None]
+    check_not_read(out, "--out", read)
     truths = read_truth(options.truth)
-    pose = None if options.poses == "auto" else _poses(options.poses)
+    pose = None if options.poses is None else _poses(str(options.poses))
     looks, left_out = replayed_looks(ReplayPerception(options.replay), truths, pose)
     if not looks:
         raise terminal.UsageError(
@@ -169,8 +146,13 @@ def replay(options: Calibrate) -> int:
         terminal.warning(f"{len(left_out)} of {len(truths)} lines of {options.truth} have no look of their own")
     with terminal.progress("fitting", RESAMPLES) as advance:
         found = fit_detector(looks, on_step=advance)
-    _keep(options, "replay", found, out, {"left_out": len(left_out)})
-    if not options.json:
+    told = found.as_json()
+    found_by = {key: value for key, value in told.items() if key != "detector"} | {"version": __version__}
+    fitted = Calibrated("replay", None, found_by=found_by, detector=found.model)
+    fitted.write(out)
+    if options.json:
+        terminal.emit(fitted.as_json() | {"left_out": len(left_out), "out": str(out)})
+    else:
         print_fit(found)
         print(f"Written to {out}; locate and track take it as --calibration {out}")
     return terminal.OK
@@ -180,8 +162,6 @@ def _poses(path: str) -> Callable[[float], Pose]:
     """The camera's pose at any stamp, from a file of poses."""
     from eagor.media.pose_files import BEYOND, interpolated, read_poses, usable
 
-    if path == "level":
-        raise terminal.UsageError("--poses level needs pictures; wanted a CSV file of poses with --replay, or none")
     poses = usable(read_poses(path), path)
     found = interpolated(poses)
 
@@ -194,101 +174,6 @@ def _poses(path: str) -> Callable[[float], Pose]:
         return found(stamp)
 
     return at
-
-
-def footage(options: Calibrate) -> int:
-    """``eagor calibrate FRAMES --queries QUERY ...``."""
-    from eagor.evaluation.detector_fit import RESAMPLES, fit_unlabelled
-    from eagor.perception import short_name
-
-    told = " ".join(options.words)
-    if not options.queries:
-        what = "a video, or panoramas, with --queries QUERY ..."
-        if os.path.exists(options.words[0]):
-            raise terminal.UsageError(f"{told}: wanted --queries QUERY ... as well, to say what to look for")
-        raise terminal.UsageError(f"WHAT {told!r}: wanted responses or heads; or {what}")
-    _refuse(options, (*REPLAY, *HEADS, *RESPONSES, *EPISODES), "has no meaning with footage")
-    queries = tuple(dict.fromkeys(map(checked_query, options.queries)))
-    specs = {perception_for(query, options.perception) for query in queries}
-    if len(specs) > 1:
-        raise terminal.UsageError(f"--queries want {' and '.join(sorted(specs))}; wanted one --perception for all")
-    spec = specs.pop()
-    out = checked_out(options.out or Path(f"calibration-{short_name(spec)}.json"))
-    check_not_read(out, "--out", [*map(Path, options.words), Path(options.poses)])
-    looks = _looks(options, queries, spec)
-    base = looks[0].detections.model
-    with terminal.progress("fitting", RESAMPLES) as advance:
-        found = fit_unlabelled(looks, base, on_step=advance)
-    _keep(options, spec, found, out, {})
-    if not options.json:
-        print_unlabelled(found, queries)
-        print(f"Written to {out}; locate and track take it as --calibration {out}")
-    return terminal.OK
-
-
-def _looks(options: Calibrate, queries: tuple[str, ...], spec: str) -> list[LabelledLook]:
-    """The looks at footage, for each query; a group for each query, and a new one where the poses are lost."""
-    import numpy as np
-
-    from eagor.cli.track import journey_of
-    from eagor.evaluation.labelled_looks import LabelledLook, joined
-    from eagor.perception.footage import HiddenParts, look_at
-
-    perception, found, lost, bad = make_perception(spec, busy=True), [], 0, 0
-    through = Footage(poses=options.poses, rate=options.rate, force=options.force)
-    journey = journey_of(through, [Path(word) for word in options.words], perception)
-    with terminal.progress("looking", journey.count, shown=not options.json) as advance:
-        hidden = HiddenParts(mask_of(options.mask), terminal.log)
-        for step, looks, problem in look_at(journey.frames, perception, queries, hidden):
-            lost += step.lost
-            if problem is not None:
-                terminal.warning(f"{step.frame} is left out: {problem}")
-                bad += 1
-            stamp, world_R_body, position, _ = step.pose
-            found += [
-                LabelledLook(joined(seen), np.zeros((0, 3)), stamp, f"{query}, {lost}", world_R_body, position)
-                for query, seen in zip(queries, looks, strict=True)
-                if seen
-            ]
-            advance()
-    journey.say_left_out()
-    for query in queries:
-        say_of_replay(perception, query, sum(look.group.startswith(f"{query}, ") for look in found))
-    if not found:
-        raise terminal.RunError(f"none of the frames could be used{'; the reasons are above' if bad else ''}")
-    return found
-
-
-def _keep(options: Calibrate, spec: str, found: DetectorFit | UnlabelledFit, out: Path, more: dict[str, Any]) -> None:
-    """Write a fitted detector's model; with ``--json`` print it."""
-    from eagor._version import __version__
-    from eagor.perception.calibrated import Calibrated
-
-    told = found.as_json()
-    found_by = {key: value for key, value in told.items() if key != "detector"} | {"version": __version__}
-    fitted = Calibrated(spec, None, found_by=found_by, detector=found.model)
-    fitted.write(out)
-    if options.json:
-        terminal.emit(fitted.as_json() | more | {"out": str(out)})
-
-
-def print_unlabelled(found: UnlabelledFit, queries: tuple[str, ...]) -> None:
-    """A detector's model that was fitted without labels: each number, the prior, and what carries it."""
-    from eagor.evaluation.detector_fit import ENOUGH
-
-    print(
-        f"{found.looks} looks, queries: {', '.join(queries)}. {found.detections} detections, on average "
-        f"{found.things:.2g} things of a query in view"
-    )
-    print(f"  {'':24s}{'value':>14s}{'before':>14s}")
-    for name, (least, what) in ENOUGH.items():
-        values = [_shown(name, getattr(model, name)) for model in (found.model, found.base)]
-        carried = f"{'from' if found.tells(name) else 'kept:'} {found.carried[name]:.3g} {what}"
-        carried += "" if found.tells(name) else f", wanted {least}"
-        print(
-            f"  {name.replace('_', ' '):24s}{values[0]:>14s}{values[1]:>14s}  {carried}{_ends(name, found.intervals)}"
-        )
-    print("Offset, shares of size, kept for and kept within are as before: looks without labels cannot tell them")
 
 
 def _ends(name: str, intervals: dict[str, tuple[float, float]]) -> str:

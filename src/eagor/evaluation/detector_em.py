@@ -207,7 +207,7 @@ class Fitting:
         numbers, habits = np.array([expected_look_alikes(self.base)]), np.array([self.base.look_alike_habit])
         before = start.split if start else None
         errors = Deviations.stated(self.base, best.errors.spread)  # what is false scatters more than what is right
-        told = split(self.rows, self.found, self.false, weights, errors, numbers, habits, start=before)
+        told = split(self.rows, self.found, self.false, weights, errors, numbers, habits, before)
         return replace(best, split=told)
 
     def _start(self, weights: np.ndarray, spread: float) -> Estimate:
@@ -277,12 +277,10 @@ def likeliest_errors(
     base: DetectorModel,
     start: Deviations,
     told_apart: bool,
-    flat: float | None = None,
 ) -> Deviations:
     """The likeliest deviations of detections, which `scatter` describes, with their priors in `base`.
 
-    All but the spread are those of `base` unless they can be `told_apart`. `flat`: an offset so wide that places have
-    no centre.
+    All but the spread are those of `base` unless they can be `told_apart`.
     """
     from scipy.optimize import minimize, minimize_scalar
 
@@ -290,12 +288,10 @@ def likeliest_errors(
     own, offsets, turns = errors
     rest = (own[kept], offsets[kept], turns[kept]), place[kept], counts[kept], times
     low, high = math.log(NARROWEST), math.log(WIDEST)
-    stated = Deviations.stated(base)
-    if flat is not None or not told_apart:
-        fixed = stated if flat is None else replace(stated, offset=flat, offset_of_size=0.0)
+    if not told_apart:
 
         def alone(log: float) -> float:
-            return doubt(math.exp(log), base.spread) - scatter(*rest, replace(fixed, spread=math.exp(log)))
+            return doubt(math.exp(log), base.spread) - scatter(*rest, Deviations.stated(base, math.exp(log)))
 
         return Deviations.stated(base, math.exp(minimize_scalar(alone, bounds=(low, high), method="bounded").x))
 

@@ -24,9 +24,9 @@ __all__ = ["Candidates", "Split", "candidates", "fitted_habit", "once", "rate_in
 NEAR, FAR = 2.5, 3.5  # widths about a detection, and about a candidate, in which detections belong to it
 LEAST_COUNT = 0.5  # detections of a candidate
 POINTS = 96  # directions at which it is counted how many looks covered them
-# Places, known exactly, that the prior of a habit counts for: of targets; of what is guessed to be a thing, since a
-# thing that is rarely detected is easily guessed to be a look-alike; of look-alikes, where the rare ones tell little.
-HABIT_PRIOR, THING_PRIOR, ALIKE_PRIOR = 1.0, 10.0, 4.0
+# Places, known exactly, that the prior of a habit counts for: of targets, and of look-alikes, where the rare ones tell
+# little.
+HABIT_PRIOR, ALIKE_PRIOR = 1.0, 4.0
 NUMBER_PRIOR = 2.0  # views that the prior of the number of places counts for
 ALARMS_PRIOR = (0.5, 1.0)  # false alarms, and looks, that the prior of the false alarms counts for
 FLATTEST, SHARPEST = math.log(0.05), math.log(200)  # logarithms of the two numbers of a habit
@@ -144,15 +144,11 @@ def split(
     errors: Deviations,
     numbers: np.ndarray,
     habits: np.ndarray,
-    *,
-    told: np.ndarray | None = None,
     start: Split | None = None,
 ) -> Split:
     """The likeliest split of detections that count `counts` ``(D,)``, in looks that count `weights` ``(L,)``.
 
-    The kinds of places are things, if K is 2, and look-alikes, the last. Priors: `numbers` ``(K,)``, 0 for no such
-    places, and `habits` ``(K, 2)``. `told` ``(C, K)``: log likelihood ratios of what else is known of each candidate,
-    such as its scores.
+    Priors: `numbers` ``(K,)``, 0 for no such places, and `habits` ``(K, 2)``.
     """
     of_look = rows.look_of_detection[found.detection]
     lengths = errors.each(rows.own[found.detection]) ** -0.5
@@ -168,7 +164,6 @@ def split(
     count, total = len(found.stretch), float(weights.sum())
     false = float(weights[rows.look_of_detection] @ counts)
     sharp = sums(found.place, np.log(lengths).sum(axis=1), count) / np.bincount(found.place, minlength=count)
-    extra = np.zeros((count, len(numbers))) if told is None else told
     unseen, index = np.unique(found.exposure, return_inverse=True)
     often = sums(index.ravel(), np.repeat(times / POINTS, POINTS), len(unseen)) * (unseen > 0)
     now = start or Split(
@@ -188,7 +183,7 @@ def split(
         evidence -= np.log(np.maximum(hits, 1.0))
         looks = np.maximum(found.looks, hits)
         log_habits = np.stack([_log_hits(hits, looks, *habit) for habit in now.habits], axis=1)
-        likely = now.numbers * np.exp(np.clip(evidence[:, None] + log_habits + extra, -500, 500))
+        likely = now.numbers * np.exp(np.clip(evidence[:, None] + log_habits, -500, 500))
         shares = likely / (1 + likely.sum(axis=1, keepdims=True))
         silent = [often * np.exp(_log_hits(np.zeros(len(unseen)), unseen, *habit)) for habit in now.habits]
         log = float(of_place @ np.log1p(likely.sum(axis=1))) + false * math.log(now.alarms) - total * now.alarms
@@ -208,7 +203,7 @@ def split(
                     np.concatenate([here, number * never]),
                     habits[kind],
                     now.habits[kind],
-                    ALIKE_PRIOR if kind == len(numbers) - 1 else THING_PRIOR,
+                    ALIKE_PRIOR,
                 )
             )
         before = np.concatenate([[now.alarms], now.numbers, now.habits.ravel()])

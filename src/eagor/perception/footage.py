@@ -34,7 +34,7 @@ from eagor.tracking import DirectionTracker, Estimate, ThingSeen, TrackerConfig
 from eagor.tracking.follower import Follower
 
 __all__ = [
-    "FollowedFrame", "HiddenParts", "Method", "first_line", "follow", "look_at", "looked_at", "recorded_frames",
+    "FollowedFrame", "HiddenParts", "Method", "first_line", "follow", "looked_at", "recorded_frames",
     "things_seen",
 ]  # fmt: skip
 
@@ -154,7 +154,7 @@ def follow(
                 follower.move(pose.stamp, pose.world_R_body, pose.position)
                 fed = pose.stamp
         upcoming = math.inf if after is None else after[1].pose.stamp
-        picture, (looks,), problem = _seen(frame, perception, (query,), before, upcoming, hidden)
+        picture, looks, problem = _seen(frame, perception, query, before, upcoming, hidden)
         looks = tuple(look.widened(frame.spread) for look in looks) if frame.spread < UNSURE else ()
         now = stamp
         for evidence in map(follower.placed, looks):
@@ -180,34 +180,22 @@ def follow(
         before = stamp
 
 
-def look_at(
-    frames: Iterable[PosedFrame], perception: Perception, queries: Sequence[str], hidden: HiddenParts | None = None
-) -> Iterator[tuple[PosedFrame, tuple[Looks, ...], str | None]]:
-    """Each frame, the evidence for each of `queries` there, and why it could not be used, if so; raises as `follow`."""
-    hidden, before = hidden or HiddenParts(), -math.inf
-    for (_, frame), after in _with_next(_by_frame(frames)):
-        upcoming = math.inf if after is None else after[1].pose.stamp
-        _, looks, problem = _seen(frame, perception, queries, before, upcoming, hidden)
-        yield frame, looks, problem
-        before = frame.pose.stamp
-
-
 def _seen(
-    frame: PosedFrame, perception: Perception, queries: Sequence[str], before: float, after: float, hidden: HiddenParts
-) -> tuple[Picture | None, tuple[Looks, ...], str | None]:
-    """The picture of a frame, the evidence for each query, and what is wrong with it.
+    frame: PosedFrame, perception: Perception, query: str, before: float, after: float, hidden: HiddenParts
+) -> tuple[Picture | None, Looks, str | None]:
+    """The picture of a frame, the evidence there, and what is wrong with it.
 
     `before`, `after`: the stamps of its neighbours; infinite where there is none.
     """
     picture, stamp = None, frame.pose.stamp
-    looks: tuple[Looks, ...] = ((),) * len(queries)
+    looks: Looks = ()
     try:
         picture = None if frame.read is None else frame.read()
         if frame.looked and (picture is not None or isinstance(perception, ReplayPerception)):
             turn = frame.pose.world_R_body
             shown, grid = (None, None) if picture is None else (picture.picture, picture.grid)
-            found = (look_if_recorded(perception, shown, query, stamp, turn, grid) for query in queries)
-            looks = tuple(hidden.covered(_own(each, before, stamp, after), picture) for each in found)
+            found = look_if_recorded(perception, shown, query, stamp, turn, grid)
+            looks = hidden.covered(_own(found, before, stamp, after), picture)
     except EagorError as error:
         # Every other frame would fail in the same way, or hardly any other would do better than the first.
         if isinstance(error, QueryError) or (isinstance(error, ShapeError | NoEvidenceError) and before == -math.inf):
