@@ -12,7 +12,6 @@ class Numbers:
     options = {}  # noqa: RUF012
     work = "small_benchmark:work"
     figures = (Figure("overall", "Overall", "share of right answers", lambda record: record["score"]),)
-    exports = {}  # noqa: RUF012
 
     def info(self, data):
         return {"files": len(list(Path(data).glob("*.txt")))}
@@ -25,9 +24,6 @@ class Numbers:
 
     def judge(self, case, prediction, settings):
         return {"case": case.id, "cluster": case.cluster, "score": float(prediction["text"] == case.payload)}
-
-    def export(self, to, records, settings, folder):
-        raise AssertionError("nothing is offered")
 
 
 def write(folder):

@@ -34,7 +34,6 @@ EXTRAS = {
     "vlm": {"torch": "2.6", "transformers": "5.24", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98"},
     "ray": {"psutil": "6.0", "ray": "2.59"},
-    "parquet": {"pyarrow": "18.0"},
 }
 
 

@@ -93,7 +93,6 @@ OTHERS = [
     ("vlm", "calibrate heads --perception some/model --out heads.json"),
     ("endpoint", "locate room.png chair --perception endpoint:qwen"),
     ("photos", "locate room.png chair --perception onnx:d.onnx"),
-    ("parquet", "locate room.png red --out found.parquet"),
 ]
 CALLS = [
     "import eagor.tasks; eagor.tasks.register()",

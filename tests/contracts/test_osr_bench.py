@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import csv
 import json
 import struct
@@ -19,7 +18,6 @@ from commands import eagor
 from eagor.errors import EagorError, FormatError
 from eagor.perception.vlm import IMAGE, ChatReply, Message
 from eagor.tasks.benchmark import check_benchmark, load
-from eagor.tasks.osr.bench import doc_to_text, doc_to_visual, process_results
 from eagor.tasks.osr.data import SUFFIXES
 from eagor.tasks.osr.data import load as load_scenes
 from eagor.tasks.osr.play import Eagor, Majority, Vlm, work
@@ -154,43 +152,6 @@ def test_predictions_from_elsewhere_are_judged(data: Path) -> None:
         assert bench.judge(case, {key: "1"}, settings)["case"] == case.id
     with pytest.raises(FormatError, match="wanted"):
         bench.judge(case, {"score": 1}, settings)
-
-
-def test_exports(data: Path, tmp_path: Path) -> None:
-    bench = load("osr")
-    records, settings = played(data, agent="oracle", suffix="qa"), settled(data, agent="oracle", suffix="qa")
-    (table,) = bench.export("osr-csv", records, settings, tmp_path / "csv")
-    with table.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["turn_id"]) for row in rows] == sorted(int(row["turn_id"]) for row in rows)
-    (drawn,) = (row for row in rows if row["skills_tested"] == MAP)
-    assert {float(row["score"]) for row in rows if row is not drawn} == {1.0}
-    # The published analysis reads the map's score as JSON; the truth is the grid as Python writes it.
-    score = json.loads(drawn["score"])
-    assert {key: score["overall"][key] for key in ("precision", "recall", "f1", "fp", "fn")} == {
-        "precision": 1.0, "recall": 1.0, "f1": 1.0, "fp": 0, "fn": 0,
-    }  # fmt: skip
-    assert score["per_class"]
-    (scene,) = load_scenes(data, "qa")
-    assert ast.literal_eval(drawn["ground_truth"]) == next(q.answer for q in scene.questions if q.skill == MAP)
-    older = [{key: value for key, value in each.items() if key != "map"} for each in records]
-    (table,) = bench.export("osr-csv", older, settings, tmp_path / "older")
-    with table.open(newline="", encoding="utf-8") as file:
-        assert {row["score"] for row in csv.DictReader(file)} == {"1.0"}
-    task, utils, questions = bench.export("lmms-eval", [], settings, tmp_path / "lmms")
-    assert "generate_until" in task.read_text()
-    compile(utils.read_text(), str(utils), "exec")
-    docs = [json.loads(line) for line in questions.read_text().splitlines()]
-    assert len(docs) == len(records)
-    for doc in docs:
-        assert doc_to_visual(doc)[0].size == (128, 64)
-        assert doc["question"] in doc_to_text(doc)
-        if doc["skill"] != MAP:
-            assert max(process_results(doc, [doc["answer"]]).values()) == 1
-    with pytest.raises(EagorError, match="name a run"):
-        bench.export("osr-csv", [], settings, tmp_path)
-    with pytest.raises(EagorError, match="it has"):
-        bench.export("paper", [], settings, tmp_path)
 
 
 def test_the_hosted_table_is_read_as_the_files_are(data: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The file of --out: the same columns from every command, as CSV, JSON lines and Parquet."""
+"""The file of --out: the same columns from every command, as CSV and JSON lines."""
 
 import csv
 import io
@@ -6,17 +6,11 @@ import json
 import math
 from functools import cache
 
-import numpy as np
 import pytest
 from PIL import Image
 
-from eagor import _extras
-from eagor._extras import how_to_install
-from eagor._tables import _kind, as_parquet
 from eagor.cli import main
 from eagor.cli.answers import COLUMNS, columns_of, row_of, table
-from eagor.cli.terminal import UsageError
-from eagor.errors import MissingExtraError
 from eagor.perception.replay import write_record
 from eagor.worlds.painted import EYE, Room, painted_room
 
@@ -96,7 +90,7 @@ def test_a_floor_that_is_not_below_the_camera_is_refused(room, capsys, floor):
 @pytest.mark.parametrize(
     ("out", "says"),
     [
-        ("a.txt", "ends in .csv, .jsonl or .parquet"),
+        ("a.txt", "ends in .csv or .jsonl"),
         ("no/a.csv", "there is no folder"),
         ("room.png", "is an input"),
         ("folder.csv", "cannot be written"),
@@ -125,77 +119,3 @@ def test_lines_are_there_as_soon_as_they_are_written(tmp_path):
         for count in (1, 2):
             write(ENTRY)
             assert len(path.read_text().splitlines()) == 1 + count
-
-
-def test_without_the_extra_parquet_names_it_before_work(room, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(_extras, "find_spec", lambda name: None)
-    says = f"a Parquet file needs pyarrow: {how_to_install('parquet')}"
-    assert says in run(capsys, "locate", room, "red", "--out", tmp_path / "a.parquet", code=2)
-    assert not (tmp_path / "a.parquet").exists()
-    with pytest.raises(MissingExtraError, match="pyarrow"):
-        as_parquet(["a"], [[1]])
-
-
-@pytest.mark.parametrize(
-    ("values", "kind"),
-    [
-        ([True, None], bool),
-        ([1, None, np.int64(2)], int),
-        ([1, 2.5], float),
-        ([np.float64(1)], float),
-        ([None, None], float),
-        ([], float),
-        (["a", None], str),
-        ([1, "a"], str),
-        ([True, 1], str),
-    ],
-)
-def test_a_column_has_one_type(values, kind):
-    assert _kind(values) is kind
-
-
-def test_parquet_reads_back(tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    path = tmp_path / "a.parquet"
-    with table(path, ["vmf"]) as write:
-        write(ENTRY)
-        write(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png"})
-    read = parquet.read_table(path)
-    columns = columns_of(["vmf"])
-    assert read.column_names == columns
-    entries = read.to_pylist()
-    assert [[entry[name] for name in columns] for entry in entries] == [
-        row_of(ENTRY, columns),
-        row_of(ENTRY | {"azimuth_deg": -12.5, "frame": "=ö.png"}, columns),
-    ]
-    types = {str(field.type) for field in read.schema}
-    assert types == {"string", "double", "int64"}
-
-
-def test_parquet_keeps_what_there_was_when_the_run_failed(tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    path = tmp_path / "a.parquet"
-
-    def fail():
-        with table(path) as write:
-            write(ENTRY)
-            raise UsageError("on the way")
-
-    with pytest.raises(UsageError, match="on the way"):
-        fail()
-    assert parquet.read_table(path).num_rows == 1
-
-
-def test_an_empty_table_has_its_columns():
-    pytest.importorskip("pyarrow")
-    from pyarrow import BufferReader, parquet
-
-    read = parquet.read_table(BufferReader(as_parquet(["a", "b"], [])))
-    assert (read.column_names, read.num_rows) == (["a", "b"], 0)
-
-
-def test_locate_writes_parquet(room, tmp_path, capsys):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    found = json.loads(run(capsys, "locate", room, "red", "--json", "--out", tmp_path / "a.parquet"))
-    (row,) = parquet.read_table(tmp_path / "a.parquet").to_pylist()
-    assert row["azimuth_deg"] == found["azimuth_deg"]

@@ -1,6 +1,5 @@
-"""Benchmarks with published data from the command line: runs that stop and go on, shards, scores, reports, exports."""
+"""Benchmarks with published data from the command line: runs that stop and go on, shards, scores, reports."""
 
-import importlib.util
 import io
 import json
 import os
@@ -155,11 +154,20 @@ def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
     file.write_text(json.dumps(lines[0] | {"submit": [0, 90]}))
     said = refused("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept")
     assert f"another result for {lines[0]['case']}" in said
-    file.write_text('{"doc_id": 0, "filtered_resps": ["<answer>submit(1,2)</answer>"]}\n{"doc_id": 1, "text": "?"}\n')
+    file.write_text('{"doc_id": 0, "text": "<answer>submit(1,2)</answer>"}\n{"doc_id": 1, "text": "?"}\n')
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, code=3)
     assert (found["episodes"], found["causes"].get("format")) == (2, 1)
     file.write_text('{"case": "nowhere/0/0", "submit": [1, 2]}\n')
     assert "line 1" in refused("score", file, "--task", "hstar-hos", "--data", folder)
+
+
+def test_the_predictions_of_a_report_score_as_its_run_does(folder, runs, tmp_path):
+    place, _, ours = runs
+    bench("report", place / "ours", "--out", tmp_path)
+    found = answer("score", tmp_path / "predictions.jsonl", "--task", "hstar-hos", "--data", folder)
+    assert {key: found[key] for key in ("overall", "official", "strict")} == {
+        key: ours[key] for key in ("overall", "official", "strict")
+    }
 
 
 def test_what_was_scored_over_a_named_folder_is_comparable_wherever_it_was_named_from(
@@ -181,7 +189,7 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         assert part in page
     assert "http" not in page.replace("http://www.w3.org", "")
     assert f"{ours['overall']:.2f}" in (tmp_path / "tables.md").read_text()
-    assert r"\begin{tabular}" in (tmp_path / "tables.tex").read_text()
+    assert not (tmp_path / "predictions.jsonl").exists(), "of which of the two?"
     facts = (tmp_path / "tables.md").read_text().partition("## ")[0]
     assert [line for line in facts.splitlines() if line.startswith("- Run")] == [
         "- Run: eagor · truth:miss=0.5",
@@ -205,8 +213,7 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
-    for words in (("report", place / "ours"), ("export", place / "ours")):
-        assert "tables.md is not a folder" in refused(*words, "--out", tmp_path / "tables.md")
+    assert "tables.md is not a folder" in refused("report", place / "ours", "--out", tmp_path / "tables.md")
 
 
 def test_a_benchmark_that_names_no_causes_has_failures_all_the_same():
@@ -276,85 +283,11 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
         (("run", "osr", "--data", "x", "--agent", "oracle", "--walking"), "takes no --walking"),
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
         (("run", "hstar-hos", "--data", "x", "--labels", "both"), "no option labels"),
-        (("export",), "--task and --data"),
-        (("export", "run", "--task", "osr"), "leave out --task"),
-        (("export", "run", "--set", "sure=0.5"), "leave out --task and --set"),
         (("compare", "nowhere", "nowhere"), "no run.json"),
     ],
 )
 def test_usage_errors_say_what_to_do(words, said):
     assert said in refused(*words)
-
-
-def test_the_task_files_for_lmms_eval_load_and_play(folder, tmp_path):
-    """The way lmms-eval reads and calls them, with a model that is scripted."""
-    yaml = pytest.importorskip("yaml")
-    files = answer("export", "--task", "hstar-hos", "--data", folder, "--to", "lmms-eval", "--out", tmp_path,
-                   "--set", "resolution=36")["files"]  # fmt: skip
-    assert [Path(file).name for file in files] == [
-        "eagor_hstar_hos.yaml",
-        "eagor_hstar_hos_utils.py",
-        "eagor_hstar_hos.jsonl",
-    ]
-
-    def function(loader, node):
-        module, name = loader.construct_scalar(node).rsplit(".", 1)
-        spec = importlib.util.spec_from_file_location(module, tmp_path / f"{module}.py")
-        found = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(found)
-        return getattr(found, name)
-
-    class Loader(yaml.SafeLoader):
-        pass
-
-    Loader.add_constructor("!function", function)
-    task = yaml.load((tmp_path / "eagor_hstar_hos.yaml").read_text(), Loader)
-    assert task["output_type"] == "generate_until_agentic"
-    docs = [json.loads(line) for line in Path(task["dataset_kwargs"]["data_files"]["test"]).read_text().splitlines()]
-    assert len(docs) == 16
-    doc = next(doc for doc in docs if doc["id"] == "hall/0/0")
-
-    def model(replies):
-        """lmms-eval's loop: the text and the pictures of each turn, until the task says that it is over."""
-        outputs, info, context = [], None, task["doc_to_text"](doc)
-        pictures = task["doc_to_visual"](doc)
-        shown = [(len(pictures), context)]
-        for number in range(task["generation_kwargs"]["max_agentic_steps"]):
-            outputs.append(replies[min(number, len(replies) - 1)])
-            pictures, context, over, outputs, info = task["doc_to_text"](
-                doc, previous_output=outputs, round_idx=number + 1, previous_round_info=info
-            )
-            if over:
-                return outputs[-1], shown
-            shown.append((len(pictures), context))
-        raise AssertionError("it never ended")
-
-    final, shown = model(["<answer>rotate(50,0)</answer>", "<answer>submit(55,0)</answer>"])
-    assert [count for count, _ in shown] == [1, 2]
-    assert "(50,0)" in shown[1][1]
-    assert "(picture 2)" in shown[1][1]
-    scores = task["process_results"](doc, [final])
-    assert (scores["success"], scores["success_easy"], scores["success_hard"]) == (1.0, 1.0, None)
-    final, shown = model(["<answer>rotate(10,0)</answer>"])
-    assert json.loads(final)["submit"] is None
-    assert len(shown) == 10
-    assert max(count for count, _ in shown) == 5
-    assert task["process_results"](doc, [final])["success"] == 0.0
-    aggregate = {metric["metric"]: metric["aggregation"] for metric in task["metric_list"]}
-    assert aggregate["success_easy"]([1.0, None, 0.0]) == 50.0
-    line = tmp_path / "samples.jsonl"
-    line.write_text(json.dumps({"doc_id": 0, "filtered_resps": [final]}))
-    assert answer("score", line, "--task", "hstar-hos", "--data", folder, code=3)["causes"] == {"budget": 1}
-
-
-def test_the_level_file_and_samples(folder, runs, tmp_path):
-    place = runs[0]
-    (file,) = answer("export", place / "oracle", "--to", "hstar-txt", "--out", tmp_path)["files"]
-    assert Path(file).read_text().splitlines() == ["0 4 4", "1 4 4", "2 8 8", "step_success 0 16" + " 0" * 9]
-    (file,) = answer("export", place / "oracle", "--out", tmp_path)["files"]
-    lines = [json.loads(line) for line in Path(file).read_text().splitlines()]
-    assert [line["doc_id"] for line in lines] == list(range(16))
-    assert answer("score", file, "--task", "hstar-hos", "--data", folder)["overall"] == 100.0
 
 
 # Engines

@@ -157,7 +157,7 @@ def test_help_says_everything_once(words):
 COMMANDS = [
     (), ("locate",), ("track",), ("demo",), ("calibrate",), ("doctor",), ("bench",),
     ("models",), ("models", "list"), ("models", "get"),
-    *(("bench", name) for name in ("run", "report", "list", "info", "score", "compare", "failures", "export")),
+    *(("bench", name) for name in ("run", "report", "list", "info", "score", "compare", "failures")),
 ]  # fmt: skip
 
 
@@ -689,7 +689,7 @@ def test_track_refuses_what_it_cannot_use(three, tmp_path):
     assert "no images" in refused("track", tmp_path / "empty", "red", "--poses", poses)
     assert "wanted FRAMES" in refused("track", "red", "--poses", poses)
     assert "there is no file" in refused("track", images, "red", "--poses", tmp_path / "nowhere.csv")
-    assert ".csv, .jsonl or .parquet" in refused("track", images, "red", "--poses", poses, "--out", tmp_path / "x.txt")
+    assert ".csv or .jsonl" in refused("track", images, "red", "--poses", poses, "--out", tmp_path / "x.txt")
     assert "no file" in refused("track", tmp_path / "a.png", tmp_path / "b.png", "red", "--poses", poses)
     done = eagor("track", images, "chair", "--poses", poses, "--perception", "colour")  # the header is out already
     assert done.returncode == 2

@@ -1,18 +1,14 @@
-"""Comparisons, worst episodes and exports of runs of any study, from the command line."""
+"""Comparisons, worst episodes of runs of any study, from the command line."""
 
-import csv
 import io
 import json
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import hstar_data
 import pytest
 import synthetic_runs
 
-from eagor import _extras
-from eagor._extras import how_to_install
 from eagor.cli import main
 from eagor.evaluation import ledger, studies
 from eagor.tasks import play, task
@@ -166,82 +162,6 @@ def test_the_worst_are_ranked_by_their_error(made_up):
     cases = answer("failures", made_up / "a", "--limit", 100)["cases"]
     errors = {r["episode"]["id"]: sum(r["methods"]["eagor"]["trace"]["error_deg"]) for r in ledger.read(made_up / "a")}
     assert [case["case"] for case in cases] == sorted(errors, key=errors.get, reverse=True)
-
-
-def test_records_are_exported_whole_and_as_a_table(played, tmp_path):
-    (file,) = answer("export", played, "--out", tmp_path)["files"]
-    assert [json.loads(line) for line in Path(file).read_text().splitlines()] == ledger.read(played)
-    (file,) = answer("export", played, "--to", "csv", "--out", tmp_path)["files"]
-    with open(file, newline="") as table:
-        rows = list(csv.DictReader(table))
-    run = studies.read(played)
-    assert {(row["case"], row["method"]) for row in rows} == {
-        ("3-0", "vmf"),
-        ("3-0", "eagor"),
-        ("3-1", "vmf"),
-        ("3-1", "eagor"),
-    }
-    for column in run.study.columns:
-        values = [float(row[column.key]) for row in rows if row["method"] == "vmf" and row[column.key]]
-        mean = run.summary["methods"]["vmf"][column.key]
-        assert (sum(values) / len(values) if values else None) == (None if mean is None else pytest.approx(mean))
-    assert "it offers jsonl, csv" in refused("export", played, "--to", "lmms-eval", "--out", tmp_path)
-    assert "no benchmark 'tracking'" in refused("export", "--task", "tracking", "--data", tmp_path, "--out", tmp_path)
-
-
-def check_parquet(run, folder):
-    """The Parquet file of a run has the rows of its CSV file, typed."""
-    parquet = pytest.importorskip("pyarrow.parquet")
-    (file,) = answer("export", run, "--to", "parquet", "--out", folder)["files"]
-    read = parquet.read_table(file)
-    (file,) = answer("export", run, "--to", "csv", "--out", folder)["files"]
-    with open(file, newline="") as table:
-        heads, *rows = csv.reader(table)
-    assert read.column_names == heads
-    assert read.num_rows == len(rows) > 0
-    for found, row in zip(read.to_pylist(), rows, strict=True):
-        for value, text in zip(found.values(), row, strict=True):
-            assert (
-                (value == float(text)) if isinstance(value, float) else (("" if value is None else str(value)) == text)
-            )
-
-
-def test_a_parquet_file_has_the_rows_of_the_csv(played, tmp_path):
-    check_parquet(played, tmp_path)
-
-
-def test_a_parquet_file_has_the_cases_of_a_benchmark(searched, tmp_path):
-    check_parquet(searched, tmp_path)
-
-
-def test_a_parquet_file_has_the_failed_units(tmp_path):
-    run = synthetic_runs.write_run(tmp_path / "run", synthetic_runs.navigation(apartments=2))
-    check_parquet(run, tmp_path)
-
-
-def test_without_pyarrow_the_extra_is_named(made_up, tmp_path, monkeypatch):
-    monkeypatch.setattr(_extras, "find_spec", lambda name: None)
-    assert how_to_install("parquet") in refused("export", made_up / "a", "--to", "parquet", "--out", tmp_path)
-
-
-def test_the_table_of_a_benchmarks_cases(searched, tmp_path):
-    (file,) = answer("export", searched, "--to", "csv", "--out", tmp_path)["files"]
-    with open(file, newline="") as table:
-        rows = list(csv.DictReader(table))
-    overall = [float(row["overall"]) for row in rows]
-    assert len(rows) == 16
-    assert sum(overall) / 16 == studies.read(searched).summary["overall"]
-    assert {row["method"] for row in rows} == {""}
-
-
-def test_failed_units_are_in_the_exports(tmp_path):
-    run = synthetic_runs.write_run(tmp_path / "run", synthetic_runs.navigation(apartments=2))
-    (file,) = answer("export", run, "--to", "csv")["files"]
-    assert Path(file).parent == run
-    with open(file, newline="") as table:
-        failed = [row for row in csv.DictReader(table) if row["status"] == "failed"]
-    assert len(failed) == 2
-    assert all("no way <to> the target" in row["failure"] for row in failed)
 
 
 def test_the_worst_cases_of_a_benchmark_come_first(searched):

@@ -6,16 +6,14 @@ from typing import Any
 import pytest
 
 from eagor.evaluation.benchmarks import Published
-from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.evaluation.studies import compare
-from eagor.evaluation.study import latex
 from eagor.tasks.benchmark import Figure
 
 FIGURES = (
     Figure("overall", "Overall", "mean over the kinds", lambda record: record["score"], lambda record: record["kind"]),
     Figure("plain", "Plain", "mean over the cases", lambda record: record["score"]),
 )
-BENCHMARK: Any = SimpleNamespace(name="made up", figures=FIGURES, work="", exports={})
+BENCHMARK: Any = SimpleNamespace(name="made up", figures=FIGURES, work="")
 SETTINGS = {"task": "made up", "data": "nowhere"}
 
 
@@ -65,12 +63,6 @@ def test_the_sign_flips_of_a_mean_over_kinds_weigh_the_kinds_alike():
     assert sum(parts) == pytest.approx(found["difference"] / 100)
     assert found["p"] == pytest.approx(sum(abs(value) >= sum(parts) - 1e-12 for value in reached) / len(reached))
     assert found["mcnemar"] == {"only_a": 4, "only_b": 1, "p": pytest.approx(0.375)}
-
-
-def test_whatever_a_model_is_called_its_row_is_latex():
-    said = latex(Sheet("", ("agent", "a"), (Row("~x_{1}^2 $5 50% \\ #&", (Box("1.0"),)),)))
-    name = r"\textasciitilde{}x\_\{1\}\textasciicircum{}2 \$5 50\% \textbackslash{} \#\&"
-    assert f"{name} & 1.0 \\\\\n" in said
 
 
 def test_one_cluster_has_a_difference_without_an_interval():

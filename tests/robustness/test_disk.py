@@ -83,8 +83,7 @@ def test_a_run_that_has_no_room_to_begin_leaves_nothing(told, tmp_path):
     assert list((tmp_path / "run").iterdir()) == []
 
 
-def test_reports_and_exports_are_whole_or_not_there(whole, tmp_path):
-    refused("bench", "export", whole, "--out", tmp_path, room=200, says="samples.jsonl")
+def test_reports_are_whole_or_not_there(whole, tmp_path):
     refused("bench", "report", whole, "--out", tmp_path, room=200, says="report.html")
     assert list(tmp_path.iterdir()) == []
 

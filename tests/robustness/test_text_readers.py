@@ -209,7 +209,7 @@ def test_descriptions_of_runs(folder, blob):
 
 
 @HOSTILE
-@given(blobs({"case": "a/0/0", "submit": [3, 4]}, {"doc_id": 1, "filtered_resps": [["<answer>x</answer>"]]}))
+@given(blobs({"case": "a/0/0", "submit": [3, 4]}, {"doc_id": 1, "text": "<answer>x</answer>"}))
 def test_predictions(folder, blob):
     path = folder / "predictions.jsonl"
     path.write_bytes(blob)

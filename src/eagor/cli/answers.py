@@ -97,13 +97,13 @@ def methods_as_dict(directions: Mapping[str, np.ndarray]) -> dict[str, dict[str,
     }
 
 
-# --- in a file: CSV, JSON lines or Parquet --------------------------------------------------------------------------
+# --- in a file: CSV or JSON lines -----------------------------------------------------------------------------------
 
 COLUMNS = (
     "frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
     "status",
 )  # fmt: skip
-SUFFIXES = (".csv", ".jsonl", ".parquet")
+SUFFIXES = (".csv", ".jsonl")
 
 Entry = Mapping[str, Any]
 
@@ -112,29 +112,18 @@ Entry = Mapping[str, Any]
 def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], None]]:
     """The file `path`; the yielded function adds one answer, as ``--json`` shows it. The first one creates the file.
 
-    CSV and JSON lines are flushed after every answer. A Parquet file is written at the end, also if the run fails.
-    `rivals` are the other methods that the answers have under "methods". Raises `UsageError` if the file cannot be
-    written, `MissingExtraError` for Parquet without pyarrow, both before the first answer.
+    It is flushed after every answer. `rivals` are the other methods that the answers have under "methods". Raises
+    `UsageError` before the first answer if the file cannot be written.
     """
-    from eagor._files import Lines, written
-    from eagor._tables import as_parquet, need_parquet
+    from eagor._files import Lines
 
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise UsageError(f"--out {path}: wanted a file name that ends in .csv, .jsonl or .parquet")
+        raise UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"--out {path}: there is no folder {path.absolute().parent}; make it first")
     checked_out(path)
     columns = columns_of(rivals)
-    if suffix == ".parquet":
-        need_parquet()
-        rows: list[list[Any]] = []
-        try:
-            yield lambda entry: rows.append(row_of(entry, columns))
-        finally:
-            if rows:
-                written(path, as_parquet(columns, rows))
-        return
     with Lines(path) as file:
         head = [columns]
 
@@ -149,7 +138,7 @@ def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], 
 
 
 def columns_of(rivals: Sequence[str]) -> list[str]:
-    """The columns of CSV and Parquet; `modes` is the number of candidates."""
+    """The columns of CSV; `modes` is the number of candidates."""
     angles = (f"{name}_{angle}_deg" for name in rivals for angle in ("azimuth", "elevation"))
     return [*COLUMNS, "modes", "problem", *angles]
 

@@ -24,7 +24,7 @@ from eagor.cli.options import (
     given,
     pairs_of,
 )
-from eagor.cli.results import BenchCompare, BenchExport, BenchFailures, BenchReport
+from eagor.cli.results import BenchCompare, BenchFailures, BenchReport
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
@@ -146,7 +146,8 @@ class BenchScore(Common):
     predictions: Annotated[Path, Positional, arg(metavar="PRED")]
     (
         'A JSON lines file with one object per case: its id ("case"; or "doc_id", its number) and the answer '
-        '("submit": [yaw, pitch], "text": the model\'s text, ...; samples of lmms-eval work). Or the folder of a run.'
+        '("submit": [yaw, pitch], "text": the model\'s text, ...), such as the predictions.jsonl of a report. Or the '
+        "folder of a run."
     )
     task: TaskOfRun = None
     data: DataOfRun = None
@@ -169,8 +170,7 @@ class Bench:
         | Annotated[BenchInfo, subcommand("info")]
         | Annotated[BenchScore, subcommand("score")]
         | Annotated[BenchCompare, subcommand("compare")]
-        | Annotated[BenchFailures, subcommand("failures")]
-        | Annotated[BenchExport, subcommand("export")],
+        | Annotated[BenchFailures, subcommand("failures")],
         # Without a name, its options are listed with those of every command, and its text appears once in the help.
         # (Help would show a comment above the field.)
         arg(name=""),
@@ -215,8 +215,6 @@ def listed(options: BenchList) -> int:
         terminal.columns(
             {key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()}
         )
-        print("  exports")
-        terminal.columns(entry["exports"])
         print()
     return terminal.OK
 

@@ -139,7 +139,6 @@ USES = {
 }  # what `missing` asks for
 MORE_USES = {
     "ray": "runs on a cluster",
-    "parquet": "tables as Parquet files",
     "robot": "live cameras, ROS 2, robots",
     "rerun": "logs for the Rerun viewer",
 }

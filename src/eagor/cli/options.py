@@ -72,7 +72,7 @@ Static = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    bare("FILE", "Write the answer, one line per frame, to FILE.csv, FILE.jsonl or FILE.parquet (extra parquet)."),
+    bare("FILE", "Write the answer, one line per frame, to FILE.csv or FILE.jsonl."),
 ]
 Rerun = Annotated[
     Path | None,

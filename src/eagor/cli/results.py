@@ -1,15 +1,15 @@
-"""``eagor bench report``, ``compare``, ``failures`` and ``export``."""
+"""``eagor bench report``, ``compare`` and ``failures``."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.options import Common, DataOfRun, Flag, Whole, bare, pairs_of
+from eagor.cli.options import Common, Flag, Whole, bare
 
 if TYPE_CHECKING:
     from eagor.evaluation.study import LoadedRun
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchReport(Common):
-    """Write the report of a run into its folder: report.html, tables.md, tables.csv and (to watch) episode.html."""
+    """Write the report of a run into its folder: report.html, tables.md, tables.csv and (to watch) episode.html.
+
+    The report of one run of a benchmark also has predictions.jsonl, which `eagor bench score` reads.
+    """
 
     runs: ClassVar[str] = "report"
 
@@ -59,28 +62,6 @@ class BenchFailures(Common):
     """Play the worst episode of a simulated task again and log it for the Rerun viewer (extra rerun)."""
     episode: Annotated[str | None, bare("NAME")] = None
     """With --rerun: this episode, as it is named in the list."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchExport(Common):
-    """Export a run, or a benchmark's cases, for other software."""
-
-    runs: ClassVar[str] = "export"
-
-    run: Annotated[Path | None, Positional, bare("[RUN]")] = None
-    """The folder of a run; omit it for exports that only need the data."""
-    to: Annotated[str, arg(metavar="FORMAT")] = "jsonl"
-    (
-        "jsonl (the records; of a benchmark, samples with lmms-eval's keys), csv or parquet (the figures of each case; "
-        "parquet needs the extra of that name), or a format of the benchmark: lmms-eval, hstar-txt, ..."
-    )
-    task: Annotated[str | None, bare("NAME")] = None
-    """The benchmark, if no run is given."""
-    data: DataOfRun = None
-    set: Annotated[tuple[str, ...], bare("OPTION=VALUE ...")] = ()
-    """The benchmark's options, if no run is given."""
-    out: Annotated[Path | None, bare("DIR")] = None
-    """The folder to write to (default: that of the run)."""
 
 
 def report(options: BenchReport) -> int:
@@ -168,36 +149,4 @@ def failures(options: BenchFailures) -> int:
         print(f"... and {len(worst.lines) - options.limit} more (--limit)")
     for failure in run.summary["failures"]:
         terminal.say(f"could not be run: {failure['key']} (attempt {failure['attempt']}): {failure['error']}")
-    return terminal.OK
-
-
-def export(options: BenchExport) -> int:
-    """``eagor bench export``."""
-    from eagor.cli.checks import checked_folder
-    from eagor.evaluation import benchmarks, studies
-
-    if options.run is not None:
-        if options.task or options.set:
-            raise terminal.UsageError(f"{options.run} names its task and options; leave out --task and --set")
-        run = studies.read(options.run)
-        if options.data:
-            run = replace(run, settings={**run.settings, "data": str(options.data.resolve())})
-    elif options.task and options.data:
-        run = benchmarks.bare_run(options.task, options.data, pairs_of(options.set))
-    else:
-        raise terminal.UsageError("give a run, or --task and --data")
-    out = options.out or options.run
-    if out is None:
-        raise terminal.UsageError("without a run, give the folder to write to with --out")
-    checked_folder(out)
-    offers = run.study.exports
-    if options.to not in offers:
-        raise terminal.UsageError(
-            f"{run.study.name} cannot be exported to {options.to!r}; it offers {', '.join(offers)}"
-        )
-    files = run.study.export(options.to, run, out)
-    if options.json:
-        terminal.emit({"files": [str(file) for file in files]})
-    else:
-        print("\n".join(str(file) for file in files))
     return terminal.OK

@@ -19,16 +19,11 @@ from eagor.evaluation import benchmark_tables, ledger, page
 from eagor.evaluation.benchmark_tables import OURS, labels_of
 from eagor.evaluation.page import Curve, Part, Section, Series, Sheet, could_not, line_chart, lines_of
 from eagor.evaluation.samples import FEW, LEVEL, RESAMPLES, checked, computing_time, finished, published
-from eagor.evaluation.study import TABLES, LoadedRun, Report, Settings, Study, Summary, Worst, latex, samples, words
+from eagor.evaluation.study import LoadedRun, Report, Settings, Study, Summary, Worst, words
 from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
-EXPORTS = {  # of every benchmark
-    "jsonl": "samples as JSON lines with lmms-eval's keys",
-    "csv": "a row per case with its figures",
-    "parquet": "the same as a Parquet file (extra parquet)",
-}
 LISTED = 200  # failed cases in a report
 
 
@@ -97,7 +92,7 @@ class Published(Study):
 
     def __init__(self, benchmark: Benchmark) -> None:
         self.benchmark, self.name, self.work = benchmark, benchmark.name, benchmark.work
-        self.columns, self.exports = benchmark.figures, {**EXPORTS, **benchmark.exports}
+        self.columns = benchmark.figures
 
     @classmethod
     def of(cls, settings: Settings, folder: Path) -> Published:
@@ -118,7 +113,6 @@ class Published(Study):
             "options": {
                 key: {"default": o.default, "what": o.what, "choices": _short(o.choices)} for key, o in options
             },
-            "exports": self.exports,
         }
 
     def checked(self, records: Sequence[Record]) -> Sequence[Record]:
@@ -185,7 +179,8 @@ class Published(Study):
             sections,
             facts,
             sheets,
-            {"tables.csv": _csv(self.benchmark, labels, summaries), "tables.tex": latex(sheets[0])},
+            {"tables.csv": _csv(self.benchmark, labels, summaries)}
+            | ({"predictions.jsonl": predictions_of(runs[0].records)} if len(runs) == 1 else {}),
         )
 
     def worst(self, run: LoadedRun, method: str | None = None) -> Worst:
@@ -199,14 +194,6 @@ class Published(Study):
         ]
         said = {key: run.summary[key] for key in keys}
         return Worst(benchmark_tables.failed_lines(failed), cases, self.failure_sheets(run.summary), said)
-
-    def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
-        if to in self.benchmark.exports:
-            return self.benchmark.export(to, run.records, run.settings, folder)
-        if to in TABLES:
-            return [TABLES[to](run, folder)]
-        cases = self.benchmark.cases(Path(str(run.settings["data"])), run.settings)
-        return [samples(cases, run.records, folder)]
 
 
 def _short(choices: tuple[Any, ...]) -> Any:
@@ -379,6 +366,12 @@ def _same(record: Record, kept: Record) -> bool:
     return all(kept.get(name) == value for name, value in found.items() if name not in ("attempt", "seconds"))
 
 
+def predictions_of(records: Sequence[Record]) -> str:
+    """JSON lines that `read_predictions` reads: what was answered in each finished case."""
+    lines = ({"case": record["case"], **_of_record(record)} for record in finished(records))
+    return "".join(json.dumps(line, ensure_ascii=False) + "\n" for line in lines)
+
+
 def _of_record(record: Record) -> dict[str, Any]:
     """The prediction in a record of ours."""
     answer = record.get("answer")
@@ -408,7 +401,7 @@ def _predicted(source: Path, ids: Sequence[str]) -> dict[str, dict[str, Any]]:
         case = _case(given, ids, known, where)
         if case in found:
             raise FormatError(f"{where}: a second prediction for {case}; wanted one each")
-        found[case] = _prediction(given)
+        found[case] = {key: value for key, value in given.items() if key not in IDS}
     return found
 
 
@@ -424,18 +417,3 @@ def _case(given: Mapping[str, Any], ids: Sequence[str], known: set[str], where: 
         f"{where}: names no case of this data ({shown(said, 200) if said else 'none of ' + ', '.join(IDS)}); wanted an "
         f"id such as {ids[0]!r}, or a number from 0 to {len(ids) - 1} as doc_id"
     )
-
-
-def _prediction(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The answer in a line: its own keys, or the last response of one of lmms-eval's samples."""
-    replies = given.get("filtered_resps", given.get("resps"))
-    if replies is None:
-        return {key: value for key, value in given.items() if key not in IDS}
-    while isinstance(replies, list) and replies:
-        replies = replies[-1]
-    text = replies if isinstance(replies, str) else ""
-    try:
-        held = parsed(text)
-    except ValueError:
-        held = None
-    return held if isinstance(held, dict) else {"text": text}

@@ -331,7 +331,7 @@ PUBLISHED: Shape = {
     "error?": _or_null(NUMBER), "steps?": [{"would?": _or_null(WOULD)}],
 }  # fmt: skip
 
-_WORDS: dict[str, Shape] = {"text": TEXT, "texts": TAGS, "figures": {"*": FIGURE}, "object": OBJECT}
+_WORDS: dict[str, Shape] = {"text": TEXT, "texts": TAGS, "figures": {"*": FIGURE}}
 
 
 def published(more: Mapping[str, str]) -> Shape:

@@ -14,18 +14,7 @@ from eagor.errors import EagorError
 from eagor.evaluation import page, scenes, sheets, tables
 from eagor.evaluation.page import Part, Section, Sheet, could_not
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
-from eagor.evaluation.study import (
-    TABLES,
-    LoadedRun,
-    Report,
-    Settings,
-    Study,
-    Summary,
-    Worst,
-    records_jsonl,
-    table_csv,
-    words,
-)
+from eagor.evaluation.study import LoadedRun, Report, Settings, Study, Summary, Worst, table_csv, words
 from eagor.evaluation.tables import OURS, PAPERS, is_rival, shown
 from eagor.evaluation.workers import Outcome, Unit, carry_out
 from eagor.perception import rows_of
@@ -41,11 +30,6 @@ from eagor.tasks.task import Task
 
 WORK = "eagor.tasks.play:work"
 PER_RUN = 20  # episodes of a run that names no number and no file
-EXPORTS = {
-    "jsonl": "all records as JSON lines, one per unit of work",
-    "csv": "a row per episode and method with its figures",
-    "parquet": "the same as a Parquet file (extra parquet)",
-}
 LOGGED_ROWS = 256  # of panoramas of an episode that is logged
 
 
@@ -251,14 +235,13 @@ class Simulated(Study):
 
     work = WORK
     case, several = "episode", False
-    alike, exports = ("world",), EXPORTS
+    alike = ("world",)
 
     def __init__(self, task: Task) -> None:
         self.task, self.name, self.columns = task, task.name, task.columns
 
     def offer(self) -> dict[str, Any]:
-        known = {"worlds": sorted(worlds.known()), "exports": EXPORTS}
-        return {"title": self.task.title, "what": self.task.what, **known}
+        return {"title": self.task.title, "what": self.task.what, "worlds": sorted(worlds.known())}
 
     def loaded(self, settings: Settings, records: Sequence[Record]) -> LoadedRun:
         judged = _judged(self.task, settings)
@@ -331,9 +314,6 @@ class Simulated(Study):
                 }
             )
         return Worst(lines, cases, [], said)
-
-    def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
-        return [TABLES.get(to, records_jsonl)(run, folder)]
 
 
 def _unit(run: LoadedRun, record: Record, method: str) -> dict[str, Any] | None:

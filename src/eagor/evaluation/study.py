@@ -1,27 +1,21 @@
 """A study: what is played unit by unit, counted, and shown; simulated tasks and published benchmarks are both one.
 
 `eagor.evaluation.studies.load` finds one by its name. Whoever runs, reports or lists goes by this Protocol alone: the
-ledger, the workers, the page and the files are the same for all: tables as Markdown, as LaTeX and as CSV; records as
-CSV, as Parquet and as JSON lines.
+ledger, the workers, the page and the files are the same for all.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
-from eagor._files import written
-from eagor._tables import as_csv, as_parquet
+from eagor._tables import as_csv
 from eagor.evaluation.page import Box, Part, Section, Sheet
-from eagor.evaluation.samples import Measured, Record, case_of, finished, group_of
+from eagor.evaluation.samples import Measured, Record
 from eagor.evaluation.tables import compared_with
 from eagor.evaluation.workers import Unit
-from eagor.tasks.benchmark import Case
 from eagor.tasks.task import load
 
 Settings = Mapping[str, Any]
@@ -88,8 +82,7 @@ class Study(Protocol):
 
     `work`: ``"package.module:function"``; ``function(settings)`` returns what plays one unit's payload and returns its
     record. `case`: what a unit's result is called ("episode", "case"). `several`: whether one report may be about
-    several runs. `columns`: the figures of its table; `alike`: the settings in which runs must agree to be compared;
-    `exports`: what a run can be written as, and a line about each.
+    several runs. `columns`: the figures of its table; `alike`: the settings in which runs must agree to be compared.
     """
 
     name: str
@@ -98,7 +91,6 @@ class Study(Protocol):
     several: bool
     columns: Sequence[Measured]
     alike: Sequence[str]
-    exports: Mapping[str, str]
 
     def offer(self) -> dict[str, Any]:
         """What ``eagor bench list --json`` says of it."""
@@ -128,12 +120,8 @@ class Study(Protocol):
         """The worst cases of a run; of a simulated one, those of `method` (None: ours, else the first)."""
         ...
 
-    def export(self, to: str, run: LoadedRun, folder: Path) -> list[Path]:
-        """Write what `exports` names `to` into `folder`; returns the files. `run` may have no records."""
-        ...
 
-
-# --- what a run is written as -----------------------------------------------------------------------------------------
+# --- tables as text ---------------------------------------------------------------------------------------------------
 
 FIELDS = (
     "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
@@ -169,23 +157,6 @@ def words(value: Any) -> str:
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def latex(sheet: Sheet) -> str:
-    """The main table as a LaTeX tabular, without its intervals."""
-    marks = str.maketrans({
-        "%": r"\%", "&": r"\&", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}", "\\": r"\textbackslash{}", "·": r"$\cdot$", "↑": r"$\uparrow$",
-        "↓": r"$\downarrow$", "–": "--",
-    })  # fmt: skip
-
-    def plain(text: str) -> str:
-        return text.translate(marks)
-
-    lines = [rf"\begin{{tabular}}{{l{'r' * (len(sheet.heads) - 1)}}}", r"\toprule"]
-    lines += [" & ".join(map(plain, sheet.heads)) + r" \\", r"\midrule"]
-    lines += [" & ".join([plain(row.head), *(plain(box.text) for box in row.boxes)]) + r" \\" for row in sheet.rows]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
-
-
 def table_csv(summary: dict[str, Any]) -> str:
     """One row per stratum ("" for all episodes), method and column, at full precision; empty where there is no case."""
     rows: list[list[Any]] = []
@@ -205,76 +176,6 @@ def table_csv(summary: dict[str, Any]) -> str:
                     row += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]
                 rows.append(row + [None] * (len(FIELDS) - len(row)))
     return as_csv([FIELDS, *rows])
-
-
-def records_jsonl(run: LoadedRun, folder: Path) -> Path:
-    """Write the records of a run, one line each; returns the file."""
-    lines = (json.dumps(record, ensure_ascii=False) + "\n" for record in run.records)
-    return written(folder / "records.jsonl", "".join(lines))
-
-
-def records_csv(run: LoadedRun, folder: Path) -> Path:
-    """Write a row per case, and method where there are several, with its figures at full precision; returns the file.
-
-    "" where there is no case; of a unit without a result, why it failed.
-    """
-    return written(folder / "records.csv", as_csv([_heads(run), *_rows(run)]))
-
-
-def records_parquet(run: LoadedRun, folder: Path) -> Path:
-    """Write the rows of `records_csv` as a Parquet file; returns the file. Raises `MissingExtraError`."""
-    return written(folder / "records.parquet", as_parquet(_heads(run), _rows(run)))
-
-
-TABLES = {"csv": records_csv, "parquet": records_parquet}
-
-
-def _heads(run: LoadedRun) -> list[str]:
-    return ["key", "status", "case", "group", "method", "failure", *(column.key for column in run.study.columns)]
-
-
-def _rows(run: LoadedRun) -> list[list[Any]]:
-    columns = run.study.columns
-    rows: list[list[Any]] = []
-    for record in run.records:
-        if record["status"] != "ok":
-            rows.append([record["key"], "failed", None, None, None, record.get("error", ""), *[None] * len(columns)])
-            continue
-        for method in record["methods"] if run.methods else (None,):
-            figures = [column.of(record, method) for column in columns]
-            rows.append([record["key"], "ok", case_of(record), group_of(record), method, None, *figures])
-    return rows
-
-
-def samples(cases: Sequence[Case], records: Sequence[Record], folder: Path) -> Path:
-    """Write one line per case with lmms-eval's keys, and ours beside them; returns the file.
-
-    doc_id is the case's number in the benchmark's own order; resps and filtered_resps hold the answer as text, empty
-    where there is none. Without records, all cases; else those that have one.
-    """
-    by_case = {str(record["case"]): record for record in finished(records)}
-    lines = []
-    for number, case in enumerate(cases):
-        record = by_case.get(case.id, {})
-        if records and not record:
-            continue
-        answer = record.get("answer")
-        text = answer if isinstance(answer, str) else "" if answer is None else json.dumps(answer, ensure_ascii=False)
-        content = json.dumps(case.payload, sort_keys=True)
-        line = {
-            "doc_id": number,
-            "doc_hash": hashlib.sha256(content.encode()).hexdigest(),
-            "input": record.get("words", record.get("question")),
-            "target": record.get("target", record.get("truth")),
-            "resps": [[text]],
-            "filtered_resps": [text],
-            "case": case.id,
-            "cluster": case.cluster,
-        }
-        left_out = ("key", "attempt", "status", "seconds", "case", "cluster")
-        line |= {key: value for key, value in record.items() if key not in left_out and key not in line}
-        lines.append(json.dumps(line, ensure_ascii=False) + "\n")
-    return written(folder / "samples.jsonl", "".join(lines))
 
 
 def _plain(text: str) -> str:

@@ -2,8 +2,7 @@
 
 Packages add theirs under the entry-point group ``eagor.benchmarks`` (a benchmark, or a function that makes one without
 arguments); `check_benchmark` tests them. Everything else is common to all benchmarks (`eagor.evaluation`). What H*Bench
-and OSR-Bench have in common comes below: their skeleton; seeds and pictures of their cases; and task folders for
-lmms-eval's ``--include_path``.
+and OSR-Bench have in common comes below: their skeleton; seeds and pictures of their cases.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import json
 import math
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -21,7 +20,6 @@ from typing import IO, Any, ClassVar, Protocol, cast, runtime_checkable
 
 from eagor import plugins
 from eagor._checks import shown, whole, within
-from eagor._files import written
 from eagor._version import __version__
 from eagor.errors import EagorError
 
@@ -113,18 +111,18 @@ class Figure:
 
 @runtime_checkable
 class Benchmark(Protocol):
-    """What `eagor bench` runs, scores, reports and exports.
+    """What `eagor bench` runs, scores and reports.
 
-    `agents`, `options`, `exports`: each with a one-line description; the first agent is the default. `figures`: the
-    columns of its table. `work`: ``"package.module:function"``; ``function(settings)`` is called once per process and
+    `agents`, `options`: each with a one-line description; the first agent is the default. `figures`: the columns of its
+    table. `work`: ``"package.module:function"``; ``function(settings)`` is called once per process and
     returns a callable, payload -> record. It may raise: that is a failed attempt, never a wrong answer.
 
     A record is a JSON object with "case" (the id), "cluster" and "score" in [0, 1] (1 is success). Optional keys:
     "level" (the stratum's title); "tags", known before the run; "cause", why it failed (default: "wrong"); "by_turn":
     1 if an answer at that turn would have succeeded; "views": number of looks; "stated": the probability of success
     stated with the answer; "sure": whether it stopped because it was sure; "steps", "answer", and anything else. A
-    benchmark may also have ``causes``, {cause: meaning}, and ``record``, {field: "text", "texts", "figures" or
-    "object"}: what its figures and exports read in a record ("field?": it may be missing).
+    benchmark may also have ``causes``, {cause: meaning}, and ``record``, {field: "text", "texts" or "figures"}: what
+    its figures read in a record ("field?": it may be missing).
     """
 
     @property
@@ -139,8 +137,6 @@ class Benchmark(Protocol):
     def work(self) -> str: ...
     @property
     def figures(self) -> Sequence[Figure]: ...
-    @property
-    def exports(self) -> Mapping[str, str]: ...
 
     def info(self, data: Path) -> dict[str, Any]:
         """The content of the folder `data`, as JSON: counts and oddities. Raises `FormatError` for other data."""
@@ -162,13 +158,6 @@ class Benchmark(Protocol):
         """The record of a prediction made elsewhere: {"text": the model's words} or the benchmark's own keys.
 
         Raises `FormatError` for a prediction without any of the keys.
-        """
-        ...
-
-    def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        """Write the export `to` (one of `exports`) into `folder`; returns the files. `records` is empty without a run.
-
-        Raises `EagorError` if the export needs more than that.
         """
         ...
 
@@ -268,16 +257,6 @@ def _require(holds: bool, text: str) -> None:
 
 # --- what H*Bench and OSR-Bench have in common -----------------------------------------------------------------------
 
-_CALLED = ("doc_to_target", "doc_to_text", "doc_to_visual", "mean", "process_results")
-
-
-@dataclass(frozen=True)
-class Export:
-    """What a run, or the data, is written as: in words, and the function (records, settings, folder) that does it."""
-
-    what: str
-    write: Callable[[Sequence[Record], Mapping[str, Any], Path], list[Path]]
-
 
 class PublishedBenchmark:
     """The parts of an `eagor.tasks.benchmark.Benchmark` that do not depend on its data.
@@ -285,8 +264,7 @@ class PublishedBenchmark:
     A benchmark adds `name`, `title`, `work`, `figures`, `info`, `cases` and `judge`, and says
 
     - `agents`, `options`: as there; `looking`: the agents that need a perception; `truth`: what the perception truth is
-      in this benchmark, in words;
-    - `writers`: its exports.
+      in this benchmark, in words.
     """
 
     name: Any
@@ -295,17 +273,9 @@ class PublishedBenchmark:
     looking: ClassVar[Sequence[str]]
     truth: ClassVar[str]
 
-    @property
-    def writers(self) -> Mapping[str, Export]:
-        raise NotImplementedError
-
     def check(self, settings: Mapping[str, Any]) -> None:
         """Raise `EagorError` for settings that this benchmark cannot run with; makes the perception, if any."""
         raise NotImplementedError
-
-    @property
-    def exports(self) -> Mapping[str, str]:
-        return {to: export.what for to, export in self.writers.items()}
 
     def settle(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         agent = settings.get("agent") or next(iter(self.agents))
@@ -343,19 +313,6 @@ class PublishedBenchmark:
             shared_chat(found["model"])
         return found
 
-    def export(self, to: str, records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-        if to not in self.writers:
-            raise EagorError(f"{self.name} has no export {to!r}; it has {', '.join(self.writers)}")
-        return self.writers[to].write(records, settings, folder)
-
-
-def finished(records: Iterable[Record], wanted: str) -> list[Record]:
-    """The records of finished cases. Raises `EagorError` with what is `wanted` if there are none."""
-    done = [record for record in records if record.get("status", "ok") == "ok"]
-    if not done:
-        raise EagorError(f"{wanted}; name a run with results")
-    return done
-
 
 def case_seed(seed: int, case: str) -> list[int]:
     """The seed of one case; independent of all other cases."""
@@ -377,56 +334,3 @@ def picture_size(file: Path | IO[bytes], upright: bool = False) -> tuple[int, in
                 return (height, width) if turned else (width, height)
         except Exception:  # decoders may raise anything for damaged files
             return None
-
-
-def write_task(
-    folder: Path,
-    name: str,
-    module: str,
-    documents: Iterable[Mapping[str, Any]],
-    metrics: Sequence[str],
-    turns: int | None = None,
-) -> list[Path]:
-    """Write ``NAME.yaml``, ``NAME_utils.py`` and ``NAME.jsonl`` into `folder`; returns the files.
-
-    `module` has the functions that lmms-eval calls: doc_to_text, doc_to_visual, doc_to_target, process_results, and
-    mean, which aggregates each of `metrics`. `documents`: one object per case, with the same keys in all and no nested
-    lists. `turns`: most turns of a conversation (an agentic task); None: one question, one answer.
-    """
-    folder = Path(folder).resolve()
-    task, utils, data = (folder / f"{name}{ending}" for ending in (".yaml", "_utils.py", ".jsonl"))
-    written(data, "".join(json.dumps(document, ensure_ascii=False) + "\n" for document in documents))
-    written(
-        utils,
-        f'''"""What the task file beside this one calls; all of it is in the package."""
-
-from {module} import {", ".join(_CALLED)}
-
-__all__ = [{", ".join(f'"{function}"' for function in _CALLED)}]
-''',
-    )
-    calls = "".join(f"{key}: !function {utils.stem}.{key}\n" for key in _CALLED if key != "mean")
-    measured = "".join(
-        f"  - metric: {metric}\n    aggregation: !function {utils.stem}.mean\n    higher_is_better: true\n"
-        for metric in metrics
-    )
-    steps = f"  max_agentic_steps: {turns}\n" if turns else ""
-    written(
-        task,
-        f"""task: {name}
-dataset_path: json
-dataset_kwargs:
-  data_files:
-    test: {json.dumps(str(data))}
-test_split: test
-output_type: {"generate_until_agentic" if turns else "generate_until"}
-{calls}generation_kwargs:
-  max_new_tokens: 512
-  temperature: 0
-  do_sample: false
-{steps}metric_list:
-{measured}metadata:
-  - version: 1.0
-""",
-    )
-    return [task, utils, data]

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from eagor._checks import shown
-from eagor._files import written
 from eagor.errors import EagorError, FormatError
-from eagor.tasks.benchmark import Case, Export, Figure, Option, PublishedBenchmark, Record, finished
+from eagor.tasks.benchmark import Case, Figure, Option, PublishedBenchmark
 from eagor.tasks.hstar import data as files
 from eagor.tasks.hstar.data import LEVELS, Episode, Kind
 from eagor.tasks.hstar.perception import open_perception
 from eagor.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged
-from eagor.tasks.hstar.prompts import WINDOW, write_lmms
+from eagor.tasks.hstar.prompts import WINDOW
 from eagor.tasks.hstar.rules import (
     FARTHEST_ANSWER,
     FORMS,
@@ -97,42 +96,9 @@ class HStar(PublishedBenchmark):
         episode, scoring = Episode.from_json(case.payload["episode"]), checked_scoring(settings["scoring"])
         return judged(episode, answer, scoring, case.payload["siblings"], [{"shown": 1.0}], reason)
 
-    @property
-    def writers(self) -> Mapping[str, Export]:
-        return {
-            "lmms-eval": Export(
-                "a folder of task files for lmms_eval --include_path, with the episodes and their panoramas' paths",
-                lambda records, settings, folder: write_lmms(self.kind, settings, folder),
-            ),
-            "hstar-txt": Export(
-                "the published level file: level, successes, episodes; and at which step successes came",
-                lambda records, settings, folder: level_file(self.kind, records, folder),
-            ),
-        }
-
 
 HOS = HStar("hos", "H*Bench: object search (HOS)")
 HPS = HStar("hps", "H*Bench: path search (HPS)")
-
-
-def level_file(kind: Kind, records: Sequence[Record], folder: Path) -> list[Path]:
-    """Write ``hstar_<kind>.txt``: per level its number, successes and episodes; then successes by step, 0 to 10.
-
-    The published evaluation writes these numbers; it counts a success at the turn of its submission. Raises
-    `EagorError` without records.
-    """
-    done = finished(records, "the level file counts a run's successes")
-    lines = []
-    for number, level in enumerate(LEVELS[kind]):
-        part = [record for record in done if record.get("level") == level]
-        if part:
-            lines.append(f"{number} {sum(record['score'] == 1 for record in part)} {len(part)}")
-    steps = [0] * (MAX_TURNS + 1)
-    for record in done:
-        if record["score"] == 1:
-            steps[min(int(record.get("views", 1)), MAX_TURNS)] += 1
-    text = "\n".join([*lines, f"step_success {' '.join(map(str, steps))}", ""])
-    return [written(Path(folder) / f"hstar_{kind}.txt", text)]
 
 
 def _at(level: str):

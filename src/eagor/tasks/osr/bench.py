@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from eagor._checks import shown
-from eagor._files import written
-from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
-from eagor.perception.vlm import IMAGE
 from eagor.tasks.benchmark import (
     Case,
-    Export,
     Figure,
     Option,
     PublishedBenchmark,
     Record,
-    finished,
     picture_size,
-    write_task,
 )
-from eagor.tasks.osr.data import SUFFIXES, Question, Scene, load, load_kept
-from eagor.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged, plain_text
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS, score
+from eagor.tasks.osr.data import SUFFIXES, Scene, load, load_kept
+from eagor.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged
+from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
 from eagor.tasks.osr.sightings import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
 
 OPTIONS = {
@@ -48,7 +40,6 @@ OPTIONS = {
     "camera_height": Option(HEIGHT, "metres above the floor; it scales the room, and matters with depth values"),
     "degree": Option(15, "of eagor's harmonics", tuple(range(3, 64))),
 }
-COLUMNS = ("image_id", "model", "turn_id", "skills_tested", "question", "model_answer", "ground_truth", "score")
 
 Reader = Callable[[Record], float | None]
 
@@ -83,7 +74,7 @@ class OsrBench(PublishedBenchmark):
     looking, truth = LOOKING, f"the true places, for data that has a {FILE} in each scene"
     record: ClassVar = {
         "skill": "text", "tags": "texts", "scores": "figures", "question": "text", "answer": "text",
-        "lenient?": "figures", "map_range?": "figures", "map?": "object",
+        "lenient?": "figures", "map_range?": "figures",
     }  # fmt: skip
     figures = (
         Figure("overall", "Overall", "mean over the kinds of questions", _score, lambda record: record["skill"]),
@@ -155,69 +146,8 @@ class OsrBench(PublishedBenchmark):
         scene = next(scene for scene in scenes if scene.id == case.payload["scene"])
         return judged(scene, scene.by_id[case.payload["question"]], Reply(told), settings)
 
-    @property
-    def writers(self) -> Mapping[str, Export]:
-        return {
-            "osr-csv": Export(
-                "the table of answers and scores that the published runner writes, one file for each scene", csv_files
-            ),
-            "lmms-eval": Export(
-                "a folder of task files for lmms_eval --include_path, with the questions and their pictures' paths",
-                lambda records, settings, folder: write_lmms(settings, folder),
-            ),
-        }
-
 
 OSR = OsrBench()
-
-
-def csv_files(records: Sequence[Record], settings: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write ``<scene>_<suffix>_results.csv`` with the columns of the published runner; returns the files.
-
-    Scores are those of the run's labels. A map's row has the true grid and the whole score as JSON, as published; in a
-    run that did not record them, F1 alone. Raises `EagorError` without records, `FormatError` for a record whose scene
-    cannot be part of a file name.
-    """
-    model = settings.get("model") or settings["agent"]
-    by_scene: dict[str, list[Record]] = {}
-    for record in finished(records, "the tables hold a run's answers"):
-        by_scene.setdefault(_scene(record), []).append(record)
-    files = []
-    for scene, answers in sorted(by_scene.items()):
-        rows: list[tuple[Any, ...]] = [COLUMNS]
-        for record in sorted(answers, key=lambda each: _turn(each["case"])):
-            turn, image = _turn(record["case"])[0], f"data/{scene}/rgb.png"
-            said = (record["question"], record["answer"], *_judged(record))
-            rows.append((image, model, turn, record["skill"], *said))
-        files.append(written(Path(folder) / f"{scene}_{settings['suffix']}_results.csv", as_csv(rows, "\r\n")))
-    return files
-
-
-def _judged(record: Record) -> tuple[Any, Any]:
-    """The true answer and the score as the published runner writes them."""
-    found = record.get("map", {})
-    if record["skill"] != MAP or not {"truth", "overall", "per_class"} <= found.keys():
-        return record.get("truth", ""), record["score"]
-    score = {key: found[key] for key in ("overall", "per_class")}
-    return str(found["truth"]), json.dumps(score, ensure_ascii=False)
-
-
-def _scene(record: Record) -> str:
-    """The scene of a record, checked to be a plain part of a file name."""
-    scene = record["cluster"]
-    if not isinstance(scene, str) or not scene.isprintable() or "/" in scene or "\\" in scene:
-        raise FormatError(
-            f"the record {record['key']!r} has the cluster {shown(scene)}; wanted a name that can be in a file name"
-        )
-    return scene
-
-
-def _turn(case: str) -> tuple[int, str]:
-    """The turn in a case's id, and the id, to sort by."""
-    number = case.rsplit("/", 1)[-1].partition("-")[0]
-    if not number.isdecimal():
-        raise FormatError(f"the record of the case {case!r} names no turn; wanted an id such as scene/3-counting")
-    return int(number), case
 
 
 def _size(image: Path | None) -> str:
@@ -241,65 +171,3 @@ def _check_files(found: Mapping[str, Any]) -> None:
             f"{len(without)} of {len(scenes)} scenes have no {wanted}, which {why}, such as {without[0]}; "
             "give the folder of those that have it, or choose another setting"
         )
-
-
-# --- OSR-Bench as a task of lmms-eval ---------------------------------------------------------------------------------
-
-TASK = "eagor_osr"
-METRICS = {DISTANCE: "distance", COUNTING: "counting", MAP: "map"}
-BY_LABELS = ("direction_official", "direction_corrected")
-
-
-def write_lmms(settings: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the task ``eagor_osr`` into `folder` (`write_task`); returns the files.
-
-    Each question is asked alone; in files with a map, the map's question is one of them. The questions hold the paths
-    of their pictures on this machine. Raises `FormatError` if a picture is missing.
-    """
-    pictures = {scene: str(scene.picture.resolve()) for scene in load(Path(settings["data"]), settings["suffix"])}
-    documents = (
-        {"id": question.id, "scene": scene.id, "turn": question.turn, "skill": question.skill}
-        | {"question": question.text, "image": picture, "prompt": settings["prompt"]}
-        | {"answer": json.dumps(question.answer) if question.skill == MAP else question.answer}
-        for scene, picture in pictures.items()
-        for question in scene.questions
-        if settings["skill"] in ("all", question.skill)
-    )
-    return write_task(folder, TASK, __name__, documents, (*BY_LABELS, *METRICS.values()))
-
-
-def doc_to_visual(doc: Mapping[str, Any]) -> list[Any]:
-    """The panorama, as a PIL image."""
-    from PIL import Image
-
-    from eagor.media.panorama import FORMATS
-
-    with Image.open(doc["image"], formats=FORMATS) as file:
-        return [file.convert("RGB")]
-
-
-def doc_to_text(doc: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> str:
-    """The question with the instructions for the form of the answer."""
-    text = doc["question"] if doc["skill"] == MAP else plain_text(doc["question"], doc["prompt"])
-    return text.replace(IMAGE, "").strip()
-
-
-def doc_to_target(doc: Mapping[str, Any]) -> str:
-    """The published answer."""
-    return doc["answer"]
-
-
-def process_results(doc: Mapping[str, Any], results: Sequence[str]) -> dict[str, float]:
-    """The scores of one reply, by the names of its metrics."""
-    skill, think = doc["skill"], doc["prompt"] == "think"
-    truth = json.loads(doc["answer"]) if skill == MAP else doc["answer"]
-    if skill != DIRECTION:
-        return {METRICS[skill]: score(skill, truth, results[0], think)}
-    question = Question(doc["id"], doc["scene"], doc["turn"], skill, doc["question"], truth)
-    truths = zip(BY_LABELS, (truth, question.corrected), strict=True)
-    return {metric: score(skill, each, results[0], think) for metric, each in truths}
-
-
-def mean(values: Sequence[float]) -> float:
-    """The mean; 0 without values."""
-    return sum(values) / len(values) if values else 0.0
