@@ -33,7 +33,7 @@ from eagor.tasks.osr.scoring import (
 from eagor.tasks.osr.sightings import Body, Room, write_room
 from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.rules import Camera
-from eagor.worlds.raycast import Raycaster, make_raycaster
+from eagor.worlds.raycast import Raycaster
 from eagor.worlds.scene import Scene
 
 # Walls, floor and ceiling are the room itself; a ceiling lamp touches neither floor nor wall.
@@ -219,4 +219,4 @@ def _bare_walls(place: Place) -> Raycaster:
     scene = place.scene
     assert isinstance(scene, Scene)  # an apartment
     bare = np.array([thing.category in ("wall", "window") for thing in scene.instances])[scene.instance]
-    return make_raycaster(scene.vertices, scene.triangles[bare])
+    return Raycaster(scene.vertices, scene.triangles[bare])

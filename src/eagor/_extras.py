@@ -11,8 +11,8 @@ from urllib.parse import unquote, urlsplit
 
 from eagor.errors import MissingExtraError
 
-# Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex: it is optional, and there
-# is no wheel for Linux on ARM.
+# Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex: there is no wheel
+# for Linux on ARM.
 EXTRAS = {
     "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20"},
     "photos": {

@@ -101,6 +101,7 @@ CALLS = [
     "from eagor.tasks import task; task.load('waypoint')",
     "from eagor.perception.scout import ScoutPerception; ScoutPerception()",
     "from eagor import worlds; worlds.load('scene.glb')(0)",
+    "import numpy as np; from eagor.worlds.raycast import Raycaster; Raycaster(np.eye(3), [[0, 1, 2]])",
 ]
 # One after the other in one process, as each costs a second to start: what they said, and how they ended.
 ALL = """
@@ -167,7 +168,7 @@ def test_the_base_is_what_was_promised():
 def test_the_extras_are_those_of_the_project(extra):
     lines = PROJECT["optional-dependencies"][extra]
     least = dict(re.match(r"([\w-]+)>=([\d.]+)", line).groups() for line in lines)
-    least.pop("embreex", None)  # all works without
+    least.pop("embreex", None)  # no wheel for Linux on ARM
     assert least == EXTRAS[extra]
 
 
@@ -194,18 +195,12 @@ def test_other_commands_name_their_extra(answers, extra, command):
 
 @pytest.mark.parametrize("call", CALLS)
 def test_calls_name_their_extra(answers, call):
-    said = f"eagor.errors.MissingExtraError: .* needs .*: {re.escape(how_to_install('sim'))}"
+    said = f"eagor.errors.MissingExtraError: .* needs .*: {re.escape(how_to_install('sim'))}.*"
     assert re.fullmatch(said, answers[call][0])
 
 
 def test_modules_are_there_after_importing_the_package(run):
     code, _, err = run("-c", "import eagor; eagor.sphere.direction; [getattr(eagor, name) for name in dir(eagor)]")
-    assert code == 0, err
-
-
-def test_a_world_can_be_looked_at(run):
-    call = "import numpy as np; from eagor.worlds.raycast import make_raycaster as make; make(np.eye(3), [[0, 1, 2]])"
-    code, _, err = run("-c", call)
     assert code == 0, err
 
 

@@ -27,7 +27,7 @@ from eagor.worlds.apartment.placement import (
 from eagor.worlds.apartment.plans import LINING, OUTSIDE, carve, draw_plan, rooms_of
 from eagor.worlds.ground import BESIDE, Ground
 from eagor.worlds.light import mean_colour
-from eagor.worlds.raycast import make_raycaster
+from eagor.worlds.raycast import Raycaster
 from eagor.worlds.scene import STRUCTURE
 
 SEEDS = (0, 3, 5, 1007)
@@ -288,7 +288,7 @@ def lights_of(seed):
 @seeds
 def test_the_shell_is_closed_but_for_its_windows(seed):
     made, rng = scene(seed), np.random.default_rng(0)
-    caster = make_raycaster(made.vertices, made.triangles)
+    caster = Raycaster(made.vertices, made.triangles)
     ways = rng.normal(size=(4000, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     holes = [window for window in apartment(seed).plan.windows]

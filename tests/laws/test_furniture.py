@@ -12,7 +12,7 @@ from eagor.worlds.apartment.canvas import TONES
 from eagor.worlds.apartment.furniture import KINDS, build
 from eagor.worlds.apartment.furniture.model import assembled
 from eagor.worlds.apartment.mesh import Part, box, part
-from eagor.worlds.raycast import make_raycaster
+from eagor.worlds.raycast import Raycaster
 from eagor.worlds.scene import Lamp, Material
 
 PLACEMENTS = ("floor", "top", "hung", "ceiling")
@@ -112,7 +112,7 @@ def seen(model, azimuth, elevation=0.3, across=40):
     step = (np.arange(across) + 0.5) / across * 2 - 1
     offsets = step[:, None, None] * up + step[None, :, None] * right
     origins = (middle - 3 * radius * towards + radius * offsets).reshape(-1, 3)
-    hits = make_raycaster(vertices, triangles).cast(origins, np.broadcast_to(towards, origins.shape).astype(np.float32))
+    hits = Raycaster(vertices, triangles).cast(origins, np.broadcast_to(towards, origins.shape).astype(np.float32))
     met = hits.triangle >= 0
     hit, u, v = hits.triangle[met], hits.u[met, None], hits.v[met, None]
     a, b, c = vertices[triangles[hit]].transpose(1, 0, 2)
@@ -209,7 +209,7 @@ def test_seats_are_where_one_can_sit(seed):
         model = model_of(category, None, seed)
         vertices, triangles, _ = joined(model)
         down = np.array([[0, 0, -1]], dtype=np.float32)
-        hits = make_raycaster(vertices, triangles).cast(np.array([[0.07, 0.12, 3]], np.float32), down)
+        hits = Raycaster(vertices, triangles).cast(np.array([[0.07, 0.12, 3]], np.float32), down)
         assert 0.36 < 3 - hits.distance[0] < 0.62
 
 

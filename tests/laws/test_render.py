@@ -1,7 +1,6 @@
 """What pictures of a scene must obey, whatever the scene, the pose and the grid."""
 
 import math
-import sys
 import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import at_most, rotations
 
-from eagor.errors import GridError, PoseError, RotationError, WorldError
+from eagor.errors import GridError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.sphere import rotation, world_R_body
 from eagor.worlds import light as light_module
@@ -426,22 +425,6 @@ def test_the_folder_is_looked_up_when_it_is_needed(tmp_path, monkeypatch):
     assert list((tmp_path / "own").glob("light-*.npz"))
 
 
-def test_both_engines_paint_the_same_picture(scene, renderer, folder):
-    other = Renderer(scene, engine="numpy", cache=folder)
-    pose = world_R_body(0.4, 0.1, 0.2)
-    one, two = renderer.panorama(EYE, pose, 32), other.panorama(EYE, pose, 32)
-    assert (one.ids == two.ids).mean() > 0.999
-    assert (np.abs(one.rgb.astype(int) - two.rgb).max(axis=-1) <= 2).mean() > 0.995
-
-
-def test_both_engines_bake_the_same_light():
-    faces = bare(np.array([1.2, 0.9, 0.8]))
-    small = replace(faces, lamps=(Lamp(np.array([0.6, 0.4, 0.7]), np.ones(3)),))
-    lattice = Lattice.of(small)
-    one, two = bake(small, lattice, "embree"), bake(small, lattice, "numpy")
-    assert np.abs(one - two).max() < 0.02 * one.mean()
-
-
 def test_many_more_rays_hardly_change_the_light(scene, monkeypatch):
     lattice = Lattice.of(scene)
     few = bake(scene, lattice)
@@ -449,12 +432,6 @@ def test_many_more_rays_hardly_change_the_light(scene, monkeypatch):
     many = bake(scene, lattice)
     apart = np.sqrt(lattice.areas @ ((few - many) ** 2).sum(axis=1) / (lattice.areas @ (many**2).sum(axis=1)))
     assert apart < 0.03
-
-
-def test_without_embreex_the_fallback_bakes_and_paints(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "embreex", None)
-    small = bare(np.array([0.5, 0.5, 0.5]))
-    assert Renderer(small, cache=tmp_path).panorama((0.2, 0.2, 0.2), np.eye(3), 8).rgb.min() > 30
 
 
 @pytest.mark.parametrize(
@@ -465,7 +442,6 @@ def test_without_embreex_the_fallback_bakes_and_paints(monkeypatch, tmp_path):
         (lambda r: r.panorama(EYE, np.ones((3, 3)), 8), RotationError),
         (lambda r: r.view(EYE, -np.eye(3), ErpGrid(4, 8)), RotationError),
         (lambda r: r.panorama(EYE, np.eye(3), 0), GridError),
-        (lambda r: Renderer(r.scene, engine="gpu").panorama(EYE, np.eye(3), 8, rgb=False), WorldError),
     ],
 )
 def test_bad_arguments_are_refused(renderer, call, error):

@@ -1,4 +1,4 @@
-"""Ray casting against closed forms, and the two engines against each other."""
+"""Ray casting against closed forms."""
 
 import sys
 
@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import random_directions
 
-from eagor.errors import WorldError
-from eagor.worlds.raycast import EmbreeRaycaster, NumpyRaycaster, make_raycaster
+from eagor.errors import MissingExtraError, WorldError
+from eagor.worlds.raycast import Raycaster
 
-ENGINES = ("embree", "numpy")
 LOW, HIGH = np.array([-3.0, -2.0, 0.0]), np.array([4.0, 2.5, 2.6])
 
 
@@ -32,9 +31,8 @@ def soup(count, seed, size=0.4):
     return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), origins, directions
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_range_in_a_box_is_the_closed_form(engine):
-    caster = make_raycaster(*box(), engine)
+def test_range_in_a_box_is_the_closed_form():
+    caster = Raycaster(*box())
     rng = np.random.default_rng(1)
     origins = rng.uniform(LOW + 0.01, HIGH - 0.01, (2000, 3)).astype(np.float32)
     directions = random_directions(2000, 2).astype(np.float32)
@@ -48,23 +46,21 @@ def test_range_in_a_box_is_the_closed_form(engine):
     assert (found.distance.dtype, found.triangle.dtype) == (np.float32, np.int32)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_barycentric_weights_give_the_point_that_was_hit(engine):
+def test_barycentric_weights_give_the_point_that_was_hit():
     vertices, triangles = box()
     origin = np.broadcast_to(np.float32([0.3, 0.2, 1.1]), (500, 3))
     directions = random_directions(500, 3).astype(np.float32)
-    hits = make_raycaster(vertices, triangles, engine).cast(origin, directions)
+    hits = Raycaster(vertices, triangles).cast(origin, directions)
     a, b, c = vertices[triangles[hits.triangle]].transpose(1, 0, 2)
     point = (1 - hits.u - hits.v)[:, None] * a + hits.u[:, None] * b + hits.v[:, None] * c
     assert np.allclose(point, origin + hits.distance[:, None] * directions, atol=2e-5)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_range_to_a_sphere(engine):
+def test_range_to_a_sphere():
     radius, centre = 0.8, np.array([2.0, 0.5, -0.3])
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     directions = random_directions(3000, 4)
-    hits = make_raycaster(sphere.vertices + centre, sphere.faces, engine).cast(
+    hits = Raycaster(sphere.vertices + centre, sphere.faces).cast(
         np.zeros((3000, 3), np.float32), directions.astype(np.float32)
     )
     along = directions @ centre
@@ -76,54 +72,23 @@ def test_range_to_a_sphere(engine):
     assert np.allclose(hits.distance[hit], along[hit] - np.sqrt(square[hit]), atol=0.015)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_distances_count_in_lengths_of_the_direction(engine):
-    caster = make_raycaster(*box(), engine)
+def test_distances_count_in_lengths_of_the_direction():
+    caster = Raycaster(*box())
     origin, way = np.zeros((1, 3), np.float32) + 1, np.array([[1.0, 0, 0]], np.float32)
     assert caster.cast(origin, way).distance == pytest.approx(3)
     assert caster.cast(origin, 2 * way).distance == pytest.approx(1.5)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_miss_is_said_to_be_one(engine):
-    hits = make_raycaster(*box(), engine).cast(np.full((3, 3), 9, np.float32), np.ones((3, 3), np.float32))
+def test_a_miss_is_said_to_be_one():
+    hits = Raycaster(*box()).cast(np.full((3, 3), 9, np.float32), np.ones((3, 3), np.float32))
     assert np.array_equal(hits.triangle, [-1, -1, -1])
     assert np.isinf(hits.distance).all()
     assert not hits.u.any()
     assert not hits.v.any()
-    assert len(make_raycaster(*box(), engine).cast(np.zeros((0, 3)), np.zeros((0, 3))).distance) == 0
+    assert len(Raycaster(*box()).cast(np.zeros((0, 3)), np.zeros((0, 3))).distance) == 0
 
 
-@given(st.integers(1, 400), st.integers(0, 2**32 - 1))
-@settings(max_examples=25)
-def test_the_engines_agree_on_any_triangles(count, seed):
-    vertices, triangles, origins, directions = soup(count, seed)
-    ours = make_raycaster(vertices, triangles, "numpy").cast(origins, directions)
-    theirs = make_raycaster(vertices, triangles, "embree").cast(origins, directions)
-    same = ours.triangle == theirs.triangle
-    assert same.mean() > 0.99
-    both = np.isfinite(ours.distance) & np.isfinite(theirs.distance)
-    assert both[same].sum() == np.isfinite(ours.distance[same]).sum()
-    assert np.allclose(ours.distance[both], theirs.distance[both], atol=1e-4)
-    assert np.allclose(ours.u[same], theirs.u[same], atol=1e-3)
-    assert np.allclose(ours.v[same], theirs.v[same], atol=1e-3)
-
-
-def test_the_engines_agree_on_small_triangles_among_large_ones():
-    small = soup(4000, 7, size=0.03)
-    vertices, triangles = box()
-    vertices = np.concatenate([small[0] + [0, 0, 1.2], vertices])
-    triangles = np.concatenate([small[1], triangles + len(small[0])])
-    origin = np.broadcast_to(np.float32([0.1, -0.2, 1.3]), (3000, 3))
-    directions = random_directions(3000, 8).astype(np.float32)
-    ours = make_raycaster(vertices, triangles, "numpy").cast(origin, directions)
-    theirs = make_raycaster(vertices, triangles, "embree").cast(origin, directions)
-    assert (ours.triangle == theirs.triangle).mean() > 0.999
-    assert np.allclose(ours.distance, theirs.distance, atol=1e-4)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_no_ray_slips_through_the_edges_of_a_closed_surface(engine):
+def test_no_ray_slips_through_the_edges_of_a_closed_surface():
     vertices, triangles = box()
     rng = np.random.default_rng(5)
     ends = vertices[triangles[rng.integers(0, 12, 2000)]]
@@ -131,7 +96,7 @@ def test_no_ray_slips_through_the_edges_of_a_closed_surface(engine):
     aims = share * ends[:, 0] + (1 - share) * ends[:, 1]  # on the edges
     aims[:8] = vertices
     origins = np.zeros((2000, 3), np.float32) + 1
-    hits = make_raycaster(vertices, triangles, engine).cast(origins, (aims - 1).astype(np.float32))
+    hits = Raycaster(vertices, triangles).cast(origins, (aims - 1).astype(np.float32))
     assert (hits.triangle >= 0).all()
     assert np.allclose(hits.distance, 1, atol=1e-5)
 
@@ -141,52 +106,47 @@ def test_no_ray_slips_through_the_edges_of_a_closed_surface(engine):
 def test_occluded_is_what_cast_finds_within_reach(count, seed, reach):
     vertices, triangles, origins, directions = soup(count, seed)
     reaches = np.linspace(0.5, 1.5, len(origins)) * reach
-    for engine in ENGINES:
-        caster = make_raycaster(vertices, triangles, engine)
-        distance = caster.cast(origins, directions).distance
-        finite = np.isfinite(distance)
-        for limit in (reach, reaches, np.inf):
-            clear = ~finite | (np.abs(np.where(finite, distance, 0) - limit) > 1e-4)
-            expected = finite & (distance <= limit)
-            assert np.array_equal(caster.occluded(origins, directions, limit)[clear], expected[clear])
+    caster = Raycaster(vertices, triangles)
+    distance = caster.cast(origins, directions).distance
+    finite = np.isfinite(distance)
+    for limit in (reach, reaches, np.inf):
+        clear = ~finite | (np.abs(np.where(finite, distance, 0) - limit) > 1e-4)
+        expected = finite & (distance <= limit)
+        assert np.array_equal(caster.occluded(origins, directions, limit)[clear], expected[clear])
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_the_quick_kind_hits_the_same_things(engine):
+def test_the_quick_kind_hits_the_same_things():
     vertices, triangles, origins, directions = soup(200, 9)
-    one, two = (make_raycaster(vertices, triangles, engine, tight).cast(origins, directions) for tight in (True, False))
+    one, two = (Raycaster(vertices, triangles, tight).cast(origins, directions) for tight in (True, False))
     same = one.triangle == two.triangle
     assert same.mean() > 0.99
     assert np.allclose(one.distance[same], two.distance[same], rtol=1e-4)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_the_same_rays_give_the_same_bytes_however_they_are_grouped(engine):
+def test_the_same_rays_give_the_same_bytes_however_they_are_grouped():
     vertices, triangles, origins, directions = soup(200, 9)
-    whole = make_raycaster(vertices, triangles, engine).cast(origins, directions)
-    again = make_raycaster(vertices, triangles, engine)
+    whole = Raycaster(vertices, triangles).cast(origins, directions)
+    again = Raycaster(vertices, triangles)
     parts = [again.cast(origins[i : i + 37], directions[i : i + 37]) for i in range(0, 400, 37)]
     for name in ("distance", "triangle", "u", "v"):
         assert np.array_equal(getattr(whole, name), np.concatenate([getattr(part, name) for part in parts]))
 
 
-def test_auto_takes_embree_where_it_is_and_numpy_where_it_is_not(monkeypatch):
-    assert isinstance(make_raycaster(*box()), EmbreeRaycaster)
+def test_without_embree_the_error_says_what_does_without(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex", None)
-    assert isinstance(make_raycaster(*box()), NumpyRaycaster)
-    with pytest.raises(WorldError, match=r"pip install .*\[sim\]'"):
-        make_raycaster(*box(), "embree")
+    monkeypatch.delitem(sys.modules, "embreex.mesh_construction", raising=False)
+    with pytest.raises(MissingExtraError, match=r"pip install .*\[sim\].*eagor\.worlds\.painted"):
+        Raycaster(*box())
 
 
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: make_raycaster(*box(), "optix"), "auto, embree, numpy"),
-        (lambda: make_raycaster(np.zeros((3, 2)), [[0, 1, 2]]), r"\(3, 2\)"),
-        (lambda: make_raycaster(np.zeros((3, 3)), [[0, 1, 3]]), r"0\.\.2"),
-        (lambda: make_raycaster(np.zeros((3, 3)), np.zeros((0, 3))), "at least one"),
-        (lambda: make_raycaster(*box()).cast(np.zeros((1, 3)), np.zeros((2, 3))), "broadcast_to"),
-        (lambda: make_raycaster(*box(), "numpy").occluded(np.zeros(3), np.zeros(3), 1.0), "broadcast_to"),
+        (lambda: Raycaster(np.zeros((3, 2)), [[0, 1, 2]]), r"\(3, 2\)"),
+        (lambda: Raycaster(np.zeros((3, 3)), [[0, 1, 3]]), r"0\.\.2"),
+        (lambda: Raycaster(np.zeros((3, 3)), np.zeros((0, 3))), "at least one"),
+        (lambda: Raycaster(*box()).cast(np.zeros((1, 3)), np.zeros((2, 3))), "broadcast_to"),
+        (lambda: Raycaster(*box()).occluded(np.zeros(3), np.zeros(3), 1.0), "broadcast_to"),
     ],
 )
 def test_bad_arguments_are_refused(make, text):

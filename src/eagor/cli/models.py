@@ -286,7 +286,7 @@ OPTIONAL = {
     )
     for name in dict.fromkeys(name for names in EXTRAS.values() for name in names)
 }
-OPTIONAL |= {"embreex": "faster rays in simulated worlds: the extra 'sim'"}
+OPTIONAL |= {"embreex": "pictures of simulated worlds: the extra 'sim'"}
 WANTS = {
     "endpoint": "endpoint",
     "onnx": "photos",

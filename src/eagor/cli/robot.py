@@ -14,7 +14,7 @@ from tyro.conf import arg, subcommand
 from eagor._checks import above, within
 from eagor.cli import terminal
 from eagor.cli.options import Common, Flag, Whole, bare
-from eagor.cli.robot_run import RobotRun, say_slow
+from eagor.cli.robot_run import RobotRun
 
 if TYPE_CHECKING:
     from eagor.robots.go2.sim import LiveGo2, SimSettings
@@ -163,8 +163,6 @@ def sim(options: RobotSim) -> int:
     with LiveGo2(robot, domain, options.interface) as live:
         if not options.json:
             terminal.log("waiting for the camera" if live.pictures else "without a camera")
-            if live.pictures:
-                say_slow()
         live.wait_for_camera()
         if options.json:
             terminal.emit(_facts(live, options))

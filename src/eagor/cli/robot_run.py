@@ -294,7 +294,6 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     if settings.start is None:
         settings = replace(settings, start=clear_start(house, twin.targets, np.random.default_rng(options.seed)))
     terminal.log("the simulated robot starts")
-    say_slow()
     with Rehearsal(settings) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
         ground = house.ground
@@ -311,15 +310,6 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
             robot.targets,
             plan,
         )
-
-
-def say_slow() -> None:
-    """Say so where pictures of houses are rendered without Embree."""
-    from eagor._extras import how_to_install
-    from eagor.worlds.raycast import has_embree
-
-    if not has_embree():
-        terminal.log(f"without Embree a picture of a house takes seconds: {how_to_install('sim')}")
 
 
 def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:

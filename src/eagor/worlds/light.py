@@ -24,7 +24,7 @@ import numpy as np
 from eagor._files import cache_folder, written
 from eagor._srgb import to_linear
 from eagor.errors import StorageError
-from eagor.worlds.raycast import Raycaster, make_raycaster
+from eagor.worlds.raycast import Raycaster
 from eagor.worlds.scene import Lattice, Material, Scene
 
 if TYPE_CHECKING:
@@ -289,7 +289,7 @@ def mean_colour(material: Material) -> np.ndarray:
     return tint * to_linear(material.texture[::2, ::2, :3] / 255).mean(axis=(0, 1))
 
 
-def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path | None = None) -> np.ndarray:
+def light_of(scene: Scene, lattice: Lattice, cache: Path | None = None) -> np.ndarray:
     """The light ``(S, 3)`` float32 at the slots of `lattice`, from the cache, or computed and cached.
 
     `cache`: a folder; None means `cache_folder`. A `UserWarning` says so if it cannot be written.
@@ -298,7 +298,7 @@ def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path |
     file = folder / f"light-{VERSION}-{scene.hash}-{_rooms(scene)}.npz"
     found = _read(file, lattice.size)
     if found is None:
-        found = np.minimum(bake(scene, lattice, engine), _HIGHEST).astype(np.float16)
+        found = np.minimum(bake(scene, lattice), _HIGHEST).astype(np.float16)
         packed = io.BytesIO()
         np.savez_compressed(packed, light=found)
         try:
@@ -313,18 +313,18 @@ def light_of(scene: Scene, lattice: Lattice, engine: str = "auto", cache: Path |
     return found.astype(np.float32)
 
 
-def bake(scene: Scene, lattice: Lattice, engine: str = "auto") -> np.ndarray:
+def bake(scene: Scene, lattice: Lattice) -> np.ndarray:
     """The light ``(S, 3)`` at the slots of `lattice`: direct, then `BOUNCES` diffuse reflections."""
     points = lattice.points
     origin = (points.position + LIFT * points.normal).astype(np.float32)
     normal = points.normal.astype(np.float32)
-    everything = make_raycaster(scene.vertices, lattice.triangles, engine, watertight=False)
+    everything = Raycaster(scene.vertices, lattice.triangles, watertight=False)
     glows = np.array([m.emission for m in scene.materials])[scene.material] > 0
     # Shades and bulbs do not block the light of the lamps in them.
     solid = lattice.triangles[~glows]
     shadows = everything
     if 0 < len(solid) < len(glows):
-        shadows = make_raycaster(scene.vertices, solid, engine, watertight=False)
+        shadows = Raycaster(scene.vertices, solid, watertight=False)
     windows = portals(scene)
     direct = np.zeros((len(origin), 3), dtype=np.float32)
     sources = [*lamps(scene, shadows), *glowing(scene), *windows]

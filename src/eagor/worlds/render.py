@@ -23,7 +23,7 @@ from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.media.panorama import checked_picture, turn
 from eagor.sphere import check_rotation
 from eagor.worlds.light import light_of, look_up, painted_sky
-from eagor.worlds.raycast import Hits, Raycaster, make_raycaster
+from eagor.worlds.raycast import Hits, Raycaster
 from eagor.worlds.scene import Lattice, Material, Scene, unseen
 
 BRIGHTEST = 5.0  # light is clipped to this; 1 shows a white surface at the edge of the shoulder's range
@@ -247,19 +247,18 @@ class Renderer:
     """Pictures of `scene`.
 
     Making one costs nothing: the tree of triangles is built for the first picture, the light (seconds, unless cached)
-    for the first one in colour. `engine`: see `eagor.worlds.raycast`; `cache`: the folder for the light, by default the
-    user's cache ($EAGOR_CACHE). Use one renderer per thread.
+    for the first one in colour. `cache`: the folder for the light, by default the user's cache ($EAGOR_CACHE). Use one
+    renderer per thread.
     """
 
-    def __init__(self, scene: Scene, *, engine: str = "auto", cache: Path | None = None) -> None:
+    def __init__(self, scene: Scene, *, cache: Path | None = None) -> None:
         self.scene = scene
-        self.engine = engine
         self.cache = cache
 
     @lazy
     def raycaster(self) -> Raycaster:
-        """The scene's triangles, with corners rotated as in the lattice of light. Raises `WorldError`."""
-        return make_raycaster(self.scene.vertices, self._lattice.triangles, self.engine)
+        """The scene's triangles, with corners rotated as in the lattice of light. Raises `MissingExtraError`."""
+        return Raycaster(self.scene.vertices, self._lattice.triangles)
 
     @lazy
     def _lattice(self) -> Lattice:
@@ -267,7 +266,7 @@ class Renderer:
 
     @lazy
     def _shader(self) -> Shader:
-        return Shader(self.scene, self._lattice, light_of(self.scene, self._lattice, self.engine, self.cache))
+        return Shader(self.scene, self._lattice, light_of(self.scene, self._lattice, self.cache))
 
     @lazy
     def _owners(self) -> np.ndarray:
