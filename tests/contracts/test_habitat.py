@@ -20,7 +20,6 @@ from rooms import two_rooms
 
 import eagor.tasks
 from eagor import worlds
-from eagor.conventions import from_gltf
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.checking import check_task
@@ -47,8 +46,8 @@ SHORT = {"navigation": (), "waypoint": ("--set", "leg_steps=6"), "tracking": ("-
 
 @pytest.fixture(scope="module")
 def flat(tmp_path_factory):
-    """The little flat of boxes as a GLB file with ids, as Habitat reads them from HM3D."""
-    yield export_glb(two_rooms(), tmp_path_factory.mktemp("flat") / "flat.glb", annotated=True)
+    """The little flat of boxes as an exported GLB file."""
+    yield export_glb(two_rooms(), tmp_path_factory.mktemp("flat") / "flat.glb")
     close_all()
 
 
@@ -70,7 +69,7 @@ def test_the_world_keeps_the_contract_of_worlds(which, request):
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (0.7, 0.0, 0.0), (-2.0, 0.4, 0.3)])
 def test_an_exported_flat_is_seen_as_ours(flat, pose):
     scene, ours = worlds.load(f"habitat:{flat}")(0), two_rooms()
-    assert scene.facts["things"].startswith("ids of Habitat")
+    assert scene.facts["things"] == "boxes of flat.semantic.json"
     assert scene.frames.floor == 0.0
     for mine, thing in zip(scene.instances, ours.instances, strict=True):
         assert (mine.category, mine.colour, mine.room) == (thing.category, thing.colour, thing.room)
@@ -80,7 +79,7 @@ def test_an_exported_flat_is_seen_as_ours(flat, pose):
     assert mine.rgb.shape == (128, 256, 3)
     gap = np.abs(mine.range - truth.range) / truth.range
     assert np.median(gap) < 0.01
-    assert (mine.ids == truth.ids).mean() > 0.98
+    assert (mine.ids == truth.ids).mean() > 0.95, "the smallest box around a point, not its triangle"
     red = [k for k, thing in enumerate(ours.instances) if thing.name == "red chair"]
     shown = mine.rgb[np.isin(mine.ids, red)].mean(axis=0)
     assert shown[0] > 2 * shown[1], "the red chair is red"
@@ -224,27 +223,11 @@ def lifted(metres):
 
 
 def test_the_floor_of_the_storey_is_at_z_0(tmp_path):
-    file = export_glb(lifted(2.8), tmp_path / "upstairs.glb", annotated=True)
+    file = export_glb(lifted(2.8), tmp_path / "upstairs.glb")
     world = worlds.load(f"habitat:{file}")
     check_world(world, 1)
     assert world(0).zero == pytest.approx(2.8, abs=0.02)
     assert world(0).instances[-1].low[2] == pytest.approx(0.0, abs=0.02)
-
-
-def test_files_as_of_hm3d_need_nothing_else(tmp_path):
-    """z up, ids beside under HM3D's names, no configuration."""
-    scene = two_rooms()
-    vertices = from_gltf(scene.vertices)  # so that the file holds our own coordinates: z up
-    file = export_glb(replace(scene, vertices=vertices), tmp_path / "flat.glb", annotated=True)
-    for kind in ("stage_config", "semantic", "navmesh"):
-        file.with_suffix(f".{kind}.json").unlink()
-    file = file.rename(tmp_path / "flat.basis.glb")
-    world = worlds.load(f"habitat:{file}")
-    check_world(world, 1)
-    assert world(0).facts["things"] == "Habitat's semantic scene"
-    found = {thing.category: thing for thing in world(0).instances}
-    sofa = next(thing for thing in scene.instances if thing.category == "sofa")
-    np.testing.assert_allclose([found["sofa"].low, found["sofa"].high], [sofa.low, sofa.high], atol=0.03)
 
 
 def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
@@ -256,7 +239,7 @@ def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
 
 def test_scenes_take_turns_in_one_process(flat, bare, tmp_path):
     """More of them than may be open: Habitat-Sim ends a process that closes the one with the graphics context."""
-    files = [flat, bare, export_glb(two_rooms(), tmp_path / "flat.glb", annotated=True)]
+    files = [flat, bare, export_glb(two_rooms(), tmp_path / "flat.glb")]
     scenes = [worlds.load(f"habitat:{file}")(0) for file in files]
     once, again = ([scene.view().panorama(HERE, np.eye(3), 32) for scene in scenes] for _ in range(2))
     for one, other in zip(once, again, strict=True):

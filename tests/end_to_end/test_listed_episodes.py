@@ -16,7 +16,7 @@ from eagor.tasks.episodes import FileSlot, listed_slots, plan_listed, slot_of
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
 from eagor.tasks.rules import Camera, NavigationRules
-from eagor.worlds.habitat_files import ON_MESH
+from eagor.worlds.glb import ON_MESH
 from eagor.worlds.objectnav import read_episodes
 
 

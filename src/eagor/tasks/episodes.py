@@ -28,9 +28,8 @@ from eagor.tasks.places import APARTMENT, SEEDS, Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.worlds import FILES
 from eagor.worlds.ground import STOREY
-from eagor.worlds.habitat_files import LAB_BODY
+from eagor.worlds.objectnav import LAB_BODY, SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.objectnav import Episode as ObjectNavEpisode
-from eagor.worlds.objectnav import SceneEpisodes, check_scene, read_episodes
 from eagor.worlds.scene import Scene
 
 PER_PLACE = 5

@@ -1,11 +1,15 @@
-"""Import and export of scenes as GLB (binary glTF 2.0), to exchange them with other simulators and viewers.
+"""Scenes as GLB (binary glTF 2.0): import of any, export of ours.
 
 glTF has Y up: our (x, y, z) is its (x, z, -y), see `eagor.conventions.to_gltf`. Beside `<name>.glb` an export writes
 
 - `<name>.semantic.json`: the instances of the triangles, and everything else that does not fit into GLB;
 - `<name>.stage_config.json`: for Habitat, which assumes Z up for any bare GLB;
-- `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`;
-- if `annotated`, the ids of all instances for Habitat, as in HM3D: see `eagor.worlds.habitat_files`.
+- `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.worlds.ground`.
+
+habitat-lab makes its own mesh of a scene, with voxels of 0.05 m that are 0.2 m high. Recast, which does it, counts them
+from the lowest corner of the scene, and puts the mesh on top of the voxel that a floor is in: a scene that begins at
+its floor has its mesh 0.2 m above it, which habitat-lab counts as distance. Exported scenes begin `FOOTING` below their
+floor: there the mesh is `ON_MESH` above it.
 
 Textures in KTX2 and geometry in Draco are not supported: they are imported as plain colour, or not at all.
 """
@@ -15,16 +19,18 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
-from eagor._checks import number, parsed, shown
+from eagor._checks import parsed, shown
 from eagor._extras import need
 from eagor._files import written
 from eagor._srgb import to_coded, to_linear
@@ -33,13 +39,20 @@ from eagor.errors import WorldError
 from eagor.media.panorama import FORMATS, decoded_bytes
 from eagor.queries import COLOURS, SYNONYMS, singular
 from eagor.worlds.ground import floor_height, level_triangles
-from eagor.worlds.habitat_files import FIRST_ID, STAGE, footing_of, semantic_glb, semantic_text, voxel_for
 from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 
 __all__ = ["export_glb", "import_glb"]
 
-FORMAT = "eagor semantic 1"  # of the JSON beside an exported GLB
-FOOTING = "eagor_footing"  # the node of an exported GLB that is no thing: see `eagor.worlds.habitat_files`
+LAB_VOXEL = 0.2  # metres: the height of habitat-lab's voxels
+ON_MESH = 0.01  # metres of habitat-lab's mesh above the floor of an exported scene: rugs are in the same voxel
+FOOTING = LAB_VOXEL - ON_MESH  # metres below the floor at which an exported scene begins ...
+FOOTING_NODE = "eagor_footing"  # ... with this node, which is no thing
+LEVEL = 0.05  # metres: triangles this close to the height of the floor are part of it
+SHRUNK = 0.5  # side of the footing in those of the triangle above it: no corner of it shows at the edge of the floor
+# What a stage configuration says of a scene of ours: a GLB has Y up, which Habitat does not assume.
+STAGE = {
+    "up": [0, 1, 0], "front": [0, 0, -1], "units_to_meters": 1.0, "is_collidable": True, "shader_type": "flat",
+}  # fmt: skip
 
 # Words of node names without meaning: of modelling programs, and of places.
 _EMPTY_WORDS = {
@@ -49,10 +62,6 @@ _EMPTY_WORDS = {
     "interior", "exterior",
 }  # fmt: skip
 _DARK = 0.02  # linear: a darker colour cannot carry the light of a lamp
-FRAME = (
-    "metres, z up, floor along x and y: low, high, rectangles, positions. A point (x, y, z) here is (x, z, -y) in the "
-    "GLB, which has Y up"
-)
 # A few kilobytes can ask for anything: nodes that share a mesh, accessors without data, blank textures. So the size of
 # the result is computed before memory is allocated.
 _FREE_ENTRIES = 2_000_000  # corners, indices and similar entries allowed for any file, and for larger files ...
@@ -60,12 +69,6 @@ _ENTRIES_PER_BYTE = 1  # ... three times the need of a file without shared parts
 _FREE_BYTES = 1 << 27  # decoded bytes of pictures allowed for any file, and for larger files ...
 _BYTES_PER_BYTE = 600  # ... this per byte of the file
 _DEEPEST = 256  # nesting of nodes
-
-
-def node_name(category: str, owner: int, material: int | None) -> str:
-    """`<category>_<id>`, and `_m<material>` if an instance has several."""
-    words = re.sub(r"\W+", "_", category)
-    return f"{words}_{owner}" if material is None else f"{words}_{owner}_m{material}"
 
 
 def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
@@ -81,30 +84,13 @@ def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
     return "object", None
 
 
-def material_name(index: int, material: Material) -> str:
-    """The name of a material in the file, with its index."""
-    return f"{index} {material.name}"
+def _names(scene: Scene) -> list[str]:
+    """The names of the materials in a file: they are all different."""
+    return [f"{index} {material.name}" for index, material in enumerate(scene.materials)]
 
 
-def to_pbr(index: int, material: Material) -> Any:
-    """Our material as trimesh's; `write_exactly` adds what trimesh rounds."""
-    from PIL import Image
-    from trimesh.visual.material import PBRMaterial
-
-    image = None if material.texture is None else Image.fromarray(np.ascontiguousarray(material.texture[..., :3]))
-    return PBRMaterial(
-        name=material_name(index, material),
-        baseColorTexture=image,
-        emissiveTexture=image if material.emission > 0 else None,
-        metallicFactor=0.0,
-        roughnessFactor=1.0,
-        doubleSided=True,
-    )
-
-
-def write_exactly(tree: dict[str, Any], materials: tuple[Material, ...]) -> None:
+def _write_exactly(tree: dict[str, Any], ours: Mapping[str, Material]) -> None:
     """Write colours and emission into the JSON of a glTF as linear numbers, which trimesh rounds to 8 bits."""
-    ours = {material_name(index, material): material for index, material in enumerate(materials)}
     for entry in tree.get("materials", []):
         material = ours[entry["name"]]
         linear = to_linear(np.asarray(material.colour, dtype=np.float64))
@@ -115,7 +101,7 @@ def write_exactly(tree: dict[str, Any], materials: tuple[Material, ...]) -> None
             entry["emissiveFactor"] = (light / strength).tolist()
             if strength > 1:
                 entry["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
-                tree["extensionsUsed"] = sorted({*tree.get("extensionsUsed", []), "KHR_materials_emissive_strength"})
+                tree["extensionsUsed"] = ["KHR_materials_emissive_strength"]
 
 
 def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
@@ -154,37 +140,61 @@ def split_at_seams(
     return distinct[:, :3], index.reshape(-1, 3), distinct[:, 3:]
 
 
-def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18, annotated: bool = False) -> Path:
-    """Write a scene and its companions; returns the path of the GLB.
+def voxel_for(radius: float, cell: float) -> float:
+    """The size (metres) of voxels of about `cell` of which a whole number makes up the radius of a body.
 
-    `target`: a file name that ends in .glb, or a folder, in which the file is named after `scene.source`. Each material
-    of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has several.
-    `<name>.navmesh.json` is for a body of this `radius` (metres) that is as high and climbs as `Ground.from_scene`
-    takes it for; its voxels are of about the size of a cell there and fit the radius. Existing files are overwritten.
-    Raises `StorageError` if a file cannot be written.
+    Recast, which makes the meshes, rounds the radius up to whole voxels: with 0.05 m it keeps a body of 0.18 m off the
+    walls by 0.20 m.
+    """
+    return round(radius / max(1, round(radius / cell)) * (1 + 1e-6), 9) if radius > 0 else cell
+
+
+def footing_of(corners: np.ndarray, floor: float) -> np.ndarray:
+    """A triangle ``(3, 3)`` that puts habitat-lab's mesh `ON_MESH` above the floor: metres, z up, facing down.
+
+    `corners` ``(n, 3, 3)``: the triangles of the scene, of which those at the height `floor` are its floor. It lies
+    below the largest of them, out of sight, and a whole number of voxels lower if the scene goes deeper.
+    """
+    z = corners[..., 2]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    largest = corners[np.where(np.abs(z - floor).max(axis=1) < LEVEL, np.abs(normals[:, 2]), -1.0).argmax()]
+    voxels = max(0, math.ceil((floor - FOOTING - float(z.min())) / LAB_VOXEL))
+    found = largest[::-1] if np.cross(*(largest[1:] - largest[:1]))[2] > 0 else largest.copy()
+    found = found.mean(axis=0) + SHRUNK * (found - found.mean(axis=0))
+    found[:, 2] = floor - FOOTING - voxels * LAB_VOXEL
+    return found
+
+
+def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Path:
+    """Write a scene to the file `target` (.glb), and its companions beside it; returns the path of the GLB.
+
+    Each material of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has
+    several. `<name>.navmesh.json` is for a body of this `radius` (metres) that is as high and climbs as
+    `Ground.from_scene` takes it for; its voxels are of about the size of a cell there and fit the radius. Existing
+    files are overwritten. Raises `StorageError` if a file cannot be written.
     """
     target = Path(target)
-    if target.suffix.lower() != ".glb":
-        target = target / (re.sub(r"\W+", "_", scene.source).strip("_").lower() + ".glb")
     blob, nodes = _blob(scene)
     written(target, blob)
-    stage: dict[str, Any] = {"render_asset": target.name, "collision_asset": target.name, **STAGE}
-    if annotated:
-        painted, listed = target.with_suffix(".semantic.glb"), target.with_suffix(".semantic.txt")
-        written(painted, semantic_glb(scene))
-        written(listed, semantic_text(scene))
-        stage |= {
-            "semantic_asset": painted.name, "semantic_descriptor_filename": listed.name, "has_semantic_textures": True,
-            "nav_asset": target.with_suffix(".navmesh").name,
-        }  # fmt: skip
     navmesh = {
         "cell_size": voxel_for(radius, 0.05), "cell_height": 0.05, "agent_height": 1.5, "agent_radius": radius,
         "agent_max_climb": 0.12, "agent_max_slope": 45.0,
     }  # fmt: skip
-    identity = {"glb": target.name, "glb_sha256": hashlib.sha256(blob).hexdigest()}
-    semantic = {"format": FORMAT, "frame": FRAME} | identity | _companion(scene, nodes, annotated)
+    semantic = {
+        "format": "eagor semantic 1", "glb_sha256": hashlib.sha256(blob).hexdigest(), "scene_hash": scene.hash,
+        "source": scene.source,
+        "instances": [vars(thing) | {"nodes": found} for thing, found in zip(scene.instances, nodes, strict=True)],
+        "materials": [
+            {"gltf": name, "name": material.name, "colour": material.colour, "emission": float(material.emission)}
+            for name, material in zip(_names(scene), scene.materials, strict=True)
+        ],
+        "rooms": [vars(room) for room in scene.rooms], "lamps": [vars(lamp) for lamp in scene.lamps],
+        "daylight": scene.daylight, "facts": scene.facts,
+    }  # fmt: skip
+    stage = {"render_asset": target.name, "collision_asset": target.name, **STAGE}
     for kind, content in (("semantic", semantic), ("stage_config", stage), ("navmesh", navmesh)):
-        written(target.with_suffix(f".{kind}.json"), json.dumps(content, indent=1) + "\n")
+        text = json.dumps(content, indent=1, default=lambda array: array.tolist())
+        written(target.with_suffix(f".{kind}.json"), text + "\n")
     return target
 
 
@@ -192,20 +202,34 @@ def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
     """A scene as the content of a GLB, and the names of the nodes of each instance."""
     need("a GLB file", "sim", "trimesh")
     import trimesh
+    from PIL import Image
     from trimesh.exchange.gltf import export_glb as to_bytes
+    from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
-    looks = [to_pbr(index, material) for index, material in enumerate(scene.materials)]
+    ours = dict(zip(_names(scene), scene.materials, strict=True))
+    looks = []
+    for name, look in ours.items():
+        image = None if look.texture is None else Image.fromarray(np.ascontiguousarray(look.texture[..., :3]))
+        glow = image if look.emission > 0 else None
+        looks.append(
+            PBRMaterial(
+                name=name, baseColorTexture=image, emissiveTexture=glow, metallicFactor=0.0, roughnessFactor=1.0,
+                doubleSided=True,
+            )
+        )  # fmt: skip
     parts = np.unique(np.stack([scene.instance, scene.material], axis=1), axis=0)
     several = np.bincount(parts[:, 0], minlength=len(scene.instances)) > 1
     model = trimesh.Scene()
     nodes: list[list[str]] = [[] for _ in scene.instances]
     for owner, look in parts.tolist():
         chosen = (scene.instance == owner) & (scene.material == look)
-        vertices, triangles, uv = split_at_seams(scene.vertices, scene.triangles[chosen], scene.uv[chosen])
-        visual = TextureVisuals(uv=uv, material=looks[look])
-        mesh = trimesh.Trimesh(to_gltf(vertices), triangles, visual=visual, process=False)
-        name = node_name(scene.instances[owner].category, owner, look if several[owner] else None)
+        corners = [scene.vertices[scene.triangles[chosen]].reshape(-1, 3), scene.uv[chosen].reshape(-1, 2)]
+        # One vertex for each pair of position and texture coordinates.
+        distinct, index = np.unique(np.column_stack(corners).astype(np.float32), axis=0, return_inverse=True)
+        visual = TextureVisuals(uv=distinct[:, 3:], material=looks[look])
+        mesh = trimesh.Trimesh(to_gltf(distinct[:, :3]), index.reshape(-1, 3), visual=visual, process=False)
+        name = re.sub(r"\W+", "_", scene.instances[owner].category) + f"_{owner}" + f"_m{look}" * bool(several[owner])
         nodes[owner].append(name)
         model.add_geometry(mesh, node_name=name, geom_name=name)
     corners = scene.vertices[scene.triangles].astype(np.float64)
@@ -213,40 +237,11 @@ def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
     if level[0].any():
         below = footing_of(corners, floor_height(corners, *level))
         mesh = trimesh.Trimesh(to_gltf(below), [[0, 1, 2]], process=False)
-        model.add_geometry(mesh, node_name=FOOTING, geom_name=FOOTING)
-    blob = to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: write_exactly(tree, scene.materials))
-    return blob, nodes
+        model.add_geometry(mesh, node_name=FOOTING_NODE, geom_name=FOOTING_NODE)
+    return to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: _write_exactly(tree, ours)), nodes
 
 
-def _companion(scene: Scene, nodes: list[list[str]], annotated: bool) -> dict[str, Any]:
-    """What does not fit into the GLB, for the semantic JSON: `nodes` of each instance, as `_blob` named them."""
-    return {
-        "scene_hash": scene.hash,
-        "source": scene.source,
-        "instances": [
-            {
-                "id": index, "category": thing.category, "colour": thing.colour, "room": thing.room,
-                "low": _numbers(thing.low), "high": _numbers(thing.high), "nodes": nodes[index],
-                **({"semantic_id": index + FIRST_ID} if annotated else {}),
-            }
-            for index, thing in enumerate(scene.instances)
-        ],
-        "materials": [
-            {
-                "gltf": material_name(index, material), "name": material.name,
-                "colour": _numbers(material.colour), "emission": float(material.emission),
-            }
-            for index, material in enumerate(scene.materials)
-        ],
-        "rooms": [{"name": r.name, "kind": r.kind, "rectangles": _numbers(r.rectangles)} for r in scene.rooms],
-        "lamps": [{"position": _numbers(x.position), "power": _numbers(x.power)} for x in scene.lamps],
-        "daylight": list(scene.daylight),
-        "facts": scene.facts,
-    }  # fmt: skip
-
-
-def _numbers(values: Sequence[float] | np.ndarray) -> list[float]:
-    return np.asarray(values, dtype=np.float64).tolist()
+# --- import -----------------------------------------------------------------------------------------------------------
 
 
 def import_glb(path: Path | str) -> Scene:
@@ -266,13 +261,11 @@ def import_glb(path: Path | str) -> Scene:
     companion = path.with_suffix(".semantic.json")
     if companion.is_file():
         try:
-            return _annotated(path, parts, materials, parsed(companion.read_bytes()), blob)
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-            if isinstance(error, WorldError):
-                raise WorldError(f"{companion}: {error}") from error
+            return _annotated(path, parts, materials, msgspec.convert(parsed(companion.read_bytes()), _Told), blob)
+        except (WorldError, ValueError, msgspec.ValidationError) as error:
             raise WorldError(
-                f"{companion} cannot be read ({type(error).__name__}: {str(error)[:200]}); wanted what export_glb "
-                "writes; export again, or remove it to import the GLB by itself"
+                f"{companion} cannot be used ({str(error)[:300]}); wanted what export_glb writes; export again, or "
+                "remove it to import the GLB by itself"
             ) from error
     corners = [part.vertices[part.triangles].reshape(-1, 3) for part in parts]
     instances = [
@@ -323,17 +316,16 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
         _check_pictures((getattr(look, "baseColorTexture", None) for look in looks), size)
         entries, pixels = tree.get("materials", []), {}
         parts, materials, known = [], [], {}
-        for node in model.graph.nodes_geometry:
-            transform, geometry = model.graph[node]
-            mesh: Any = model.geometry[geometry]
-            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING:
+        for mesh in model.dump():  # with the transforms of their nodes
+            node, geometry = mesh.metadata["node"], mesh.metadata["name"]
+            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING_NODE:
                 continue
-            pbr = getattr(mesh.visual, "material", None)
+            pbr = getattr(model.geometry[geometry].visual, "material", None)
             if id(pbr) not in known:
                 known[id(pbr)] = len(materials)
                 materials.append(from_pbr(pbr, entries, pixels))
-            names = (*_lineage(model, node), str(geometry))
-            parts.append(_part(mesh, np.asarray(transform), names, known[id(pbr)]))
+            names = (*model.graph.transforms.shortest_path(model.graph.base_frame, node)[:0:-1], str(geometry))
+            parts.append(_part(mesh, names, known[id(pbr)]))
     except Exception as error:  # trimesh may raise anything
         if isinstance(error, WorldError):
             raise WorldError(f"{path}: {error}") from error
@@ -353,85 +345,97 @@ def _size(path: Path, tree: Any, blob: bytes) -> int:
     return len(blob) + sum(file.stat().st_size for file in files if file.is_file())
 
 
-def _lineage(model: Any, node: str) -> list[str]:
-    """The name of a node and those of its parents, without the root's."""
-    parents, names = model.graph.transforms.parents, []
-    while parents.get(node, node) != node:  # in some versions the root is its own child
-        names.append(str(node))
-        node = parents[node]
-    return names
-
-
-def _part(mesh: Any, transform: np.ndarray, names: tuple[str, ...], material: int) -> _Part:
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    triangles = np.asarray(mesh.faces, dtype=np.int64)
+def _part(mesh: Any, names: tuple[str, ...], material: int) -> _Part:
+    vertices, triangles = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise WorldError(
             f"triangles of node {names[0]!r} point outside its {len(vertices)} vertices; the GLB is corrupt"
         )
-    if not np.array_equal(transform, np.eye(4)):
-        vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
-        if np.linalg.det(transform[:3, :3]) < 0:
-            triangles = triangles[:, ::-1]
     uv = getattr(mesh.visual, "uv", None)
     uv = np.zeros((len(vertices), 2)) if uv is None or np.shape(uv) != (len(vertices), 2) else np.asarray(uv)
     return _Part(names, from_gltf(vertices).astype(np.float32), triangles, uv[triangles].astype(np.float32), material)
 
 
-def _annotated(path: Path, parts: list[_Part], materials: list[Material], known: dict[str, Any], blob: bytes) -> Scene:
+Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Triple = tuple[Finite, Finite, Finite]
+
+
+class Thing(msgspec.Struct):
+    """An instance in a semantic JSON: `nodes` are those of its triangles."""
+
+    category: str
+    low: Triple
+    high: Triple
+    colour: str | None = None
+    room: str | None = None
+    nodes: list[str] = []
+
+    def instance(self) -> Instance:
+        return Instance(self.category, self.colour, self.room, np.array(self.low), np.array(self.high))
+
+
+class Area(msgspec.Struct):
+    """A room in a semantic JSON."""
+
+    name: str
+    kind: str
+    rectangles: list[tuple[Finite, Finite, Finite, Finite]]
+
+    def made(self) -> Room:
+        return Room(self.name, self.kind, np.array(self.rectangles).reshape(-1, 4))
+
+
+class _Look(msgspec.Struct):
+    gltf: str
+    name: str
+    colour: Triple
+    emission: Finite
+
+
+class _Light(msgspec.Struct):
+    position: Triple
+    power: Triple
+
+
+class _Told(msgspec.Struct):
+    """What `export_glb` writes beside a GLB."""
+
+    format: Literal["eagor semantic 1"]
+    glb_sha256: str
+    scene_hash: str
+    instances: list[Thing]
+    materials: list[_Look]
+    rooms: list[Area]
+    lamps: list[_Light]
+    daylight: Triple
+    facts: dict[str, Any]
+
+
+def _annotated(path: Path, parts: list[_Part], materials: list[Material], told: _Told, blob: bytes) -> Scene:
     """The exported scene, from its parts and the semantic JSON."""
-    if known["format"] != FORMAT:
-        raise WorldError(f"the semantic JSON of {path.name} has format {shown(known['format'])}; wanted {FORMAT!r}")
-    owner = {name: index for index, thing in enumerate(known["instances"]) for name in thing["nodes"]}
+    owner = {name: index for index, thing in enumerate(told.instances) for name in thing.nodes}
     by_name = {part.names[0]: part for part in parts}
-    if set(owner) != set(by_name):
-        strange = sorted(set(owner) ^ set(by_name))
+    place = {look.gltf: index for index, look in enumerate(told.materials)}
+    strange = {*owner} ^ {*by_name} or {material.name for material in materials} - {*place}
+    if strange:
         raise WorldError(
-            f"{path.name} and its semantic JSON do not have the same nodes: {shown(', '.join(strange[:3]), 200)} only "
-            "in one of the two; export again, or remove the JSON to import the GLB by itself"
+            f"{path.name} and its semantic JSON do not have the same nodes and materials: "
+            f"{shown(', '.join(sorted(strange)[:3]), 200)} only in one of the two"
         )
     parts = [by_name[name] for name in owner]
-    place = {entry["gltf"]: index for index, entry in enumerate(known["materials"])}
     textures = {material.name: material.texture for material in materials}
-    exact = [
-        Material(str(entry["name"]), _triple(entry["colour"]), textures.get(entry["gltf"]), number(entry["emission"]))
-        for entry in known["materials"]
-    ]
     looks = np.array([place[materials[part.material].name] for part in parts])
-    instances = [instance_in(entry) for entry in known["instances"]]
-    facts = dict(known["facts"])
-    if known["glb_sha256"] == hashlib.sha256(blob).hexdigest():
-        facts["exported hash"] = known["scene_hash"]
-    rooms = tuple(room_in(entry) for entry in known["rooms"])
-    lamps = tuple(Lamp(np.array(_triple(x["position"])), np.array(_triple(x["power"]))) for x in known["lamps"])
-    more = {"rooms": rooms, "lamps": lamps, "daylight": _triple(known["daylight"]), "facts": facts}
     owners = np.array([owner[part.names[0]] for part in parts])
-    return _joined(path, parts, owners, looks, instances, exact, **more)
-
-
-def _triple(values: Any) -> tuple[float, float, float]:
-    a, b, c = (number(value) for value in values)
-    return a, b, c
-
-
-def instance_in(entry: dict[str, Any]) -> Instance:
-    """The instance in an entry of a semantic JSON; a malformed entry may raise anything."""
-    low, high = np.array(_triple(entry["low"])), np.array(_triple(entry["high"]))
-    return Instance(str(entry["category"]), _words(entry.get("colour")), _words(entry.get("room")), low, high)
-
-
-def room_in(entry: dict[str, Any]) -> Room:
-    """The room in an entry of a semantic JSON; a malformed entry may raise anything."""
-    sides = [[number(side) for side in rectangle] for rectangle in entry["rectangles"]]
-    if any(len(rectangle) != 4 for rectangle in sides):
-        raise ValueError(f"the rectangles are {shown(entry['rectangles'])}; wanted [x0, y0, x1, y1] each")
-    return Room(str(entry["name"]), str(entry["kind"]), np.array(sides).reshape(-1, 4))
-
-
-def _words(value: Any) -> str | None:
-    if not (value is None or isinstance(value, str)):
-        raise ValueError(f"a name is {shown(value)}; wanted text")
-    return value
+    exact = [Material(look.name, look.colour, textures.get(look.gltf), look.emission) for look in told.materials]
+    facts = dict(told.facts)
+    if told.glb_sha256 == hashlib.sha256(blob).hexdigest():
+        facts["exported hash"] = told.scene_hash
+    return _joined(
+        path, parts, owners, looks, [thing.instance() for thing in told.instances], exact,
+        rooms=tuple(area.made() for area in told.rooms),
+        lamps=tuple(Lamp(np.array(light.position), np.array(light.power)) for light in told.lamps),
+        daylight=told.daylight, facts=facts,
+    )  # fmt: skip
 
 
 def _joined(

@@ -20,17 +20,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
 from eagor._checks import parsed, shown
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.queries import COLOURS
-from eagor.worlds.glb import FORMAT, instance_in, room_in
+from eagor.worlds.glb import Area, Thing
 from eagor.worlds.habitat.simulator import Frames, Labels, Session, euclidean
-from eagor.worlds.habitat_files import FIRST_ID
 from eagor.worlds.objectnav import read_category
 from eagor.worlds.scene import Instance, Room
 
@@ -153,16 +153,20 @@ def beside(scene_file: Path | None) -> Path | None:
     return next((place for place in places if place.is_file()), None)
 
 
+class _Boxes(msgspec.Struct):
+    format: Literal["eagor semantic 1", "eagor boxes 1"]
+    instances: list[Thing] = []
+    boxes: list[Thing] = []
+    rooms: list[Area] = []
+
+
 def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[Room, ...]]:
     """The instances and rooms in a file of boxes. Raises `WorldError` if it is missing or malformed."""
     try:
-        known = parsed(file.read_bytes())
-        if known["format"] not in (FORMAT, BOXES):
-            raise ValueError(f"its format is {shown(known['format'])}")
-        ours = known["format"] == FORMAT
+        known = msgspec.convert(parsed(file.read_bytes()), _Boxes)
+        ours = known.format != BOXES
         instances = []
-        for entry in known["instances" if ours else "boxes"]:
-            thing = instance_in(entry)
+        for thing in (entry.instance() for entry in (known.instances if ours else known.boxes)):
             low, high, colour = thing.low, thing.high, thing.colour
             if bool(np.any(low > high)):
                 raise ValueError(f"a box from {low.tolist()} to {high.tolist()}")
@@ -173,15 +177,14 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
             if colour is not None and colour not in COLOURS:
                 raise ValueError(f"the colour {shown(colour)}, which is none of {', '.join(COLOURS)}")
             instances.append(replace(thing, category=read_category(thing.category), low=low, high=high))
-        rooms = tuple(room_in(entry) for entry in (known.get("rooms", []) if ours else []))
     except OSError as error:
         raise WorldError(f"{file} cannot be read ({error.strerror}); wanted a file of boxes") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, msgspec.ValidationError) as error:
         raise WorldError(
-            f"{file} cannot be used ({type(error).__name__}: {str(error)[:200]}); wanted what export_glb writes, or "
+            f"{file} cannot be used ({str(error)[:200]}); wanted what export_glb writes, or "
             f'{{"format": "{BOXES}", "boxes": [{{"category", "low", "high"}}, ...]}}'
         ) from error
-    return tuple(instances), rooms
+    return tuple(instances), tuple(area.made() for area in known.rooms if ours)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,28 +241,21 @@ def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
 def _same_things(found: Sequence[_Object], instances: Sequence[Instance]) -> np.ndarray | None:
     """The index among `instances` of each semantic id; None unless each of Habitat's objects is one of them.
 
-    Ids are those that we export, if the categories agree. Otherwise an object is the thing of the same category whose
-    box is nearest, at most 0.25 m off at any corner.
+    An object is the thing of the same category whose box is nearest, at most 0.25 m off at any corner.
     """
-    place = {each.semantic_id: each.semantic_id - FIRST_ID for each in found}
-    categories = dict(enumerate(thing.category for thing in instances))
-    if any(categories.get(place[each.semantic_id]) != each.instance.category for each in found):
-        for each in found:
-            mine = each.instance
-            off = {
-                index: float(np.abs([thing.low - mine.low, thing.high - mine.high]).max())
-                for index, thing in enumerate(instances)
-                if thing.category == mine.category
-            }
-            nearest = min(off, key=lambda index: off[index], default=None)
-            if nearest is None or off[nearest] > 0.25:
-                return None
-            place[each.semantic_id] = nearest
-    if not place:
-        return None
-    table = np.full(max(place) + 1, -1)
-    table[list(place)] = list(place.values())
-    return table
+    table = np.full(max((each.semantic_id for each in found), default=-1) + 1, -1)
+    for each in found:
+        mine = each.instance
+        off = {
+            index: float(np.abs([thing.low - mine.low, thing.high - mine.high]).max())
+            for index, thing in enumerate(instances)
+            if thing.category == mine.category
+        }
+        nearest = min(off, key=lambda index: off[index], default=None)
+        if nearest is None or off[nearest] > 0.25:
+            return None
+        table[each.semantic_id] = nearest
+    return table if found else None
 
 
 def _nodes(file: Path, frames: Frames) -> tuple[Instance, ...]:

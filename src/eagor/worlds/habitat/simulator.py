@@ -18,6 +18,7 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -33,11 +34,13 @@ from eagor._arrays import frozen
 from eagor.conventions import from_gltf, pose_to_habitat, to_gltf, wxyz_from_rotation
 from eagor.errors import MissingExtraError, WorldError
 from eagor.grids import ErpGrid
-from eagor.worlds.habitat_files import PATIENCE, run_apart
 from eagor.worlds.render import Frame, checked_pose
 
 FIRST_ROWS = 64  # of the sensors with which a simulator is made; others are added when they are asked for
 KINDS = ("color", "depth", "semantic")
+PATIENCE = (
+    300.0  # seconds for a process of its own: a mesh, of which an apartment takes less than one, or opening a scene
+)
 
 
 @dataclass(frozen=True)
@@ -156,6 +159,30 @@ def _quieten() -> None:
     """Let Habitat-Sim and its libraries write nothing but errors: they would write to stdout, which is for results."""
     for name, level in (("MAGNUM_LOG", "quiet"), ("HABITAT_SIM_LOG", "quiet"), ("GLOG_minloglevel", "2")):
         os.environ.setdefault(name, level)
+
+
+def run_apart(program: str, *arguments: str) -> tuple[int | None, str, str]:
+    """Run Python code in a process of its own, as Habitat-Sim may end the process that it runs in.
+
+    Its exit code (None: it was ended after `PATIENCE`), what it wrote to stdout, and to stderr. Its last argument is
+    the number of a pipe: when that ends, this process is gone, and so it should be, too.
+    """
+    there, here = os.pipe()
+    command = [sys.executable, "-c", program, *arguments, str(there)]
+    path = os.pathsep.join(filter(None, sys.path))
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE, pass_fds=(there,),
+            env={**os.environ, "PYTHONPATH": path},
+        )  # fmt: skip
+        code, said = done.returncode, (done.stdout, done.stderr)
+    except subprocess.TimeoutExpired as late:
+        code, said = None, (late.stdout or b"", late.stderr or b"")
+    finally:
+        os.close(there)
+        os.close(here)
+    out, err = (text.decode(errors="replace") for text in said)
+    return code, out, err
 
 
 def _try(source: Source, device: int) -> str | None:

@@ -39,10 +39,11 @@ import numpy as np
 from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.worlds import World, WorldOf
+from eagor.worlds.glb import LAB_VOXEL, voxel_for
 from eagor.worlds.habitat.navmesh import LEVEL, NavMesh, Storey, main_storey
 from eagor.worlds.habitat.semantics import Box, Things, beside, seen_boxes, things_of
 from eagor.worlds.habitat.simulator import Frames, HabitatView, Session, Source, import_habitat
-from eagor.worlds.habitat_files import LAB_CLIMB, LAB_SLOPE, LAB_VOXEL, voxel_for
+from eagor.worlds.objectnav import LAB_CLIMB, LAB_SLOPE
 from eagor.worlds.scene import Instance, Room
 
 NUMBERS = {"storey": float, "gpu": int, "body": float, "climb": float, "voxel": float}
