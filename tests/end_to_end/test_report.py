@@ -10,12 +10,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import synthetic_runs as runs
+from rooms import two_rooms
 
 from eagor.errors import EagorError, FormatError, WorldError
 from eagor.evaluation.sheets import half_width_deg, highest_sidelobe
+from eagor.evaluation.simulated import Run
 from eagor.evaluation.studies import write_report
 from eagor.evaluation.tables import FIGURES, shown, summarise
 from eagor.tasks.task import load
+from eagor.worlds.glb import export_glb
 from eagor.worlds.render import Frame
 
 METHODS = ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "eagor")
@@ -223,6 +226,15 @@ def test_development_seeds_are_no_results(tmp_path):
     assert "Means over" in text
     assert "bands" not in text
     assert "beyond chance" not in text
+
+
+def test_nothing_was_tuned_on_scenes_of_others(tmp_path):
+    flat = str(export_glb(two_rooms(), tmp_path / "flat.glb"))
+    for world, tuned_on in ((flat, False), ("apartment", True)):
+        assert Run("waypoint", "truth", 1, 0, ("eagor",), world).config()["development"] is tuned_on
+    records = runs.waypoint(apartments=1, each=1, methods=("eagor",))
+    text = write_report(runs.write_run(tmp_path, records, world="flat.glb"), place).read_text()
+    assert "development seeds" not in text
 
 
 def test_a_run_without_ours_or_with_failures_alone_still_has_a_report(tmp_path):

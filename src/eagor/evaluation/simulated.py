@@ -97,7 +97,7 @@ class Run:
             "perception": self.perception,
             "episodes": len(slots),
             "seed": self.seed,
-            "development": self.seed in DEVELOPMENT if self.episodes_file is None else _tuned_on(slots),
+            "development": _tuned_on(slots),
             **self._listed(),
             "methods": list(self.methods),
             "fitted": {
@@ -380,7 +380,7 @@ def _facts(run: LoadedRun, task: Task) -> list[tuple[str, str]]:
         spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
         kinds = {True: "development seeds, not results", False: "not development seeds"}
         kind = kinds.get(config.get("development", ""), "run.json does not say whether they are development seeds")
-        pairs.append(("Seeds", f"{spread}; {kind}"))
+        pairs.append(("Seeds", f"{spread}; {kind}" if config.get("world", APARTMENT) == APARTMENT else spread))
     if summary.get("judged"):
         pairs.append(("Success", summary["judged"].removeprefix("success: ")))
     asked = words(config.get("episodes", "unknown"))

@@ -131,15 +131,6 @@ def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarr
     return Material(name, (red, green, blue), texture, emission)
 
 
-def split_at_seams(
-    vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, triangles and texture coordinates per vertex: one vertex for each pair of position and coordinates."""
-    corners = np.column_stack([vertices[triangles].reshape(-1, 3), uv.reshape(-1, 2)]).astype(np.float32)
-    distinct, index = np.unique(corners, axis=0, return_inverse=True)
-    return distinct[:, :3], index.reshape(-1, 3), distinct[:, 3:]
-
-
 def voxel_for(radius: float, cell: float) -> float:
     """The size (metres) of voxels of about `cell` of which a whole number makes up the radius of a body.
 
