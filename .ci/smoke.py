@@ -8,11 +8,11 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 from contract_server import ContractServer, reddish
+from eagor.evaluation.workers import Unit, run_units
 from PIL import Image
 
 import eagor
 from eagor.cli import main
-from eagor.evaluation.workers import Unit, run_units
 from eagor.perception import load
 from eagor.worlds import apartment
 from eagor.worlds.glb import export_glb, import_glb

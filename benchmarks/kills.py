@@ -6,7 +6,7 @@
 A run is made once without a stop. Then the same is run into another folder, killed at a moment drawn evenly from the
 time that the first one took, and started again, until it is complete; and so on until there were so many kills. `all`
 kills every process of the run, `parent` only the one that was started (its workers have to leave by themselves),
-`worker` only one worker (the run itself has to go on). After each kill the ledger must be readable, with everything
+`worker` only one worker (the run itself has to go on). After each kill the log must be readable, with everything
 that it held before; at the end the records must be those of the run without a stop, but for the times that things took
 and, where a worker was killed, the number of the attempt. Exit code 1 where something else is found. Linux.
 """
@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from processes import alive, sessions_of
 
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 
 PATIENCE = 60.0  # seconds that processes have to leave: nobody measures how long they take, only that they do
 TIMES = ("seconds", "ms", "milliseconds")
@@ -93,7 +93,7 @@ def timeless(value: Any) -> Any:
 
 def records(folder: Path) -> dict[str, dict]:
     """The records by key, without times."""
-    found = ledger.read(folder) if folder.exists() else []
+    found = log.read(folder) if folder.exists() else []
     return {record["key"]: timeless(record) for record in found}
 
 

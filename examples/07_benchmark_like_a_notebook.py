@@ -10,7 +10,7 @@ line the same is `eagor bench run tracking --perception truth --episodes 3 --see
 import tempfile
 from pathlib import Path
 
-from eagor.evaluation import ledger, simulated, tables
+from eagor.evaluation import log, simulated, tables
 from eagor.evaluation.studies import write_report
 
 run = simulated.Run(
@@ -29,13 +29,13 @@ again = simulated.start(run, folder)
 print(f"{first.done} episodes played; the second time {again.done}, since {again.skipped} are recorded already")
 
 # %% The table, and one number out of it
-summary = tables.summarise(ledger.read(folder))
+summary = tables.summarise(log.read(folder))
 print("\n".join(tables.as_text(summary)))
 errors = {name: figures["error"] for name, figures in summary["methods"].items()}
 print(f"mean error of eagor: {errors['eagor']:.1f} deg, of the mean pixel: {errors['centroid']:.1f} deg")
 
 # %% One episode from the inside: the record holds every step
-record = ledger.read(folder)[0]
+record = log.read(folder)[0]
 trace = record["methods"]["eagor"]["trace"]
 steps = [f"{error:.0f}" for error in trace["error_deg"] if error is not None]
 print(f"episode {record['episode']['id']} ({record['episode']['query']}), error by step: {' '.join(steps)}")

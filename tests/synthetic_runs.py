@@ -232,7 +232,7 @@ def write_run(folder, records, **config):
         **config,
     }
     (folder / "run.json").write_text(json.dumps(settings))
-    with open(folder / "worker-0.jsonl", "w", encoding="utf-8") as file:
+    with open(folder / "records.jsonl", "w", encoding="utf-8") as file:
         for record in records:
             file.write(json.dumps(record, allow_nan=False) + "\n")
     return folder

@@ -17,7 +17,7 @@ from eagor.errors import EagorError
 
 __all__ = [
     "Discordance", "Interval", "PairedDifference", "ReliabilityBin", "bootstrap_interval", "calibration_error",
-    "mcnemar", "outcomes", "paired_difference", "plain_labels", "reliability", "wilson_interval",
+    "mcnemar", "outcomes", "paired_difference", "plain_labels", "reliability", "share_interval", "wilson_interval",
 ]  # fmt: skip
 
 
@@ -141,6 +141,28 @@ def wilson_interval(successes: int, n: int, level: float = 0.95) -> Interval:
 
     low, high = binomtest(int(successes), int(n)).proportion_ci(level, method="wilson")
     return Interval(float(low), float(high), level)
+
+
+def share_interval(outcomes: ArrayLike, groups: Sequence | np.ndarray, level: float = 0.95) -> Interval:
+    """Wilson's interval of a share, for outcomes ``(n,)`` (0 or 1) that come in groups which share their luck.
+
+    It takes as many independent cases as the outcomes are worth: those that would give the share's variance over whole
+    groups, at most n. Where all agree there is no such variance, and each group counts as one case. The quantile is
+    Student's, with a degree of freedom less than there are groups. After Korn and Graubard, Confidence intervals for
+    proportions with small expected number of positive counts estimated from survey data, Survey Methodology 24, 1998.
+    """
+    _check_level(level)
+    values = _vector(outcomes, "outcomes")
+    members = _members(groups, len(values))
+    share, count = float(values.mean()), len(members)
+    over = np.array([(values[one] - share).sum() for one in members]) / len(values)
+    variance = count / (count - 1) * float((over**2).sum())
+    worth = min(len(values), share * (1 - share) / variance) if variance > 0 else count
+    from scipy.stats import t
+
+    z = float(t.ppf((1 + level) / 2, count - 1)) ** 2 / worth
+    centre, half = share + z / 2, float(np.sqrt(z * share * (1 - share) + z**2 / 4))
+    return Interval((centre - half) / (1 + z), (centre + half) / (1 + z), level)
 
 
 def paired_difference(

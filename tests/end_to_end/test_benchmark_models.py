@@ -11,7 +11,7 @@ import vlm_models
 from contract_server import ContractServer, Reply
 
 from eagor.cli import main
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 from eagor.perception.transformers import loading
 from eagor.tasks.models import shared, shared_chat
 
@@ -68,7 +68,7 @@ def test_a_local_model_plays(eagor, data, model, tmp_path, monkeypatch, task):
     assert (json.loads(out)["episodes"], json.loads(out)["model"]) == (2, model)
     assert loads == [model.partition("?")[0]]  # once, from the check to the last case
     assert shared_chat.cache_info().currsize == 0  # and let go of
-    found = ledger.read(tmp_path / "run")
+    found = log.read(tmp_path / "run")
     if task == "osr":
         assert [record["skill"] for record in found] == ["cognitive_map", "object_counting"]
         assert "map" in found[1]["steps"][0]

@@ -18,11 +18,11 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.errors import EagorError
-from eagor.evaluation import ledger, workers
+from eagor.evaluation import log
 from eagor.evaluation.benchmark_tables import labels_of
 from eagor.evaluation.benchmarks import Published
 from eagor.evaluation.page import Curve, Series, line_chart
-from eagor.evaluation.workers import Outcome, Unit, run_units
+from eagor.evaluation.runner import Outcome, Unit, run
 
 TESTS = Path(__file__).parents[1]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
@@ -94,7 +94,7 @@ def test_a_run_goes_on_where_it_stopped_whatever_the_shards_and_workers(folder, 
     assert {key: found[key] for key in ("episodes", "overall", "easy", "hard")} == {
         key: alone[key] for key in ("episodes", "overall", "easy", "hard")
     }
-    keys = [r["key"] for file in ledger.files(tmp_path / "run") for r in ledger.records(file)]
+    keys = [json.loads(line)["key"] for line in (tmp_path / "run" / log.RECORDS).read_text().splitlines()]
     assert len(keys) == len(set(keys)) == 16
     other = bench(*told, "--set", "sure=0.5")
     assert other.returncode == 2
@@ -108,18 +108,18 @@ def test_a_killed_run_loses_nothing(folder, tmp_path):
     process = subprocess.Popen(command(*told), stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=ENVIRONMENT)
     try:
         for _ in range(6000):
-            if any(list(ledger.records(file)) for file in ledger.files(tmp_path / "run")):
+            if log.read(tmp_path / "run"):
                 break
             assert process.poll() is None
             time.sleep(0.1)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
-    before = ledger.read(tmp_path / "run")
+    before = log.read(tmp_path / "run")
     assert before
     found = answer(*told)
     assert found["episodes"] == 16
-    after = {record["key"]: record for record in ledger.read(tmp_path / "run")}
+    after = {record["key"]: record for record in log.read(tmp_path / "run")}
     assert all(after[record["key"]] == record for record in before)
 
 
@@ -142,13 +142,13 @@ def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
     strict = answer("score", place / "ours", "--scoring", "strict")
     assert strict["overall"] == ours["strict"]
     lines = [
-        {"case": r["case"], "submit": [r["answer"]["yaw"], r["answer"]["pitch"]]} for r in ledger.read(place / "oracle")
+        {"case": r["case"], "submit": [r["answer"]["yaw"], r["answer"]["pitch"]]} for r in log.read(place / "oracle")
     ]
     file = tmp_path / "pred.jsonl"
     file.write_text("\n".join(map(json.dumps, lines[:10])))
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
     assert (found["episodes"], found["missing"], found["overall"]) == (10, 6, 100.0)
-    assert len(ledger.read(tmp_path / "kept")) == 10
+    assert len(log.read(tmp_path / "kept")) == 10
     again = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
     assert again == found
     file.write_text(json.dumps(lines[0] | {"submit": [0, 90]}))
@@ -196,7 +196,7 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         "- Run: oracle",
     ]
     assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 6
-    settings = ledger.description(place / "ours")
+    settings = log.description(place / "ours")
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
@@ -306,41 +306,19 @@ def units(count, trouble=None):
 def test_threads_do_everything_once_and_try_again_what_fails(tmp_path, config):
     trouble = {3: "raise", 5: "raise once", 7: "nan"}
     folder = tmp_path / "run"
-    done = run_units(units(12, trouble), "units_of_work:squares", config | {"sleep": 0.01}, folder, 4, engine="threads")
+    done = run(units(12, trouble), "units_of_work:squares", config | {"sleep": 0.01}, folder, 4, engine="threads")
     assert done == Outcome(10, 2, 0)
-    found = {record["key"]: record for record in ledger.read(folder)}
+    found = {record["key"]: record for record in log.read(folder)}
     assert {key: r["attempt"] for key, r in found.items() if r["status"] == "failed"} == {"square/3": 2, "square/7": 2}
     assert found["square/5"]["attempt"] == 2
-    again = run_units(units(12, trouble), "units_of_work:squares", config, folder, 4, engine="threads")
+    again = run(units(12, trouble), "units_of_work:squares", config | {"sleep": 0.01}, folder, 4, engine="threads")
     assert again == Outcome(0, 2, 10)
 
 
 def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(EagorError, match=r"needs ray: .*pip install .*\[ray\]"):
-        run_units(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
-
-
-def test_ray_is_given_more_time_to_start_on_a_busy_machine():
-    """It gives its own processes thirty seconds, however busy the machine is."""
-    tried = []
-
-    def start(succeeds, text):
-        def init(**_):
-            tried.append("init")
-            if tried.count("init") < succeeds:
-                raise RuntimeError(text)
-
-        tried.clear()
-        workers._started(SimpleNamespace(init=init, shutdown=lambda: tried.append("shutdown")), None)
-
-    start(3, "The current node timed out during startup.")
-    assert tried == ["init", "shutdown"] * 2 + ["init"]
-    with pytest.raises(RuntimeError, match="timed out"):
-        start(99, "The current node timed out during startup.")
-    with pytest.raises(RuntimeError, match="wrong"):
-        start(99, "something is wrong")
-    assert tried == ["init"]
+        run(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
@@ -355,11 +333,11 @@ def test_ray_does_everything_outlives_its_workers_and_leaves_no_process(tmp_path
         servers.update(name for name in ("gcs_server", "raylet") if name in str(alive(sessions)))
 
     folder = tmp_path / "run"
-    done = run_units(given, "units_of_work:squares", config, folder, 2, engine="ray", on_done=look_around)
+    done = run(given, "units_of_work:squares", config, folder, 2, engine="ray", on_done=look_around)
     assert done == Outcome(10, 3, 0)
     assert servers == {"gcs_server", "raylet"}
     wait_for(lambda: not alive(sessions))
-    found = {record["key"]: record for record in ledger.read(tmp_path / "run")}
+    found = {record["key"]: record for record in log.read(tmp_path / "run")}
     assert "cannot be sent" in found["square/unsent"]["error"]
     assert found["square/5"]["attempt"] == 2
     assert "died" in found["square/7"]["error"]

@@ -10,7 +10,7 @@ import pytest
 import synthetic_runs
 
 from eagor.cli import main
-from eagor.evaluation import ledger, studies
+from eagor.evaluation import log, studies
 from eagor.tasks import play, task
 from eagor.tasks.episodes import slots
 from eagor.tasks.tracking import TRACKING
@@ -89,7 +89,7 @@ def test_two_runs_are_compared_on_the_episodes_that_both_have(made_up):
     assert (found["methods"], found["cases"]) == (["eagor", "eagor"], 15)
     assert (found["only_in_a"], found["only_in_b"]) == (3, 0)
     assert found["settings"]["perception"] == ["oracle", "scout"]
-    both = [{r["episode"]["id"]: r for r in ledger.read(made_up / name)} for name in "ab"]
+    both = [{r["episode"]["id"]: r for r in log.read(made_up / name)} for name in "ab"]
     gaps = [
         both[0][name]["methods"]["eagor"]["metrics"]["L4"] - record["methods"]["eagor"]["metrics"]["L4"]
         for name, record in both[1].items()
@@ -160,7 +160,7 @@ def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_p
 
 def test_the_worst_are_ranked_by_their_error(made_up):
     cases = answer("failures", made_up / "a", "--limit", 100)["cases"]
-    errors = {r["episode"]["id"]: sum(r["methods"]["eagor"]["trace"]["error_deg"]) for r in ledger.read(made_up / "a")}
+    errors = {r["episode"]["id"]: sum(r["methods"]["eagor"]["trace"]["error_deg"]) for r in log.read(made_up / "a")}
     assert [case["case"] for case in cases] == sorted(errors, key=errors.get, reverse=True)
 
 

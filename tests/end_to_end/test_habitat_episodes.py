@@ -8,7 +8,7 @@ from habitat_stand_in import installed
 from listed_rooms import exported, rewrite
 
 from eagor.cli import main
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 from eagor.tasks.episodes import listed_slots
 from eagor.worlds.habitat import world
 
@@ -33,7 +33,7 @@ def test_the_same_episodes_are_played_in_both_worlds(file, tmp_path, capsys):
     assert main(bench(file, tmp_path / "ours")) == 0
     assert main(bench(file, tmp_path / "there", "--world", "habitat")) == 0
     assert "4 episodes" in capsys.readouterr().out
-    ours, there = (ledger.read(tmp_path / name) for name in ("ours", "there"))
+    ours, there = (log.read(tmp_path / name) for name in ("ours", "there"))
     assert [record["key"] for record in ours] == [record["key"] for record in there]
     for mine, theirs in zip(ours, there, strict=True):
         assert theirs["episode"]["scene"].startswith("habitat ")
@@ -54,7 +54,7 @@ def test_one_scene_may_be_named(file, tmp_path, capsys):
     one = file.parent / "content" / "room.json.gz"
     assert main(bench(one, tmp_path / "run", "--world", second)) == 0
     assert main(bench(one, tmp_path / "all", "--world", "habitat", "--scenes", file.parents[5] / "scene_datasets")) == 0
-    for mine, theirs in zip(ledger.read(tmp_path / "run"), ledger.read(tmp_path / "all"), strict=True):
+    for mine, theirs in zip(log.read(tmp_path / "run"), log.read(tmp_path / "all"), strict=True):
         assert mine["methods"]["oracle"]["path"] == theirs["methods"]["oracle"]["path"]
 
 

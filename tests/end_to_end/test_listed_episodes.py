@@ -11,7 +11,7 @@ from eagor import metrics
 from eagor.cli import main
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
-from eagor.evaluation import ledger, studies
+from eagor.evaluation import log, studies
 from eagor.tasks.episodes import FileSlot, listed_slots, plan_listed, slot_of
 from eagor.tasks.places import load_place
 from eagor.tasks.play import Player
@@ -42,11 +42,11 @@ def test_a_run_plays_some_episodes_of_each_scene_and_says_how_they_were_judged(r
     assert "Map-Free Navigation: 6 episodes" in said
     assert "success: less than 0.1 m along the floor from a view point of the goal" in said
     assert "without sliding" in said
-    records = ledger.read(out)
+    records = log.read(out)
     assert [record["key"] for record in records if record["key"].endswith("oracle")] == [
         f"navigation/{name}-{index}/oracle" for name in ("other", "room") for index in range(3)
     ]
-    settings = ledger.description(out)
+    settings = log.description(out)
     assert settings["episodes"] == 6
     assert settings["development"] is False  # no apartment's seed
     assert (settings["rules"]["success_distance"], settings["rules"]["goal"]) == (0.1, "view_points")
@@ -64,7 +64,7 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
     """Made again from the path, the file and the floor, by the formulas of habitat-lab's measures."""
     out, _ = run
     by_scene = {each.episodes[0].scene: each for each in read_episodes(file)}
-    for record in ledger.read(out):
+    for record in log.read(out):
         slot = slot_of(record["episode"]["slot"])
         assert isinstance(slot, FileSlot)
         listed = by_scene[slot.scene].episodes[slot.episode]
@@ -115,7 +115,7 @@ def test_other_rules_of_success_are_taken_and_said(file, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "success: less than 1.5 m along the floor from the target's footprint" in said
     assert "with sliding" in said
-    for record in ledger.read(tmp_path):
+    for record in log.read(tmp_path):
         ((_, entry),) = record["methods"].items()
         assert entry["metrics"]["success"] == 1
         assert entry["metrics"]["distance_to_goal"] < 1.5

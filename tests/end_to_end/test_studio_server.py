@@ -257,7 +257,7 @@ def test_an_episode_is_played_again_with_the_recorded_figures(served, runs):
     assert episode["methods"] == ["eagor", "vmf"]
     (record,) = [
         json.loads(line)
-        for path in (runs / "nav").glob("worker-*.jsonl")
+        for path in (runs / "nav").glob("records.jsonl")
         for line in path.read_text().splitlines()
         if "eagor" in json.loads(line)["methods"]
     ]

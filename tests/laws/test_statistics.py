@@ -43,6 +43,29 @@ def test_wilson_says_something_where_all_succeeded():
             statistics.wilson_interval(*bad)
 
 
+def test_a_share_of_groups_that_share_luck_is_held_as_often_as_is_said_where_wilson_is_too_sure():
+    rng = generator(3)
+    held = np.zeros(2)
+    groups = np.repeat(np.arange(20), 5)
+    for _ in range(300):
+        outcomes = (rng.random(100) < np.repeat(rng.beta(2, 2, 20), 5)).astype(float)
+        found = statistics.share_interval(outcomes, groups), statistics.wilson_interval(int(outcomes.sum()), 100)
+        held += [one.low <= 0.5 <= one.high for one in found]
+    assert 0.92 < held[0] / 300 < 0.99
+    assert held[1] / 300 < 0.9
+
+
+def test_a_share_of_single_cases_is_wilsons_but_for_students_quantile():
+    outcomes = np.repeat([1.0, 0.0], [700, 300])
+    found, plain = statistics.share_interval(outcomes, np.arange(1000)), statistics.wilson_interval(700, 1000)
+    assert (found.low, found.high) == pytest.approx((plain.low, plain.high), abs=1e-4)
+    all_right = statistics.share_interval(np.ones(40), np.repeat(np.arange(10), 4))
+    assert all_right.high == pytest.approx(1)
+    assert all_right.low == pytest.approx(10 / (10 + 2.262157**2), abs=1e-6)
+    with pytest.raises(EagorError, match="at least 2"):
+        statistics.share_interval(np.ones(5), np.zeros(5))
+
+
 def test_bootstrap_holds_the_truth_as_often_as_it_says():
     rng = generator(1)
     hits = 0

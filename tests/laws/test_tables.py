@@ -19,7 +19,7 @@ from eagor.evaluation.study import FIELDS, table_csv
 from eagor.evaluation.tables import FIGURES, OURS, as_text, best, mark, ordered, shown, summarise, varied_by
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import direction
-from eagor.statistics import bootstrap_interval, paired_difference, wilson_interval
+from eagor.statistics import bootstrap_interval, paired_difference, share_interval
 from eagor.tasks.task import load
 
 MAKERS = {"waypoint": runs.waypoint, "navigation": runs.navigation, "tracking": runs.tracking}
@@ -137,10 +137,11 @@ def test_strata_divide_the_episodes(navigation):
             assert whole == pytest.approx(summary["methods"][name]["sr"])
 
 
-def test_shares_have_wilsons_interval(navigation):
-    _, summary = navigation
-    row, count = summary["methods"]["grid"], summary["counts"]["grid"]
-    wanted = wilson_interval(round(row["sr"] * count["sr"] / 100), count["sr"])
+def test_shares_have_the_interval_of_a_share_of_whole_apartments(navigation):
+    records, summary = navigation
+    played = [r for r in records if r["status"] == "ok" and "grid" in r["methods"]]
+    outcomes = [r["methods"]["grid"]["metrics"]["success"] for r in played]
+    wanted = share_interval(outcomes, [r["episode"]["seed"] for r in played])
     assert summary["intervals"]["grid"]["sr"] == pytest.approx([100 * wanted.low, 100 * wanted.high])
 
 

@@ -14,7 +14,7 @@ from mutations import as_text, damaged, reads, trees
 from strategies import HOSTILE
 
 from eagor._checks import parsed
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 from eagor.perception.vlm.answers import parse_boxes, parse_presence
 from eagor.tasks.benchmark import Case
 from eagor.tasks.hstar.bench import HOS
@@ -246,4 +246,4 @@ def test_predictions_are_judged_or_refused(line):
     record = reads(lambda: HOS.judge(case, prediction, {"scoring": "official", "form": "free_think"}))
     if record is not None:
         assert record["score"] in (0.0, 1.0)
-        assert ledger.as_line({"key": "hall/0/0", "attempt": 1, "status": "ok", **record})
+        assert log.as_line({"key": "hall/0/0", "attempt": 1, "status": "ok", **record})

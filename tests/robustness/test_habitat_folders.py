@@ -11,7 +11,7 @@ from processes import little_room
 
 from eagor.cli import main
 from eagor.errors import StorageError, WorldError
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 from eagor.worlds.glb import export_glb
 from eagor.worlds.habitat import export as habitat_export
 from eagor.worlds.habitat.export import Source, export_dataset
@@ -237,7 +237,7 @@ def test_one_episode_that_cannot_be_played_costs_only_itself(file, tmp_path, cap
     out, err = capsys.readouterr()
     assert "7 episodes; 1 could not be run" in out
     assert says in err
-    failed = [record for record in ledger.read(tmp_path / "run") if record["status"] == "failed"]
+    failed = [record for record in log.read(tmp_path / "run") if record["status"] == "failed"]
     assert [record["key"] for record in failed] == ["navigation/room-1/oracle"]
 
 
@@ -267,12 +267,12 @@ def test_a_run_goes_on_only_with_the_episodes_it_began_with(file, tmp_path, caps
     words = [str(word) for word in bench(file, tmp_path / "run", "--json")]
     assert main(words) == 0
     before = json.loads(capsys.readouterr().out)
-    records = ledger.read(tmp_path / "run")
+    records = log.read(tmp_path / "run")
     assert main(words) == 0
     out, err = capsys.readouterr()
     assert json.loads(out) == before
     assert "8 of 8 units were already in" in err
-    assert ledger.read(tmp_path / "run") == records
+    assert log.read(tmp_path / "run") == records
     kept = content(file)
     rewrite(file, place(0, kept["episodes"][1]["start_position"]))
     assert main(words) == 2
@@ -283,4 +283,4 @@ def test_a_run_goes_on_only_with_the_episodes_it_began_with(file, tmp_path, caps
     scene.write_bytes(scene.read_bytes() + b"\0\0\0\0")
     assert main(words) == 2
     assert "inputs.scenes is" in capsys.readouterr().err
-    assert ledger.read(tmp_path / "run") == records
+    assert log.read(tmp_path / "run") == records

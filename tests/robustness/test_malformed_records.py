@@ -108,16 +108,16 @@ def found(tmp_path_factory):
 
 @pytest.mark.parametrize("command", ["report", "failures", "compare"])
 def test_a_record_of_a_benchmark(found, capsys, command):
-    ledger = found / "worker-0.jsonl"
-    whole = ledger.read_text()
+    kept = found / "records.jsonl"
+    whole = kept.read_text()
     records = [json.loads(line) for line in whole.splitlines()]
     for place, value in PUBLISHED:
         bad = copy.deepcopy(records)
         put(bad[1], place, value)
-        ledger.write_text("".join(json.dumps(record) + "\n" for record in bad))
+        kept.write_text("".join(json.dumps(record) + "\n" for record in bad))
         capsys.readouterr()
         code = main(["bench", command, *[str(found)] * (1 + (command == "compare"))])
-        ledger.write_text(whole)
+        kept.write_text(whole)
         said = capsys.readouterr()
         assert (code, said.out) == (2, ""), (place, said)
         assert repr(bad[1]["key"]) in said.err
@@ -134,14 +134,14 @@ def answered(tmp_path_factory):
 
 @pytest.mark.parametrize("gone", ["skill", "tags", "scores", "question", "answer"])
 def test_a_record_that_lacks_what_its_own_benchmark_reads(answered, capsys, gone):
-    ledger = answered / "worker-0.jsonl"
-    whole = ledger.read_text()
+    kept = answered / "records.jsonl"
+    whole = kept.read_text()
     records = [json.loads(line) for line in whole.splitlines()]
     del records[1][gone]
-    ledger.write_text("".join(json.dumps(record) + "\n" for record in records))
+    kept.write_text("".join(json.dumps(record) + "\n" for record in records))
     capsys.readouterr()
     code = main(["bench", "report", str(answered)])
-    ledger.write_text(whole)
+    kept.write_text(whole)
     said = capsys.readouterr()
     assert (code, said.out) == (2, "")
     assert repr(records[1]["key"]) in said.err

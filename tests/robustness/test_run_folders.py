@@ -10,27 +10,12 @@ import pytest
 
 from eagor._files import claimed
 from eagor.errors import EagorError, FormatError, StorageError
-from eagor.evaluation import ledger
-from eagor.evaluation.ledger import Ledger, begin, description, read
-from eagor.evaluation.workers import Outcome, Unit, run_units
+from eagor.evaluation import log
+from eagor.evaluation.log import Log, begin, description, read
 
 
 def record(key, attempt=1, status="ok", **more):
     return {"key": key, "attempt": attempt, "status": status, **more}
-
-
-def test_a_result_is_never_hidden_by_a_failure_whoever_wrote_it_when(tmp_path):
-    with Ledger(tmp_path) as ours, Ledger(tmp_path) as theirs:
-        ours.append(record("a", x=1))
-        theirs.append(record("a", 2, "failed"))
-        theirs.append(record("b", 3, "failed"))
-        ours.append(record("b", 1, x=2))
-    assert [(found["status"], found.get("x")) for found in read(tmp_path)] == [("ok", 1), ("ok", 2)]
-    config = {"notes": str(tmp_path)}
-    again = run_units(
-        [Unit("a", "g", (1, "raise")), Unit("b", "g", (2, "raise"))], "units_of_work:squares", config, tmp_path
-    )
-    assert again == Outcome(done=0, failed=0, skipped=2)
 
 
 def test_of_runs_with_different_settings_that_start_together_one_goes_on(tmp_path):
@@ -49,7 +34,7 @@ def test_of_runs_with_different_settings_that_start_together_one_goes_on(tmp_pat
             folder = tmp_path / str(turn)
             said = list(pool.map(partial(start, folder), range(4)))
             assert said.index(None) == description(folder)["seed"]
-            assert sum("holds another run" in error for error in said if error) == 3
+            assert sum("that differs in seed" in error for error in said if error) == 3
             assert [path.name for path in folder.iterdir()] == ["run.json"]
 
 
@@ -91,14 +76,14 @@ def soon():
 
 
 @pytest.mark.parametrize("kind", ["link", "dangling", "device", "pipe", "folder"])
-def test_a_worker_file_that_is_no_regular_file_is_named_and_left_alone(tmp_path, soon, kind):
+def test_a_file_of_records_that_is_no_regular_file_is_named_and_left_alone(tmp_path, soon, kind):
     target, run = tmp_path / "letter.txt", tmp_path / "run"
     run.mkdir()
     target.write_text("Dear reader, no newline here")
-    special(kind, run / "worker-0.jsonl", target)
-    with pytest.raises(StorageError, match=r"worker-0\.jsonl is a link, a pipe"), Ledger(run) as book:
+    special(kind, run / "records.jsonl", target)
+    with pytest.raises(StorageError, match=r"records\.jsonl is a link, a pipe"), Log(run) as book:
         book.append(record("a"))
-    with pytest.raises(FormatError, match=r"worker-0\.jsonl.* is a link, a pipe"):
+    with pytest.raises(FormatError, match=r"records\.jsonl.* is a link, a pipe"):
         read(run)
     assert target.read_text() == "Dear reader, no newline here"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["letter.txt", "run"]
@@ -109,7 +94,7 @@ def test_a_description_that_is_no_regular_file_is_named_and_left_alone(tmp_path,
     target, run = tmp_path / "letter.txt", tmp_path / "run"
     run.mkdir()
     target.write_text("{}")
-    special(kind, run / ledger.RUN, target)
+    special(kind, run / log.RUN, target)
     with pytest.raises(FormatError, match=r"run\.json is a link, a pipe"):
         begin(run, {"task": "x"})
     assert target.read_text() == "{}"

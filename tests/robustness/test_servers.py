@@ -27,7 +27,7 @@ from PIL import Image
 
 from eagor.cli import main, terminal
 from eagor.errors import AnswerError, EagorError, ServerError
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 from eagor.perception import load, short_name
 from eagor.perception.endpoint import EndpointPerception
 from eagor.perception.endpoint.client import place_of
@@ -267,10 +267,10 @@ def test_a_password_in_an_address_is_used_and_not_shown(tmp_path):
         assert server.requests[0].headers["authorization"] == "Basic YW5uYTpodW50ZXIyLTA4MTU="
     told = json.dumps(dict(evidence.source or {})) + repr(perception)
     assert f"http://***@{host}?token=***" in told
-    ledger.begin(tmp_path / "run", {"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})
-    with ledger.Ledger(tmp_path / "run") as kept:
+    log.begin(tmp_path / "run", {"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})
+    with log.Log(tmp_path / "run") as kept:
         kept.append({"key": "a", "attempt": 1, "status": "failed", "error": "tok-4711-x, hunter2-0815"})
-    ledger.begin(tmp_path / "run", {"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})  # the same run
+    log.begin(tmp_path / "run", {"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})  # the same run
     told += "".join(path.read_text() for path in (tmp_path / "run").iterdir())
     for secret in ("hunter2-0815", "tok-4711-x", "YW5uYTpodW50ZXIyLTA4MTU="):
         assert secret not in told

@@ -9,7 +9,7 @@ import hstar_data
 import pytest
 from processes import alive, sessions_of, wait_for
 
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
 
@@ -73,7 +73,7 @@ def ended(run, number, whole_session=False):
 
 
 def kept(folder):
-    return ledger.read(folder) if folder.exists() else []
+    return log.read(folder) if folder.exists() else []
 
 
 TOLD = {signal.SIGTERM: (143, "", "eagor: terminated"), signal.SIGINT: (130, "", "eagor: interrupted")}

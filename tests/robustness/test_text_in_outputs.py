@@ -11,7 +11,7 @@ from PIL import Image
 from eagor._tables import as_csv
 from eagor.cli import main
 from eagor.drawing.still import draw_errors
-from eagor.evaluation import ledger
+from eagor.evaluation import log
 from eagor.evaluation.sheets import Box, Row, Sheet
 from eagor.evaluation.study import markdown
 from eagor.worlds.painted import painted_room
@@ -66,7 +66,7 @@ def test_tracks_and_reports_keep_their_cells(room, capsys):
 def test_a_report_of_a_run_with_evil_names_has_no_tag_of_theirs(tmp_path, capsys):
     words = ("bench", "run", "waypoint", "--perception", "truth", "--methods", "vmf", "--rows", "32", "--episodes", "1")
     assert main([*words, "--out", str(tmp_path)]) == 0
-    place = tmp_path / ledger.RUN
+    place = tmp_path / log.RUN
     place.write_text(json.dumps(json.loads(place.read_text()) | {"perception": EVIL, EVIL: EVIL}))
     assert main(["bench", "report", str(tmp_path)]) == 0
     for name in ("report.html", "tables.md", "tables.csv"):

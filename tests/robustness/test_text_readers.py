@@ -13,7 +13,7 @@ from strategies import HOSTILE
 
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
-from eagor.evaluation import benchmarks, ledger
+from eagor.evaluation import benchmarks, log
 from eagor.evaluation.labelled_looks import read_truth
 from eagor.evidence import Evidence
 from eagor.media.pose_files import read_poses
@@ -183,14 +183,14 @@ def test_labels(folder, blob):
 @example(lines([KEPT[0]]) + b"[" * 3000)  # a torn last line that json cannot even refuse in the usual way
 @example(lines([KEPT[0] | {"attempt": 0}]))
 @example(lines([KEPT[0] | {"attempt": True}]))
-def test_ledgers(folder, blob):
-    path = folder / "worker-1.jsonl"
+def test_logs(folder, blob):
+    path = folder / "records.jsonl"
     path.write_bytes(blob)
-    before = reads(lambda: ledger.read(folder), "worker-1.jsonl, line ")
-    with ledger.Ledger(folder, first=1) as book:
+    before = reads(lambda: log.read(folder), "records.jsonl, line ")
+    with log.Log(folder, first=1) as book:
         assert book.open() == path
         book.append({"key": "z", "attempt": 1, "status": "ok"})
-    after = reads(lambda: ledger.read(folder), "worker-1.jsonl, line ")
+    after = reads(lambda: log.read(folder), "records.jsonl, line ")
     assert (before is None) == (after is None)
     if after is not None:
         kept = {record["key"]: record for record in before} | {"z": {"key": "z", "attempt": 1, "status": "ok"}}
@@ -203,9 +203,9 @@ def test_ledgers(folder, blob):
 @given(objects(RUN))
 def test_descriptions_of_runs(folder, blob):
     (folder / "run.json").write_bytes(blob)
-    found = reads(lambda: ledger.description(folder), "run.json")
+    found = reads(lambda: log.description(folder), "run.json")
     assert found is None or isinstance(found, dict)
-    reads(lambda: ledger.begin(folder, RUN), str(folder))
+    reads(lambda: log.begin(folder, RUN), str(folder))
 
 
 @HOSTILE

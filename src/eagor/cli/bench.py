@@ -251,8 +251,7 @@ def info(options: BenchInfo) -> int:
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
-    from eagor.evaluation import ledger, studies
-    from eagor.evaluation.workers import carry_out
+    from eagor.evaluation import log, runner, studies
 
     kind = studies.known().get(options.task)
     if kind is None:
@@ -279,12 +278,12 @@ def run(options: BenchRun) -> int:
             if record["status"] == "failed":
                 terminal.warning(f"{record['key']} could not be run: {record['error']}")
 
-        names = "workers", "retry_failed", "engine", "address", "force"
+        names = "workers", "retry_failed", "engine", "address"
         how = {name: getattr(options, name) for name in names}
         try:
-            outcome = carry_out(units, study.work, config, out, on_done=done, **how)
+            outcome = runner.run(units, study.work, config, out, on_done=done, **how)
         except KeyboardInterrupt:
-            recorded = {record["key"] for record in ledger.read(out)} & {unit.key for unit in units}
+            recorded = {record["key"] for record in log.read(out)} & {unit.key for unit in units}
             terminal.log(f"{len(recorded)} of {len(units)} units are in {out}; the same command goes on from there")
             raise
     if outcome.skipped:

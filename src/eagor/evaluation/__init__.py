@@ -3,8 +3,7 @@
 - `study`: the one Protocol that simulated tasks (`simulated`) and benchmarks with published data (`benchmarks`) fill,
   with their runs' settings and units, and what a run is written as; `studies` finds them, reads a run, writes its
   report and compares two;
-- `workers` carries a run out, alone, with a `worker_pool`, or on a Ray cluster; `ledger` keeps a line of JSON for each
-  unit;
+- `runner` carries a run out, on one worker or several; `log` keeps a line of JSON for each unit;
 - `samples`: records, checked; means, intervals and paired differences. Of them `tables` and
   `benchmark_tables` make the figures of a run;
 - the report: a page (`page`, `sheets`, `scenes`), Markdown, LaTeX and CSV, beside what was published

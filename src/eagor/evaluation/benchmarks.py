@@ -15,12 +15,12 @@ from eagor._checks import parsed, shown
 from eagor._files import read_file
 from eagor._tables import as_csv
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import benchmark_tables, ledger, page
+from eagor.evaluation import benchmark_tables, log, page
 from eagor.evaluation.benchmark_tables import OURS, labels_of
 from eagor.evaluation.page import Curve, Part, Section, Series, Sheet, could_not, line_chart, lines_of
+from eagor.evaluation.runner import Unit
 from eagor.evaluation.samples import FEW, LEVEL, RESAMPLES, checked, computing_time, finished, published
 from eagor.evaluation.study import LoadedRun, Report, Settings, Study, Summary, Worst, words
-from eagor.evaluation.workers import Unit
 from eagor.tasks.benchmark import Benchmark, Case, Record, load, read_options
 
 KIND = "benchmark"  # in run.json: which kind of run this is
@@ -102,7 +102,7 @@ class Published(Study):
             raise EagorError(f"{folder} holds a run of {task}, which is no benchmark with published data")
         for key in ("task", "data"):
             if not isinstance(settings.get(key), str):
-                raise FormatError(f"{Path(folder) / ledger.RUN} does not name its {key}; restore it")
+                raise FormatError(f"{Path(folder) / log.RUN} does not name its {key}; restore it")
         return cls(load(settings["task"]))
 
     def offer(self) -> dict[str, Any]:
@@ -305,9 +305,9 @@ def read_predictions(
     """
     source = Path(source)
     if source.is_dir():
-        settings = ledger.description(source)
+        settings = log.description(source)
         study = Published.of(settings, source)
-        records = study.checked(ledger.recorded(source))
+        records = study.checked(log.recorded(source))
         benchmark = load(task) if task else study.benchmark
         known = {key: value for key, value in settings.items() if key in study.benchmark.options}
         told = {"task": benchmark.name, "data": str(Path(data or settings["data"]).resolve())}
@@ -348,13 +348,13 @@ def judged_predictions(
 
 def keep_predictions(settings: Mapping[str, Any], records: Sequence[Record], folder: Path) -> None:
     """Write `records` as a run, so that it can be reported and compared. Raises `EagorError` if another is there."""
-    ledger.begin(folder, settings)
-    there = {record["key"]: record for record in ledger.read(folder)}
+    log.begin(folder, settings)
+    there = {record["key"]: record for record in log.read(folder)}
     for record in records:
         # The settings do not name the file that was judged: those of another one are the same.
         if record["key"] in there and not _same(record, there[record["key"]]):
             raise EagorError(f"{folder} holds another result for {record['case']}; choose another folder")
-    with ledger.Ledger(folder) as file:
+    with log.Log(folder) as file:
         for record in records:
             if record["key"] not in there:
                 file.append(record)
@@ -362,7 +362,7 @@ def keep_predictions(settings: Mapping[str, Any], records: Sequence[Record], fol
 
 def _same(record: Record, kept: Record) -> bool:
     """Whether a result that is kept says what `record` says, whenever and however quickly it came about."""
-    found = json.loads(ledger.as_line(record))
+    found = json.loads(log.as_line(record))
     return all(kept.get(name) == value for name, value in found.items() if name not in ("attempt", "seconds"))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from eagor._checks import shown, whole, within
 from eagor.errors import EagorError, FormatError
-from eagor.statistics import bootstrap_interval, paired_difference, wilson_interval
+from eagor.statistics import bootstrap_interval, paired_difference, share_interval, wilson_interval
 from eagor.tasks.benchmark import Figure
 from eagor.tasks.task import Column
 
@@ -147,11 +147,17 @@ def wilson(values: Collection[float], scale: float) -> list[float]:
     return [scale * ends.low, scale * ends.high]
 
 
-def clustered(found: Sample) -> list[float] | None:
-    """The 95 % interval of the mean by a bootstrap of whole groups; None with fewer than two."""
+def clustered(found: Sample, share_of: float | None = None) -> list[float] | None:
+    """The 95 % interval of the mean, which knows that a group's cases share their luck; None with fewer than two.
+
+    By a bootstrap of whole groups, or, of values that are 0 or `share_of`, by `eagor.statistics.share_interval`.
+    """
     values, labels = np.array(list(found.values.values())), list(found.groups.values())
     if len(set(labels)) < 2:
         return None
+    if share_of is not None:
+        ends = share_interval(values / share_of, labels, LEVEL)
+        return [share_of * ends.low, share_of * ends.high]
     if not found.kinds:
         low, high = mean_intervals(values[:, None], labels)
         return None if low[0] is None or high[0] is None else [low[0], high[0]]

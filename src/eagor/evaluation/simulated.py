@@ -11,12 +11,12 @@ from typing import Any
 from eagor import plugins, worlds
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.evaluation import page, scenes, sheets, tables
+from eagor.evaluation import page, runner, scenes, sheets, tables
 from eagor.evaluation.page import Part, Section, Sheet, could_not
+from eagor.evaluation.runner import Outcome, Unit
 from eagor.evaluation.samples import LEVEL, RESAMPLES, Record, computing_time, finished
 from eagor.evaluation.study import LoadedRun, Report, Settings, Study, Summary, Worst, table_csv, words
 from eagor.evaluation.tables import OURS, PAPERS, is_rival, shown
-from eagor.evaluation.workers import Outcome, Unit, carry_out
 from eagor.perception import rows_of
 from eagor.perception.calibrated import Calibrated
 from eagor.tasks import task as tasks
@@ -149,13 +149,13 @@ class Run:
 
 
 def start(run: Run, folder: Path, **how: Any) -> Outcome:
-    """Play what `folder` has no record of yet, and record it; `how` as in `eagor.evaluation.workers.carry_out`.
+    """Play what `folder` has no record of yet, and record it; `how` as in `eagor.evaluation.runner.run`.
 
     Raises `EagorError` if the folder holds another run, or for anything that `run` names and does not exist;
     `StorageError` if the disk does not take the results.
     """
     config = run.config()  # makes the perception: one that cannot be made is no failure of an episode
-    return carry_out(run.units(), WORK, config, folder, **how)
+    return runner.run(run.units(), WORK, config, folder, **how)
 
 
 def _tuned_on(listed: Sequence[Slot]) -> bool:
@@ -393,7 +393,7 @@ def _facts(run: LoadedRun, task: Task) -> list[tuple[str, str]]:
     pairs += _looked(records)
     pairs.append(("Computing time", computing_time(records)))
     means = "a mean is over the episodes that have a case"
-    how = f"Wilson's for shares of success, else {RESAMPLES} resamples of whole apartments; {means}"
+    how = f"of whole apartments: Wilson's for shares of success, else {RESAMPLES} resamples; {means}"
     return [*pairs, ("Intervals", f"{100 * LEVEL:.0f} %; {how}")]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from eagor import plugins
 from eagor._files import written
 from eagor.errors import EagorError
-from eagor.evaluation import ledger, page, tables
+from eagor.evaluation import log, page, tables
 from eagor.evaluation.benchmarks import KIND, Published
 from eagor.evaluation.page import in_columns, span
 from eagor.evaluation.samples import FEW, Measured, Record, case_of, gap, lowest_p, played_by, sample
@@ -45,9 +45,9 @@ def load(name: str) -> Study:
 
 def read(folder: Path) -> LoadedRun:
     """The run in `folder`. Raises `FormatError` if it is none, `EagorError` if it has no records; as `Study.loaded`."""
-    settings = ledger.description(folder)
+    settings = log.description(folder)
     study = Published.of(settings, folder) if settings.get("kind") == KIND else None
-    records = ledger.recorded(folder)
+    records = log.recorded(folder)
     if study is None:  # the records name their task, or else run.json does
         records = [{"task": settings.get("task"), **record} for record in records]
         study = Simulated(tables.task_of(records))

@@ -1,7 +1,7 @@
 """A study: what is played unit by unit, counted, and shown; simulated tasks and published benchmarks are both one.
 
 `eagor.evaluation.studies.load` finds one by its name. Whoever runs, reports or lists goes by this Protocol alone: the
-ledger, the workers, the page and the files are the same for all.
+log, the workers, the page and the files are the same for all.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any, Protocol
 
 from eagor._tables import as_csv
 from eagor.evaluation.page import Box, Part, Section, Sheet
+from eagor.evaluation.runner import Unit
 from eagor.evaluation.samples import Measured, Record
 from eagor.evaluation.tables import compared_with
-from eagor.evaluation.workers import Unit
 from eagor.tasks.task import load
 
 Settings = Mapping[str, Any]

@@ -39,7 +39,6 @@ from eagor.evaluation.samples import (
     numbers,
     played_by,
     sample,
-    wilson,
 )
 from eagor.metrics import seam_crossings
 from eagor.sphere import direction
@@ -110,8 +109,8 @@ SIGNIFICANT = 0.05
 def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any]:
     """The table of one task, as plain values; each method is compared with `reference`.
 
-    - "methods" {name: {column: value}}, "counts" and "intervals" (95 %: Wilson's for shares of success, else a
-      bootstrap of apartments) alike; "episodes" with a result, "apartments", "failed" units and "failures".
+    - "methods" {name: {column: value}}, "counts" and "intervals" (95 %, of whole apartments: Wilson's for shares of
+      success, else a bootstrap) alike; "episodes" with a result, "apartments", "failed" units and "failures".
     - "differences" {name: {column: {difference, low, high, p, p_holm, n, groups}}}: method minus reference over shared
       episodes; p by sign flips of apartments, p_holm corrected for all tests. Ablations are a family of their own, each
       compared with the method that it varies.
@@ -236,7 +235,7 @@ def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[s
 
     return {
         "methods": each(lambda found, _: found.mean),
-        "intervals": each(lambda found, c: wilson(found.values.values(), c.scale) if c.share else clustered(found)),
+        "intervals": each(lambda found, c: clustered(found, c.scale if c.share else None)),
         "counts": each(lambda found, _: len(found.values), 0),
     }, samples
 

@@ -21,7 +21,7 @@ import numpy as np
 from eagor._checks import parsed
 from eagor._files import written
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import ledger, studies
+from eagor.evaluation import log, studies
 from eagor.evaluation.benchmarks import KIND
 from eagor.evaluation.samples import case_of, finished
 from eagor.evaluation.study import LoadedRun
@@ -53,7 +53,7 @@ def kind_of(folder: Path) -> str | None:
     with suppress(OSError, ValueError):
         if is_bag(folder):
             return "live"
-        path = folder / ledger.RUN
+        path = folder / log.RUN
         if path.is_file() and path.stat().st_size <= LARGEST:
             found = parsed(path.read_bytes())
             if isinstance(found, dict):
@@ -100,8 +100,8 @@ def _line(name: str, folder: Path) -> dict[str, Any]:
     if kind != "bench":
         return line | {"task": {"live": "recording", "robot": "walk"}[str(kind)]}
     try:
-        settings = ledger.description(folder)
-        done = sum(path.read_bytes().count(b"\n") for path in ledger.files(folder))
+        settings = log.description(folder)
+        done = len(log.read(folder))
     except (EagorError, OSError) as error:
         return line | {"episodes": 0, "done": 0, "problem": str(error)}
     still = settings.get("kind") == KIND
@@ -120,7 +120,7 @@ def opened(folder: Path) -> dict[str, Any]:
         title = f"Walk: {report.get('ended') or 'it did not end'}"
         return _few(kind, [(WALK, title, str(report.get("query", "")))])
     if kind is None:
-        raise FormatError(f"{folder.name} holds no run: no {ledger.RUN} and no recording")
+        raise FormatError(f"{folder.name} holds no run: no {log.RUN} and no recording")
     return episodes_of(studies.read(folder))
 
 

@@ -33,7 +33,7 @@ BUILT_IN = {
 class Column:
     """A column of a task's table: statistics of the records' `metric` times `scale`.
 
-    `better` is "low", "high", or None if neither. `share`: the metric is 0 or 1, so its interval is Wilson's.
+    `better` is "low", "high", or None if neither. `share`: the metric is 0 or 1, so its interval is one of a share.
     `only_if`: count only episodes whose metric of this name is above 0. `why`: why a worse method can look better here.
     """
 

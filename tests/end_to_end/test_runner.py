@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
 from functools import partial
 
@@ -15,10 +16,9 @@ import pytest
 from processes import wait_for
 
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import ledger
-from eagor.evaluation.ledger import Ledger, StorageError, begin, description, files, read
-from eagor.evaluation.worker_pool import Book
-from eagor.evaluation.workers import Outcome, Unit, WorkError, run_units
+from eagor.evaluation import log, runner
+from eagor.evaluation.log import RECORDS, Log, StorageError, begin, description, read
+from eagor.evaluation.runner import Outcome, Scheduler, Unit, WorkError
 
 WORK = "units_of_work:squares"
 
@@ -42,11 +42,11 @@ def results(folder):
     return {r["key"]: r["methods"] for r in read(folder) if r["status"] == "ok"}
 
 
-# The ledger
+# The log
 
 
 def test_what_is_appended_is_read(tmp_path):
-    with Ledger(tmp_path) as book:
+    with Log(tmp_path) as book:
         book.append(record("b", x=np.float32(0.5), n=np.int64(3), flags=np.array([True, False]), none=None))
         book.append(record("a", words="größer 30°", trace=[(1.5, 2), [3]]))
     assert read(tmp_path) == [
@@ -55,35 +55,33 @@ def test_what_is_appended_is_read(tmp_path):
     ]
 
 
-def test_the_last_record_of_a_key_counts_and_the_highest_attempt_whoever_wrote_it(tmp_path):
-    with Ledger(tmp_path) as first, Ledger(tmp_path) as second:
-        first.append(record("a", 2, x=1))
-        second.append(record("a", 1, "failed"))
-        first.append(record("b", x=1))
-        first.append(record("b", x=2))
+def test_a_result_is_never_hidden_by_a_failure_and_else_the_highest_attempt_counts(tmp_path):
+    with Log(tmp_path) as book:
+        book.append(record("a", 2, x=1))
+        book.append(record("a", 3, "failed"))
+        book.append(record("b", x=1))
+        book.append(record("b", x=2))
     assert [(r["attempt"], r["x"]) for r in read(tmp_path)] == [(2, 1), (1, 2)]
 
 
-def test_two_ledgers_never_share_a_file_and_a_closed_one_is_taken_up_again(tmp_path):
-    with Ledger(tmp_path) as first, Ledger(tmp_path) as second, Ledger(tmp_path, first=5) as third:
-        names = [book.open().name for book in (first, second, third)]
-    assert names == ["worker-0.jsonl", "worker-1.jsonl", "worker-5.jsonl"]
-    with Ledger(tmp_path) as again:
-        assert again.open().name == "worker-0.jsonl"
-    assert [path.name for path in files(tmp_path)] == names
+def test_one_process_writes_at_a_time(tmp_path):
+    with Log(tmp_path), pytest.raises(EagorError, match="another process is writing"):
+        Log(tmp_path)
+    with Log(tmp_path) as book:
+        book.append(record("a"))
 
 
 def test_a_torn_last_line_is_left_out_and_the_next_record_begins_a_line(tmp_path):
-    with Ledger(tmp_path) as book:
+    with Log(tmp_path) as book:
         for key in "abc":
             book.append(record(key, filler="é" * 50_000))  # longer than what is read at once when the end is mended
-    path = files(tmp_path)[0]
+    path = tmp_path / RECORDS
     whole = path.read_bytes()
     for cut in (1, 7, 60_003):  # the newline alone, a bracket, the middle of a letter of two bytes
         path.write_bytes(whole[:-cut])
         kept = ["a", "b", "c"] if cut == 1 else ["a", "b"]
         assert [r["key"] for r in read(tmp_path)] == kept
-        with Ledger(tmp_path) as book:
+        with Log(tmp_path) as book:
             book.append(record("d"))
         assert [r["key"] for r in read(tmp_path)] == [*kept, "d"]
 
@@ -93,8 +91,8 @@ def test_a_torn_last_line_is_left_out_and_the_next_record_begins_a_line(tmp_path
 )
 def test_any_other_broken_line_is_an_error_that_names_it(tmp_path, line):
     good = json.dumps(record("a")).encode()
-    (tmp_path / "worker-3.jsonl").write_bytes(good + b"\n" + line + b"\n" + good + b"\n")
-    with pytest.raises(FormatError, match=r"worker-3\.jsonl, line 2"):
+    (tmp_path / "records.jsonl").write_bytes(good + b"\n" + line + b"\n" + good + b"\n")
+    with pytest.raises(FormatError, match=r"records\.jsonl, line 2"):
         read(tmp_path)
 
 
@@ -102,7 +100,7 @@ def test_any_other_broken_line_is_an_error_that_names_it(tmp_path, line):
     ("value", "said"), [(float("nan"), "nan"), (np.array([1.0, np.inf]), "inf"), ({3}, "set"), ({1: 2}, "key 1")]
 )
 def test_what_json_cannot_hold_is_refused_by_name_and_nothing_is_written(tmp_path, value, said):
-    with Ledger(tmp_path) as book:
+    with Log(tmp_path) as book:
         book.append(record("a"))
         with pytest.raises(EagorError, match=f"(?s)b: metrics: mae.*{said}"):
             book.append(record("b", metrics={"mae": value}))
@@ -122,9 +120,9 @@ def test_a_full_disk_stops_the_run_and_takes_nothing_with_it(tmp_path, monkeypat
         room -= taken
         return taken
 
-    monkeypatch.setattr(ledger.os, "write", limited)
+    monkeypatch.setattr(log.os, "write", limited)
     kept = []
-    book = Ledger(tmp_path)
+    book = Log(tmp_path)
 
     def fill():
         for key in "abcdefgh":
@@ -134,10 +132,10 @@ def test_a_full_disk_stops_the_run_and_takes_nothing_with_it(tmp_path, monkeypat
     with pytest.raises(StorageError, match="No space left"):
         fill()
     assert kept
-    assert files(tmp_path)[0].read_bytes().endswith(b"}\n")
+    assert (tmp_path / RECORDS).read_bytes().endswith(b"}\n")
     room = 10_000
     book.append(record("z"))
-    book.close()
+    book.__exit__()
     assert [r["key"] for r in read(tmp_path)] == [*kept, "z"]
 
 
@@ -151,11 +149,11 @@ def test_a_run_out_of_disk_says_so_and_goes_on_later(tmp_path, config, monkeypat
             raise OSError(errno.ENOSPC, "No space left on device")
         return write(file, data)
 
-    monkeypatch.setattr(ledger.os, "write", third_fails)
+    monkeypatch.setattr(log.os, "write", third_fails)
     with pytest.raises(StorageError, match="No space left"):
-        run_units(units(6), WORK, config, folder)
+        runner.run(units(6), WORK, config, folder)
     assert len(read(folder)) == 2
-    assert run_units(units(6), WORK, config, folder) == Outcome(done=4, failed=0, skipped=2)
+    assert runner.run(units(6), WORK, config, folder) == Outcome(done=4, failed=0, skipped=2)
 
 
 def test_run_json_is_written_once_and_held_against_later_runs(tmp_path):
@@ -164,19 +162,40 @@ def test_run_json_is_written_once_and_held_against_later_runs(tmp_path):
     before = (tmp_path / "run" / "run.json").stat().st_mtime_ns
     begin(tmp_path / "run", config)
     assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == before
-    assert description(tmp_path / "run") == {**config, "methods": ["eagor", "grid"]}
-    other = {"task": "waypoint", "seed": 4, "rules": {"step": 0.5, "slide": True}, "methods": ("eagor", "grid")}
-    with pytest.raises(
-        EagorError, match=r"seed is 3 .*4 was.*rules\.step is 0\.25.*rules\.slide is not set.*another folder"
-    ):
+    found = description(tmp_path / "run")
+    assert found == {**config, "methods": ["eagor", "grid"], "commit": found["commit"], "samples": None}
+    other = {"task": "search", "seed": 4, "rules": {"step": 0.5, "slide": True}, "methods": ("eagor",), "rows": 3}
+    with pytest.raises(EagorError) as refused:
         begin(tmp_path / "run", other)
+    lines = str(refused.value).split("\n")
+    assert len(lines) == 3
+    assert lines[0].endswith("run holds a run of waypoint")
+    assert "differs in task, seed, rules, methods and 1 more" in lines[1]
+    assert "another folder" in lines[2]
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["run.json"]
 
 
+def test_the_commit_and_the_samples_are_information_and_no_lock(tmp_path, config, monkeypatch):
+    folder = tmp_path / "run"
+    runner.run(units(2), WORK, config, folder)
+    first = description(folder)
+    assert first["samples"]["count"] == 2
+    assert len(first["samples"]["digest"]) == 16
+    monkeypatch.setattr(log, "commit", lambda: "another")
+    assert runner.run(units(5), WORK, config, folder) == Outcome(3, 0, 2)
+    assert description(folder) == first
+
+
+def test_a_run_can_get_more_episodes(tmp_path):
+    for episodes in (3, 5, 4):
+        begin(tmp_path, {"task": "x", "episodes": episodes, "development": episodes > 3})
+    assert (description(tmp_path)["episodes"], description(tmp_path)["development"]) == (5, True)
+
+
 def test_records_that_cannot_be_read_are_named(tmp_path):
-    (tmp_path / "worker-0.jsonl").mkdir()
-    with pytest.raises(FormatError, match=r"worker-0\.jsonl cannot be read"):
-        ledger.read(tmp_path)
+    (tmp_path / RECORDS).mkdir()
+    with pytest.raises(FormatError, match=r"records\.jsonl cannot be read"):
+        log.read(tmp_path)
 
 
 def test_a_folder_without_a_run_or_with_a_broken_one_is_named(tmp_path):
@@ -196,7 +215,7 @@ def test_a_folder_without_a_run_or_with_a_broken_one_is_named(tmp_path):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_every_unit_is_done_once_and_told_of(tmp_path, config, workers):
     told = []
-    outcome = run_units(units(8), WORK, config, tmp_path / "run", workers, on_done=told.append)
+    outcome = runner.run(units(8), WORK, config, tmp_path / "run", workers, on_done=told.append)
     assert outcome == Outcome(done=8, failed=0, skipped=0)
     assert results(tmp_path / "run") == {f"square/{n}": {"ours": {"metrics": {"square": n * n}}} for n in range(8)}
     assert sorted(head["key"] for head in told) == [f"square/{n}" for n in range(8)]
@@ -206,55 +225,61 @@ def test_every_unit_is_done_once_and_told_of(tmp_path, config, workers):
     if workers == 2:
         assert os.getpid() not in processes
         assert {r["threads"] for r in read(tmp_path / "run")} == {"1"}
-    again = run_units(units(9), WORK, config, tmp_path / "run", workers=1)
+    again = runner.run(units(9), WORK, config, tmp_path / "run", workers=1)
     assert again == Outcome(done=1, failed=0, skipped=8)
 
 
 def test_alone_units_go_group_by_group(tmp_path, config):
-    run_units(units(6, groups=2), WORK, config, tmp_path / "run")
-    written = [json.loads(line)["key"] for line in files(tmp_path / "run")[0].read_bytes().splitlines()]
+    runner.run(units(6, groups=2), WORK, config, tmp_path / "run")
+    written = [json.loads(line)["key"] for line in (tmp_path / "run" / RECORDS).read_bytes().splitlines()]
     assert written == [f"square/{n}" for n in (0, 2, 4, 1, 3, 5)]
 
 
-def test_a_worker_keeps_its_group_while_there_are_others_and_nobody_idles(tmp_path):
-    book = Book(units(7, groups=2), tmp_path, None, attempts=1)
-    mine, _ = book.next(None, set())
-    theirs, _ = book.next(None, {mine.group})
-    assert mine.group != theirs.group
+def test_a_worker_keeps_its_group_while_there_are_others_and_nobody_idles():
+    schedule, taken = Scheduler(units(7, groups=2), {}, 1, False, None, lambda _: None, None), []
+
+    def other():
+        taken.append(schedule.take(None)[0].group)
+
+    mine = schedule.take(None)[0].group
+    thread = threading.Thread(target=other)
+    thread.start()
+    thread.join()
+    assert taken != [mine]
     for _ in range(3):
-        assert book.next(mine.group, {theirs.group})[0].group == mine.group
-    assert book.next(mine.group, {theirs.group})[0].group == theirs.group  # mine is done: help
-    assert book.left == 1
+        assert schedule.take(mine)[0].group == mine
+    assert [schedule.take(mine)[0].group] == taken  # mine is done: help
+    assert schedule.left == 1
 
 
 def test_a_unit_that_raises_is_tried_again_and_then_left_alone(tmp_path, config):
     trouble = {1: "raise", 2: "raise once", 3: "nan"}
     told = []
-    outcome = run_units(units(5, trouble), WORK, config, tmp_path / "run", on_done=told.append)
+    outcome = runner.run(units(5, trouble), WORK, config, tmp_path / "run", on_done=told.append)
     assert outcome == Outcome(done=3, failed=2, skipped=0)
     found = {r["key"]: r for r in read(tmp_path / "run")}
     assert [found[f"square/{n}"]["attempt"] for n in range(5)] == [1, 2, 2, 2, 1]
     assert re.fullmatch(r"ValueError: cannot square 1 \(units_of_work\.py:\d+\)", found["square/1"]["error"])
     assert "square is nan" in found["square/3"]["error"]
     assert Counter(head["status"] for head in told) == {"ok": 3, "failed": 2}
-    assert run_units(units(5, trouble), WORK, config, tmp_path / "run") == Outcome(done=0, failed=2, skipped=3)
+    assert runner.run(units(5, trouble), WORK, config, tmp_path / "run") == Outcome(done=0, failed=2, skipped=3)
     assert len(list((tmp_path / "notes").glob("1-*"))) == 2
-    cured = run_units(units(5, {1: "raise"}), WORK, config, tmp_path / "run", retry_failed=True)
+    cured = runner.run(units(5, {1: "raise"}), WORK, config, tmp_path / "run", retry_failed=True)
     assert cured == Outcome(done=1, failed=1, skipped=3)
     assert [r["attempt"] for r in read(tmp_path / "run") if r["key"] in ("square/1", "square/3")] == [4, 3]
 
 
 def test_attempts_are_counted_across_runs(tmp_path, config):
-    with Ledger(tmp_path / "run") as book:
+    with Log(tmp_path / "run") as book:
         book.append(record("square/0", 1, "failed", error="the first run"))
-    outcome = run_units(units(1, {0: "raise"}), WORK, config, tmp_path / "run", attempts=2)
+    outcome = runner.run(units(1, {0: "raise"}), WORK, config, tmp_path / "run", attempts=2)
     assert outcome == Outcome(done=0, failed=1, skipped=0)
     assert len(list((tmp_path / "notes").iterdir())) == 1
 
 
 def test_units_that_kill_their_workers_are_counted_and_the_rest_is_done(tmp_path, config):
     trouble = {0: "die", 2: "kill", 4: "die once"}
-    outcome = run_units(units(8, trouble), WORK, config, tmp_path / "run", workers=2)
+    outcome = runner.run(units(8, trouble), WORK, config, tmp_path / "run", workers=2)
     assert outcome == Outcome(done=6, failed=2, skipped=0)
     found = {r["key"]: r for r in read(tmp_path / "run")}
     assert "exit code 7" in found["square/0"]["error"]
@@ -265,20 +290,20 @@ def test_units_that_kill_their_workers_are_counted_and_the_rest_is_done(tmp_path
 
 def test_a_unit_that_cannot_be_sent_fails_alone(tmp_path, config):
     bad = Unit("square/bad", "house 0", lambda: None)
-    assert run_units([bad, *units(2)], WORK, config, tmp_path / "run", workers=2) == Outcome(2, 1, 0)
+    assert runner.run([bad, *units(2)], WORK, config, tmp_path / "run", workers=2) == Outcome(2, 1, 0)
 
 
 RUN = """
 import sys
 from functools import partial
 from pathlib import Path
-from eagor.evaluation.workers import Unit, run_units
+from eagor.evaluation.runner import Unit, run
 
 if __name__ == "__main__":
     folder, notes, workers, sleep = sys.argv[1:]
     units = [Unit(f"square/{n}", f"house {n % 3}", (n, None)) for n in range(24)]
     config = {"task": "square", "notes": notes, "sleep": float(sleep)}
-    run_units(units, "units_of_work:squares", config, Path(folder), workers=int(workers))
+    run(units, "units_of_work:squares", config, Path(folder), workers=int(workers))
 """
 
 
@@ -293,7 +318,7 @@ def launch(tmp_path, config, workers, sleep):
 
 
 def kept(folder):
-    return sum(path.read_bytes().count(b"\n") for path in files(folder)) if folder.exists() else 0
+    return (folder / RECORDS).read_bytes().count(b"\n") if (folder / RECORDS).exists() else 0
 
 
 @pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
@@ -305,11 +330,11 @@ def test_a_run_killed_in_the_middle_goes_on_to_what_it_would_have_been(tmp_path,
     before = kept(tmp_path / "run")
     assert before < 24
     wanted = [Unit(f"square/{n}", f"house {n % 3}", (n, None)) for n in range(24)]
-    outcome = run_units(wanted, WORK, config, tmp_path / "run")
+    outcome = runner.run(wanted, WORK, {**config, "sleep": 0.1}, tmp_path / "run")
     assert outcome.skipped >= before
     assert outcome.done == 24 - outcome.skipped
     (tmp_path / "other").mkdir()
-    assert run_units(wanted, WORK, {**config, "notes": str(tmp_path / "other")}, tmp_path / "whole").done == 24
+    assert runner.run(wanted, WORK, {**config, "notes": str(tmp_path / "other")}, tmp_path / "whole").done == 24
     assert results(tmp_path / "run") == results(tmp_path / "whole")
     assert {r["attempt"] for r in read(tmp_path / "run")} == {1}
 
@@ -347,25 +372,25 @@ def alive(process):
 @pytest.mark.parametrize("work", ["units_of_work:nothing", "no_such_module:squares", "units_of_work"])
 def test_work_that_cannot_be_found_is_named(tmp_path, config, work, workers):
     with pytest.raises(WorkError, match=work):
-        run_units(units(2), work, config, tmp_path / "run", workers)
+        runner.run(units(2), work, config, tmp_path / "run", workers)
     assert read(tmp_path / "run") == []
 
 
 def test_work_that_cannot_be_set_up_ends_the_run(tmp_path, config):
     with pytest.raises(WorkError, match="no such world"):
-        run_units(units(2), "units_of_work:hopeless", config, tmp_path / "run", workers=2)
+        runner.run(units(2), "units_of_work:hopeless", config, tmp_path / "run", workers=2)
     with pytest.raises(WorkError, match="exit code 3"):
-        run_units(units(2), "units_of_work:stillborn", config, tmp_path / "run", workers=2)
+        runner.run(units(2), "units_of_work:stillborn", config, tmp_path / "run", workers=2)
 
 
-def test_a_worker_out_of_disk_stops_the_run(tmp_path, config):
+def test_a_folder_that_can_be_none_is_named(tmp_path, config):
     (tmp_path / "run").write_text("a file where the folder should be")
-    with pytest.raises((StorageError, NotADirectoryError)):
-        run_units(units(4), WORK, config, tmp_path / "run", workers=2)
+    with pytest.raises(EagorError, match="run cannot be made a folder"):
+        runner.run(units(4), WORK, config, tmp_path / "run", workers=2)
 
 
 def test_impossible_numbers_and_double_keys_are_refused(tmp_path, config):
     with pytest.raises(EagorError, match="0 workers"):
-        run_units(units(1), WORK, config, tmp_path, workers=0)
+        runner.run(units(1), WORK, config, tmp_path, workers=0)
     with pytest.raises(EagorError, match="square/0"):
-        run_units([*units(2), *units(1)], WORK, config, tmp_path)
+        runner.run([*units(2), *units(1)], WORK, config, tmp_path)

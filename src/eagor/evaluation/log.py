@@ -1,0 +1,285 @@
+"""The log of a run: a folder with ``run.json``, which says what is run, and ``records.jsonl``, a JSON object per line.
+
+One process writes at a time. A record is on the disk (fsync) before its unit counts as done, so a kill at any moment
+loses nothing that was finished; a last line that it left half written is dropped. A record has "key", "attempt" (1, 2,
+...) and "status" ("ok", "failed").
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import subprocess
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import eagor
+from eagor._checks import parsed
+from eagor._files import claimed, open_regular, redacted, written
+from eagor.errors import EagorError, FormatError, StorageError
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: there is no lock, and two writers are the caller's to avoid
+    fcntl = None
+
+RUN, RECORDS = "run.json", "records.jsonl"
+# In run.json, for readers only: of which code and samples the first records are, and how many were asked for so far.
+INFORMATION = ("commit", "samples", "versions", "development", "episodes")
+
+
+class Log:
+    """Appends records to ``records.jsonl`` in `folder`, which it makes. Raises `StorageError`.
+
+    Raises `EagorError` where another process is writing there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = Path(folder) / RECORDS
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = open_regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
+            try:
+                self._hold()
+                _mend(self._file)
+                _keep_name(self.path.parent)
+            except BaseException:
+                os.close(self._file)
+                raise
+        except OSError as error:
+            raise StorageError(
+                f"cannot write in {folder}: {error.strerror or error}; everything recorded there is safe. Make room "
+                "there and let it be written to, then start the same run again; or choose another folder"
+            ) from error
+
+    def _hold(self) -> None:
+        if fcntl is None:
+            return
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise EagorError(
+                f"another process is writing into {self.path.parent}; wait for it, or choose another folder"
+            ) from None
+        except OSError:
+            pass  # a file system without locks
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        """Write one record and wait until it is on the disk.
+
+        Raises `EagorError` for what JSON cannot hold; `StorageError` if the disk is full or fails: the file ends as
+        before.
+        """
+        line = as_line(record)
+        try:
+            if not os.fstat(self._file).st_nlink:
+                raise OSError(errno.ENOENT, "somebody has removed the file")
+            end = os.lseek(self._file, 0, os.SEEK_END)
+            try:
+                _write(self._file, line)
+                os.fsync(self._file)
+            except OSError:
+                os.ftruncate(self._file, end)  # half a line would spoil the next one
+                raise
+        except OSError as error:
+            raise StorageError(
+                f"could not keep the record {record.get('key')!r} ({len(line)} bytes) in {self.path}: "
+                f"{error.strerror or error}; everything recorded before it is safe. Make room, then start the same run "
+                "again: it goes on where it stopped"
+            ) from error
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._file)
+
+
+def begin(folder: Path, config: Mapping[str, Any], samples: Mapping[str, Any] | None = None) -> None:
+    """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
+
+    What `INFORMATION` names (the commit of this package and the `samples` among it) may differ.
+
+    Raises `EagorError` if the folder holds another run, or can be none; `FormatError` if its ``run.json`` is no JSON
+    object; `StorageError`.
+    """
+    wanted = json.loads(as_line({**config, "commit": commit(), "samples": samples}))
+    path = Path(folder) / RUN
+    if not path.exists():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+                raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
+            raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
+        if claimed(path, _text(wanted)):
+            return
+    found = description(folder)
+    settings = [key for key in {**found, **wanted} if key not in INFORMATION]
+    if differing := [key for key in settings if found.get(key) != wanted.get(key)]:
+        more = f" and {len(differing) - 4} more" if len(differing) > 4 else ""
+        first = f"{folder} holds a run of {found.get('task')}"
+        raise EagorError(
+            f"{first}\nthat differs in {', '.join(differing[:4])}{more} from what was asked for ({path} says how).\n"
+            "Choose another folder, or ask for what this one holds, to go on with it."
+        )
+    if wanted.get("episodes", 0) > found.get("episodes", 0):
+        written(path, _text({**found, **{key: wanted[key] for key in ("samples", "episodes", "development")}}))
+
+
+def commit() -> str | None:
+    """The commit of this package, where it lies in a git checkout; "+" follows it where files have changed since."""
+    home = Path(eagor.__file__).parent
+    words = ["git", "-C", str(home), "describe", "--always", "--dirty=+", "--exclude=*", "--abbrev=12"]
+    try:
+        tracked = subprocess.run([*words[:3], "ls-files", "--error-unmatch", "errors.py"], capture_output=True)
+        found = subprocess.run(words, capture_output=True, text=True)
+    except OSError:  # no git here
+        return None
+    return found.stdout.strip() or None if tracked.returncode == 0 else None
+
+
+def description(folder: Path) -> dict[str, Any]:
+    """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
+    path = Path(folder) / RUN
+    try:
+        with open(open_regular(path), "rb") as file:
+            found = parsed(file.read())
+    except FileNotFoundError:
+        raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror or error}); name the folder of a run") from None
+    except ValueError as error:
+        raise FormatError(f"{path} is no JSON ({error}); restore it, or start the run in another folder") from None
+    if not isinstance(found, dict):
+        raise FormatError(f"{path} holds no JSON object but {type(found).__name__}; name the folder of a run")
+    return found
+
+
+def read(folder: Path) -> list[dict[str, Any]]:
+    """The records of a run, one per key, in the order of their keys.
+
+    Of several with one key one that is ok counts first, then the highest attempt, then the last. Raises `FormatError`
+    for a line that is no record, but for a last one that a kill left half written; names the file and the line.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for record in _records(Path(folder) / RECORDS):
+        rank = record["status"] == "ok", record["attempt"]
+        before = found.get(record["key"])
+        if before is None or rank >= (before["status"] == "ok", before["attempt"]):
+            found[record["key"]] = record
+    return [found[key] for key in sorted(found)]
+
+
+def recorded(folder: Path) -> list[dict[str, Any]]:
+    """`read`, of a run that must have records. Raises `EagorError` as well where it has none."""
+    if found := read(folder):
+        return found
+    raise EagorError(f"{folder} has no records yet; run something into it first")
+
+
+def as_line(record: Mapping[str, Any]) -> bytes:
+    """`record` as one line of JSON with its newline; NumPy numbers and arrays become plain ones, secrets stars.
+
+    Raises `EagorError`, which names the place, for NaN, infinity, and what JSON does not know.
+    """
+    name = str(record.get("key", "record"))
+    text = json.dumps(_plain(record, name), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    text = redacted(text) + "\n"
+    return text.encode("utf-8", "backslashreplace")  # half a pair of surrogates is written as JSON escapes it
+
+
+def _plain(value: Any, place: str) -> Any:
+    """`value` in Python's own types, checked."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        raise EagorError(f"{place} is {value}; a record holds finite numbers, and null where there is no case")
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, Mapping):
+        if strange := [key for key in value if not isinstance(key, str)]:
+            raise EagorError(f"{place} has the key {strange[0]!r}; wanted text, which is all that JSON can hold there")
+        return {key: _plain(item, f"{place}: {key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
+    raise EagorError(
+        f"{place} is a {type(value).__name__}, which JSON cannot hold; store numbers, text or lists of them"
+    )
+
+
+def _text(found: Mapping[str, Any]) -> str:
+    return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
+
+
+def _write(file: int, data: bytes) -> None:
+    """All of `data`; a disk that fills up takes part of it first, and fails at the next call."""
+    while data:
+        data = data[os.write(file, data) :]
+
+
+def _mend(file: int) -> None:
+    """Bring the end of `file` to the end of a whole line: what comes next must begin on a line of its own."""
+    size = os.lseek(file, 0, os.SEEK_END)
+    tail = b""
+    while len(tail) < size and b"\n" not in tail:
+        begin = max(0, size - len(tail) - (1 << 16))
+        os.lseek(file, begin, os.SEEK_SET)
+        tail = os.read(file, size - len(tail) - begin) + tail
+    torn = tail[tail.rfind(b"\n") + 1 :]
+    if _is_json(torn):  # somebody's editor left out the last newline
+        _write(file, b"\n")
+    elif torn:
+        os.ftruncate(file, size - len(torn))
+
+
+def _keep_name(folder: Path) -> None:
+    """Have the disk remember which files the folder has."""
+    if os.name != "posix":
+        return
+    place = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)
+
+
+def _records(path: Path) -> Iterator[dict[str, Any]]:
+    try:
+        with open(open_regular(path), "rb") as file:
+            lines = file.read().split(b"\n")
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror or error}); restore it, or let it be read") from None
+    if not _is_json(lines[-1]):  # empty, if the last line is whole
+        lines.pop()
+    for number, line in enumerate(lines, start=1):
+        yield _record(line, path, number)
+
+
+def _is_json(line: bytes) -> bool:
+    try:
+        parsed(line)
+    except ValueError:
+        return False
+    return True
+
+
+def _record(line: bytes, path: Path, number: int) -> dict[str, Any]:
+    try:
+        found = parsed(line)
+    except ValueError as error:
+        raise FormatError(f"{path}, line {number}: no JSON ({error}); restore the line, or delete it") from None
+    whole = isinstance(found, dict) and isinstance(found.get("key"), str) and type(found.get("attempt")) is int
+    if not whole or found["attempt"] < 1 or found.get("status") not in ("ok", "failed"):
+        raise FormatError(
+            f"{path}, line {number}: no record; wanted an object with key (text), attempt (1, 2, ...) and status "
+            "('ok' or 'failed'). Restore the line, or delete it"
+        )
+    return found
