@@ -123,13 +123,12 @@ def honest() -> None:
 
 
 def searches() -> None:
-    """How many searches a body ends at the thing, and by which way."""
-    drawn = figure(1100, 330)
-    for number, (title, first) in enumerate(
-        {"scout": "scout, the body searches", "truth": "truth, the body searches"}.items(), 1
-    ):
-        axes = drawn.add_subplot(1, 2, number)
-        table = run(first, "navigation.md")
+    """How many walks end at the thing, and by which way: with the paper's policy, and of a body that searches."""
+    drawn = figure(1100, 640)
+    walks = ("follows its estimate", "searches")
+    for number, (walk, perception) in enumerate(((w, p) for w in walks for p in ("scout", "truth")), 1):
+        axes = drawn.add_subplot(2, 2, number)
+        table = run(f"{perception}, the body {walk}", "navigation.md")
         for at, (method, row) in enumerate(reversed(table.items())):
             colour = SHOWN[method][0] if method in SHOWN else QUIET
             axes.barh(at + 0.2, row[0], 0.36, color=colour)
@@ -141,10 +140,10 @@ def searches() -> None:
         lines(axes)
         titled(
             axes,
-            f"A body searches, {title}",
+            f"A body {walk}, {perception}",
             "success, and below it SPL: success, less for detours",
         )
-    drawn.subplots_adjust(left=0.08, right=0.98, top=0.8, bottom=0.1, wspace=0.25)
+    drawn.subplots_adjust(left=0.08, right=0.98, top=0.9, bottom=0.05, wspace=0.25, hspace=0.45)
     keep(drawn, "results-searches.png")
 
 
