@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import directions
 
+from eagor._values import altered
 from eagor.belief.field import Patch, blurred
 from eagor.evidence import DetectorModel, Evidence
 from eagor.sphere import angular_distance, azimuth_elevation, direction, unit, world_R_body
@@ -199,3 +201,18 @@ def test_a_blurred_peak_has_the_sum_of_the_variances(width, bend):
     expected = math.hypot(width, blur)
     near = apart < 6 * expected
     assert math.sqrt(float(np.sum((mass * apart**2)[near]) / mass[near].sum() / 2)) == pytest.approx(expected, rel=0.2)
+
+
+def test_a_width_that_looks_have_ruled_out_may_come_back_where_the_target_moves():
+    """Thousands of looks leave nothing to the wide scale; if the target moves after all, that alone may be left."""
+    tracker = DirectionTracker(TrackerConfig())
+    for count in range(4):
+        seen = Evidence.from_points(np.array([[1.0, 0.0, 0.0]]), scores=np.array([0.8]), stamp=0.05 * count)
+        tracker.observe(seen)
+    standing = tracker.estimate(0.2).hypotheses.standing.detecting()
+    scales = np.arange(len(standing.spread.scales))
+    assert len(scales) > 1
+    windows = tuple(one.like(one.values + np.where(scales, -1e4, 1e2)[:, None, None, None]) for one in standing.windows)
+    gone = replace(standing.spread, weights=np.eye(len(scales))[0])
+    found = altered(standing, windows=windows, spread=gone).judged(0.0, np.eye(len(scales))[-1])
+    assert found.spread.weights == pytest.approx(1)

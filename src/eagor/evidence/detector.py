@@ -151,8 +151,9 @@ CLUTTER_FLOOR = 1e-3  # least relative density of false alarms: no single detect
 ALARMS = (0.02, 0.06, 0.2, 0.6, 2.0, 6.0)  # mean numbers of false alarms, alike likely before any look
 # Factors by which the true spread may differ from the stated one, and their prior weights.
 SCALES, SCALE_WEIGHTS = (0.5, 1.0, 2.0), (0.02, 0.94, 0.04)
-# Radians (0.7 degrees), and a share: measured with `coco` on photographs of rooms.
-OFFSET, OFFSET_OF_SIZE = 0.0122, 0.25
+# Radians (0.7 degrees), and a share: measured with `coco` on photographs of rooms. A fit gives a share of 0.25, but
+# takes errors as normal, and beds are further off: with 0.35 the regions hold as much as they say, at the same score.
+OFFSET, OFFSET_OF_SIZE = 0.0122, 0.35
 LEAST_SCORE = 0.1  # and 0.9 at most: no score is a proof, and nobody has measured the last tenth
 LEAST_OF_SIZE = 0.01  # of `spread_of_size`: with 0 a box's size would be lost
 UNLIKELY = 1e-3  # scales with less weight are dropped

@@ -41,6 +41,7 @@ MOST_OF_IT = 0.5  # share of the belief: with capped shells, a window that holds
 SPILL = 0.02  # of a window's mass: skirts around it that hold less are left out
 NOTHING = 12.0  # nats below a peak: if a window's border is lower, there is nothing beyond it
 HIGHEST = 12.0  # nats over a target that was never detected: as high as coarse shells get, if there are look-alikes
+NEVER = 1e-12  # least weight of a scale of the spread
 WIDE = math.radians(14)  # the coarse field represents wider peaks well
 
 
@@ -288,7 +289,8 @@ class StationaryTarget:
             held += np.exp(values).reshape(len(held), -1) @ share.ravel()
         held /= 4 * math.pi
         held += max(1 - held.sum(), 0.0) * self.spread.weights
-        likely = stands * held / held.sum() + (1 - stands) * otherwise > UNLIKELY
+        held = np.maximum(held / held.sum(), NEVER)  # `otherwise` alone may keep a scale
+        likely = stands * held + (1 - stands) * otherwise > UNLIKELY
         held, otherwise = held[likely], otherwise[likely]
         spread = Spread(self.spread.scales[likely], held / held.sum(), otherwise / otherwise.sum(), True)
         if likely.all():
