@@ -41,7 +41,7 @@ from photographs_tables import LEAST, NEAR, SCORED, Run, print_all
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from eagor.evaluation.detector_fit import fit_detector
+from eagor.evaluation.detector_fit import fitted_model
 from eagor.evaluation.labelled_looks import LabelledLook
 from eagor.evidence import DetectorModel, Evidence, parse_model
 from eagor.evidence.detections import View
@@ -232,7 +232,7 @@ def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
 
     Drawn towards the default, in logarithms: habits, look-alikes and false alarms halfway, spreads by a quarter.
     """
-    found, usual = fit_detector(looks, resamples=0).model, DetectorModel(false_alarms_per_look=USUAL_ALARMS)
+    found, usual = fitted_model(looks, DetectorModel()), DetectorModel(false_alarms_per_look=USUAL_ALARMS)
     shares = dict.fromkeys(("habit", "look_alike_habit", "look_alikes", "false_alarms_per_look"), 0.5)
     shares |= dict.fromkeys(("spread", "spread_of_size"), 0.25)
     drawn = {}

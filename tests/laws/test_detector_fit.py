@@ -1,6 +1,7 @@
 """Fitting a detector's model on looks: it recovers what made them, and says little where they say little."""
 
 import math
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -8,10 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import DirectionError, EagorError, ResponseError, RotationError
-from eagor.evaluation.detector_em import ScoreCurve, expected_look_alikes, fitted_curve, knots_of
-from eagor.evaluation.detector_fit import fit_detector
-from eagor.evaluation.detector_places import fitted_habit, scatter
-from eagor.evaluation.labelled_looks import Deviations, LabelledLook, rows_of, stretches
+from eagor.evaluation.assignments import Deviations, expected_look_alikes, fitted_habit, rows_of, stretches
+from eagor.evaluation.detector_fit import FLAT, fit_detector, fitted_curve, fitted_model, knots_of, scatter, told
+from eagor.evaluation.labelled_looks import LabelledLook
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
@@ -90,7 +90,7 @@ def test_each_number_lies_in_its_interval(truth):
     "habit", [(0.6, 0.6), pytest.param((6.0, 2.0), marks=pytest.mark.slow)], ids=["all or nothing", "alike everywhere"]
 )
 def test_the_habit_of_places_is_told_from_chance(habit):
-    model = fit_detector(looks_of(np.random.default_rng(1), groups=40, habit=habit, targets=(1, 2)), resamples=0).model
+    model = fitted_model(looks_of(np.random.default_rng(1), groups=40, habit=habit, targets=(1, 2)), BASE)
     assert share(model) == pytest.approx(habit[0] / sum(habit), abs=0.07)
     assert sum(model.habit) == pytest.approx(sum(habit), rel=0.4)
 
@@ -111,7 +111,7 @@ def test_look_alikes_are_told_from_false_alarms_that_pass(alikes, alike):
     low, high = found.intervals["look_alikes"]
     assert low <= model.look_alikes <= high
     blind = [LabelledLook(look.evidence, look.targets, None, look.group) for look in looks]
-    unknown = fit_detector(blind, resamples=0).model
+    unknown = fitted_model(blind, BASE)
     assert (unknown.look_alikes, unknown.look_alike_habit) == (BASE.look_alikes, BASE.look_alike_habit)
     assert unknown.offset == BASE.offset
     assert unknown.false_alarms_per_look == pytest.approx(0.2 + lasting, abs=0.06), "all that is false is counted"
@@ -123,7 +123,7 @@ def test_look_alikes_are_told_from_false_alarms_that_pass(alikes, alike):
 )
 def test_what_a_place_keeps_is_told_from_what_each_look_errs(spread, offset):
     looks = looks_of(np.random.default_rng(3), groups=40, spread=spread, offset=offset, targets=(1, 2))
-    model = fit_detector(looks, resamples=0).model
+    model = fitted_model(looks, BASE)
     assert model.spread == pytest.approx(spread, rel=0.2)
     assert model.offset == pytest.approx(offset, rel=0.25, abs=0.012)
 
@@ -138,7 +138,7 @@ def test_what_a_box_errs_by_its_size_is_told_from_what_it_errs_anyhow():
             seen = unit(kept + np.hypot(0.01, 0.2 * size) * rng.normal(size=3)) @ turn
             look = Evidence.from_moments([(seen, size**2 * np.eye(2))], None, View(ErpGrid(32, 64)), stamp=step)
             looks.append(LabelledLook(look, (at @ turn)[None], None, str(group), turn))
-    model = fit_detector(looks, resamples=0).model
+    model = fitted_model(looks, BASE)
     assert model.spread_of_size == pytest.approx(0.2, rel=0.15)
     assert model.offset_of_size == pytest.approx(0.4, rel=0.25)
     assert model.spread == pytest.approx(0.01, rel=0.25)
@@ -196,12 +196,12 @@ def test_a_habit_without_places_is_the_prior():
 
 def test_scores_that_tell_are_believed_and_others_are_not():
     """Beta(4, 2) over Beta(2, 4) is (s / (1 - s))^2."""
-    telling = fit_detector(looks_of(np.random.default_rng(1), groups=20, alarms=0.5), resamples=0).model
+    telling = fitted_model(looks_of(np.random.default_rng(1), groups=20, alarms=0.5), BASE)
     logs = np.log([telling.ratios(np.array([score]), 1)[0] for score in (0.25, 0.5, 0.75)])
     assert logs == pytest.approx(2 * np.log([1 / 3, 1, 3]), abs=0.7)
     ratios = [ratio for _, ratio in telling.score_ratios]
     assert ratios == sorted(ratios)
-    alike = fit_detector(looks_of(np.random.default_rng(1), groups=20, alarms=0.5, false=(4, 2)), resamples=0).model
+    alike = fitted_model(looks_of(np.random.default_rng(1), groups=20, alarms=0.5, false=(4, 2)), BASE)
     scores = np.linspace(0.3, 0.9, 7)
     assert np.abs(np.log(alike.ratios(scores, 7))).mean() < 0.25 < np.abs(np.log(telling.ratios(scores, 7))).mean() / 4
     same = [LabelledLook(Evidence.from_points([FORWARD], scores=[0.6]), FORWARD)] * 9
@@ -212,22 +212,34 @@ def test_a_score_curve_never_falls_and_few_scores_say_little():
     rng = np.random.default_rng(0)
     scores = np.concatenate([rng.beta(2, 4, 300), rng.beta(4, 2, 300)])
     upside_down = np.arange(600) < 300
-    falling = fitted_curve(scores, upside_down, np.ones(600), knots_of(scores), 2.0)
-    assert falling.logs == pytest.approx(np.zeros(len(falling.logs)), abs=1e-6)
-    many = fitted_curve(scores, ~upside_down, np.ones(600), knots_of(scores), 1.0)
-    few = fitted_curve(scores, ~upside_down, np.full(600, 0.01), knots_of(scores), 1.0)
-    assert np.ptp(few.logs) < 0.5 * np.ptp(many.logs)
-    none_right = fitted_curve(scores, np.zeros(600), np.ones(600), knots_of(scores), 1.0)
-    assert none_right.pairs == ScoreCurve.flat().pairs
+    knots = knots_of(scores)
+    _, falling = fitted_curve(scores, upside_down, np.ones(600), knots, 2.0)
+    assert falling == pytest.approx(np.zeros(len(falling)), abs=1e-6)
+    _, many = fitted_curve(scores, ~upside_down, np.ones(600), knots, 1.0)
+    _, few = fitted_curve(scores, ~upside_down, np.full(600, 0.01), knots, 1.0)
+    assert np.ptp(few) < 0.5 * np.ptp(many)
+    assert fitted_curve(scores, np.zeros(600), np.ones(600), knots, 1.0) is FLAT
 
 
 def test_the_fit_mends_looks_that_it_has_not_seen():
     looks = looks_of(np.random.default_rng(2), alarms=3.0, habit=(9.0, 1.0), spread=0.03)
     judged = fit_detector(looks, resamples=0).held_out
-    assert judged.density[1] > judged.density[0] + 0.5
-    assert judged.presence[1] > judged.presence[0]
+    assert judged.log_density[1] > judged.log_density[0] + 0.5
+    assert judged.log_presence[1] > judged.log_presence[0]
     assert judged.interval[0] > 0
     assert judged.interval[0] <= judged.gain <= judged.interval[1]
+
+
+def test_what_is_held_out_has_no_part_in_the_fit_that_it_judges():
+    """Neither by its scores, between which the curve has its knots, nor by where the search begins."""
+    looks = looks_of(np.random.default_rng(3), groups=3, each=6, alarms=1.0, targets=(1, 2))
+    others = looks_of(np.random.default_rng(4), groups=1, each=6, alarms=6.0, targets=(2,), right=(90, 10))
+    looks[6:12] = [replace(look, group="1") for look in others]
+    alone = []
+    for group in "012":
+        model = fitted_model([look for look in looks if look.group != group], BASE)
+        alone += [told(look, model)[1] for look in looks if look.group == group]
+    assert fit_detector(looks, resamples=0).held_out.log_presence[1] == pytest.approx(np.mean(alone))
 
 
 def test_a_box_is_spread_beyond_its_own_size():
@@ -240,9 +252,9 @@ def test_a_box_is_spread_beyond_its_own_size():
         looks.append(LabelledLook(Evidence.from_boxes([box], grid), at, None, str(number)))
         middle = grid.unproject(np.array(x), np.array(y))
         points.append(LabelledLook(Evidence.from_points(middle), at, None, str(number)))
-    assert fit_detector(looks, resamples=0).model.spread < math.radians(3)
+    assert fitted_model(looks, BASE).spread < math.radians(3)
     size = math.radians(80 * 360 / 1024) / math.sqrt(12)
-    assert fit_detector(points, resamples=0).model.spread == pytest.approx(size, rel=0.1)
+    assert fitted_model(points, BASE).spread == pytest.approx(size, rel=0.1)
 
 
 def test_one_target_is_assigned_as_the_model_says():
@@ -305,13 +317,13 @@ def test_few_looks_shrink_to_the_prior():
     assert share(more.model) < 0.9, "nor is one place"
     assert more.model.spread < math.radians(2)
     places = [LabelledLook(one.evidence, FORWARD, None, str(n % 50)) for n in range(200)]
-    assert share(fit_detector(places, base, resamples=0).model) > 0.95
+    assert share(fitted_model(places, base)) > 0.95
 
 
 def test_a_stated_detection_probability_is_the_mean_of_the_prior():
     base = DetectorModel(detection_probability=0.9)
     absent = [LabelledLook(Evidence.from_points([]), NOTHING, n) for n in range(5)]
-    assert fit_detector(absent, base, resamples=0).model.detection_probability == 0.9
+    assert fitted_model(absent, base).detection_probability == 0.9
     one = fit_detector([LabelledLook(Evidence.from_points([FORWARD]), FORWARD)], base).model
     assert one.detection_probability is None
     assert share(one) == pytest.approx(0.9, abs=0.05)
@@ -324,9 +336,9 @@ def test_an_absent_thing_tells_of_false_alarms_only():
     assert "detection_share" not in found.intervals
     assert found.model.false_alarms_per_look == pytest.approx(1, abs=0.05)
     assert found.model.spread == pytest.approx(BASE.spread, rel=1e-2)
-    assert found.held_out.density is None
+    assert found.held_out.log_density is None
     posed = [LabelledLook(look.evidence, [], look.stamp, "", np.eye(3)) for look in looks]
-    lasting = fit_detector(posed, BASE, resamples=0).model
+    lasting = fitted_model(posed, BASE)
     assert lasting.look_alikes > expected_look_alikes(BASE), "the same two places, again and again"
     assert lasting.false_alarms_per_look < 0.1
 
@@ -345,7 +357,7 @@ def test_what_a_view_does_not_show_is_not_missed():
     behind = [LabelledLook(Evidence.from_boxes([], view), [direction(math.pi, 0.0)], n, str(n)) for n in range(20)]
     ahead = [LabelledLook(Evidence.from_boxes([[28, 28, 36, 36]], view), FORWARD, n, str(n)) for n in range(20)]
     assert fit_detector(behind, resamples=0).targets == 0
-    assert share(fit_detector(behind + ahead, resamples=0).model) > 0.9
+    assert share(fitted_model(behind + ahead, BASE)) > 0.9
 
 
 def test_what_cannot_be_fitted_is_refused():

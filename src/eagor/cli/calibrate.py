@@ -64,7 +64,6 @@ class Calibrate(Common):
 RESPONSES, HEADS = ("trials", "workers"), ("labels", "take")
 EPISODES = ("episodes", "seed", "rows")  # responses and heads
 REPLAY = ("replay", "truth", "poses")
-DEGREES = math.degrees(1)
 
 
 def calibrate(options: Calibrate) -> int:
@@ -117,7 +116,7 @@ def responses(options: Calibrate) -> int:
     if options.json:
         terminal.emit(best.as_json() | {"out": str(out)})
     else:
-        _print(best, out)
+        print_scores(best, out)
     return terminal.OK
 
 
@@ -176,25 +175,6 @@ def _poses(path: str) -> Callable[[float], Pose]:
     return at
 
 
-def _ends(name: str, intervals: dict[str, tuple[float, float]]) -> str:
-    """The interval of a number, in its unit; of a habit, that of its mean."""
-    if (ends := intervals.get("detection_share" if name == "habit" else name)) is None:
-        return ""
-    scale = DEGREES if name in ("spread", "offset") else 1
-    return f"  {'mean ' if name == 'habit' else ''}[{scale * ends[0]:.3g} {scale * ends[1]:.3g}]"
-
-
-def _shown(name: str, value: Any) -> str:
-    """A number of a detector's model."""
-    if value is None:
-        return "not known"
-    if name == "score_ratios":
-        return f"{value[0][1]:.2g} to {value[-1][1]:.2g}"
-    if isinstance(value, tuple):
-        return " ".join(f"{each:.3g}" for each in value)
-    return f"{DEGREES * value:.3g} deg" if name in ("spread", "offset") else f"{value:.3g}"
-
-
 def print_fit(found: DetectorFit) -> None:
     """A fitted detector model, with its intervals and its worth."""
     model = found.model
@@ -202,29 +182,35 @@ def print_fit(found: DetectorFit) -> None:
         f"{found.looks} looks in {found.groups} group{'' if found.groups == 1 else 's'}: {found.targets} targets in "
         f"view, {found.detections} detections ({found.matched:.0f} right, {found.false_alarms:.0f} false alarms)"
     )
+    rows = []
     names = "habit", "false_alarms_per_look", "look_alikes", "look_alike_habit"
     for name in (*names, "spread", "spread_of_size", "offset", "offset_of_size"):
-        told = _shown(name, getattr(model, name))
-        ends = _ends(name, found.intervals)
-        if name == "habit":
-            ends = f"  mean {model.habits.mean:.2g}{ends.replace(' mean', '')}"
-        print(f"  {name.replace('_', ' '):24s}{told}{ends}")
+        value, ends = getattr(model, name), found.intervals.get("detection_share" if name == "habit" else name, ())
+        scale, unit = (math.degrees(1), " deg") if name in ("spread", "offset") else (1, "")
+        values, interval = (
+            " ".join(f"{scale * each:.3g}" for each in numbers)
+            for numbers in (value if isinstance(value, tuple) else () if value is None else (value,), ends)
+        )
+        told = f"{values}{unit}" if values else "not known"
+        told += f", mean {model.habits.mean:.2g}" if name == "habit" else ""
+        rows.append((name.replace("_", " "), told, f"[{interval}]" if interval else ""))
+    rows += [
+        (f"score {score:.2f}", f"{ratio:.3g}", "times likelier of the thing than of a false alarm")
+        for score, ratio in model.score_ratios or ()
+    ]
+    terminal.table(rows)
     if "look_alikes" not in found.intervals:
         print("Without poses (--poses) nothing is known of look-alikes and of the offset: they are as they were")
-    for score, ratio in model.score_ratios or ():
-        print(f"  {f'score {score:.2f}':24s}{ratio:.3g} times likelier of the thing than of a false alarm")
     if found.groups == 1:
         print("All looks are of one group: the intervals say nothing of other recordings. Give more, with a group each")
     if (judged := found.held_out) is None:
         print("One look is not enough to judge the fit")
         return
     print("Mean over looks that the fit had not seen, with the default model and with this one:")
-    rows = [("log density at the truth", judged.density), ("log probability of presence", judged.presence)]
-    for name, values in rows:
-        if values is not None:
-            print(f"  {name:28s}{values[0]:8.3f}{values[1]:8.3f}")
+    rows = [("log density at the truth", judged.log_density), ("log probability of presence", judged.log_presence)]
+    rows = [(name, *(f"{value:.3f}" for value in values), "") for name, values in rows if values is not None]
     low, high = judged.interval
-    print(f"  {'gain of both, per look':28s}{'':8s}{judged.gain:8.3f}  [{low:.3f} {high:.3f}]")
+    terminal.table([*rows, ("gain of both, per look", "", f"{judged.gain:.3f}", f"[{low:.3f} {high:.3f}]")])
     if low <= 0:
         terminal.warning("the fit is not surely better than the default model on looks that it has not seen")
 
@@ -284,19 +270,18 @@ def _counted(examples: Iterator[Labelled], advance: Callable[[], None]) -> Itera
         advance()
 
 
-def _print(best: Calibrated, out: Path) -> None:
+def print_scores(best: Calibrated, out: Path) -> None:
+    """A fitted calibration, with its scores before and after."""
     stored = best.as_json()
     reading = stored.get("detector") or stored["calibration"]
     print(f"{best.perception}: " + ", ".join(f"{name} {value}" for name, value in reading.items()))
     print("  " + ", ".join(f"{name} {value}" for name, value in best.forgetting.items()))
     print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")
-    print(f"  {'':13s}{'before':>24s}{'after':>24s}")
-    for name, after in best.found_by["after"].items():
-        print(f"  {name:13s}" + "".join(map(_cell, (best.found_by["before"][name], after))))
+    before, after = best.found_by["before"], best.found_by["after"]
+    terminal.table([("", "before", "after"), *((name, _cell(before[name]), _cell(after[name])) for name in after)])
     print(f"Written to {out}; other commands take it as --calibration {out}")
 
 
 def _cell(values: list[float | None]) -> str:
     mean, *ends = values
-    interval = "" if None in ends else " [{:5.2f} {:5.2f}]".format(*ends)
-    return f"{mean:9.2f}{interval:15s}"
+    return f"{mean:.2f}" + ("" if None in ends else " [{:.2f} {:.2f}]".format(*ends))

@@ -7,7 +7,7 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -71,6 +71,13 @@ def columns(pairs: Mapping[str, Any], indent: int = 4) -> None:
     wide = max((len(name) for name in pairs), default=0)
     for name, what in pairs.items():
         say(f"{' ' * indent}{name.ljust(wide)}  {what}")
+
+
+def table(rows: Sequence[Sequence[str]]) -> None:
+    """Print rows of as many cells each, in columns that are two spaces or more apart."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        say("  ".join(["", *(cell.ljust(width) for cell, width in zip(row, widths, strict=True))]).rstrip())
 
 
 def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:

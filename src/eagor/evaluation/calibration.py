@@ -30,8 +30,8 @@ import numpy as np
 from eagor._files import written
 from eagor._version import __version__
 from eagor.errors import EagorError, QueryError, WorldError
-from eagor.evaluation.detector_em import expected_look_alikes, short
-from eagor.evaluation.detector_fit import fitted_model
+from eagor.evaluation.assignments import expected_look_alikes
+from eagor.evaluation.detector_fit import fitted_model, short
 from eagor.evaluation.labelled_looks import LabelledLook
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
