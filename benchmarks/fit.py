@@ -1,6 +1,6 @@
 """Fit the settings of every filter on development episodes: same episodes, same number of trials, same aim for each.
 
-    python benchmarks/fit.py [--perception scout] [--methods eagor vmf ...] [--trials 48] [--workers 2] [--folder DIR]
+    python benchmarks/fit.py [--perception scout] [--methods eagor vmf ...] [--trials 48] [--workers 2]
 
 Waypoint Following and `tracking` are open loop: their episodes are recorded once (poses and responses), and every
 trial reads the recordings, which are those of ``eagor calibrate``. A trial is a random
@@ -16,17 +16,14 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import pickle
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import common
 import numpy as np
 
-from eagor.evaluation.calibration import TASKS, Recorder, kept_recordings
+from eagor.evaluation.calibration import TASKS, Recorder, record_episodes
 from eagor.tasks.play import Recording
 
 AIMS = (("waypoint", "mae"), ("waypoint", "tc"), ("tracking", "error"), ("tracking", "tc"))
@@ -73,10 +70,9 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
 
 
 class Judge:
-    """Plays methods on the recordings of a folder; each process makes its own."""
+    """Plays methods on recordings; each process makes its own."""
 
-    def __init__(self, file: str, perception: str) -> None:
-        recordings: list[Recording] = pickle.loads(Path(file).read_bytes())
+    def __init__(self, recordings: Sequence[Recording], perception: str) -> None:
         self.recordings = {task: [r for r in recordings if r.episode.slot.task == task] for task in TASKS}
         self.players = Recorder(perception).players
 
@@ -97,9 +93,9 @@ class Judge:
 _judge: Judge
 
 
-def _begin(file: str, perception: str) -> None:
+def _begin(recordings: Sequence[Recording], perception: str) -> None:
     global _judge
-    _judge = Judge(file, perception)
+    _judge = Judge(recordings, perception)
 
 
 def _try(job: tuple[str, int]) -> tuple[str, dict[str, list[tuple[int, dict[str, Any]]]]]:
@@ -136,24 +132,21 @@ def main() -> int:
     arguments.add_argument("--trials", type=int, default=48)
     arguments.add_argument("--seed", type=int, default=100, help="first apartment, of the development fifth")
     arguments.add_argument("--workers", type=int, default=2)
-    arguments.add_argument("--folder", help="keeps the recordings, and takes those that lie there")
     options = arguments.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(options.folder or scratch)
-        print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
-        file = kept_recordings(folder, options.perception, options.episodes, options.seed, left_out=print)
-        jobs = multiprocessing.get_context("spawn").Pool(options.workers, _begin, (str(file), options.perception))
-        with jobs as pool:
-            for base in options.methods:
-                names = list(trials(base, options.trials, options.seed))
-                first = sorted((aim(found), name) for name, found in pool.imap_unordered(_try, [(n, 0) for n in names]))
-                kept = [name for _, name in first[: max(4, options.trials // 8)]]
-                kept += [base] if base not in kept else []
-                second = sorted(
-                    ((aim(found), name, found) for name, found in pool.imap_unordered(_try, [(n, 1) for n in kept])),
-                    key=lambda entry: entry[0],
-                )
-                _print(base, len(names), second)
+    print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
+    recordings = record_episodes(options.perception, options.episodes, options.seed, left_out=print)
+    begin = _begin, (recordings, options.perception)
+    with multiprocessing.get_context("spawn").Pool(options.workers, *begin) as jobs:
+        for base in options.methods:
+            names = list(trials(base, options.trials, options.seed))
+            first = sorted((aim(found), name) for name, found in jobs.imap_unordered(_try, [(n, 0) for n in names]))
+            kept = [name for _, name in first[: max(4, options.trials // 8)]]
+            kept += [base] if base not in kept else []
+            second = sorted(
+                ((aim(found), name, found) for name, found in jobs.imap_unordered(_try, [(n, 1) for n in kept])),
+                key=lambda entry: entry[0],
+            )
+            _print(base, len(names), second)
     return 0
 
 

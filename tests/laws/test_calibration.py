@@ -61,7 +61,7 @@ def episode_of(seed, moments, target):
     return Recording(episode, truth, tuple(moments), directions, np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 
-def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105):
+def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105, height=0.0):
     """A standing camera and a detector with these rates, whose scores tell right from false in part."""
     rng, of_other = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     target, moments = direction(rng.uniform(-3, 3), rng.uniform(-0.4, 0.2)), []
@@ -78,7 +78,7 @@ def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105):
             scores.append(rng.beta(4, 2))
         looks = ((seen, scores), (others, other_scores))
         evidence = [Evidence.from_points(np.array(at).reshape(-1, 3), None, s, stamp=0.5 * k) for at, s in looks]
-        moments.append(Moment(0.5 * k, turn, np.zeros(3), *evidence))
+        moments.append(Moment(0.5 * k, turn, np.array([0.0, 0.0, height]), *evidence))
     return episode_of(seed, moments, target)
 
 
@@ -208,6 +208,12 @@ def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
     seen = np.array(found.truth["visible"])
     assert peaks[seen, 0].mean() > 0.9
     assert peaks[:, 1].max() == 0
+
+
+def test_several_processes_find_the_same(monkeypatch):
+    made = [detecting(seed, steps=6, height=1.3) for seed in range(2)]
+    monkeypatch.setattr("eagor.evaluation.calibration.DRAWS", 2)
+    assert fit("a detector", made, 2, 2) == fit("a detector", made, 2, 1)
 
 
 def test_what_is_written_is_read_again(tmp_path):

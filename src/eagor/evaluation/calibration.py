@@ -16,18 +16,14 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-import pickle
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from eagor._files import written
 from eagor._version import __version__
 from eagor.errors import EagorError, QueryError, WorldError
 from eagor.evaluation.assignments import expected_look_alikes
@@ -235,14 +231,6 @@ def record_episodes(
     return found
 
 
-def kept_recordings(folder: Path, perception: str, count: int, seed: int, left_out: Callable[[str], object]) -> Path:
-    """The file in `folder` that keeps `record_episodes` (a pickled list), which is made where it is missing."""
-    file = folder / f"{perception.replace('/', '-')}-{seed}-{count}.pickle"
-    if not file.exists():
-        written(file, pickle.dumps(record_episodes(perception, count, seed, left_out=left_out)))
-    return file
-
-
 def development_slots(count: int, seed: int) -> list[Slot]:
     """`count` slots, `PER_PLACE` of each task in an apartment. Raises `EagorError` where results are taken from."""
     last = seed + (count - 1) // (PER_PLACE * len(TASKS))
@@ -302,14 +290,11 @@ def fit(
         raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
     space = _Space.of(perception, halves[0])
     start = space.start()
-    with tempfile.TemporaryDirectory() as folder, _mapping(workers) as run:
-        files = [Path(folder) / f"half-{half}" for half in (0, 1)]
-        for file, half in zip(files, halves, strict=True):
-            file.write_bytes(pickle.dumps(half))
+    with _mapping(workers, halves) as run:
         best = start
-        for best in _rounds(partial(_trial, space, files[0]), start, trials, run, on_trial):
+        for best in _rounds(partial(_trial, space), start, trials, run, on_trial):
             on_round(space.at(best))
-        judged = [_judged(space, files[1], len(halves[1]), at, run) for at in (start, best)]
+        judged = [_judged(space, halves[1], at, run) for at in (start, best)]
     found_by = {
         "apartments": seeds,
         "episodes": len(recordings),
@@ -382,14 +367,14 @@ def _rounds(
         yield tried[0][1]
 
 
-def _trial(space: _Space, file: Path, places: np.ndarray) -> float:
+def _trial(space: _Space, places: np.ndarray) -> float:
     config = _config(space, places)
-    return float(np.mean([score(recording, config).total for recording in _stored(file)]))
+    return float(np.mean([score(recording, config).total for recording in _halves[0]]))
 
 
-def _judged(space: _Space, file: Path, count: int, places: np.ndarray, run: Map) -> dict[str, Any]:
+def _judged(space: _Space, half: Sequence[Recording], places: np.ndarray, run: Map) -> dict[str, Any]:
     """Scores on the other half of the apartments, with 95 % intervals over apartments."""
-    scores: list[Score] = list(run(partial(_one, space, file, places), list(range(count))))
+    scores: list[Score] = list(run(partial(_one, space, places), range(len(half))))
     groups = [found.seed for found in scores]
 
     def line(values: list[float]) -> list[float | None]:
@@ -408,8 +393,8 @@ def _judged(space: _Space, file: Path, count: int, places: np.ndarray, run: Map)
     }
 
 
-def _one(space: _Space, file: Path, places: np.ndarray, index: int) -> Score:
-    return score(_stored(file)[index], _config(space, places), regions=True)
+def _one(space: _Space, places: np.ndarray, index: int) -> Score:
+    return score(_halves[1][index], _config(space, places), regions=True)
 
 
 def _config(space: _Space, places: np.ndarray) -> TrackerConfig:
@@ -417,19 +402,21 @@ def _config(space: _Space, places: np.ndarray) -> TrackerConfig:
     return BASE.fitted(found.calibration, found.detector, found.forgetting)
 
 
-@lru_cache(maxsize=2)
-def _stored(file: Path) -> list[Recording]:
-    """The recordings of a half: each process reads them once."""
-    found: list[Recording] = pickle.loads(file.read_bytes())
-    return found
+_halves: list[list[Recording]] = []  # of this process: each is given them once
+
+
+def _begin(halves: list[list[Recording]]) -> None:
+    _halves[:] = halves
 
 
 @contextmanager
-def _mapping(workers: int) -> Iterator[Map]:
-    """What maps a function over jobs, in this process or in several."""
+def _mapping(workers: int, halves: list[list[Recording]]) -> Iterator[Map]:
+    """What maps a function over jobs, in this process or in several, where `_halves` are these."""
     if workers == 1:
+        _begin(halves)
         yield map
+        _halves.clear()
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the processes that start now
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+    with multiprocessing.get_context("spawn").Pool(workers, _begin, (halves,)) as pool:
         yield pool.imap
