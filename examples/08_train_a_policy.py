@@ -1,7 +1,7 @@
 """A policy that learns to walk to what is asked for, and the measure of whether it beats random actions.
 
-What is learnt: the environments are Gymnasium's. `WithEstimate` adds the direction that a method estimates, and
-`ForTraining` makes all of it numbers that a library takes. Needs Stable-Baselines3 and a few minutes:
+What is learnt: the environments are Gymnasium's, and its wrappers make of them what a library takes. `Estimate` is one
+more: its observation is the direction that a method estimates. Needs Stable-Baselines3 and a few minutes:
 `pip install stable-baselines3`. The detector `truth` of the simulator has errors, and the target is often out of sight.
 """
 
@@ -10,12 +10,14 @@ import argparse
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO
 
-import eagor.tasks  # noqa: F401 (registers the environments)
+from eagor import perception
 from eagor.statistics import paired_difference, wilson_interval
+from eagor.tasks.methods import answer_at, method_for
+from eagor.tasks.models import EpisodePerception
 from eagor.tasks.rules import NavigationRules
-from eagor.tasks.training import ForTraining, WithEstimate
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=20_000, help="of training, in four apartments")
@@ -23,12 +25,34 @@ parser.add_argument("--apartments", type=int, default=20, help="others, with fiv
 parser.add_argument("--method", default="vmf", help="estimates the direction: vmf is fast, eagor is better")
 options = parser.parse_args()
 torch.set_num_threads(1)  # small matrices
+truth = perception.load("truth")
+
+
+class Estimate(gymnasium.Wrapper):
+    """The observation is the direction (x, y, z) of the target in the body frame, as the method estimates it."""
+
+    observation_space = gymnasium.spaces.Box(-1, 1, (3,), np.float32)
+
+    def reset(self, **settings):
+        seen, info = self.env.reset(**settings)
+        self.eye = EpisodePerception(truth, self.unwrapped.episode.slot, info["instances"]["labels"])
+        self.method = method_for(options.method, truth, "truth", np.random.default_rng(0))
+        return self.estimate(seen, info), info
+
+    def step(self, action):
+        seen, reward, terminated, truncated, info = self.env.step(action)
+        return self.estimate(seen, info), reward, terminated, truncated, info
+
+    def estimate(self, seen, info):
+        stamp = info["num_steps"] * self.unwrapped.camera.seconds
+        return answer_at(self.method, stamp, seen["pose"], self.eye.look(seen, info, stamp)).astype(np.float32)
 
 
 def make(apartments):
-    """The environment in apartments of these seeds."""
-    settings = {"actions": "discrete", "panorama": None, "seeds": apartments, "rules": NavigationRules(max_steps=100)}
-    return ForTraining(WithEstimate(gymnasium.make("Eagor/MapFreeNavigation-v0", **settings), "truth", options.method))
+    """The environment in apartments of these seeds; both numbers of an action are from -1 to 1."""
+    settings = {"panorama": None, "seeds": apartments, "rules": NavigationRules(max_steps=100)}
+    env = gymnasium.make("eagor.tasks:Eagor/MapFreeNavigation-v0", **settings)
+    return RescaleAction(Estimate(env), np.float32(-1), np.float32(1))
 
 
 def success(env, seed, choose):
@@ -40,10 +64,11 @@ def success(env, seed, choose):
     return info["success"]
 
 
-model = PPO("MultiInputPolicy", make(range(4)), n_steps=1024, batch_size=128, gamma=0.97, seed=0, device="cpu")
+settings = {"n_steps": 1024, "batch_size": 128, "gamma": 0.97, "policy_kwargs": {"log_std_init": -1.0}}
+model = PPO("MlpPolicy", make(range(4)), seed=0, device="cpu", **settings)
 model.learn(options.steps)
 dice = np.random.default_rng(0)
-ways = {"trained": lambda seen: int(model.predict(seen)[0]), "random": lambda seen: int(dice.integers(4))}
+ways = {"trained": lambda seen: model.predict(seen)[0], "random": lambda seen: dice.uniform(-1, 1, 2)}
 found, places = {name: [] for name in ways}, np.repeat(np.arange(1000, 1000 + options.apartments), 5)
 for place in np.unique(places).tolist():
     env = make(range(place, place + 1))

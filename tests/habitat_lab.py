@@ -7,6 +7,7 @@ the configuration of ObjectNav as it is: mesh, steps, distances and measures are
 
 import importlib.util
 import json
+import math
 import os
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -215,19 +216,22 @@ def judged(file, walks):
     """
     from eagor.tasks.episodes import listed_slots, plan_listed
     from eagor.tasks.navigation import MapFreeNavigationEnv, score
+    from eagor.tasks.play import STANDS
     from eagor.tasks.rules import Camera, NavigationRules, as_dict, from_dict
 
     rules = from_dict(NavigationRules, as_dict(NavigationRules.objectnav()) | {"stop": "call"})
     slots = {(slot.scene, slot.episode): slot for slot in listed_slots("navigation", file, None, "habitat", None)}
     by_slot = {(walk["scene_id"], walk["episode"]): walk for walk in walks}
     assert by_slot.keys() == slots.keys()
-    env = MapFreeNavigationEnv(rules, "discrete", panorama=None, instances=False, camera=Camera())
+    env = MapFreeNavigationEnv(rules, panorama=None, instances=False, camera=Camera())
+    turn = math.radians(env.camera.turn)
+    ours = {STOP: (0.0, 0.0), FORWARD: (0.0, env.camera.step), 2: (turn, STANDS), 3: (-turn, STANDS)}
     for key, slot in slots.items():
         walk = by_slot[key]
         episode = plan_listed(slot, str(file), env.camera, rules)
         _, info = env.reset(options={"episode": episode})
         for action in walk["actions"]:
-            _, _, over, _, info = env.step(action)
+            _, _, over, _, info = env.step(ours[action])
             if over:
                 break
         scene = env.place.scene

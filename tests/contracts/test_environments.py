@@ -58,18 +58,14 @@ def test_the_environments_are_registered():
     ("task", "settings"),
     [
         ("navigation", {"panorama": 16, "with_range": True}),
-        ("navigation", {"panorama": 16, "actions": "discrete"}),
         ("navigation", {"panorama": None}),
-        # Wrapped, each kind of action is checked in tests/contracts/test_training.py.
-        pytest.param("waypoint", {"panorama": 16}, marks=pytest.mark.slow),
-        pytest.param("waypoint", {"panorama": 16, "actions": "continuous"}, marks=pytest.mark.slow),
-        ("waypoint", {"panorama": 16, "actions": "discrete", "with_range": True}),
+        ("waypoint", {"panorama": 16, "with_range": True}),
         ("tracking", {"panorama": 16, "with_range": True}),
     ],
 )
 def test_gymnasiums_checker_passes(task, settings):
     with warnings.catch_warnings():
-        # Headings and metres are not scaled to [-1, 1] (`eagor.tasks.training` does that): Gymnasium wonders.
+        # Headings and metres are not scaled to [-1, 1] (`RescaleAction` does that): Gymnasium wonders.
         warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
         check_env(make(task, **settings, render_mode="rgb_array").unwrapped, skip_render_check=False)
 
@@ -118,32 +114,30 @@ def test_navigation_starts_facing_away_and_scores_as_habitat_does():
 
 
 def test_stop_ends_the_episode_where_it_has_to_be_called():
-    env = make("navigation", panorama=None, actions="discrete", rules=NavigationRules(stop="call"))
+    env = make("navigation", panorama=None, rules=NavigationRules(stop="call"))
     env.reset(seed=1)
-    _, _, terminated, truncated, info = env.step(0)
+    _, _, terminated, truncated, info = env.step([0.3, 0.0])
     assert terminated
     assert not truncated
     assert info["success"] == 0.0, "stopped far from the target"
-    env = make("navigation", panorama=None, actions="discrete")
+    env = make("navigation", panorama=None)
     env.reset(seed=1)
-    assert not env.step(0)[2], "under the rule `reach`, stop is only a step on the spot"
+    assert not env.step([0.3, 0.0])[2], "under the rule `reach`, stop is only a turn on the spot"
 
 
-def test_discrete_actions_are_habitats():
-    env = make("navigation", panorama=None, actions="discrete")
+def test_an_action_turns_to_the_left_and_walks_at_most_a_step():
+    env = make("navigation", panorama=None)
     env.reset(seed=2)
     body = env.unwrapped.body
     yaw, xy = body.yaw, body.xy.copy()
-    observation, *_ = env.step(2)
+    observation, *_ = env.step([math.radians(30), 0.0])
     assert math.remainder(body.yaw - yaw, 2 * math.pi) == pytest.approx(math.radians(30))
     # The camera turned left: what was ahead is now to the right.
     ahead = observation["rotation"] @ np.array([1.0, 0, 0])
     assert math.atan2(ahead[1], ahead[0]) == pytest.approx(-math.radians(30))
-    env.step(3)
-    assert math.remainder(body.yaw - yaw, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
-    env.step(1)
-    step = body.xy - xy
-    assert np.hypot(*step) <= 0.25 + 1e-9
+    assert np.array_equal(body.xy, xy)
+    env.step([0.0, 9.0])
+    assert 0 < np.hypot(*(body.xy - xy)) <= 0.25 + 1e-9
 
 
 def test_a_wall_stops_a_step_without_sliding_and_bends_it_with():
@@ -179,20 +173,6 @@ def test_the_observation_is_of_the_camera_and_the_truth_of_the_world():
         offset = pose["world_R_body"].T @ (centre - pose["position"])
         assert angular_distance(offset, pose["direction"]) < 1e-9
         assert pose["distance"] == pytest.approx(np.linalg.norm(offset))
-
-
-def test_an_agent_can_walk_the_waypoints_by_itself():
-    env = make("waypoint", panorama=None, actions="continuous")
-    _, info = env.reset(seed=6)
-    legs, over = [], False
-    while not over:
-        ahead = info["waypoint"]
-        action = np.array([*info["truth"]["direction"], ahead["heading"], min(0.25, ahead["distance"])])
-        _, _, terminated, truncated, info = env.step(action)
-        legs.append(info["waypoint"]["leg"])
-        over = terminated or truncated
-    assert legs[-1] == "L4" or truncated
-    assert info["error_deg"] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_waypoint_routes_have_four_legs_of_growing_turns():
@@ -327,8 +307,6 @@ def test_rules_at_their_bounds_can_be_written_read_and_played(task, rules):
 def test_bad_input_says_what_was_wanted():
     with pytest.raises(WorldError, match="render_mode"):
         navigation.MapFreeNavigationEnv(render_mode="human")
-    with pytest.raises(WorldError, match="actions"):
-        make("navigation", actions="flying")
     env = make("navigation", panorama=None)
     env.reset(seed=0)
     with pytest.raises(WorldError, match="finite heading"):

@@ -15,7 +15,7 @@ from eagor import metrics
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, FileEpisode, Slot, choose_target, heading_to, plan_listed
-from eagor.tasks.place_env import Actions, PlaceEnv, as_walk, walking_space
+from eagor.tasks.place_env import PlaceEnv, as_walk, walking_space
 from eagor.tasks.places import Place, load_place, pixels_of
 from eagor.tasks.rules import Camera, NavigationRules
 from eagor.tasks.task import COVERAGE, Column, Played, Task
@@ -137,16 +137,16 @@ def undone(places: np.ndarray, step: float) -> float:
 class MapFreeNavigationEnv(PlaceEnv):
     """Reach the target: `rules` set the distance, the number of steps, and whether stop has to be called.
 
-    `actions`: "continuous" (heading, distance) turns the body to the heading and walks; "discrete" are Habitat's stop,
-    forward, left, right. The reward is the geodesic progress of the step in metres, plus 1 on success.
+    An action (heading, distance) turns the body to the heading and walks; a distance of 0 calls stop. The reward is the
+    geodesic progress of the step in metres, plus 1 on success.
     """
 
     task = "navigation"
 
-    def __init__(self, rules: NavigationRules | None = None, actions: Actions = "continuous", **settings: Any) -> None:
+    def __init__(self, rules: NavigationRules | None = None, **settings: Any) -> None:
         super().__init__(**settings)
-        self.rules, self.actions = rules or NavigationRules(), actions
-        self.action_space = walking_space(actions, self.camera)
+        self.rules = rules or NavigationRules()
+        self.action_space = walking_space(self.camera)
 
     def plan(self, slot: Slot) -> Episode:
         return plan(slot, self.camera, self.rules)
@@ -175,7 +175,7 @@ class MapFreeNavigationEnv(PlaceEnv):
         return {"distance_to_goal": self._left, **scores}
 
     def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        turn, length, stop = as_walk(action, self.actions, self.camera)
+        turn, length, stop = as_walk(action, self.camera)
         before = self._left
         self._walk(turn, length, self.rules.sliding)
         self._left = self._distance_to_goal()

@@ -13,12 +13,7 @@ Observations (Dict):
 Stable-Baselines3), and two privileged entries that agents must not use: ``instances`` (``ids``, the instance
 in each direction, and at reset ``labels``) and ``truth`` (true pose, direction, distance, visibility).
 
-Actions are flat, a Box or whole numbers:
-
-| actions | walk | walk and answer |
-|---|---|---|
-| "continuous" | heading (radians, left), metres | answer x, y, z (body frame), heading, metres |
-| "discrete" | Habitat's stop, forward, left, right | one of these, and the answer's azimuth and elevation as indices |
+An action is a Box: where the agent walks, heading (radians, left) and metres; where it answers, x, y, z (body frame).
 """
 
 from __future__ import annotations
@@ -26,14 +21,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from eagor import conventions
 from eagor._extras import how_to_install
 from eagor.errors import MissingExtraError, WorldError
-from eagor.sphere import azimuth_elevation, direction, world_R_body
+from eagor.sphere import world_R_body
 from eagor.tasks.episodes import PER_PLACE, Episode, Slot
 from eagor.tasks.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, cut, load_place, pixels_of
 from eagor.tasks.rules import Camera, Disturbances
@@ -46,11 +41,7 @@ except ImportError as error:
     raise MissingExtraError(f"a simulated task needs gymnasium: {how_to_install('sim')}") from error
 
 
-Actions = Literal["continuous", "discrete"]
 Picture = Callable[[int], np.ndarray | None]  # a panorama ``(rows, 2 rows, 3)`` uint8, by its rows
-STOP, FORWARD, LEFT, RIGHT = range(4)  # Habitat's order
-# Answers as indices: directions 5 degrees apart, so none is farther than 3.6 degrees from one of them.
-AZIMUTHS, ELEVATIONS = 72, 37
 BOBS_PER_SECOND = 2.0
 FAR = 100.0  # metres: ranges in observations are clipped to this
 EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
@@ -63,69 +54,19 @@ def answer_space() -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (3,), np.float32)
 
 
-def walking_space(actions: str, camera: Camera) -> spaces.Box | spaces.Discrete:
-    """Habitat's discrete actions, or (heading, distance): radians to the left, and metres up to one step."""
-    if actions == "discrete":
-        return spaces.Discrete(4)
-    if actions == "continuous":
-        low, high = np.array([-math.pi, 0.0], np.float32), np.array([math.pi, camera.step], np.float32)
-        return spaces.Box(low, high, dtype=np.float32)
-    raise WorldError(f"actions = {actions!r}; wanted 'continuous' (heading, distance) or 'discrete' (Habitat's four)")
+def walking_space(camera: Camera) -> spaces.Box:
+    """(heading, distance): radians to the left, and metres up to one step."""
+    low, high = np.array([-math.pi, 0.0], np.float32), np.array([math.pi, camera.step], np.float32)
+    return spaces.Box(low, high, dtype=np.float32)
 
 
-def answering_walk_space(actions: str, camera: Camera) -> spaces.Box | spaces.MultiDiscrete:
-    """Answer and walk in one action: a Box ``(5,)``, or three whole numbers (walk, azimuth, elevation)."""
-    walk, answer = walking_space(actions, camera), answer_space()
-    if isinstance(walk, spaces.Box):
-        low, high = np.concatenate([answer.low, walk.low]), np.concatenate([answer.high, walk.high])
-        return spaces.Box(low, high, dtype=np.float32)
-    return spaces.MultiDiscrete([int(walk.n), AZIMUTHS, ELEVATIONS])
-
-
-def as_walk(action: Any, actions: str, camera: Camera) -> tuple[float, float, bool]:
-    """An action as (turn in radians, metres, stop). (heading, 0) means stop, as the discrete action 0 does."""
-    if actions == "discrete":
-        turn = {LEFT: math.radians(camera.turn), RIGHT: -math.radians(camera.turn)}.get(int(action), 0.0)
-        return turn, camera.step if int(action) == FORWARD else 0.0, int(action) == STOP
+def as_walk(action: Any, camera: Camera) -> tuple[float, float, bool]:
+    """An action of `walking_space` as (turn in radians, metres, stop). (heading, 0) means stop."""
     heading, distance = (float(value) for value in np.asarray(action, dtype=np.float64).reshape(2))
     if not (math.isfinite(heading) and math.isfinite(distance)):
         raise WorldError(f"action {action!r}; wanted a finite heading (radians) and distance (metres)")
     distance = min(max(distance, 0.0), camera.step)
     return heading, distance, distance == 0.0
-
-
-def as_answer_and_walk(action: Any, actions: str) -> tuple[np.ndarray, Any]:
-    """The answer ``(3,)`` and the walk (for `as_walk`) in an action of `answering_walk_space`.
-
-    Raises `WorldError` for another shape, and for indices that there are not.
-    """
-    size, said = (3, "walk, azimuth, elevation") if actions == "discrete" else (5, "x, y, z, heading, distance")
-    values = None if isinstance(action, dict) else np.asarray(action)
-    if values is None or values.shape != (size,):
-        raise WorldError(f"action {action!r}; wanted {size} numbers ({said})")
-    if actions == "discrete":
-        return answer_from_indices(int(values[1]), int(values[2])), int(values[0])
-    return np.asarray(values[:3], dtype=np.float64), values[3:]
-
-
-def answer_from_indices(azimuth: int, elevation: int) -> np.ndarray:
-    """The direction ``(3,)`` of an answer in whole numbers: azimuth 5 degrees times the first, elevation from -90 on.
-
-    Raises `WorldError` for an index that there is not.
-    """
-    if not (0 <= azimuth < AZIMUTHS and 0 <= elevation < ELEVATIONS):
-        raise WorldError(
-            f"answer ({azimuth}, {elevation}); wanted an azimuth from 0 to {AZIMUTHS - 1} and an elevation from 0 to "
-            f"{ELEVATIONS - 1}"
-        )
-    return direction(2 * math.pi * azimuth / AZIMUTHS, math.pi * (elevation / (ELEVATIONS - 1) - 0.5))
-
-
-def indices_of_answer(answer: np.ndarray) -> tuple[int, int]:
-    """The whole numbers (azimuth, elevation) whose direction is nearest to `answer` ``(3,)`` in both angles."""
-    azimuth, elevation = (float(angle) for angle in azimuth_elevation(np.asarray(answer, dtype=np.float64)))
-    row = round((elevation / math.pi + 0.5) * (ELEVATIONS - 1))
-    return round(azimuth / (2 * math.pi) * AZIMUTHS) % AZIMUTHS, min(max(row, 0), ELEVATIONS - 1)
 
 
 @dataclass(frozen=True, eq=False)

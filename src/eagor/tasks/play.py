@@ -229,8 +229,8 @@ class Player:
             moments.append(Moment(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, picture))
             _note_truth(truth, info, "")
             truth["present"].append(bool(true["present"]))
-            if "waypoint" in info:
-                truth["leg"].append(info["waypoint"]["leg"])
+            if "leg" in info:
+                truth["leg"].append(info["leg"])
             directions.append(true["direction"] if true["present"] else directions[-1])
             poses.append(true["world_R_body"])
             places.append(true["position"])

@@ -71,7 +71,7 @@ class Camera(_Rules):
     """How the camera is carried, and how fast.
 
     - `height`: of the camera above the floor. `radius`: of the body that carries it.
-    - `step`: length of one step; `turn`: the largest turn per step (discrete actions turn by this much).
+    - `step`: length of one step; `turn`: the largest turn per step.
     - `seconds`: from one step to the next; matters only for forgetting and late responses.
     - `hfov`: degrees that it sees across. 360: all around; less: straight ahead, in a picture of 4:3.
     """

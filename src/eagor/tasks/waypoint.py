@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from eagor import metrics
 from eagor.errors import WorldError
 from eagor.sphere import world_R_body
 from eagor.tasks.episodes import Episode, Slot, choose_target
-from eagor.tasks.place_env import AnsweringEnv, answering_walk_space, as_answer_and_walk, as_walk
+from eagor.tasks.place_env import AnsweringEnv
 from eagor.tasks.places import Place, load_place
 from eagor.tasks.rules import LEGS, Camera, WaypointRules
 from eagor.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
@@ -186,60 +186,19 @@ def measure(played: Played) -> dict[str, float | None]:
 
 
 class WaypointFollowingEnv(AnsweringEnv):
-    """Follow a route of four legs and name the direction at each step.
-
-    - ``actions="guided"``: the body is carried along the route, and the action is the answer ``(3,)``.
-    - ``actions="continuous"`` or ``"discrete"``: the agent walks by itself, and the action is a walk and an answer in
-      one: 5 numbers, or 3 whole numbers (`eagor.tasks.place_env`). ``info["waypoint"]`` gives the end of the current
-      leg: heading (radians), distance (metres) and leg. The episode ends at the last one, or after three times the
-      steps of the route.
-    """
+    """The body is carried along a route of four legs; name the direction at each step. ``info["leg"]``: the leg."""
 
     task = "waypoint"
-    reach = 0.3  # metres from a waypoint at which it counts as reached
 
-    def __init__(
-        self,
-        rules: WaypointRules | None = None,
-        actions: Literal["guided", "continuous", "discrete"] = "guided",
-        **settings: Any,
-    ) -> None:
+    def __init__(self, rules: WaypointRules | None = None, **settings: Any) -> None:
         super().__init__(**settings)
-        self.rules, self.actions = rules or WaypointRules(), actions
-        if actions != "guided":
-            self.action_space = answering_walk_space(actions, self.camera)
+        self.rules = rules or WaypointRules()
 
     def plan(self, slot: Slot) -> Episode:
         return plan(slot, self.camera, self.rules)
 
-    def _start(self) -> None:
-        super()._start()
-        legs, route = self.episode.legs, self.episode.route
-        last = [i for i, leg in enumerate(legs) if i + 1 == len(legs) or legs[i + 1] != leg]
-        self._ends = [(legs[i], np.array(route[i][:2])) for i in last]
-        self._leg = 0
-
     def _measures(self) -> dict[str, Any]:
-        guided = self.actions == "guided"
-        leg = self.episode.legs[min(self.body.steps, len(self.episode.legs) - 1)] if guided else None
-        name, end = self._ends[min(self._leg, len(self._ends) - 1)]
-        offset = end - self.body.xy
-        heading = math.remainder(math.atan2(offset[1], offset[0]) - self.body.yaw, 2 * math.pi)
-        ahead = {"heading": heading, "distance": float(np.hypot(*offset)), "leg": leg or name}
-        return {**super()._measures(), "waypoint": ahead}
-
-    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        if self.actions == "guided":
-            return super().step(action)
-        answer, walk = as_answer_and_walk(action, self.actions)
-        turn, length, _ = as_walk(walk, self.actions, self.camera)
-        reward = self._judge(answer)
-        self._walk(turn, length, slide=True)
-        while self._leg < len(self._ends) and np.hypot(*(self._ends[self._leg][1] - self.body.xy)) < self.reach:
-            self._leg += 1
-        over = self._leg == len(self._ends)
-        late = self.body.steps >= 3 * len(self.episode.route) and not over
-        return self._observation(), reward, over, late, self._info()
+        return {**super()._measures(), "leg": self.episode.legs[min(self.body.steps, len(self.episode.legs) - 1)]}
 
 
 WAYPOINT = Task(
