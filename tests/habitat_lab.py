@@ -106,9 +106,10 @@ def differences(settings, records, found):
         distance = geodesic(load_place(slot.world, slot.seed, settings["camera"]["radius"]).ground)
         for method, entry in record["methods"].items():
             ours = {name: entry["metrics"][name] for name in (*NAMES, "shortest_m")}
-            # Ours ends on arrival or never: with a stop at the end theirs must come to the same.
-            limit = settings["rules"]["success_distance"]
-            said = measured(theirs, to_gltf(np.array(entry["path"])), True, distance, limit)
+            rules = settings["rules"]
+            stopped = rules["stop"] == "reach" or entry["metrics"]["steps"] < rules["max_steps"]  # or no step was left
+            limit = rules["success_distance"]
+            said = measured(theirs, to_gltf(np.array(entry["path"])), stopped, distance, limit)
             rows[f"{slot.id}/{method}"] = ours, said
     return rows
 

@@ -319,3 +319,22 @@ def test_bad_input_says_what_was_wanted():
     other = episode.__class__(**{**episode.__dict__, "scene_hash": "0" * 16})
     with pytest.raises(WorldError, match="plan the episode again"):
         env.reset(options={"episode": other})
+
+
+@pytest.mark.parametrize("policy", ["search", "follow"])
+def test_a_body_that_believes_that_it_has_arrived_calls_stop(policy):
+    rules = {"stop": "call", "policy": policy}
+    config = {"task": "navigation", "perception": "truth:ideal", "camera": {}, "rules": rules, "disturbances": {}}
+    slot = Slot("navigation", "apartment", 2, 0, 0)
+    arrived = Player(config | {"rows": 32}).play(slot, ["oracle"])["methods"]["oracle"]["metrics"]
+    assert (arrived["success"], arrived["distance_to_goal"] < 1.0, arrived["steps"] < 500) == (1.0, True, True)
+    never = Player(config | {"rows": 32, "rules": rules | {"max_steps": 30}}).play(slot, ["vmf"])["methods"]["vmf"]
+    assert never["metrics"]["success"] == 0, "it knows no distance"
+    assert never["metrics"]["steps"] == 30
+
+
+def test_objectnavs_rule_is_that_stop_is_called():
+    rules = NavigationRules.objectnav()
+    assert (rules.stop, rules.goal, rules.success_distance) == ("call", "view_points", 0.1)
+    assert "when the agent calls stop" in rules.judged
+    assert NavigationRules().near == 0, "nothing needs to be called"

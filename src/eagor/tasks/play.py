@@ -178,7 +178,8 @@ class Player:
             turn, metres = steering.walk(now)
             if steering.looks_down:
                 trace["searching"].append(steering.searching)
-            observation, _, terminated, truncated, info = self.env.step(np.array([turn, max(metres, STANDS)]))
+            metres = 0.0 if steering.arrived else max(metres, STANDS)
+            observation, _, terminated, truncated, info = self.env.step(np.array([turn, metres]))
             path.append(self._feet())
             over = terminated or truncated
         motion = metrics.ego_motion(np.array(poses), np.array(places))

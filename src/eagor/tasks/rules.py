@@ -20,6 +20,7 @@ Stop = Literal["reach", "call"]
 Goal = Literal["footprint", "view_points"]
 PolicyName = Literal["follow", "search"]
 AROUND = 360.0  # degrees
+SURROUNDS = 0.75  # metres from a thing to its view points, at most
 LEGS = ("L1", "L2", "L3", "L4")  # of a route
 
 Fits = Callable[[Any], bool]
@@ -122,7 +123,8 @@ class NavigationRules(_Rules):
     - `success_distance`: geodesic metres to the goal, strict as in Habitat.
     - `goal`: the target's "footprint", or the nearest of the "view_points" that the episodes of a file have.
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
-      "call": the agent has to call stop there (Habitat's rule).
+      "call": the agent has to call stop there (Habitat's rule). It does when its method believes that it has
+      arrived; one that knows no distances never does.
     - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
     - `detour`: a blocked body feels its way around (`eagor.tasks.steering`), for every method alike; otherwise it
       pushes on along the estimate, as published.
@@ -161,8 +163,18 @@ class NavigationRules(_Rules):
 
     @classmethod
     def objectnav(cls) -> NavigationRules:
-        """The rules of Habitat's ObjectNav challenges: within 0.1 m of a view point, without sliding."""
-        return cls(success_distance=0.1, goal="view_points", sliding=False)
+        """The rules of Habitat's ObjectNav challenges: stop within 0.1 m of a view point, without sliding."""
+        return cls(success_distance=0.1, goal="view_points", stop="call", sliding=False)
+
+    @property
+    def near(self) -> float:
+        """Metres along the floor to the thing within which a body calls stop; 0: it need not call.
+
+        Nobody is told where the view points are, but that they surround the thing.
+        """
+        if self.stop == "reach":
+            return 0.0
+        return SURROUNDS if self.goal == "view_points" else self.success_distance
 
     @property
     def judged(self) -> str:

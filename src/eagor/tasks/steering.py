@@ -36,6 +36,7 @@ STANDOFF, HALF = 0.1, 0.3  # metres from the colliding body to the noted wall, a
 WALL, HIGHEST = 5.0, 20.0  # metres that one collision adds to an edge, and that all of them add at most
 VISIT, AROUND = 0.2, 2  # metres that planning at a node adds to paths through it and this many nodes around
 KEPT = 0.9  # share of that after the next plan
+ARRIVED = 0.8  # how sure a belief has to be to stop for it, as `handover`: a stop ends the search
 RANGE = 5.0  # metres along the estimate to the assumed goal, where the distance to the target is unknown
 LOOK, WINDOW = 1.5, 10.0  # metres: longest straight stretch of a path, and farthest that paths stray from the body
 _NEIGHBOURS = [(i, j, math.hypot(i, j) * SPACING) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
@@ -48,12 +49,15 @@ Node = tuple[int, int]
 class Policy:
     """Walks along the estimate, whatever it is worth, for one episode.
 
-    `step` in metres; `detour`: whether to find ways around obstacles. It never searches, and reads no floor.
+    `step` in metres; `detour`: whether to find ways around obstacles. It never searches, and reads no floor. `near`,
+    `arrived`: as of a `Searcher`.
     """
 
     step: float
     detour: bool = True
+    near: float = 0.0
     searching: bool = False
+    arrived: bool = False
     looks_down: bool = False
     # The plan's frame has its origin where the episode began, and its x axis along the body's heading there.
     _start: tuple[np.ndarray, float] | None = None
@@ -64,6 +68,7 @@ class Policy:
 
     def walk(self, now: SteeringInput) -> tuple[float, float]:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
+        self.arrived = _arrived(now, self.near)
         return self.heading(now.azimuth, now.position[:2], now.yaw), self.step
 
     def heading(self, azimuth: float, xy: np.ndarray, yaw: float) -> float:
@@ -181,6 +186,13 @@ class Policy:
         return way[::-1]
 
 
+def _arrived(now: SteeringInput, near: float, stands: bool = False) -> bool:
+    """Whether the thing is surely less than `near` metres away, as believed, or is what the body `stands` beside."""
+    if not near or now.distance is None or now.progress * now.presence < ARRIVED:
+        return False
+    return stands or now.distance < near
+
+
 def held_back(before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
     """The part ``(2,)`` of the movement `meant` that a body could not make on its way to `here`; None: no collision.
 
@@ -232,7 +244,8 @@ class Approach:
 
     `kept` ``(2,)``: the place, metres, world frame. `tried`: where the body stood beside it, and was not there. `held`:
     how often the body was held up on its way; `steps`: of the way so far. `given_up`: places ``(2,)`` where the thing
-    should have been, and was not, each with the step from which it is tried again; `clock`: the steps so far.
+    should have been, and was not, each with the step from which it is tried again; `clock`: the steps so far. `stands`:
+    whether the body stands beside the place, as near as it comes.
     """
 
     kept: np.ndarray | None = None
@@ -241,6 +254,7 @@ class Approach:
     steps: int = 0
     given_up: list[tuple[np.ndarray, float]] = field(default_factory=list)
     clock: int = 0
+    stands: bool = False
 
     def hides(self, ground: SearchedGround, now: SteeringInput) -> bool:
         """Whether the thing, if it is where it should be, cannot be seen from here: looks that miss it say nothing."""
@@ -270,10 +284,12 @@ class Approach:
         None if there is no other: where the target's distance is not known, or it is close and nothing stands between.
         """
         self.steps += 1
+        self.stands = False
         end = ways.nearest(target, self.tried)
         if end is not None and float(np.hypot(*(ground.known.centres(np.array(end)) - now.here))) < REACHED:
             self.tried.append(now.here)
             close = float(np.hypot(*(target - now.here))) < BESIDE
+            self.stands = now.distance is not None and close
             there = now.distance is not None and (not close or ground.sight(target) < OPEN_SIGHT)
             end = ways.nearest(target, self.tried) if there else None
         if end is None:
@@ -337,14 +353,18 @@ class Searcher(Generic[Where]):
     takes one step, and so does another look the same way; a look from here then costs as much as a metre.
 
     A body whose camera does not see all around looks around before it walks, as long as that tells more for the time,
-    and walks ahead only. `searching`: whether the last choice was made because too little is believed.
+    and walks ahead only. `searching`: whether the last choice was made because too little is believed. `arrived`:
+    whether a body that walks believed then that it is there: less than `near` metres from the thing, or as near as it
+    comes to where the thing should be. With `near` 0 it never does.
     """
 
     space: Where
     step: float = 0.0
     handover: float = 0.2
     turn: float = math.inf
+    near: float = 0.0
     searching: bool = True
+    arrived: bool = False
     looks_down: bool = True
     _facing: np.ndarray | None = None  # a heading to turn to
     _goal: np.ndarray | None = None  # a place to look from
@@ -384,6 +404,7 @@ class Searcher(Generic[Where]):
             ground.known.cover(np.minimum(now.here, target) - 1.0, np.maximum(now.here, target) + 1.0)
         ways = Ways.over(ground.known, ground.radius, now.here)
         end = None if target is None else self._approach.beside(ground, now, ways, target)
+        self.arrived = target is not None and _arrived(now, self.near, self._approach.stands)
         if end is None:
             end = self._search(ways.metres, now)
         if end is None or not self.step:
@@ -485,7 +506,8 @@ Steering = Policy | Searcher[SearchedGround]
 
 def steering_for(rules: Any, camera: Camera) -> Steering:
     """The steering that the rules ask for; a task whose rules do not speak of it follows."""
+    near = getattr(rules, "near", 0.0)
     if getattr(rules, "policy", "follow") == "follow":
-        return Policy(camera.step, getattr(rules, "detour", True))
+        return Policy(camera.step, getattr(rules, "detour", True), near)
     turn = math.inf if camera.around else math.radians(camera.turn)
-    return Searcher(SearchedGround.about(camera), camera.step, rules.handover, turn)
+    return Searcher(SearchedGround.about(camera), camera.step, rules.handover, turn, near)
