@@ -15,7 +15,6 @@ ABLATIONS = (
     "eagor:floor=0.001",
     "eagor:floor=0.2,temperature=2",
 )
-HASH = "0123456789abcdef"
 
 
 def skill(name):
@@ -192,12 +191,16 @@ def tracking(seed=0, apartments=6, methods=METHODS, steps=40):
     return found
 
 
+def hash_of(apartment):
+    return f"{apartment:016x}"
+
+
 def episode(apartment, number):
     return {
         "id": f"{apartment}-{number}",
         "seed": apartment,
         "scene": f"apartment 1 seed {apartment}",
-        "scene_hash": HASH,
+        "scene_hash": hash_of(apartment),
         "query": "red chair",
         "targets": [1],
         "stratum": {},

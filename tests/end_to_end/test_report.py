@@ -31,7 +31,7 @@ MAKERS = {
 VOID = {"meta", "img", "br", "line", "rect", "circle", "polyline", "polygon", "path", "image"}
 
 
-def place(world, seed, radius, scene_hash=runs.HASH):
+def place(world, seed, radius, scene_hash=None):
     """A room of 10 m with one thing in it, and a camera that sees a gradient."""
     free = np.zeros((200, 200), dtype=bool)
     free[2:-2, 2:-2] = True
@@ -42,7 +42,7 @@ def place(world, seed, radius, scene_hash=runs.HASH):
         rgb = np.broadcast_to(np.linspace(0, 255, height, dtype=np.uint8)[:, None, None], (height, 2 * height, 3))
         return Frame(rgb=rgb, range=np.full(rgb.shape[:2], 9.0), ids=None)
 
-    scene = SimpleNamespace(hash=scene_hash, source=f"{world} {seed}", instances=(thing, thing))
+    scene = SimpleNamespace(hash=scene_hash or runs.hash_of(seed), source=f"{world} {seed}", instances=(thing, thing))
     return SimpleNamespace(scene=scene, ground=ground, renderer=SimpleNamespace(panorama=panorama))
 
 

@@ -165,6 +165,18 @@ def test_one_apartment_has_no_interval_and_no_difference():
     assert summary["methods"]["eagor"]["L1"] is not None
 
 
+def test_the_seeds_of_one_scene_are_one_group():
+    records = runs.waypoint(apartments=4, each=1, methods=FEW)
+    for record in records:
+        record["episode"] |= {"world": "house.glb", "scene_hash": "of the house"}
+    summary = summarise(records)
+    assert summary["apartments"] == 1
+    assert summary["intervals"]["eagor"]["L1"] is None
+    for number, record in enumerate(records):  # storeys of two buildings that a file lists
+        record["episode"] |= {"slot": {}, "seed": 10_000 + number % 2, "scene_hash": f"storey {number}"}
+    assert summarise(records)["apartments"] == 2
+
+
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
 def test_holms_correction_rejects_what_the_stepwise_procedure_rejects(p):
     corrected = holm(p)

@@ -79,8 +79,12 @@ def case_of(record: Record) -> str:
 
 
 def group_of(record: Record) -> Any:
-    """Which cases share luck: those of one apartment, or of one cluster of a benchmark."""
-    return record["cluster"] if "cluster" in record else record["episode"].get("seed", record["episode"]["id"])
+    """Which cases share luck: those of one scene, whatever its seed is, or of one cluster of a benchmark."""
+    if "cluster" in record:
+        return record["cluster"]
+    episode = record["episode"]
+    # The storeys of a building have hashes of their own: the scenes of a file are told apart by their seeds.
+    return episode.get("seed" if "slot" in episode else "scene_hash", episode.get("seed", episode["id"]))
 
 
 def numbers(values: Sequence[float | bool | None]) -> np.ndarray:

@@ -11,6 +11,7 @@ played: where it starts, what counts as reached, how long the shortest way is.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import zlib
@@ -52,8 +53,8 @@ class Slot:
         return f"{self.seed}-{self.index}"
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """An independent generator for each purpose."""
-        name = f"{self.task}/{self.world}/{self.id}/{purpose}"
+        """An independent generator for each purpose, wherever the file of the scene is."""
+        name = f"{self.task}/{_content(self.world)}/{self.id}/{purpose}"
         return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
 
 
@@ -266,6 +267,17 @@ def _file(world: str) -> str:
     """The file of a world that is a scene in a file; empty for others."""
     name = world.removeprefix(f"{HABITAT}:").partition("?")[0]
     return name if name != world or Path(name).suffix.lower() in FILES else ""
+
+
+def _content(world: str) -> str:
+    """A world with the digest of the scene's file in place of its path."""
+    path = _file(world)
+    return world.replace(path, _digest(*_mark(Path(path))), 1) if path and Path(path).is_file() else world
+
+
+@lru_cache(maxsize=64)
+def _digest(path: str, *_: int) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
