@@ -143,6 +143,7 @@ def navigation_unit(rng, apartment, number, name, stratum, hard):
                     "steps": steps,
                     "mae": float(error.mean()),
                     "seam_crossings": crossed,
+                    "starts_at_seam": float(number % 3 == 0),
                     "path_m": path,
                     "shortest_m": shortest,
                     "distance_to_goal": 0.4 if arrived else 4.0,

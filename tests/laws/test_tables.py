@@ -25,7 +25,7 @@ from eagor.tasks.task import load
 MAKERS = {"waypoint": runs.waypoint, "navigation": runs.navigation, "tracking": runs.tracking}
 KEYS = {
     "waypoint": "L1 L2 L3 L4 delta occ seam tc tc_rotation coverage",
-    "navigation": "sr spl soft_spl steps undone mae seam_success coverage",
+    "navigation": "sr spl soft_spl steps undone mae seam_success seam_start coverage",
     "tracking": "error tc time_lost recovery coverage",
 }
 
@@ -68,10 +68,7 @@ def test_means_are_over_the_episodes_that_have_a_case(run):
         metrics = [r["methods"][name]["metrics"] for r in records if r["status"] == "ok" and name in r["methods"]]
         for key, value in row.items():
             of = column(summary["task"], key)
-            if summary["task"] == "navigation" and key in ("sr", "seam_success"):
-                found = [m["success"] for m in metrics if key == "sr" or m["seam_crossings"] > 0]
-            else:
-                found = [m[of.metric] for m in metrics]
+            found = [m[of.metric] for m in metrics if not of.only_if or m[of.only_if] > 0]
             found = [v * of.scale for v in found if v is not None]
             assert summary["counts"][name][key] == len(found)
             assert value == (pytest.approx(np.mean(found)) if found else None)

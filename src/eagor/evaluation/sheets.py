@@ -31,6 +31,7 @@ from eagor.evaluation.tables import (
     is_ablation,
     is_rival,
     mark,
+    own_cases,
     ordered,
     shown,
     shown_columns,
@@ -294,7 +295,7 @@ def _boxes(summary: dict[str, Any], name: str, columns: Sequence[Column], rivals
 
 def _box(summary: dict[str, Any], name: str, column: Column, winner: bool = False) -> Box:
     value, interval = summary["methods"][name][column.key], summary["intervals"][name][column.key]
-    small = span(interval, column.digits, column.key == "delta")
+    small = f"{span(interval, column.digits, column.key == 'delta') or ''} {own_cases(summary, name, column)}".strip()
     return Box(shown(value, column), small, DAGGER[mark(summary, name, column)], winner)
 
 

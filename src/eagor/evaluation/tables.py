@@ -161,7 +161,8 @@ def as_text(summary: dict[str, Any]) -> list[str]:
         for column in columns:
             found = mark(summary, name, column)
             marks.add(found)
-            row.append(f"{shown(summary['methods'][name][column.key], column)}{found or ' '}")
+            figure = shown(summary["methods"][name][column.key], column)
+            row.append(f"{figure}{found or ' '}{own_cases(summary, name, column)}")
         rows.append(row)
     counts = [summary["counts"][name] for name in summary["methods"]]
     rows.append(["cases", *(f"{_span([count[column.key] for count in counts])} " for column in columns)])
@@ -173,6 +174,12 @@ def as_text(summary: dict[str, Any]) -> list[str]:
     judged = [summary["judged"]] if summary.get("judged") else []
     tail = [f"{', '.join(notes)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests"] if notes else []
     return [head, *in_columns(rows), *judged, *tail]
+
+
+def own_cases(summary: dict[str, Any], name: str, column: Column) -> str:
+    """How many cases a method has in a column, where methods differ in that; else nothing."""
+    counts = {count[column.key] for count in summary["counts"].values()} - {0}
+    return f"({summary['counts'][name][column.key]})" if len(counts) > 1 else ""
 
 
 def mark(summary: dict[str, Any], name: str, column: Column) -> str:

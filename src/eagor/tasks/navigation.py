@@ -13,7 +13,7 @@ import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
-from eagor.sphere import world_R_body
+from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.tasks.episodes import Episode, FileEpisode, Slot, choose_target, heading_to, plan_listed
 from eagor.tasks.place_env import PlaceEnv, as_walk, walking_space
 from eagor.tasks.places import Place, load_place, pixels_of
@@ -22,6 +22,7 @@ from eagor.tasks.task import COVERAGE, Column, Played, Task
 
 # (visible at the start, winding path), cyclic: two thirds visible, half winding.
 STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
+AT_SEAM = math.radians(5)  # of an equirectangular picture, behind the body
 MOVED = 1e-4  # metres (and 1e-5 of the coordinates): less is no move in habitat-lab's distance to the goal
 ONLY_TURNED = 1e-4  # metres, as poses are rounded
 TRIES = 40  # starts tried per target and stratum
@@ -103,6 +104,7 @@ def measure(played: Played) -> dict[str, Any]:
     return {
         "mae": metrics.mean_error(played.trace["error_deg"]),
         "seam_crossings": int(metrics.seam_crossings(played.directions).sum()),
+        "starts_at_seam": float(abs(azimuth_elevation(played.directions[0])[0]) > math.pi - AT_SEAM),
         "coverage": played.coverage,
         **{key: info[key] for key in ("success", "spl", "soft_spl")},
         "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
@@ -204,6 +206,11 @@ NAVIGATION = Task(
         Column(
             "seam_success", "Seam", "%", "high", "success", "success where the true bearing crossed the seam",
             scale=100.0, share=True, only_if="seam_crossings",
+        ),
+        Column(
+            "seam_start", "Seam start", "%", "high", "success",
+            "success of the episodes that begin with the thing within 5 degrees of the seam, the same for all methods",
+            scale=100.0, share=True, only_if="starts_at_seam",
         ),
         COVERAGE,
     ),
