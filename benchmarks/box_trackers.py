@@ -25,16 +25,16 @@ FOREVER = 10_000  # frames until a thing that is not seen is given up
 
 
 class BoxTracker:
-    """One of `NAMES`, as `eagor.tasks.methods.Method`; without `turned`, boxes stay in the pictures as they come."""
+    """One of `NAMES`, as `eagor.tasks.methods.Method`."""
 
-    def __init__(self, name: str, turned: bool = True) -> None:
+    def __init__(self, name: str) -> None:
         import trackers
 
         more: dict[str, Any] = {"enable_cmc": False} if name == "bot_sort" else {}  # the poses are known
         self._tracker: Any = getattr(trackers, KINDS[name])(
             lost_track_buffer=FOREVER, track_activation_threshold=LEAST, high_conf_det_threshold=HIGH, **more
         )
-        self._pose, self._turned = np.eye(3), turned
+        self._pose = np.eye(3)
         self._best, self._best_score = np.array(FORWARD), 0.0
         self._scores: Counter[int] = Counter()
         self._newest: dict[int, np.ndarray] = {}
@@ -42,8 +42,7 @@ class BoxTracker:
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
         """The pose of the next look."""
         del stamp, position
-        if self._turned:
-            self._pose = world_R_body
+        self._pose = world_R_body
 
     def see(self, evidence: Evidence) -> None:
         """The boxes of a look, turned into the world."""

@@ -24,7 +24,6 @@ from e3nn import o3
 
 import eagor
 from eagor import conventions
-from eagor.harmonics.shells import _cubic
 from eagor.sphere import rotation, world_R_body
 
 torch.set_num_threads(1)
@@ -97,47 +96,6 @@ def with_e3nn(turn: np.ndarray) -> Callable[[], np.ndarray]:
     return step
 
 
-def batch_ducc(coefficients: np.ndarray, turns: np.ndarray) -> Callable[[], np.ndarray]:
-    alm = np.ascontiguousarray(conventions.to_healpix_alm(coefficients))
-    # Its angles are given, read off beforehand in one go: only the rotations themselves are timed.
-    beta = np.arctan2(np.hypot(turns[:, 0, 2], turns[:, 1, 2]), turns[:, 2, 2])
-    alpha, gamma = np.arctan2(turns[:, 1, 2], turns[:, 0, 2]), np.arctan2(turns[:, 2, 1], -turns[:, 2, 0])
-
-    def loop() -> np.ndarray:
-        out = np.empty_like(alm)
-        for i in range(len(alm)):
-            out[i] = ducc0.sht.rotate_alm(alm[i], L, gamma[i], beta[i], alpha[i], nthreads=1)
-        return out
-
-    return loop
-
-
-def shells_by_definition(
-    belief: eagor.RangedBelief, turn: np.ndarray, step: np.ndarray, rows: int = 0
-) -> Callable[[], np.ndarray]:
-    """The rival of the shell warp: evaluate the basis at the warped points of a quadrature grid, each step anew.
-
-    By default on the smallest grid that is exact for products of two fields of the degree.
-    """
-    basis = belief.basis
-    grid = eagor.ErpGrid(rows, 2 * rows) if rows else basis.quadrature()
-    ranges = belief.ranges
-
-    def warp() -> np.ndarray:
-        found = []
-        for r in ranges:
-            before = r * grid.directions + step
-            distance = np.linalg.norm(before, axis=-1)
-            position = np.interp(np.log(distance), np.log(ranges), np.arange(len(ranges)))
-            values = basis.evaluate(before / distance[..., None] @ turn) @ belief.shells.T
-            nearest, weights = _cubic(position.ravel(), len(ranges))
-            picked = np.take_along_axis(values.reshape(-1, len(ranges)), nearest.T, axis=1)
-            found.append(basis.analyse(np.sum(picked * weights.T, axis=1).reshape(grid.shape), grid))
-        return np.stack(found)
-
-    return warp
-
-
 def seconds(run: Callable[[], object], count: int) -> float:
     """CPU seconds of one run, the mean of `count` in a row."""
     start = time.process_time()
@@ -160,12 +118,11 @@ def measure(contestants: dict[str, Callable[[], object]], batches: int) -> dict[
     return times
 
 
-def ratio(times: dict[str, list[float]], name: str, unit: str) -> dict[str, float]:
-    blocks = [
-        np.median(a) / np.median(b)
-        for a, b in zip(np.array_split(times[name], 5), np.array_split(times[unit], 5), strict=True)
-    ]
-    return {"ratio": float(np.median(times[name]) / np.median(times[unit])), "low": min(blocks), "high": max(blocks)}
+def row(name: str, times: dict[str, list[float]], one: str, unit: str, aim: str = "") -> None:
+    """Print the ratio of two contestants, its range over five parts of the run, and what is aimed at."""
+    a, b = ([np.median(part) for part in np.array_split(times[each], 5)] for each in (one, unit))
+    blocks, whole = np.array(a) / b, np.median(times[one]) / np.median(times[unit])
+    print(f"  {name:50s} {whole:7.2f}   {blocks.min():5.2f}..{blocks.max():5.2f}  {aim}")
 
 
 def accuracy() -> dict[str, float]:
@@ -205,92 +162,34 @@ def main() -> None:
     def log() -> np.ndarray:  # into memory that is already there: a fresh 2 MB array can cost more than the logarithm
         return np.log(FULL_MAP, out=out)
 
-    small = measure(
-        {
-            "log": log,
-            "patch, yaw": ours(PATCH_MAP, PATCH, YAW),
-            "patch, any rotation": ours(PATCH_MAP, PATCH, ANY),
-            "patch, yaw, published mean": ours(PATCH_MAP, PATCH, YAW, "mean"),
-            "full map, yaw": ours(FULL_MAP, FULL, YAW),
-            "full map, any rotation": ours(FULL_MAP, FULL, ANY),
-            "full map, published calibration": ours(HALF_MAP, FULL, ANY, "mean", eagor.Calibration.paper()),
-            "ducc0, full map, any rotation": with_ducc(ANY),
-        },
-        max(5, options.repeats),
-    )
-    slow = measure(
-        {"ours": ours(FULL_MAP, FULL, ANY), "e3nn, full map, any rotation": with_e3nn(ANY)},
-        max(5, options.repeats // 2),
-    )
-    coefficients = np.random.default_rng(2).normal(size=(4096, (L + 1) ** 2))
-    turns = conventions.rotation_from_wxyz(np.random.default_rng(3).normal(size=(4096, 4)))
-    basis, single = eagor.RealHarmonics(L), coefficients.astype(np.float32)
-    tensors = torch.tensor(single), torch.tensor(turns, dtype=torch.float32)
-    many = measure(
-        {
-            "float64": lambda: basis.rotate(coefficients, turns),
-            "float32": lambda: basis.rotate(single, turns),
-            "torch float32": lambda: basis.rotate(*tensors),
-            "ducc0 loop": batch_ducc(coefficients, turns),
-        },
-        max(5, options.repeats // 2),
-    )
+    steps = {  # contestant and aim
+        "patch, yaw": (ours(PATCH_MAP, PATCH, YAW), "<= 0.4"),
+        "patch, any rotation": (ours(PATCH_MAP, PATCH, ANY), "<= 0.75"),
+        "patch, yaw, published mean": (ours(PATCH_MAP, PATCH, YAW, "mean"), ""),
+        "full map, yaw": (ours(FULL_MAP, FULL, YAW), "<= 3.5"),
+        "full map, any rotation": (ours(FULL_MAP, FULL, ANY), "<= 3.5"),
+        "full map, published calibration": (ours(HALF_MAP, FULL, ANY, "mean", eagor.Calibration.paper()), "<= 4"),
+    }
+    many, few = max(5, options.repeats), max(5, options.repeats // 2)
+    small = measure({"log": log, **{name: run for name, (run, _) in steps.items()}, "ducc0": with_ducc(ANY)}, many)
+    slow = measure({"ours": ours(FULL_MAP, FULL, ANY), "e3nn": with_e3nn(ANY)}, few)
     ranged = eagor.RangedBelief.uniform(12)
     for y in (0.64, 0.3, 0.0):  # a belief that has moved, so that its shells differ
         ranged = ranged.update(eagor.Evidence.from_points([[0.6, y, 0.48]], 50.0)).predict(YAW, [0.25, 0, 0])
     look, moved = eagor.Evidence.from_response(PATCH_MAP, PATCH), np.array([0.2, 0.1, -0.05])
-    shells = measure(
-        {
-            "log": log,
-            "step": lambda: ranged.predict(ANY, moved).update(look),
-            "warp": lambda: ranged.predict(ANY, moved),
-            "by definition": shells_by_definition(ranged, ANY, moved),
-        },
-        max(5, options.repeats // 2),
-    )
-    reference = shells_by_definition(ranged, ANY, moved, rows=120)()
-    error = {
-        name: float(np.linalg.norm(found - reference) / np.linalg.norm(reference))
-        for name, found in [
-            ("shell warp, relative error of ours", ranged.predict(ANY, moved).shells),
-            ("shell warp, relative error of the rival", shells_by_definition(ranged, ANY, moved)()),
-        ]
-    }
-
-    rows: list[tuple[str, dict[str, float], str]] = [
-        (f"whole step, {name}", ratio(small, name, "log"), limit)
-        for name, limit in [
-            ("patch, yaw", "<= 0.4"),
-            ("patch, any rotation", "<= 0.75"),
-            ("patch, yaw, published mean", ""),
-            ("full map, yaw", "<= 3.5"),
-            ("full map, any rotation", "<= 3.5"),
-            ("full map, published calibration", "<= 4"),
-        ]
-    ]
-    rows.append(("RangedBelief step, 14 shells, L = 12", ratio(shells, "step", "log"), "<= 15"))
-    faster: list[tuple[str, dict[str, float], str]] = [
-        (
-            "ducc0 route / ours, full map",
-            ratio(small, "ducc0, full map, any rotation", "full map, any rotation"),
-            ">= 2",
-        ),
-        ("e3nn route / ours, full map", ratio(slow, "e3nn, full map, any rotation", "ours"), ">= 8"),
-        ("ducc0 loop / ours, 4096 rotations, float64", ratio(many, "ducc0 loop", "float64"), ">= 3"),
-        ("ducc0 loop / ours, 4096 rotations, float32", ratio(many, "ducc0 loop", "float32"), ">= 3"),
-        ("ducc0 loop / ours, 4096 rotations, torch float32", ratio(many, "ducc0 loop", "torch float32"), ""),
-        ("basis at warped points / ours, 14 shells", ratio(shells, "by definition", "warp"), ">= 30"),
-    ]
-    exact = accuracy() | error
+    shells = measure({"log": log, "step": lambda: ranged.predict(ANY, moved).update(look)}, few)
 
     unit = 1e6 * np.median(small["log"])
     print(f"np.log over 512 x 1024 float32: {unit:.0f} us of CPU time (the unit of the first table)\n")
-    for title, table in [("cost, in units of that np.log", rows), ("how many times faster than a rival", faster)]:
-        print(f"{title:52s} {'ratio':>7s}   {'blocks':13s} aim")
-        for name, found, limit in table:
-            print(f"  {name:50s} {found['ratio']:7.2f}   {found['low']:5.2f}..{found['high']:5.2f}  {limit}")
-        print()
-    for name, value in exact.items():
+    print(f"{'cost, in units of that np.log':52s} {'ratio':>7s}   {'blocks':13s} aim")
+    for name, (_, aim) in steps.items():
+        row(f"whole step, {name}", small, name, "log", aim)
+    row("RangedBelief step, 14 shells, L = 12", shells, "step", "log", "<= 15")
+    print(f"\n{'how many times faster than a rival':52s} {'ratio':>7s}   {'blocks':13s} aim")
+    row("ducc0 route / ours, full map", small, "ducc0", "full map, any rotation", ">= 2")
+    row("e3nn route / ours, full map", slow, "e3nn", "ours", ">= 8")
+    print()
+    for name, value in accuracy().items():
         print(f"  {name:60s} {value:.1e}")
 
 

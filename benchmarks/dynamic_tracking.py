@@ -124,14 +124,16 @@ class Steering:
             start = ground.snap(xy)
             assert start is not None
             self._path = ground.path(start, ground.sample(self._rng, 0.3))
-        nearest = min(np.arange(0, length_of(self._path) + 0.1, 0.1), key=lambda way: self._off(way, xy))
-        way = along(self._path, np.array([nearest + 0.5]))[0] - xy
+        nearest = min(
+            np.arange(0, length_of(self._path) + 0.1, 0.1), key=lambda way: float(np.linalg.norm(self._at(way) - xy))
+        )
+        way = self._at(nearest + 0.5) - xy
         turn = math.remainder(math.atan2(way[1], way[0]) - yaw, 2 * math.pi)
         forward = 0.5 if abs(turn) < math.radians(25) else 0.0
         return forward, 0.0, float(np.clip(2.0 * turn, -0.8, 0.8))
 
-    def _off(self, way: float, xy: np.ndarray) -> float:
-        return float(np.linalg.norm(along(self._path, np.array([way]))[0] - xy))
+    def _at(self, way: float) -> np.ndarray:
+        return along(self._path, np.array([way]))[0]
 
 
 def settings(seed: int, scene: str) -> SimSettings:

@@ -33,14 +33,12 @@ SHOWN = (tables.SEEN, tables.IN_SIGHT, tables.HIDDEN)
 
 def frame_errors(steps: list[Seen]) -> np.ndarray:
     """Degrees ``(n,)`` between the truth and the highest value of each look; NaN where there is no response map."""
-    found = []
-    for step in steps:
-        error, look = math.nan, step.evidence
-        if look is not None and look.response is not None:
-            best = look.grid.directions.reshape(-1, 3)[int(np.argmax(look.response))]
-            error = float(angular_error_deg(best, step.truth))
-        found.append(error)
-    return np.array(found)
+    found = np.full(len(steps), math.nan)
+    for index, step in enumerate(steps):
+        if step.evidence is not None and step.evidence.response is not None:
+            best = step.evidence.grid.directions.reshape(-1, 3)[int(np.argmax(step.evidence.response))]
+            found[index] = angular_error_deg(best, step.truth)
+    return found
 
 
 def errors(player: Player, name: str, slot: Slot, steps: list[Seen]) -> np.ndarray:

@@ -3,10 +3,9 @@
     python benchmarks/fit.py [--perception scout] [--methods eagor vmf ...] [--trials 48] [--workers 2]
 
 Waypoint Following and `tracking` are open loop: their episodes are recorded once (poses and responses), and every
-trial reads the recordings, which are those of ``eagor calibrate``. A trial is a random
-draw from the method's space; the first is the setting in use now. All trials see the episodes of half of the
-apartments; the best eighth of them is judged by the other half, and that ranking is printed, with intervals over
-apartments. Seeds are of development apartments only; others are refused.
+trial reads the recordings, which are those of ``eagor calibrate``. A trial is a random draw from the method's space;
+the first is the setting in use now. All trials see the episodes of half of the apartments; the best eighth of them is
+judged by the other half, and that ranking is printed. Seeds are of development apartments only; others are refused.
 
 The aim is one number, in degrees: waypoint (error + TC) + tracking (error + TC), each a mean over episodes. It asks for
 what a user sees: to be right, and not to jump.
@@ -26,11 +25,7 @@ import numpy as np
 from eagor.evaluation.calibration import TASKS, Recorder, record_episodes
 from eagor.tasks.play import Recording
 
-AIMS = (("waypoint", "mae"), ("waypoint", "tc"), ("tracking", "error"), ("tracking", "tc"))
-SHOWN = {
-    "waypoint": ("L1", "L2", "L3", "L4", "occ", "seam", "tc"),
-    "tracking": ("error", "tc", "time_lost", "recovery"),
-}
+AIMS = {"waypoint": ("mae", "tc"), "tracking": ("error", "tc")}
 
 Settings = dict[str, Any]
 Rng = np.random.Generator
@@ -76,17 +71,18 @@ class Judge:
         self.recordings = {task: [r for r in recordings if r.episode.slot.task == task] for task in TASKS}
         self.players = Recorder(perception).players
 
-    def scores(self, name: str, half: int) -> dict[str, list[tuple[int, dict[str, Any]]]]:
-        """For each task (apartment, metrics) of the episodes in even or odd apartments."""
-        found: dict[str, list[tuple[int, dict[str, Any]]]] = {}
-        for task, recordings in self.recordings.items():
+    def aim(self, name: str, half: int) -> float:
+        """What is minimised, degrees: means over the episodes in even or odd apartments that have a case."""
+        found = 0.0
+        for task, columns in AIMS.items():
             player = self.players[task]
-            found[task] = []
-            for recording in recordings:
-                slot = recording.episode.slot
-                if slot.seed % 2 == half:
-                    judged = player.judge(recording, player.method(name, slot), regions=False)
-                    found[task].append((slot.seed, judged["metrics"]))
+            judged = [
+                player.judge(recording, player.method(name, recording.episode.slot), regions=False)["metrics"]
+                for recording in self.recordings[task]
+                if recording.episode.slot.seed % 2 == half
+            ]
+            for column in columns:
+                found += float(np.mean([metrics[column] for metrics in judged if metrics[column] is not None]))
         return found
 
 
@@ -98,8 +94,8 @@ def _begin(recordings: Sequence[Recording], perception: str) -> None:
     _judge = Judge(recordings, perception)
 
 
-def _try(job: tuple[str, int]) -> tuple[str, dict[str, list[tuple[int, dict[str, Any]]]]]:
-    return job[0], _judge.scores(*job)
+def _try(job: tuple[str, int]) -> tuple[float, str]:
+    return _judge.aim(*job), job[0]
 
 
 def trials(base: str, count: int, seed: int) -> Iterator[str]:
@@ -107,21 +103,8 @@ def trials(base: str, count: int, seed: int) -> Iterator[str]:
     yield base
     rng = np.random.default_rng([seed, 17])
     for _ in range(count - 1):
-        drawn = SPACES[base](rng).items()
-        yield f"{base}:" + ",".join(
-            f"{key}={value if isinstance(value, str) else f'{value:.3g}'}" for key, value in drawn
-        )
-
-
-def aim(scores: dict[str, list[tuple[int, dict[str, Any]]]]) -> float:
-    """What is minimised, degrees."""
-    return sum(_mean(scores[task], column)[0] for task, column in AIMS)
-
-
-def _mean(rows: list[tuple[int, dict[str, Any]]], column: str) -> tuple[float, float, float]:
-    """Mean over the episodes that have a case, and its 95 % interval over apartments."""
-    there = [(seed, row[column]) for seed, row in rows if row[column] is not None]
-    return common.mean_of([value for _, value in there], [seed for seed, _ in there])
+        drawn = {key: value if isinstance(value, str) else f"{value:.3g}" for key, value in SPACES[base](rng).items()}
+        yield f"{base}:" + ",".join(f"{key}={value}" for key, value in drawn.items())
 
 
 def main() -> int:
@@ -136,28 +119,17 @@ def main() -> int:
     print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
     recordings = record_episodes(options.perception, options.episodes, options.seed, left_out=print)
     begin = _begin, (recordings, options.perception)
-    with multiprocessing.get_context("spawn").Pool(options.workers, *begin) as jobs:
+    with multiprocessing.get_context("spawn").Pool(options.workers, *begin) as pool:
         for base in options.methods:
             names = list(trials(base, options.trials, options.seed))
-            first = sorted((aim(found), name) for name, found in jobs.imap_unordered(_try, [(n, 0) for n in names]))
+            first = sorted(pool.imap_unordered(_try, [(name, 0) for name in names]))
             kept = [name for _, name in first[: max(4, options.trials // 8)]]
             kept += [base] if base not in kept else []
-            second = sorted(
-                ((aim(found), name, found) for name, found in jobs.imap_unordered(_try, [(n, 1) for n in kept])),
-                key=lambda entry: entry[0],
-            )
-            _print(base, len(names), second)
+            second = sorted(pool.imap_unordered(_try, [(name, 1) for name in kept]))
+            print(f"\n{base}: {len(names)} trials; the best on the other half of the apartments, degrees")
+            for value, name in second:
+                print(f"  {value:6.2f}  {name}", flush=True)
     return 0
-
-
-def _print(base: str, count: int, entries: list[tuple[float, str, dict[str, Any]]]) -> None:
-    print(f"\n{base}: {count} trials; the best on the other half of the apartments")
-    heads = [f"{task[0]}.{column}" for task, columns in SHOWN.items() for column in columns]
-    print(f"  {'aim':>6s}  " + " ".join(f"{head:>11s}" for head in heads))
-    for value, name, scores in entries:
-        figures = [_mean(scores[task], column) for task, columns in SHOWN.items() for column in columns]
-        print(f"  {value:6.2f}  " + " ".join(f"{f[0]:5.1f} ±{(f[2] - f[1]) / 2:4.1f}" for f in figures))
-        print(f"          {name}", flush=True)
 
 
 if __name__ == "__main__":

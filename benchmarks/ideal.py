@@ -44,13 +44,13 @@ import math
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import common
 import numpy as np
 from ideal_filters import NEAR, Assigned, Contestant, KindUnknown, StillOrKnown, Walked
-from ideal_rivals import Core, RivalGrid, RivalParticles, Settings, Tracker, learnt, stated, stated_habits
+from ideal_rivals import Core, RivalGrid, RivalParticles, Tracker, learnt, stated, stated_habits
 from ideal_worlds import STEP, WORLDS, Detector, Run, make
 
 from eagor import MotionModel, TrackerConfig
@@ -71,11 +71,11 @@ WRONG = {
     "spread 4": Detector(spread=4.0),
     "spread 16": Detector(spread=16.0),
 }
-PARTICLES = {  # tuned on seeds 0 to 99
-    (5_000, "roughened"): Settings(0.17, shrunk=False),
-    (5_000, "Liu-West"): Settings(0.2, shrunk=True),
-    (20_000, "roughened"): Settings(0.12, shrunk=False),
-    (20_000, "Liu-West"): Settings(0.15, shrunk=True),
+PARTICLES = {  # smoothing, whether particles are drawn to their mean first; tuned on seeds 0 to 99
+    (5_000, "roughened"): (0.17, False),
+    (5_000, "Liu-West"): (0.2, True),
+    (20_000, "roughened"): (0.12, False),
+    (20_000, "Liu-West"): (0.15, True),
 }
 DRIFT = tuple(name for name in WORLDS if name.startswith("drift"))
 SHARP = tuple(name for name in WORLDS if name.startswith("turning, "))
@@ -100,12 +100,13 @@ TOLD = {  # what a user would state who knows as much of the motion as the ideal
 }
 CIRCLING = MotionModel(wander=(), turn=(math.radians(6),), start=1, stop=0, jump=0)  # neither axis nor rate
 Factory = Callable[[Run, int], Contestant]
+Rows = dict[str, dict[str, np.ndarray]]  # of each contestant, values per run
 DIRECTIONS: dict[str, Factory] = {  # rivals that believe in directions alone
     "Belief, degree 15": lambda run, seed: Core(run.detector, 15),
     "Belief, degree 31": lambda run, seed: Core(run.detector, 31),
     "PyRecEst, 12,288 cells": lambda run, seed: RivalGrid(run.detector),
     "PyRecEst, 5,000 directions": lambda run, seed: RivalParticles(
-        run.detector, seed, 5_000, PARTICLES[5_000, "Liu-West"], False
+        run.detector, seed, 5_000, *PARTICLES[5_000, "Liu-West"]
     ),
 }
 
@@ -118,7 +119,9 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
     }
     if world == "walking":
         particles: dict[str, Factory] = {
-            f"PyRecEst, {count:,}, {how}": lambda run, seed, c=count, s=settings: RivalParticles(TRUE, seed, c, s, True)
+            f"PyRecEst, {count:,}, {how}": lambda run, seed, c=count, s=settings: RivalParticles(
+                TRUE, seed, c, *s, walks=True
+            )
             for (count, how), settings in PARTICLES.items()
         }
         return {IDEAL: lambda run, seed: Walked(TRUE), **ours, **particles}
@@ -198,7 +201,7 @@ def follow(filter_: Contestant, run: Run) -> dict[str, Any]:
     return found
 
 
-def measure(world: str, factories: Mapping[str, Factory], first: int, runs: int) -> dict[str, dict[str, np.ndarray]]:
+def measure(world: str, factories: Mapping[str, Factory], first: int, runs: int) -> Rows:
     """All contestants on the same runs, in an order that changes from run to run; values per run."""
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in factories}
     names = list(factories)
@@ -213,124 +216,74 @@ def measure(world: str, factories: Mapping[str, Factory], first: int, runs: int)
     return {name: {key: np.array([r[key] for r in rows]) for key in rows[0]} for name, rows in found.items()}
 
 
-def interval(values: np.ndarray) -> dict[str, float]:
+def interval(values: np.ndarray) -> tuple[float, float, float]:
     """Mean over runs with its interval."""
-    return dict(zip(("mean", "low", "high"), common.mean_of(values[np.isfinite(values)]), strict=True))
+    return common.mean_of(values[np.isfinite(values)])
 
 
-def summarise(rows: dict[str, dict[str, np.ndarray]]) -> dict[str, dict[str, Any]]:
-    """The table of one world; coverage and the mean error count every look alike, their intervals draw whole runs."""
-    table = {}
-    for name, row in rows.items():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a run without any detection has no errors
-            error = np.nanmean(row["error"], axis=1)
-        said, behind = np.isfinite(row["above"]), rows[IDEAL]["log_density"] - row["log_density"]
-        there = presence_scores(row)
-        table[name] = {
-            "error": interval(error),
-            "error_end": interval(row["error"][:, -1]),
-            "nats": interval(behind.mean(axis=1)),
-            "nats_late": interval(behind[:, LATE - 1 :].mean(axis=1)),
-            "presence_after": {str(n): interval(there[:, n - 1]) for n in AFTER},
-            "coverage": {str(level): float(np.mean(row["above"][said] <= level)) for level in LEVELS},
-            "ms": float(np.median(row["ms"])),
-        }
-        if "distance" in row:
-            table[name]["distance"] = interval(row["distance"])
-            table[name]["without_distance"] = int(np.isnan(row["distance"]).sum())
-    return table
+def ranged(values: np.ndarray) -> str:
+    return " {:8.3f} [{:6.3f}, {:6.3f}]".format(*interval(values))
 
 
-def presence_scores(row: dict[str, np.ndarray]) -> np.ndarray:
-    """The log of what was claimed for the truth, whether the target is there ``(N, T)``."""
-    claimed = row["claims"][..., 0]
-    return np.log(np.maximum(np.where(row["present"][:, None], claimed, 1 - claimed), 1e-12))
+def show(title: str, rows: Rows, names: Sequence[str], late: bool = False) -> None:
+    """The table of a world; `late`: also nats from look `LATE` on.
 
-
-def few(rows: dict[str, dict[str, np.ndarray]]) -> dict[str, list[dict[str, dict[str, float]]]]:
-    """Claims against the ideal's after 1, 2, 3 looks: mean and largest difference; "within 15" where it answers."""
-    found = {}
-    for name in (OURS, LEARNT):
-        if name not in rows:
-            continue
-        found[name] = []
-        for look in range(FEW):
-            ideal, ours = (rows[n]["claims"][:, look] for n in (IDEAL, name))
-            pairs = {"presence": (ours[:, 0], ideal[:, 0]), "within 15": (ours[:, 1], ideal[:, 1])}
-            pairs["both"] = (ours.prod(axis=1), ideal.prod(axis=1))
-            away = {key: np.abs(a - b)[np.isfinite(a - b)] for key, (a, b) in pairs.items()}
-            found[name].append(
-                {k: {"mean": float(d.mean()), "max": float(d.max())} if len(d) else {} for k, d in away.items()}
-            )
-    return found
-
-
-def said(rows: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """How often our tracker says each word, and how often it is then within 15 degrees of the truth, with intervals."""
-    found = {}
-    for word in ("tracking", "ambiguous", "searching"):
-        said, right = rows["words"] == word, rows["error"] <= math.degrees(NEAR)  # nan, before any detection, is wrong
-        if not said.any():
-            continue
-        draws = np.random.default_rng(0).integers(len(said), size=(2000, len(said)))  # whole runs
-        counts, hits = said.sum(axis=1)[draws].sum(axis=1), (said & right).sum(axis=1)[draws].sum(axis=1)
-        low, high = np.quantile(hits[counts > 0] / counts[counts > 0], [0.025, 0.975])
-        found[word] = {
-            "said": float(said.mean()),
-            "right": float(right[said].mean()),
-            "low": float(low),
-            "high": float(high),
-        }
-    return found
-
-
-def show_words(table: dict[str, dict[str, float]]) -> None:
-    cells = [
-        f"{word} {row['said']:.0%}, right in {row['right']:.1%} [{row['low']:.1%}, {row['high']:.1%}]"
-        for word, row in table.items()
-    ]
-    print("  says: " + "; ".join(cells))
-
-
-def show(title: str, table: dict[str, dict[str, Any]], late: bool = False) -> None:
-    """`late`: also nats from look `LATE` on."""
-    walked = any("distance" in row for row in table.values())
+    Coverage and the mean error count every look alike, their intervals draw whole runs.
+    """
+    walked = any("distance" in rows[name] for name in names)
     print(f"\n{title}")
     print(
         f"  {'':28s} {'error, mean [95 %]':>22s} {'at the end':>10s} {'nats behind [95 %]':>24s}"
         f"{f'  from look {LATE} on [95 %]' if late else ''}"
         f" {'50':>5s} {'90':>5s} {'99 %':>5s}{'  distance' if walked else ''} {'ms':>7s}"
     )
-    for name, row in table.items():
-        error, cover = row["error"], row["coverage"]
-        far = f"  {row['distance']['mean']:8.3f}" if walked else ""
-        print(
-            f"  {name:28s} {error['mean']:7.2f} [{error['low']:5.2f}, {error['high']:5.2f}]"
-            f" {row['error_end']['mean']:10.2f}{ranged(row['nats'])}{ranged(row['nats_late']) if late else ''}"
-            f" {cover['0.5']:5.2f} {cover['0.9']:5.2f} {cover['0.99']:5.2f}{far} {row['ms']:7.2f}"
-        )
+    for name in names:
+        row = rows[name]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a run without any detection has no errors
+            error = "{:7.2f} [{:5.2f}, {:5.2f}]".format(*interval(np.nanmean(row["error"], axis=1)))
+        told, behind = np.isfinite(row["above"]), rows[IDEAL]["log_density"] - row["log_density"]
+        nats = ranged(behind.mean(axis=1)) + (ranged(behind[:, LATE - 1 :].mean(axis=1)) if late else "")
+        cover = " ".join(f"{np.mean(row['above'][told] <= level):5.2f}" for level in LEVELS)
+        far = f"  {interval(row['distance'])[0]:8.3f}" if walked else ""
+        end = interval(row["error"][:, -1])[0]
+        print(f"  {name:28s} {error} {end:10.2f}{nats} {cover}{far} {np.median(row['ms']):7.2f}")
 
 
-def ranged(value: dict[str, float]) -> str:
-    """A mean with its interval."""
-    return f" {value['mean']:8.3f} [{value['low']:6.3f}, {value['high']:6.3f}]"
-
-
-def show_presence(title: str, table: dict[str, dict[str, Any]]) -> None:
+def show_presence(title: str, rows: Rows) -> None:
+    """The log of what was claimed for the truth, whether the target is there."""
     print(f"\n{title}")
     print(f"  {'looks':28s}" + "".join(f" {count:>8d} {'[95 %]':>16s}" for count in AFTER))
-    for name, row in table.items():
-        print(f"  {name:28s}" + "".join(ranged(value) for value in row["presence_after"].values()))
+    for name, row in rows.items():
+        claimed = row["claims"][..., 0]
+        there = np.log(np.maximum(np.where(row["present"][:, None], claimed, 1 - claimed), 1e-12))
+        print(f"  {name:28s}" + "".join(ranged(there[:, count - 1]) for count in AFTER))
 
 
-def show_few(table: dict[str, list[dict[str, dict[str, float]]]]) -> None:
+def show_few(rows: Rows) -> None:
+    """Claims against the ideal's after 1, 2, 3 looks: mean and largest difference; "within 15" where it answers."""
     print("\nfew looks: away from what the ideal filter claims, mean (largest)")
     print(f"  {'':28s} {'looks':>5s} {'presence':>16s} {'within 15':>16s} {'both':>16s}")
-    for name, looks in table.items():
-        for count, row in enumerate(looks, 1):
-            cells = [f"{d['mean']:7.3f} ({d['max']:.3f})" if d else "-" for d in row.values()]
-            print(f"  {name:28s} {count:5d} " + " ".join(f"{cell:>16s}" for cell in cells))
+    for name in (name for name in (OURS, LEARNT) if name in rows):
+        for look in range(FEW):
+            ideal, ours = (rows[n]["claims"][:, look] for n in (IDEAL, name))
+            away = np.abs(np.column_stack([ours - ideal, ours.prod(axis=1) - ideal.prod(axis=1)])).T
+            known = [column[np.isfinite(column)] for column in away]
+            cells = [f"{column.mean():7.3f} ({column.max():.3f})" if len(column) else "-" for column in known]
+            print(f"  {name:28s} {look + 1:5d} " + " ".join(f"{cell:>16s}" for cell in cells))
+
+
+def show_words(rows: dict[str, np.ndarray]) -> None:
+    """How often our tracker says each word, and how often it is then within 15 degrees of the truth, with intervals."""
+    cells = []
+    for word in ("tracking", "ambiguous", "searching"):
+        said, right = rows["words"] == word, rows["error"] <= math.degrees(NEAR)  # nan, before any detection, is wrong
+        if said.any():
+            draws = np.random.default_rng(0).integers(len(said), size=(2000, len(said)))  # whole runs
+            counts, hits = said.sum(axis=1)[draws].sum(axis=1), (said & right).sum(axis=1)[draws].sum(axis=1)
+            low, high = np.quantile(hits[counts > 0] / counts[counts > 0], [0.025, 0.975])
+            cells.append(f"{word} {said.mean():.0%}, right in {right[said].mean():.1%} [{low:.1%}, {high:.1%}]")
+    print("  says: " + "; ".join(cells))
 
 
 def main() -> int:
@@ -339,7 +292,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="of the first run (default 0)")
     parser.add_argument("--worlds", nargs="+", choices=GROUPS, default=list(GROUPS), help="default: all")
     parser.add_argument(
-        "--methods", nargs="+", metavar="TEXT", help="only contestants with one of these in their names"
+        "--methods", nargs="+", default=[""], metavar="TEXT", help="only names with one of these in them"
     )
     options = parser.parse_args()
     wanted = set(options.worlds)
@@ -351,23 +304,20 @@ def main() -> int:
         factories = {
             name: factory
             for name, factory in contestants(world, wanted).items()
-            if name == IDEAL or not options.methods or any(text in name for text in options.methods)
+            if name == IDEAL or any(text in name for text in options.methods)
         }
         rows = measure(world, factories, options.seed, options.runs)
-        table = summarise(rows)
-        wrong = {
-            n: table.pop(n) for n in list(table) if n.removeprefix(f"{IDEAL}, ").removeprefix(f"{OURS}, ") in WRONG
-        }
+        wrong = [n for n in rows if n.removeprefix(f"{IDEAL}, ").removeprefix(f"{OURS}, ") in WRONG]
         if world in HABITS[1:]:
-            show_presence(f"{world}: log score of the presence", table)
+            show_presence(f"{world}: log score of the presence", rows)
         else:
-            show(world, table, world in ("turning", *HABITS))
+            show(world, rows, [name for name in rows if name not in wrong], world in ("turning", *HABITS))
         if OURS in rows:
-            show_words(said(rows[OURS]))
+            show_words(rows[OURS])
         if wrong:
-            show("turning, the detector wrong by a factor 2", wrong)
+            show("turning, the detector wrong by a factor 2", rows, wrong)
         if world == "turning" and "few" in wanted:
-            show_few(few(rows))
+            show_few(rows)
     return 0
 
 

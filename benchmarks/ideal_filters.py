@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -37,21 +37,24 @@ class Contestant:
 
     direction: np.ndarray | None = None
     distance: float | None = None
-
-    @property
-    def word(self) -> str | None:
-        return None
+    word: str | None = None
+    pose: np.ndarray
+    heights: np.ndarray  # of `at`, at directions drawn from the density
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         """Predict to this look and update with it, and work out the answer: all that is timed."""
         raise NotImplementedError
 
-    def log_density(self, direction: np.ndarray) -> float:
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """Log density at world directions ``(n, 3)``."""
         raise NotImplementedError
+
+    def log_density(self, direction: np.ndarray) -> float:
+        return float(self.at((self.pose @ direction)[None])[0])
 
     def mass_above(self, direction: np.ndarray) -> float:
         """Mass of the smallest region of highest density that reaches `direction`."""
-        raise NotImplementedError
+        return float(np.mean(self.heights > self.log_density(direction)))
 
     def claim(self) -> tuple[float, float]:
         """Probability that it is there at all (0.5 before any look), and within 15 degrees of the answer if it is."""
@@ -243,12 +246,6 @@ class Walked(Contestant):
         step = self.reach[1] - self.reach[0]
         return top + np.log(np.exp(value - top[:, None]).sum(axis=1) * step + 1e-300)
 
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.at((self.pose @ direction)[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        return float(np.mean(self.heights > self.log_density(direction)))
-
     def claim(self) -> tuple[float, float]:
         odds = math.exp(self.log_total)
         return odds / (1 + odds), math.nan
@@ -361,12 +358,6 @@ class Assigned(Contestant):
         seen = np.exp(self.kappas * (directions @ self.centres.T - 1)) @ tops
         return np.log(seen + self.unseen / (4 * math.pi))
 
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.at((self.pose @ direction)[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        return float(np.mean(self.heights > self.log_density(direction)))
-
     def claim(self) -> tuple[float, float]:
         if self.direction is None:
             return self.presence, math.nan
@@ -374,10 +365,7 @@ class Assigned(Contestant):
 
 
 # What Bayes can do that is not told how the target moves: still, or a random walk of one of two speeds, each filtered
-# exactly and weighed by what it foretold. It is the floor of `ideal.py` for every filter with our prior. (Of a steady
-# turn neither whose axis nor whose rate is known no exact filter is at hand. Where a line is fitted to places with
-# errors, the variance at its end is four times that of their mean: for two axes that is ln 4 = 1.4 nats behind whoever
-# knows.)
+# exactly and weighed by what it foretold. It is the floor of `ideal.py` for every filter with our prior.
 KINDS = {  # the prior of `eagor.MotionModel` but for its turns
     Motion(): 0.8,
     Motion(diffusion=math.radians(2.5)): 0.1,
@@ -385,33 +373,27 @@ KINDS = {  # the prior of `eagor.MotionModel` but for its turns
 }
 
 
-class KindUnknown(Contestant):
-    """A mixture of exact filters, one for each kind of motion."""
+class KindUnknown(StillOrKnown):
+    """A mixture of exact filters, one for each kind of motion; it says nothing of presence."""
 
-    def __init__(self, detector: Detector, kinds: Mapping[Motion, float] | None = None, nside: int = 32) -> None:
-        kinds = KINDS if kinds is None else kinds
-        self.filters = [StillOrKnown(detector, motion, nside) for motion in kinds]
-        self.weights = np.array(list(kinds.values()))
+    claim = Contestant.claim
+
+    def __init__(self, detector: Detector, nside: int = 32) -> None:
+        self.filters = [StillOrKnown(detector, motion, nside) for motion in KINDS]
+        self.weights = np.array(list(KINDS.values()))
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         for filter_ in self.filters:
             filter_.look(time, pose, position, detections)
-        self.weights = self.weights * [filter_.looks[-1][1] for filter_ in self.filters]
+        self.pose, self.weights = pose, self.weights * [filter_.looks[-1][1] for filter_ in self.filters]
         self.weights /= self.weights.sum()
         self.ratio = self.weights @ [f.ratio for f in self.filters]
         if any(len(seen) for seen, _ in self.filters[0].looks):
             points = self.filters[0].points
             top = search_top(self.at, points[self.ratio.argmax()], 1 / self.filters[0].nside)
-            self.direction, self.pose = top @ pose, pose
+            self.direction = top @ pose
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """Log of density over uniform density at points ``(n, 3)`` of the world."""
         logs = [np.log(max(w, 1e-300)) + f.at(points) for w, f in zip(self.weights, self.filters, strict=True)]
         return np.logaddexp.reduce(logs, axis=0)
-
-    def log_density(self, direction: np.ndarray) -> float:
-        return UNIFORM + float(self.at((self.filters[0].pose @ direction)[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        level = math.exp(self.log_density(direction) - UNIFORM)
-        return float(self.ratio[self.ratio > level].sum() / len(self.ratio))

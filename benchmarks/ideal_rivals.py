@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from ideal_filters import NEAR, PRIOR_RANGE, UNIFORM, Contestant, cells
@@ -15,6 +15,8 @@ from scipy.stats import qmc
 
 import eagor
 from eagor.sphere import unit
+
+FLOOR = 0.002  # share of a uniform density in those of particles
 
 # ---------- ours
 
@@ -60,12 +62,8 @@ class Tracker(Contestant):
         self.tracker.add_pose(time, self.motion.turned(time).T @ pose, position)
         self.tracker.observe(eagor.Evidence.from_points(detections, detector=self.model, stamp=time))
         self.estimate = self.tracker.estimate(time)
-        self.direction = self.estimate.direction
+        self.direction, self.word = self.estimate.direction, self.estimate.status
         self.distance = None if position is None else self.estimate.distance
-
-    @property
-    def word(self) -> str:
-        return self.estimate.status
 
     def log_density(self, direction: np.ndarray) -> float:
         return float(self.estimate.log_density(direction[None])[0])
@@ -141,46 +139,31 @@ class RivalGrid(Contestant):
         return float(values[values > math.exp(self.log_density(direction))].sum() / values.sum())
 
 
-class Settings(NamedTuple):
-    """What is tuned of a particle filter, on seeds 0 to 99.
+class Moved:
+    """The transition model that PyRecEst's `predict_model` asks for: how particles move after they were resampled.
 
-    `resample`: below this share of effective particles; `smoothing`: how far particles are moved after they were
-    resampled, in standard deviations of all; `kernel`: width of the kernels of the density, in Silverman's; `floor`:
-    share of a uniform density in it. `shrunk`: the moves follow the covariance of the particles, which are drawn to
-    their mean first so that it stays as it is (Liu and West 2001); else each axis is roughened by itself (Gordon,
-    Salmond and Smith 1993).
+    By `smoothing` standard deviations of all. `shrunk`: along the covariance of the particles, which are drawn to their
+    mean first so that it stays as it is (Liu and West 2001); else each axis is roughened by itself (Gordon, Salmond and
+    Smith 1993). `project` brings what was moved back in place.
     """
 
-    smoothing: float
-    shrunk: bool
-    resample: float = 0.5
-    kernel: float = 1.0
-    floor: float = 0.002
-
-
-Projection = Callable[[np.ndarray], np.ndarray]
-
-
-class Moved:
-    """The transition model that PyRecEst's `predict_model` asks for; `project` brings what was moved back in place."""
-
     def __init__(
-        self, settings: Settings, rng: np.random.Generator, project: Callable[[np.ndarray], np.ndarray]
+        self, smoothing: float, shrunk: bool, rng: np.random.Generator, project: Callable[[np.ndarray], np.ndarray]
     ) -> None:
-        self.settings, self.rng, self.project = settings, rng, project
+        self.smoothing, self.shrunk, self.rng, self.project = smoothing, shrunk, rng, project
 
     def sample_next(self, particles: np.ndarray) -> np.ndarray:
-        push = self.settings.smoothing * self.rng.normal(size=particles.shape)
-        if not self.settings.shrunk:
+        push = self.smoothing * self.rng.normal(size=particles.shape)
+        if not self.shrunk:
             return self.project(particles + push * particles.std(axis=0))
         mean = particles.mean(axis=0)
         root = np.linalg.cholesky(np.cov(particles.T) + 1e-12 * np.eye(3))
-        shrunk = mean + math.sqrt(1 - self.settings.smoothing**2) * (particles - mean)
+        shrunk = mean + math.sqrt(1 - self.smoothing**2) * (particles - mean)
         return self.project(shrunk + push @ root.T)
 
 
 class RivalParticles(Contestant):
-    """PyRecEst's particle filters, drawn from the prior by a Sobol sequence, resampled when few particles count.
+    """PyRecEst's particle filters, drawn from the prior by a Sobol sequence, resampled when fewer than half count.
 
     `walks`: `EuclideanParticleFilter` over places, with the exact filter's prior; else `HypersphericalParticleFilter`
     over directions. Its density over directions is a mixture of von Mises-Fisher kernels on the bearings of its
@@ -188,18 +171,19 @@ class RivalParticles(Contestant):
     few of them.
     """
 
-    def __init__(self, detector: Detector, seed: int, count: int, settings: Settings, walks: bool) -> None:
+    def __init__(
+        self, detector: Detector, seed: int, count: int, smoothing: float, shrunk: bool, walks: bool = False
+    ) -> None:
         from pyrecest.distributions import HypersphericalDiracDistribution, LinearDiracDistribution
         from pyrecest.filters import EuclideanParticleFilter, HypersphericalParticleFilter
 
-        self.detector, self.settings, self.count, self.walks = detector, settings, count, walks
+        self.detector, self.count, self.walks = detector, count, walks
         self.rng = np.random.default_rng((23, seed))
         np.random.seed(seed)  # noqa: NPY002 (what PyRecEst draws from)
         self.filter = EuclideanParticleFilter(count, 3) if walks else HypersphericalParticleFilter(count, 2)
-        least = settings.resample * count
-        self.filter.set_resampling_criterion(lambda state: 1 / np.sum(state.w**2) < least)
+        self.filter.set_resampling_criterion(lambda state: 1 / np.sum(state.w**2) < count / 2)
         self.prior: Any = LinearDiracDistribution if walks else HypersphericalDiracDistribution
-        self.moved = Moved(settings, self.rng, (lambda places: places) if walks else unit)
+        self.moved = Moved(smoothing, shrunk, self.rng, (lambda places: places) if walks else unit)
         self.resampled = self.any = False
 
     def _places(self) -> np.ndarray:
@@ -249,17 +233,14 @@ class RivalParticles(Contestant):
             half = away[order[np.searchsorted(np.cumsum(self.weights[order]), 0.5)]]
             spread = math.sqrt(half / math.log(2))  # of a Gaussian with half of its mass this near
             effective = 1 / np.sum(self.weights**2)
-            self._kernel = max(0.5, 1 / (self.settings.kernel * spread * effective ** (-1 / 6)) ** 2)
+            self._kernel = max(0.5, 1 / (spread * effective ** (-1 / 6)) ** 2)
         return self._kernel
 
     def at(self, directions: np.ndarray) -> np.ndarray:
         kappa = self.concentration
         height = kappa / (2 * math.pi * -math.expm1(-2 * kappa))
         bumps = np.exp(kappa * (directions @ self.bearings.T - 1)) @ self.weights
-        return np.log((1 - self.settings.floor) * height * bumps + self.settings.floor / (4 * math.pi))
-
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.at((self.pose @ direction)[None])[0])
+        return np.log((1 - FLOOR) * height * bumps + FLOOR / (4 * math.pi))
 
     def mass_above(self, direction: np.ndarray) -> float:
         """At bearings drawn from the kernels themselves: their width is a part of what it believes."""

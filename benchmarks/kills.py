@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,41 +39,36 @@ TIMES = ("seconds", "ms", "milliseconds")
 SIMULATED = ("waypoint", "navigation", "tracking")
 
 
-def command(options: argparse.Namespace, out: Path) -> list[str]:
-    """The run."""
+def begun(options: argparse.Namespace, out: Path) -> subprocess.Popen[bytes]:
+    """The run, begun in a session of its own, so that what belongs to it can be found."""
     words = [sys.executable, "-m", "eagor", "bench", "run", options.task, "--perception", options.perception]
     words += ["--workers", str(options.workers), "--engine", options.engine, "--out", str(out), "--json"]
     if options.task in SIMULATED:
         words += ["--episodes", str(options.episodes), "--methods", "eagor", "vmf", "--rows", "32"]
     else:
         words += ["--data", str(options.data), "--limit", str(options.episodes)]
-    return words
+    return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
 
 
-def begun(options: argparse.Namespace, out: Path) -> subprocess.Popen[bytes]:
-    """The run, begun in a session of its own, so that what belongs to it can be found."""
-    return subprocess.Popen(
-        command(options, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
-    )
+def ended(run: subprocess.Popen[bytes], what: str, patience: float | None = None) -> None:
+    """Check that a run ends well."""
+    _, said = run.communicate(timeout=patience)
+    check(run.returncode == 0, f"{what} ended with {run.returncode}: {said.decode()[-500:]}")
 
 
 def kill(who: str, run: subprocess.Popen[bytes], sessions: set[int], luck: random.Random) -> bool:
     """Kill; False if there was nobody to be killed any more."""
+    victims = [run.pid]
     if who == "worker":
         workers = [one for one, words in alive(sessions).items() if "--multiprocessing-fork" in words]
-        if not workers:
-            return False
-        victims = [luck.choice(workers)]
-    else:
-        # The parent first: it would record that others have died.
-        victims = [run.pid] if who == "parent" else sorted(alive(sessions), key=lambda one: one != run.pid)
-    if run.poll() is not None:
+        victims = [luck.choice(workers)] if workers else []
+    elif who == "all":  # the parent first: it would record that others have died
+        victims = sorted(alive(sessions), key=lambda one: one != run.pid)
+    if not victims or run.poll() is not None:
         return False
     for victim in victims:
-        try:
+        with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
-        except ProcessLookupError:
-            continue
     return True
 
 
@@ -93,15 +89,13 @@ def timeless(value: Any) -> Any:
 
 def records(folder: Path) -> dict[str, dict]:
     """The records by key, without times."""
-    found = log.read(folder) if folder.exists() else []
-    return {record["key"]: timeless(record) for record in found}
+    return {record["key"]: timeless(record) for record in (log.read(folder) if folder.exists() else ())}
 
 
 def check(holds: bool, what: str) -> None:
     """Stop with exit code 1 unless it holds."""
     if not holds:
-        print(f"FAILED: {what}", file=sys.stderr)
-        raise SystemExit(1)
+        sys.exit(f"FAILED: {what}")
 
 
 def same(found: dict[str, dict], wanted: dict[str, dict], who: list[str]) -> None:
@@ -114,37 +108,31 @@ def same(found: dict[str, dict], wanted: dict[str, dict], who: list[str]) -> Non
 
 def main(options: argparse.Namespace, home: Path) -> None:
     """Run, kill, go on, compare."""
-    luck = random.Random(options.seed)
-    start = time.monotonic()
-    whole = begun(options, home / "whole")
-    _, said = whole.communicate()
-    check(whole.returncode == 0, f"the run without a stop ended with {whole.returncode}: {said.decode()[-500:]}")
+    luck, start, out = random.Random(options.seed), time.monotonic(), home / "killed"
+    ended(begun(options, home / "whole"), "the run without a stop")
     long, wanted = time.monotonic() - start, records(home / "whole")
     print(f"{len(wanted)} records in {long:.1f} s without a stop")
     kills = runs = caught = 0
-    out = home / "killed"
     while kills < options.kills:
         before, who = records(out), options.who[kills % len(options.who)]
         run = begun(options, out)
         time.sleep(luck.uniform(0, long))
         sessions = sessions_of(run.pid)
         hit = kill(who, run, sessions, luck)
-        _, said = run.communicate(timeout=10 * PATIENCE)  # ends when the last process of the run has left
+        if not hit or who == "worker":
+            ended(run, "a run that lost a worker" if hit else "a run that nobody killed", 10 * PATIENCE)
+        else:
+            run.communicate(timeout=10 * PATIENCE)  # ends when the last process of the run has left
         check(not (there := left_behind(sessions)), f"processes were left behind: {there}")
         after = records(out)
-        lost = [key for key, record in before.items() if after.get(key) != record]
-        check(not lost, f"records were lost or changed by a kill: {[(before[key], after.get(key)) for key in lost]}")
-        if hit:
-            kills, caught = kills + 1, caught + (0 < len(after) < len(wanted))
+        lost = [(record, after.get(key)) for key, record in before.items() if after.get(key) != record]
+        check(not lost, f"records were lost or changed by a kill: {lost}")
+        kills, caught = kills + hit, caught + (hit and 0 < len(after) < len(wanted))
         if not hit or who == "worker":
-            what = "lost a worker" if hit else "nobody killed"
-            check(run.returncode == 0, f"a run that {what} ended with {run.returncode}: {said.decode()[-500:]}")
             same(after, wanted, options.who)
             runs += 1
             shutil.rmtree(out)
-    last = begun(options, out)
-    _, said = last.communicate()
-    check(last.returncode == 0, f"the last run ended with {last.returncode}: {said.decode()[-500:]}")
+    ended(begun(options, out), "the last run")
     same(records(out), wanted, options.who)
     print(
         f"{kills} kills ({', '.join(options.who)}), {caught} of them with some but not all records written; {runs + 1} "

@@ -1,16 +1,13 @@
-"""What the live loop costs beside the perception, and whether its memory grows: poses, evidence, answers for hours.
+"""What the live loop costs beside the perception: poses, evidence, answers.
 
 python benchmarks/live_loop.py                    # CPU per simulated second, as fast as it goes
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
 python benchmarks/live_loop.py --in-turn          # a picture is searched for one of the targets
-python benchmarks/live_loop.py --what-else 10     # each picture also shows ten things that nobody asked for
 python benchmarks/live_loop.py --turning          # a camera that turns, in real time: do cones hold the truth?
-python benchmarks/live_loop.py --hours 8 --in-turn   # memory after hour 1 and at the end
 """
 
 from __future__ import annotations
 
-import resource
 import time
 from pathlib import Path
 
@@ -18,12 +15,12 @@ import common
 import numpy as np
 
 from eagor import DetectorModel, Evidence
-from eagor.live.core import ASIDE, LiveCore, LoopSettings
-from eagor.live.events import AllCame, Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.live.core import LiveCore, LoopSettings
+from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media import Frame, Pose
 from eagor.media.panorama import read_panorama
 from eagor.sphere import angular_distance, unit, world_R_body
-from eagor.tracking import Around, TrackerConfig
+from eagor.tracking import TrackerConfig
 
 POSES, LOOKS, ANSWERS, TARGETS = 200, 10, 50, 3  # per second, and how many things are followed
 LATENCY = 0.4  # seconds from a picture to its evidence
@@ -64,17 +61,14 @@ def use(answer) -> None:
 class Run:
     """Events of a simulated run, handed to a core second by second."""
 
-    def __init__(self, positions: bool, in_turn: bool, others: int = 0, seed: int = 0) -> None:
+    def __init__(self, positions: bool, in_turn: bool) -> None:
         self.in_turn = in_turn
-        around = ASIDE if others else None
-        self.core = LiveCore(LoopSettings(QUERIES, TrackerConfig(history=60.0), around=around))  # as the loop has it
-        self.draw, self.positions, self.second = np.random.default_rng(seed), positions, 0
+        self.core = LiveCore(LoopSettings(QUERIES, TrackerConfig(history=60.0)))  # as the loop has it
+        self.draw, self.positions, self.second = np.random.default_rng(0), positions, 0
         angles = 2 * np.pi * np.arange(TARGETS) / TARGETS
         self.world = np.stack([4 * np.cos(angles), 4 * np.sin(angles), 0.2 * np.ones(TARGETS)], axis=-1)
-        self.others = 3 * np.random.default_rng(seed + 1).normal(size=(others, 3))
         self.made = 0.0  # seconds of CPU that making the events took, which is not the loop's
-        self.errors: list[float] = []
-        self.waiting: list[EvidenceCame | AllCame] = []
+        self.waiting: list[EvidenceCame] = []
 
     def one_second(self) -> None:
         """Take in a second of events."""
@@ -89,48 +83,20 @@ class Run:
             come = list(zip(QUERIES, seen, strict=True))
             come = come[number % TARGETS :][:1] if self.in_turn else come
             self.waiting += [EvidenceCame(now + LATENCY, now, now, query, (look,)) for query, look in come]
-            if len(self.others):
-                found = looks(self.draw, self.others, pose(now, self.positions))
-                around = Around(
-                    {f"other {number}": look for number, look in enumerate(found) if len(look.detections)},
-                    Evidence.from_points(np.zeros((0, 3)), stamp=now),
-                )
-                self.waiting.append(AllCame(now + LATENCY, now, now, around))
         events += [Asked(self.second + number / ANSWERS) for number in range(ANSWERS)]
         end = self.second + 1
         events += [event for event in self.waiting if event.arrival < end]
         self.waiting = [event for event in self.waiting if event.arrival >= end]
         events.sort(key=lambda each: each.arrival)
         self.made += time.process_time() - began
-        answers = []
         for event in events:
             for answer in self.core.take(event):
                 use(answer)
-                answers.append(answer)
-        began = time.process_time()
-        for answer in answers:
-            self.judge(answer)
-        self.made += time.process_time() - began
         self.second += 1
 
-    def judge(self, answer) -> None:
-        """Note the error of an answer."""
-        if answer.direction is not None and self.second > 2:
-            at = pose(answer.stamp, self.positions)
-            thing = self.world[QUERIES.index(answer.query)]
-            seen = (thing - (np.zeros(3) if at.position is None else at.position)) @ at.world_R_body
-            cosine = float(answer.direction @ seen / np.linalg.norm(seen))
-            self.errors.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
 
-
-def resident() -> float:
-    """Mebibytes of this process in memory."""
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * resource.getpagesize() / 2**20
-
-
-def cost(positions: bool, in_turn: bool, seconds: int, others: int) -> None:
-    run = Run(positions, in_turn, others)
+def cost(positions: bool, in_turn: bool, seconds: int) -> None:
+    run = Run(positions, in_turn)
     for _ in range(3):
         run.one_second()  # tables are made and cached
     shares = []
@@ -139,35 +105,11 @@ def cost(positions: bool, in_turn: bool, seconds: int, others: int) -> None:
         run.one_second()
         shares.append(100 * (time.process_time() - began - run.made))
     where = "with positions" if positions else "without positions"
-    about = f"one of {TARGETS} targets in turn" if in_turn else f"each of {TARGETS} targets"
+    about = f"{'one' if in_turn else 'each'} of {TARGETS} targets"
     print(
         f"{POSES} Hz poses {where}, {LOOKS} Hz evidence about {about}, {ANSWERS} Hz answers: "
-        f"{np.mean(shares):.1f} % of one core (quietest second {min(shares):.1f} %: on a busy machine the rest is "
-        f"the others' doing); median error {np.median(run.errors):.2f} degrees"
+        f"{np.mean(shares):.1f} % of one core (quietest second {min(shares):.1f} %)"
     )
-    if (around := run.core.around) is not None:
-        print(
-            f"with {others} other things, of which {around.among} of {LOOKS * run.second} looks were taken in; "
-            f"{resident():.0f} MiB"
-        )
-
-
-def memory(hours: float, positions: bool, in_turn: bool) -> None:
-    run, first, shown = Run(positions, in_turn), None, -1
-    run.judge = lambda answer: None
-    while run.second < hours * 3600:
-        run.one_second()
-        minute = run.second // 60
-        if minute != shown and minute % 10 == 0:
-            shown = minute
-            print(f"{minute:4d} min  {resident():8.1f} MiB", flush=True)
-        if run.second == 3600:
-            first = resident()
-    last = resident()
-    if first is None:
-        print(f"{last:.1f} MiB at the end")
-    else:
-        print(f"{first:.1f} MiB after hour 1, {last:.1f} MiB after hour {hours:g}: grown by {last - first:+.1f} MiB")
 
 
 class Turntable:
@@ -279,20 +221,16 @@ def turning(photographs: Path, seconds: float, runs: int) -> None:
 def main() -> None:
     parser = common.parser(__doc__)
     parser.add_argument("--seconds", type=int, default=20)
-    parser.add_argument("--hours", type=float)
     parser.add_argument("--positions", action="store_true")
     parser.add_argument("--in-turn", action="store_true")
-    parser.add_argument("--what-else", type=int, default=0, metavar="N", help="things that nobody asked for")
     parser.add_argument("--turning", action="store_true")
     parser.add_argument("--runs", type=int, default=4, help="of each kind of turn, with other things and photographs")
     parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
     given = parser.parse_args()
-    if given.hours:
-        memory(given.hours, given.positions, given.in_turn)
-    elif given.turning:
+    if given.turning:
         turning(given.photographs, given.seconds, given.runs)
     else:
-        cost(given.positions, given.in_turn, given.seconds, given.what_else)
+        cost(given.positions, given.in_turn, given.seconds)
 
 
 if __name__ == "__main__":

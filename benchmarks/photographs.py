@@ -15,8 +15,8 @@ photograph is turned by known rotations, 40 frames a second apart (--labels has 
 The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over
 (--folds 3: in three parts, each read with what the other two say); --model gives one instead. What was seen is kept in
 the file of --looks, so that a second run only plays it (the looks take about 25 minutes). ByteTrack and BoT-SORT join
-where their package is installed (`box_trackers`). The tables are those of `photographs_tables`. Methods without a
-distribution have no coverage.
+where their package is installed (`box_trackers`). Methods without a distribution have no coverage. A unit of
+every interval is a thing on a photograph, or a class that is absent from one; intervals are 95 % bootstrap intervals.
 
 The log score of a tracker: where the thing is there, the log of the probability that it is there and within 15 degrees
 of any instance; where it is not, the log of the probability that it is absent. It is the sum of both means.
@@ -29,15 +29,14 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import box_trackers
 import numpy as np
-from photographs_tables import LEAST, NEAR, SCORED, Run, print_all
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -52,6 +51,7 @@ from eagor.media.rotation import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
 from eagor.perception.things import Thing, spread_evidence
 from eagor.sphere import angular_distance, direction, unit, world_R_body
+from eagor.statistics import bootstrap_interval
 from eagor.tasks.methods import NAMES, Method, TrackerMethod, make_method
 from eagor.tracking import Estimate, TrackerConfig
 
@@ -61,10 +61,14 @@ SEEN = ("yaw", "tumble", "large", "jpeg", "tilt")  # what has to be looked at; t
 LOOKS_OF = {"drift": "yaw", "drift-told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
 JUDGED = (0, *range(FRAMES - 10, FRAMES))  # frames in which coverage is judged
-FITTED_IN = ("yaw", "tumble")
-USUAL_ALARMS = 0.2  # false alarms in a look of a usual detector
+FITTED_IN, USUAL_ALARMS = ("yaw", "tumble"), 0.2  # false alarms in a look of a usual detector
 BOX = 0.3  # score from which on a single box would be believed
 GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
+OURS = re.compile(r"eagor([:,]|$)")
+NEAR = 15  # degrees
+SCORED = (1, 3, 10, 30, 40)  # after how many looks the log score is taken
+LEAST = 1e-6  # probabilities are clipped from below
+RESAMPLES = 2000
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
 Marked = dict[str, dict[str, Any]]  # of each photograph its things and absent classes
 
@@ -83,14 +87,8 @@ def poses(condition: str) -> list[np.ndarray]:
     return [world_R_body(STEP * k) @ tilt for k in range(FRAMES)]
 
 
-def by_sight(photograph: np.ndarray) -> list[np.ndarray]:
-    """What the pictures alone say of the tumbling camera."""
-    odometer = VisualOdometer()
-    return [odometer.add(picture).world_R_body for picture in pictures(photograph, "tumble")]
-
-
 def told(condition: str) -> list[np.ndarray]:
-    """What the odometry says of the same frames; for "sight" see `by_sight`."""
+    """What the odometry says of the same frames; of "sight" the pictures say it."""
     if condition == "tilt":
         return poses("yaw")
     if condition.startswith("drift"):
@@ -131,26 +129,21 @@ def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]])
                 if frame not in frames:
                     continue
                 seen = zip(CLASSES, views.things(picture, CLASSES, say[frame]), strict=True)
-                found = {query: [as_json(thing) for thing in things] for query, things in seen if things}
+                found = {query: [stored(thing) for thing in things] for query, things in seen if things}
                 entry: dict[str, Any] = {"photograph": name, "condition": condition, "frame": frame, "seen": found}
                 out.write(json.dumps(entry) + "\n")
                 out.flush()
+
+
+def stored(thing: Thing) -> list[Any]:
+    """Direction, covariance, score."""
+    return [np.round(thing.direction, 5).tolist(), np.round(thing.covariance, 7).tolist(), round(thing.score, 4)]
 
 
 def entries(files: Sequence[Path]) -> Iterator[dict[str, Any]]:
     """What was seen: one entry for each frame of each file that exists."""
     lines = chain.from_iterable(file.read_text().splitlines() for file in files if file.exists())
     return map(json.loads, lines)
-
-
-def as_json(thing: Thing) -> list[Any]:
-    """Direction, covariance, score."""
-    return [np.round(thing.direction, 5).tolist(), np.round(thing.covariance, 7).tolist(), round(thing.score, 4)]
-
-
-def as_thing(where: list[float], covariance: list[list[float]], score: float) -> Thing:
-    """The inverse of `as_json`."""
-    return Thing(unit(np.array(where)), np.array(covariance), score)
 
 
 @dataclass(frozen=True)
@@ -177,7 +170,10 @@ def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Ma
     """Every marked thing and absent class on the `photographs`, in each condition."""
     seen: dict[tuple[str, str], dict[int, dict[str, list[Thing]]]] = {}
     for entry in entries(files):
-        things = {query: [as_thing(*thing) for thing in found] for query, found in entry["seen"].items()}
+        things = {
+            query: [Thing(unit(np.array(where)), np.array(covariance), score) for where, covariance, score in found]
+            for query, found in entry["seen"].items()
+        }
         seen.setdefault((entry["photograph"], entry["condition"]), {})[entry["frame"]] = things
     cases = []
     for photograph, marked in photographs.items():
@@ -193,38 +189,30 @@ def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Ma
 def cases_of(
     photograph: str, condition: str, marked: dict[str, Any], seen: Sequence[dict[str, list[Thing]]]
 ) -> Iterator[Case]:
-    """Every thing that is `marked`, and every absent class; `seen`: what was seen of each class, in each frame."""
+    """Every thing that is `marked`, and every absent class; `seen`: what was seen of each class, in each frame.
+
+    Widths are marked in degrees of azimuth.
+    """
     names = {name for thing in marked["things"] for name in thing["names"]}
+    keys = ("azimuth_deg", "elevation_deg", "width_deg", "height_deg")
     for query in sorted(names) + marked["absent"]:
-        at = [thing for thing in marked["things"] if query in thing["names"]]
-        yield Case(photograph, condition, query, [frame.get(query, []) for frame in seen], *places(at))
-
-
-def marks(files: Sequence[Path]) -> Marked:
-    """What is on the photographs, of all the `files`."""
-    return {name: each for file in files for name, each in json.loads(file.read_text()).items()}
-
-
-def places(instances: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Directions ``(n, 3)`` and sizes ``(n,)`` of marked instances; their widths are marked in degrees of azimuth."""
-    names = ("azimuth_deg", "elevation_deg", "width_deg", "height_deg")
-    marked = np.radians([[each[name] for name in names] for each in instances]).reshape(-1, 4)
-    azimuth, elevation, width, height = marked.T
-    return direction(azimuth, elevation), np.maximum(width * np.cos(elevation), height)
+        at = [[thing[key] for key in keys] for thing in marked["things"] if query in thing["names"]]
+        azimuth, elevation, width, height = np.radians(at).reshape(-1, 4).T
+        sizes = np.maximum(width * np.cos(elevation), height)
+        things = [frame.get(query, []) for frame in seen]
+        yield Case(photograph, condition, query, things, direction(azimuth, elevation), sizes)
 
 
 def fitted(cases: Sequence[Case], left_out: Sequence[str] = ()) -> DetectorModel:
     """The model of the detector by all photographs but some."""
-    return fit([look for case in cases if case.photograph not in left_out for look in labelled(case)])
-
-
-def labelled(case: Case) -> list[LabelledLook]:
-    """The looks of a case that a model is fitted on, with the truth."""
-    group = f"{case.photograph}, {case.query}, {case.condition}"
-    return [
-        LabelledLook(case.evidence(frame, DetectorModel()), case.targets @ pose, float(frame), group, pose)
-        for frame, pose in enumerate(poses(case.condition))
-    ]
+    looks = []
+    for case in cases:
+        if case.photograph not in left_out:
+            group = f"{case.photograph}, {case.query}, {case.condition}"
+            for frame, pose in enumerate(poses(case.condition)):
+                seen = case.evidence(frame, DetectorModel())
+                looks.append(LabelledLook(seen, case.targets @ pose, float(frame), group, pose))
+    return fit(looks)
 
 
 def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
@@ -237,25 +225,13 @@ def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
     shares |= dict.fromkeys(("spread", "spread_of_size"), 0.25)
     drawn = {}
     for name, share in shares.items():
-        own, other = (np.log(np.atleast_1d(value(model, name))) for model in (found, usual))
+        own, other = (
+            np.log(np.atleast_1d(model.habits.look_alikes if name == "look_alikes" else getattr(model, name)))
+            for model in (found, usual)
+        )
         values = [float(f"{number:.3g}") for number in np.exp(own + share * (other - own))]
         drawn[name] = tuple(values) if len(values) > 1 else values[0]
     return replace(found, detection_probability=None, **drawn)
-
-
-def value(model: DetectorModel, name: str) -> float | tuple[float, float]:
-    """A number of a model, as it is used."""
-    return model.habits.look_alikes if name == "look_alikes" else getattr(model, name)
-
-
-def by_parts(cases: Sequence[Case], photographs: Sequence[str], parts: int) -> dict[str, DetectorModel]:
-    """The model that each of the `photographs` is read with, fitted on the parts without it."""
-    models = {}
-    for part in range(parts):
-        left_out = photographs[part::parts]
-        models |= dict.fromkeys(left_out, fitted(cases, left_out))
-        print(f"all but {', '.join(left_out)}: {models[left_out[0]]}")
-    return models
 
 
 def told_to(name: str, model: DetectorModel) -> DetectorModel:
@@ -263,10 +239,67 @@ def told_to(name: str, model: DetectorModel) -> DetectorModel:
 
     The others take looks as independent, and each of them does better with boxes as wide as they are.
     """
-    if re.split("[:,]", name)[0] == "eagor":
+    if OURS.match(name):
         return model
     spread = math.hypot(model.spread, model.offset)
     return replace(model, spread=spread, offset=0.0, spread_of_size=1.0, offset_of_size=0.0)
+
+
+@dataclass
+class Run:
+    """One method on one case. Lists have an entry for each frame.
+
+    `here`: whether the thing is there; `lookalike`: whether the detector sees it most of the time where it is not;
+    `boxes`: whether a box of score 0.3 or more was seen. `errors`: degrees to the nearest instance; `covered`: whether
+    the 90 % region holds one, where that was judged; `right`: whether the answer is within 15 degrees, or half the
+    thing's size, of the nearest instance. Trackers also say `presence`, `status`, and, by the number of looks,
+    `log_scores`. What needs a thing is empty without one.
+    """
+
+    photograph: str
+    condition: str
+    query: str
+    method: str
+    here: bool
+    lookalike: bool
+    boxes: list[bool] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    covered: list[bool | None] = field(default_factory=list)
+    right: list[bool] = field(default_factory=list)
+    presence: list[float] = field(default_factory=list)
+    status: list[str] = field(default_factory=list)
+    log_scores: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def error(self) -> float:
+        """Mean error over the last ten looks, degrees."""
+        return float(np.mean(self.errors[-10:]))
+
+    @property
+    def within(self) -> float:
+        """Share of the last ten looks with an error below 15 degrees."""
+        return float(np.mean(np.array(self.errors[-10:]) < NEAR))
+
+    def answer(self, method: Method, targets: np.ndarray, sizes: np.ndarray, frame: int) -> None:
+        """Note what a method's answer is worth in one frame."""
+        angles = angular_distance(targets, method.direction())
+        nearest = int(np.argmin(angles))
+        self.errors.append(float(np.degrees(angles[nearest])))
+        self.right.append(bool(angles[nearest] <= max(math.radians(NEAR), sizes[nearest] / 2)))
+        masses = [method.mass_above(target) for target in targets] if frame in JUDGED else []
+        known = [mass for mass in masses if mass is not None]
+        self.covered.append(min(known) <= 0.9 if known else None)
+
+    def believe(self, estimate: Estimate, targets: np.ndarray, looks: int) -> None:
+        """Note what a tracker believes after so many looks."""
+        self.presence.append(float(estimate.presence))
+        if self.here:
+            self.status.append(estimate.status)
+        if looks in SCORED:
+            near = np.any(GRID.directions @ targets.T >= math.cos(math.radians(NEAR)), axis=-1)
+            mass = float(np.sum((estimate.density(GRID) * GRID.weights)[near])) if self.here else 0.0
+            given = estimate.presence * mass if self.here else 1 - estimate.presence
+            self.log_scores[looks] = math.log(max(float(given), LEAST))
 
 
 def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:
@@ -278,59 +311,17 @@ def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray],
         if name in box_trackers.NAMES
         else make_method(name, np.random.default_rng(0), "coco", ours=config, detector=model)
     )
-    true = poses(case.condition)
-    run = Run(
-        case.photograph,
-        case.condition,
-        case.query,
-        name,
-        here=bool(len(case.targets)),
-        lookalike=lookalike,
-        boxes=[any(thing.score >= BOX for thing in things) for things in case.things],
-        near_boxes=[seen_near(*each) for each in zip(case.things, (case.targets @ pose for pose in true), strict=True)],
-    )
-    for frame, pose in enumerate(true):
+    run = Run(case.photograph, case.condition, case.query, name, bool(len(case.targets)), lookalike)
+    run.boxes = [any(thing.score >= BOX for thing in things) for things in case.things]
+    for frame, pose in enumerate(poses(case.condition)):
         method.move(float(frame), say[frame], None)
         method.see(case.evidence(frame, model))
         targets = case.targets @ pose
         if isinstance(method, TrackerMethod):
-            judge_belief(run, method.estimate, targets, frame)
+            run.believe(method.estimate, targets, frame + 1)
         if run.here:
-            judge_answer(run, method, targets, case.sizes, frame)
+            run.answer(method, targets, case.sizes, frame)
     return run
-
-
-def judge_answer(run: Run, method: Method, targets: np.ndarray, sizes: np.ndarray, frame: int) -> None:
-    """Add what a method's answer is worth in one frame, against the `targets` ``(n, 3)`` of the body frame."""
-    angles = angular_distance(targets, method.direction())
-    nearest = int(np.argmin(angles))
-    run.errors.append(float(np.degrees(angles[nearest])))
-    run.right.append(bool(angles[nearest] <= max(math.radians(NEAR), sizes[nearest] / 2)))
-    masses = [method.mass_above(target) for target in targets] if frame in JUDGED else []
-    known = [mass for mass in masses if mass is not None]
-    run.covered.append(min(known) <= 0.9 if known else None)
-
-
-def judge_belief(run: Run, estimate: Estimate, targets: np.ndarray, frame: int) -> None:
-    """Add what a tracker believes in one frame; its log score where that is wanted."""
-    run.presence.append(float(estimate.presence))
-    if run.here:
-        run.status.append(estimate.status)
-    if frame + 1 in SCORED:
-        given = estimate.presence * mass_near(estimate, targets) if run.here else 1 - estimate.presence
-        run.log_scores[frame + 1] = math.log(max(float(given), LEAST))
-
-
-def mass_near(estimate: Estimate, targets: np.ndarray) -> float:
-    """The probability, if the thing is here, that it is within 15 degrees of any of the `targets`."""
-    near = np.any(GRID.directions @ targets.T >= math.cos(math.radians(NEAR)), axis=-1)
-    return float(np.sum((estimate.density(GRID) * GRID.weights)[near]))
-
-
-def seen_near(things: Sequence[Thing], targets: np.ndarray) -> bool:
-    """Whether a box of score 0.3 or more is within 15 degrees of any of the `targets`."""
-    boxes = [thing.direction for thing in things if thing.score >= BOX]
-    return any(np.degrees(angular_distance(targets, box)).min(initial=math.inf) <= NEAR for box in boxes)
 
 
 def persists(case: Case) -> bool:
@@ -348,45 +339,142 @@ def persists(case: Case) -> bool:
     return False
 
 
-def parts_of(cases: Sequence[Case]) -> tuple[float, float, int]:
-    """Of the boxes on things, the share that lies over three deviations from where most lie; how far, and of how many.
+# --- the tables ---
 
-    The median distance is in half sizes of the thing. They show a part of it, mostly. Looks count once.
-    """
-    off, far = [], []
-    for case in cases:
-        if case.condition not in SEEN or not len(case.targets):
-            continue
-        seen = [case.evidence(frame, DETECTOR).detections for frame in range(FRAMES)]
-        turned = [each.turned(pose) for each, pose in zip(seen, poses(case.condition), strict=True) if each is not None]
-        boxes = np.concatenate([each.directions for each in turned])
-        widths = np.concatenate([1 / np.sqrt((each.axes**2).sum(axis=-1)).min(axis=-1) for each in turned])
-        for target, size in zip(case.targets, case.sizes, strict=True):
-            on = angular_distance(boxes, target) < max(size / 2, math.radians(3))
-            if np.count_nonzero(on) < 5:
-                continue
-            apart = np.arccos(np.clip(boxes[on] @ boxes[on].T, -1, 1)) / np.median(widths[on])
-            middle = unit(boxes[on][apart[np.exp(-(apart**2) / 2).sum(axis=0).argmax()] < 2.5].mean(axis=0))
-            distances = angular_distance(boxes[on], middle)
-            off += (distances / widths[on]).tolist()
-            far += (distances / (size / 2)).tolist()
-    parts = np.array(off) > 3
-    return float(parts.mean()), float(np.median(np.array(far)[parts])), len(parts)
+Line = tuple[str, ...]
 
 
-def says(case: Case, sight: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
-    """The poses that the methods are told."""
-    return sight[case.photograph] if case.condition == "sight" else told(case.condition)
+def groups(runs: Sequence[Run], here: bool | None = None) -> Iterator[tuple[str, str, list[Run]]]:
+    """Condition, method, and the runs of both; with `here` only those where the thing is there, or is not."""
+    found: dict[tuple[str, str], list[Run]] = {}
+    for run in runs:
+        if here is None or run.here == here:
+            found.setdefault((run.condition, run.method), []).append(run)
+    conditions, methods = (list(dict.fromkeys(getattr(run, key) for run in runs)) for key in ("condition", "method"))
+    for key in sorted(found, key=lambda each: (conditions.index(each[0]), methods.index(each[1]))):
+        yield *key, found[key]
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    found = bootstrap_interval(values, np.random.default_rng(0), resamples=RESAMPLES)
+    return found.low, found.high
+
+
+def mean(values: Sequence[float], digits: int, spread: bool = False) -> str:
+    """The mean in words, with its interval if that is asked for; "-" of nothing."""
+    if not len(values):
+        return "-"
+    ends = interval(values) if spread and len(values) > 1 else None
+    return f"{np.mean(values):.{digits}f}" + bracketed(ends, digits)
+
+
+def bracketed(ends: Sequence[float] | None, digits: int) -> str:
+    return "" if ends is None else " [{:{w}.{d}f} {:{w}.{d}f}]".format(*ends, w=digits + 4, d=digits)
+
+
+def found(runs: Sequence[Run]) -> Iterator[Line]:
+    for condition, method, own in groups(runs, here=True):
+        held = [x for r in own for x in r.covered[-10:] if x is not None]
+        errors = mean([r.errors[0] for r in own], 1, True), mean([r.error for r in own], 1, True)
+        yield condition, method, *errors, mean([r.within for r in own], 2, True), mean(held, 2), str(len(held))
+
+
+def claims(runs: Sequence[Run]) -> Iterator[Line]:
+    for condition, method, both in groups(runs):
+        for words, here in (("here", True), ("absent", False)):
+            if own := [run for run in both if run.here == here]:
+                lasting = [run.presence[-1] for run in own if run.lookalike]
+                shares = (
+                    [run.presence[0] > 0.5 for run in own], [run.presence[-1] > 0.5 for run in own],
+                    [run.boxes[0] for run in own], [any(run.boxes[-10:]) for run in own],
+                    [run.lookalike for run in own],
+                )  # fmt: skip
+                yield condition, method, words, *(mean(each, 3) for each in shares), mean(lasting, 2), str(len(own))
+
+
+def log_scores(runs: Sequence[Run]) -> Iterator[Line]:
+    for condition, method, own in groups(runs):
+        totals, here, absent = [], [], []
+        for looks in SCORED:
+            here, absent = ([run.log_scores[looks] for run in own if run.here == there] for there in (True, False))
+            totals.append(f"{np.mean(here) + np.mean(absent):.3f}" if here and absent else "-")
+        if here and absent:
+            rng = np.random.default_rng(0)  # things and absent classes are drawn each on its own
+            drawn = sum(
+                np.array(x)[rng.integers(len(x), size=(RESAMPLES, len(x)))].mean(axis=1) for x in (here, absent)
+            )
+            totals[-1] += bracketed(np.quantile(drawn, (0.025, 0.975)).tolist(), 3)
+        yield condition, method, *totals, mean(here, 3), mean(absent, 3)
+
+
+def matches(runs: Sequence[Run]) -> Iterator[tuple[str, str, list[Run], dict[str, list[Run]]]]:
+    """Condition, each variant of ours, its runs, and those of each rival; in all the same things in one order."""
+    played = list(groups(runs, here=True))
+    for condition, name, ours in played:
+        if OURS.match(name):
+            yield condition, name, ours, {m: own for c, m, own in played if c == condition and not OURS.match(m)}
+
+
+def paired(runs: Sequence[Run]) -> Iterator[Line]:
+    for condition, name, ours, rivals in matches(runs):
+        for other, rival in rivals.items():
+            cells: list[str] = []
+            for key, sign, digits in (("error", 1, 1), ("within", -1, 2)):
+                apart = [getattr(b, key) - getattr(a, key) for a, b in zip(ours, rival, strict=True)]
+                low, high = interval(apart) if len(apart) > 1 else (0.0, 0.0)
+                ahead = "" if low <= 0 <= high else "ours" if sign * low > 0 else "rival"
+                cells += [mean(apart, digits, True), ahead]
+            yield condition, name, other, *cells
+
+
+def statuses(runs: Sequence[Run]) -> Iterator[Line]:
+    for condition, method, own in groups(runs, here=True):
+        told = [status for run in own for status in run.status]
+        right = [x for run in own for x, status in zip(run.right, run.status, strict=True) if status == "tracking"]
+        shares = [f"{told.count(status) / len(told):.3f}" for status in STATUSES]
+        yield condition, method, *shares, str(len(told)), mean(right, 3), str(len(right))
+
+
+STATUSES = ("tracking", "ambiguous", "searching")
+# Title, headings after condition and method, rows, whether only trackers count, which say how probable a thing is.
+TABLES: tuple[tuple[str, str, Callable[[Sequence[Run]], Iterator[Line]], bool], ...] = (
+    ("Things that are there: error, share within 15 degrees in the last ten looks, coverage of the 90 % regions",
+     "first look, deg|last ten, deg|within 15|covered|of looks", found, False),
+    ("How often something is claimed: presence > 0.5, a box of 0.3 or more, and lasting look-alikes",
+     "|claim, first|claim, last|box, first|box, last ten|look-alikes|their presence|of cases", claims, True),
+    ("Log score after so many looks (things + absent; higher is better), and the two parts of the last",
+     "|".join(map(str, SCORED)) + "|things|absent", log_scores, True),
+    ("Rival minus ours over the last ten looks, and who is ahead beyond chance",
+     "rival|error, deg|ahead|within 15|ahead", paired, False),
+    ("Status, share of the looks at things that are there; how often the answer is right while tracking",
+     "|".join(STATUSES) + "|of looks|right|of tracking", statuses, True),
+)  # fmt: skip
+
+
+def print_all(runs: Sequence[Run]) -> None:
+    """Print every table that has rows, in columns as wide as they need to be."""
+    for title, headings, table, trackers in TABLES:
+        if rows := list(table([run for run in runs if run.presence or not trackers])):
+            lines = [("", "", *headings.split("|")), *rows]
+            wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
+            print(f"\n{title}\n")
+            for line in lines:
+                cells = [f"{text:{'<' if at < 2 else '>'}{wide[at]}}" for at, text in enumerate(line)]
+                print("  ".join(cells).rstrip())
 
 
 def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[str, DetectorModel]:
-    """The model that each photograph is played with; without --model, fitted on the other photographs."""
+    """The model that each photograph is played with; without --model, fitted on the parts without it."""
     if options.model is not None:
         model = DETECTOR if options.model == "coco" else parse_model(options.model)
         print(f"all photographs: {model}")
         return dict.fromkeys(photographs, model)
+    models, parts = {}, options.folds or len(photographs)
     fit_on = read_cases(options.looks, FITTED_IN, options.marked)
-    models = by_parts(fit_on, photographs, options.folds or len(photographs))
+    for part in range(parts):
+        left_out = photographs[part::parts]
+        models |= dict.fromkeys(left_out, fitted(fit_on, left_out))
+        print(f"all but {', '.join(left_out)}: {models[left_out[0]]}")
     print(f"all of them: {fitted(fit_on)}")
     return models
 
@@ -407,7 +495,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--folds", type=int, help="fit in so many parts (default: one for each photograph)")
     parser.add_argument("--model", help="read the detector so, without a fit: spread=3, or coco")
     options = parser.parse_args()
-    options.marked = marks(options.labels)
+    options.marked = {name: each for file in options.labels for name, each in json.loads(file.read_text()).items()}
     known = [*options.marked]
     options.only = options.only.split(",") if options.only else [*CONDITIONS]
     options.photographs = options.photographs.split(",") if options.photographs else known
@@ -428,12 +516,14 @@ def main() -> None:
     look(options.panoramas, options.looks, wanted)
     cases = read_cases(options.looks, only, {name: options.marked[name] for name in options.photographs})
     models = models_of(options, options.photographs)
-    sight = {}
-    if "sight" in only:
-        sight = {name: by_sight(read_panorama(options.panoramas / name)) for name in options.photographs}
+    sight: dict[str, list[np.ndarray]] = {}
+    for name in options.photographs if "sight" in only else ():
+        odometer, photograph = VisualOdometer(), read_panorama(options.panoramas / name)
+        sight[name] = [odometer.add(picture).world_R_body for picture in pictures(photograph, "tumble")]
     runs, unseen = [], {}
     for case in cases:
-        say, lookalike = says(case, sight), persists(case)
+        say = sight[case.photograph] if case.condition == "sight" else told(case.condition)
+        lookalike = persists(case)
         for name in options.methods:
             if not len(case.targets) and not name.startswith("eagor"):
                 continue
@@ -445,7 +535,6 @@ def main() -> None:
                 unseen[alike] = play(case, name, models[case.photograph], say, lookalike)
             runs.append(replace(unseen[alike], query=case.query))
     print_all(runs)
-    print("Boxes on parts of things: {:.2f} of them, {:.2f} of half the size off ({} boxes)".format(*parts_of(cases)))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
 """How well do we search? Ours against the fixed sweep and against answering from single views, with the same noisy eye.
 
-    python benchmarks/search.py [--split dev|report] [--apartments 40] [--looks 2] [--noise miss=0.3,false_alarm=0.2]
-                                [--samples DIR]
-    python benchmarks/search.py --fit 60    # how our settings were found: random trials on development apartments
+    python benchmarks/search.py [--apartments 40] [--looks 2] [--noise miss=0.3,false_alarm=0.2] [--samples DIR]
 
 Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
 each, and, where --samples names them, in the labelled photographs of `hstar_mini`. Every agent looks through `truth`
 (`eagor.tasks.hstar.perception`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept from
-look to look with probability 0.3, 8 degrees of error. Success is strict. Development and report use other apartments
-and other luck; what was tuned was tuned on dev.
+look to look with probability 0.3, 8 degrees of error. Success is strict. What was tuned
+was tuned on other apartments, with other luck.
 
 Brackets are 95 % bootstrap intervals over targets (four starts and all repetitions of one together). Printed:
 
@@ -27,32 +25,27 @@ import math
 import sys
 import tempfile
 import time
-import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
 from PIL import Image
-from scipy.optimize import minimize
 
-from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
 from eagor.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episodes
-from eagor.tasks.hstar.perception import CALIBRATION, TruthEye, annotated, open_eye
+from eagor.tasks.hstar.perception import open_eye
 from eagor.tasks.hstar.play import make_agent, play
 from eagor.tasks.hstar.rules import View, level_of
 from eagor.tasks.hstar.search import SearchRules
 from eagor.tasks.places import APARTMENT, Place, load_place
 from eagor.tasks.rules import Camera
 
-FIRST = {"dev": 1200, "report": 8600}  # apartment
-LUCK = {"dev": 0, "report": 2_000_000}
+FIRST, LUCK = 8600, 2_000_000  # the first apartment; what seeds of noise begin with
 AGENTS = ("eagor", "grid", "sweep", "centroid", "single")
 RESAMPLES = 2000
 ROWS = 128  # of the id image for the boxes: 1.4 degrees
@@ -65,64 +58,43 @@ MOST = 4  # targets per apartment
 
 def main() -> int:
     parser = common.parser(__doc__)
-    parser.add_argument("--split", choices=FIRST, default="dev")
     parser.add_argument("--apartments", type=int, default=40)
     parser.add_argument("--looks", type=int, default=2, help="repetitions of every episode with other luck")
     parser.add_argument("--noise", default="", help="as for the perception truth (default: moderate)")
     parser.add_argument("--samples", type=Path, help="a folder in H*Bench's layout, such as hstar_mini")
-    parser.add_argument("--fit", type=int, metavar="TRIALS", help="try settings of ours on dev instead")
     options = parser.parse_args()
-    if options.fit and options.split != "dev":
-        parser.error("settings are fitted on --split dev only")
     noise = Noise.parse(options.noise)
     with tempfile.TemporaryDirectory() as temporary:
-        sets = {"apartments": apartments(Path(temporary), FIRST[options.split], options.apartments)}
-        if options.fit:
-            fit(sets["apartments"], noise, options.looks, options.fit)
-            return 0
+        for seed in range(FIRST, FIRST + options.apartments):
+            write_scene(seed, Path(temporary) / "hos_bench")
+        sets = {"apartments": read_episodes(Path(temporary), "hos")}
         if options.samples:
             sets["photographs"] = read_episodes(options.samples, "hos")
         for name, episodes in sets.items():
-            how = f"{options.looks} times each, {options.noise or 'moderate'}, {options.split}"
-            print(f"\n{name}: {len(episodes)} episodes, {how}")
-            show(measured(episodes, noise, options.looks, LUCK[options.split]))
+            print(f"\n{name}: {len(episodes)} episodes, {options.looks} times each, {options.noise or 'moderate'}")
+            show(measured(episodes, noise, options.looks))
     return 0
 
 
-@dataclass(frozen=True, eq=False)
-class Spot:
-    """A camera in an apartment, and the entries of its annotation.json."""
+def write_scene(seed: int, folder: Path) -> None:
+    """Write a scene in the published layout, with a grey picture (`truth` reads none); nothing without targets.
 
-    name: str
-    place: Place
-    position: np.ndarray
-    yaw: float
-    items: tuple[dict[str, Any], ...]
-
-
-def spot(seed: int) -> Spot:
-    """A camera in the apartment of this seed. Things in sight that a query names and that are large become targets."""
+    A camera stands in the apartment of this seed. Things in sight that a query names and that are large become targets.
+    """
     place = load_place(APARTMENT, seed, Camera().radius)
-    rng = np.random.default_rng([seed, 0x5EA])
-    best = Spot(f"apartment_{seed:04d}", place, np.zeros(3), 0.0, ())
+    rng, best = np.random.default_rng([seed, 0x5EA]), []
     for _ in range(TRIES):
         position = np.array([*place.ground.sample(rng, CLEARANCE), HEIGHT])
         yaw = float(rng.uniform(-math.pi, math.pi))
-        items = tuple(items_in_sight(place, position, yaw, rng))
-        if len(items) > len(best.items):
-            best = Spot(best.name, place, position, yaw, items)
+        items = list(items_in_sight(place, position, yaw, rng))
+        best = max(best, items, key=len)
         if len(items) == MOST:
             break
-    return best
-
-
-def write_scene(spot: Spot, folder: Path) -> None:
-    """Write a scene in the published layout, with a grey picture (`truth` reads none); nothing without targets."""
-    if spot.items:
-        target = folder / spot.name
+    if best:
+        target = folder / f"apartment_{seed:04d}"
         target.mkdir(parents=True, exist_ok=True)
-        Image.new("RGB", (16, 8), (128, 128, 128)).save(target / f"{spot.name}.png")
-        (target / ANNOTATION).write_text(json.dumps(list(spot.items), indent=1) + "\n", encoding="utf-8")
+        Image.new("RGB", (16, 8), (128, 128, 128)).save(target / f"{target.name}.png")
+        (target / ANNOTATION).write_text(json.dumps(best, indent=1) + "\n", encoding="utf-8")
 
 
 def items_in_sight(
@@ -153,21 +125,14 @@ def box_of(mask: np.ndarray) -> tuple[float, float, float, float]:
     return round(float(left), 2), round(float(right), 2), round(low, 2), round(high, 2)
 
 
-def apartments(folder: Path, first: int, count: int) -> list[Episode]:
-    """The episodes of so many apartments."""
-    for seed in range(first, first + count):
-        write_scene(spot(seed), folder / "hos_bench")
-    return read_episodes(folder, "hos")
-
-
-def measured(episodes: Sequence[Episode], noise: Noise, looks: int, luck: int) -> dict[str, list[dict[str, Any]]]:
+def measured(episodes: Sequence[Episode], noise: Noise, looks: int) -> dict[str, list[dict[str, Any]]]:
     """The records of every agent, over all episodes and repetitions."""
     runs: dict[str, list[dict[str, Any]]] = {}
     for agent in AGENTS:
         began, records = time.process_time(), []
         for repetition in range(looks):
             for episode in episodes:
-                eye = open_eye(noise, episode, luck + repetition, 1080)
+                eye = open_eye(noise, episode, LUCK + repetition, 1080)
                 player = make_agent(agent, episode, eye, SearchRules(), 10, 0)
                 records.append(play(episode, player, "strict"))
         views = sum(record["views"] for record in records)
@@ -175,51 +140,6 @@ def measured(episodes: Sequence[Episode], noise: Noise, looks: int, luck: int) -
         runs[agent] = records
         print(f"  {agent:9s} {line(records)}; {milliseconds:.1f} ms per view", flush=True)
     return runs
-
-
-def fit(episodes: Sequence[Episode], noise: Noise, looks: int, trials: int) -> None:
-    """Random settings of ours, the best first; all ten turns are played.
-
-    How a look is read is drawn as what a silent look takes from a direction, and what a full response gives it (nats);
-    what is stated is then fitted to what was right. The objective: the mean log score of what is stated at each turn,
-    and success by turn, of which 5 points are worth a tenth of a nat.
-    """
-    rng, found = np.random.default_rng(3), []
-    for trial in range(trials + 1):
-        rules, calibration = SearchRules(), CALIBRATION
-        if trial:
-            silent, full = rng.uniform(0.3, 1.5), rng.uniform(3.0, 9.0)
-            floor = math.exp(rng.uniform(math.log(0.05), math.log(0.3)))
-            temperature = (silent + full) / math.log((1 + floor) / (noise.floor + floor))
-            neutral = (noise.floor + floor) * math.exp(silent / temperature) - floor
-            calibration = Calibration(*(round(value, 3) for value in (floor, neutral, temperature)))
-            repeats, tilt, height = rng.uniform(0.15, 0.6), rng.uniform(20, 50), rng.uniform(-20, -8)
-            even = round(rng.uniform(0.1, 0.6), 2)
-            rules = replace(rules, repeats=round(repeats, 2), tilt=round(tilt), height=round(height), elsewhere=even)
-        records = []
-        for repetition in range(looks):
-            for episode in episodes:
-                luck = [LUCK["dev"] + repetition, zlib.crc32(episode.id.encode())]
-                eye = annotated(TruthEye(episode.yaw, episode.pitch, noise, luck, calibration))
-                bare = replace(rules, sure=1.0, shift=0.0, slope=1.0)  # states the share itself
-                records.append(play(episode, make_agent("eagor", episode, eye, bare, 10, 0), "strict"))
-        said = [(step["would"]["p"], step["would"]["strict"]) for record in records for step in record["steps"]]
-        score, shift, slope = statement(said)
-        rules = replace(rules, shift=round(shift, 2), slope=round(slope, 2))
-        objective = score + 2 * float(by_turn(records).mean())
-        found.append((objective, f"{score:.3f} nats  {line(records)}  {calibration}  {rules}"))
-        print(f"{trial:3d} {'' if trial else '(as it is) '}{objective:.3f}  {found[-1][1]}", flush=True)
-    print("\nthe best:")
-    for objective, text in sorted(found, reverse=True)[:5]:
-        print(f"{objective:.3f}  {text}")
-
-
-def statement(said: Sequence[tuple[float, bool]]) -> tuple[float, float, float]:
-    """The best mean log score (nats) that a line through the logits of shares reaches, its shift and its slope."""
-    p = np.clip([share for share, _ in said], 1e-6, 1 - 1e-6)
-    logit, sign = np.log(p / (1 - p)), np.where([good for _, good in said], -1.0, 1.0)
-    found = minimize(lambda w: float(np.logaddexp(0, sign * (w[0] + w[1] * logit)).mean()), (0.0, 1.0))
-    return -float(found.fun), float(found.x[0]), float(found.x[1])
 
 
 def line(records: Sequence[dict[str, Any]]) -> str:

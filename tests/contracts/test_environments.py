@@ -340,7 +340,6 @@ def test_objectnavs_rule_is_that_stop_is_called():
     assert NavigationRules().near == 0, "nothing needs to be called"
 
 
-
 def test_an_episode_in_a_file_is_the_same_wherever_the_file_is(tmp_path):
     files = [tmp_path / folder / "house.glb" for folder in ("one", "other")]
     for file in files:

@@ -1,7 +1,7 @@
 """Points of a picture that can be found again: SIFT features to match, and corners to follow by optical flow.
 
 SIFT (Lowe, IJCV 60, 2004) on flat views that cover the sphere, so that neither the seam nor the poles differ from
-other places. Of OpenCV's features it gave the most precise directions: see benchmarks/rotation.py. The picture of an
+other places. Of OpenCV's features it gave the most precise directions. The picture of an
 ordinary camera is one such view already, as it is: distortion bends directions, not points.
 
 Following corners takes a fiftieth of the work of matching features. Pyramidal Lucas-Kanade (Bouguet, Intel 2001) needs

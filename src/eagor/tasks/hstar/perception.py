@@ -58,7 +58,7 @@ _TEXT = re.compile(
     r"""["“”«»]|(?<!\w)'[^']+'|\b(?:sign|says?|saying|labell?ed|logo|number|letters?|word|text|reading|written|named|"""
     r"""called|brand)\b|\d"""
 )
-# Tuned on development apartments (benchmarks/search.py --fit).
+# Tuned on development apartments (benchmarks/search.py --fit of commit 5a35d191).
 CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
 LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
 NARROWEST = resolved(15)  # radians, standard deviation of truth's reports: what a belief of the default degree holds

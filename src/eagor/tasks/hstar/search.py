@@ -49,9 +49,9 @@ class SearchRules:
     - `shift`, `slope`: calibration of the probability stated for a window with the share p of the belief,
       logit(stated) = shift + slope logit(p) (Platt 1999): looks are read cautiously, so the belief is underconfident.
 
-    The defaults were tuned on development apartments (random trials, as in ``benchmarks/search.py --fit``), `shift`
-    and `slope` by the log score of the probability stated at each of ten turns; the prior on development scenes with
-    things at all heights.
+    The defaults were tuned on development apartments (random trials, ``benchmarks/search.py --fit`` of commit
+    5a35d191), `shift` and `slope` by the log score of the probability stated at each of ten turns; the prior on
+    development scenes with things at all heights.
 
     Raises `EagorError` for numbers out of range.
     """
