@@ -33,7 +33,7 @@ EXTRAS = {
     "rerun": {"rerun-sdk": "0.41"},
     "vlm": {"torch": "2.6", "transformers": "5.24", "accelerate": "1.10"},
     "endpoint": {"openai": "1.98"},
-    "ray": {"psutil": "6.0", "ray": "2.59"},
+    "ray": {"ray": "2.59"},
 }
 
 

@@ -167,11 +167,10 @@ def test_run_json_is_written_once_and_held_against_later_runs(tmp_path):
     other = {"task": "search", "seed": 4, "rules": {"step": 0.5, "slide": True}, "methods": ("eagor",), "rows": 3}
     with pytest.raises(EagorError) as refused:
         begin(tmp_path / "run", other)
-    lines = str(refused.value).split("\n")
-    assert len(lines) == 3
-    assert lines[0].endswith("run holds a run of waypoint")
-    assert "differs in task, seed, rules, methods and 1 more" in lines[1]
-    assert "another folder" in lines[2]
+    first, second, third = refused.value.lines
+    assert first.endswith("run holds another run, of waypoint")
+    assert second.startswith("it differs in task, seed, rules, methods and 1 more")
+    assert "another folder" in third
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["run.json"]
 
 

@@ -6,7 +6,7 @@ import shutil
 
 import commands
 import pytest
-from listed_rooms import content, exported, rewrite, room
+from listed_rooms import exported, rewrite, room
 from processes import little_room
 
 from eagor.cli import main
@@ -263,7 +263,7 @@ def test_if_no_episode_can_be_played_the_run_has_failed(file, tmp_path, capsys):
     assert "no episode could be run" in capsys.readouterr().err
 
 
-def test_a_run_goes_on_only_with_the_episodes_it_began_with(file, tmp_path, capsys):
+def test_a_run_of_listed_episodes_goes_on_where_it_stopped(file, tmp_path, capsys):
     words = [str(word) for word in bench(file, tmp_path / "run", "--json")]
     assert main(words) == 0
     before = json.loads(capsys.readouterr().out)
@@ -272,15 +272,4 @@ def test_a_run_goes_on_only_with_the_episodes_it_began_with(file, tmp_path, caps
     out, err = capsys.readouterr()
     assert json.loads(out) == before
     assert "8 of 8 units were already in" in err
-    assert log.read(tmp_path / "run") == records
-    kept = content(file)
-    rewrite(file, place(0, kept["episodes"][1]["start_position"]))
-    assert main(words) == 2
-    assert "inputs.episodes_file is" in capsys.readouterr().err
-    rewrite(file, lambda found: found.update(kept))
-    assert main(words) == 0
-    scene = tmp_path / "data/scene_datasets/eagor/val/00001-other/other.glb"
-    scene.write_bytes(scene.read_bytes() + b"\0\0\0\0")
-    assert main(words) == 2
-    assert "inputs.scenes is" in capsys.readouterr().err
     assert log.read(tmp_path / "run") == records

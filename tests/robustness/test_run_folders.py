@@ -34,7 +34,7 @@ def test_of_runs_with_different_settings_that_start_together_one_goes_on(tmp_pat
             folder = tmp_path / str(turn)
             said = list(pool.map(partial(start, folder), range(4)))
             assert said.index(None) == description(folder)["seed"]
-            assert sum("that differs in seed" in error for error in said if error) == 3
+            assert sum("it differs in seed" in error for error in said if error) == 3
             assert [path.name for path in folder.iterdir()] == ["run.json"]
 
 

@@ -187,8 +187,8 @@ def test_logs(folder, blob):
     path = folder / "records.jsonl"
     path.write_bytes(blob)
     before = reads(lambda: log.read(folder), "records.jsonl, line ")
-    with log.Log(folder, first=1) as book:
-        assert book.open() == path
+    with log.Log(folder) as book:
+        assert book.path == path
         book.append({"key": "z", "attempt": 1, "status": "ok"})
     after = reads(lambda: log.read(folder), "records.jsonl, line ")
     assert (before is None) == (after is None)

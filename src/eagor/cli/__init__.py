@@ -83,7 +83,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
             print(terminal.plain(traceback.format_exc()), file=sys.stderr)
         known = isinstance(error, EagorError | OSError)
-        terminal.error(str(error) if known else f"{type(error).__name__}: {error} (a bug; --debug shows where)")
+        unknown = f"{type(error).__name__}: {error} (a bug; --debug shows where)"
+        terminal.error(*(getattr(error, "lines", [str(error)]) if known else [unknown]))
         return 2 if isinstance(error, EagorError) and not isinstance(error, _NO_FAULT_OF_THE_INPUT) else 1
 
 

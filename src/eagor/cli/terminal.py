@@ -50,9 +50,10 @@ def warning(text: str) -> None:
     log(f"warning: {text}")
 
 
-def error(text: str) -> None:
-    """Print an error on stderr, on one line."""
-    log(f"error: {' '.join(text.split())}")
+def error(*lines: str) -> None:
+    """Print an error on stderr; each text stays on a line of its own."""
+    for number, line in enumerate(lines):
+        print(plain(f"{'' if number else 'eagor: error:'} {' '.join(line.split())}"), file=sys.stderr, flush=True)
 
 
 def emit(result: dict[str, Any]) -> None:

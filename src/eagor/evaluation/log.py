@@ -33,6 +33,14 @@ RUN, RECORDS = "run.json", "records.jsonl"
 INFORMATION = ("commit", "samples", "versions", "development", "episodes")
 
 
+class AnotherRunError(EagorError):
+    """A folder holds another run than the one that was to begin in it; `lines` say so one by one."""
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__("; ".join(lines))
+        self.lines = lines
+
+
 class Log:
     """Appends records to ``records.jsonl`` in `folder`, which it makes. Raises `StorageError`.
 
@@ -123,10 +131,10 @@ def begin(folder: Path, config: Mapping[str, Any], samples: Mapping[str, Any] | 
     settings = [key for key in {**found, **wanted} if key not in INFORMATION]
     if differing := [key for key in settings if found.get(key) != wanted.get(key)]:
         more = f" and {len(differing) - 4} more" if len(differing) > 4 else ""
-        first = f"{folder} holds a run of {found.get('task')}"
-        raise EagorError(
-            f"{first}\nthat differs in {', '.join(differing[:4])}{more} from what was asked for ({path} says how).\n"
-            "Choose another folder, or ask for what this one holds, to go on with it."
+        raise AnotherRunError(
+            f"{folder} holds another run, of {found.get('task')}",
+            f"it differs in {', '.join(differing[:4])}{more} ({path} has its settings)",
+            "choose another folder, or ask for what it holds to go on with it",
         )
     if wanted.get("episodes", 0) > found.get("episodes", 0):
         written(path, _text({**found, **{key: wanted[key] for key in ("samples", "episodes", "development")}}))

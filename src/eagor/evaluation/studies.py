@@ -146,7 +146,7 @@ def compare(a: LoadedRun, b: LoadedRun, methods: Sequence[str] = ()) -> dict[str
         "settings": {
             key: [a.settings.get(key), b.settings.get(key)]
             for key in dict.fromkeys([*a.settings, *b.settings])
-            if a.settings.get(key) != b.settings.get(key)
+            if key != "samples" and a.settings.get(key) != b.settings.get(key)
         },
         "figures": {key: figure for key, figure in found.items() if figure is not None},
     }

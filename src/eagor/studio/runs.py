@@ -57,7 +57,7 @@ def kind_of(folder: Path) -> str | None:
         if path.is_file() and path.stat().st_size <= LARGEST:
             found = parsed(path.read_bytes())
             if isinstance(found, dict):
-                return "robot" if "samples" in found else "bench"
+                return "robot" if isinstance(found.get("samples"), list) else "bench"
             return "bench"
         if path.is_file():
             return "robot"  # a long walk
