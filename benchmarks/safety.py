@@ -71,7 +71,7 @@ def of_a_fault(name: str, repeats: int) -> list[Time]:
             bring_to_speed(driver, peer)
             begun = begun_by(trial, driver, peer)
             if name == "stale command":
-                begun = guard._said.command  # its age counts from when it was given
+                begun = guard._said["command"]  # its age counts from when it was given
             found.append(measured(peer, begun))
             trial.end(driver, peer)
     return found
