@@ -771,7 +771,9 @@ def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
     assert set(first["methods"]) == {"centroid", "eagor_paper", "eagor:degree=7"}
     assert first["episodes"] == 2
     assert answer(*words, *methods) == first, "what is recorded is not played again"
-    assert "methods" in refused(*words, "--methods", "eagor")
+    other = eagor(*words, "--methods", "eagor")
+    assert other.returncode == 2
+    assert "it differs in methods (" in other.stderr.splitlines()[-2]
     page = Path(answer("bench", "report", tmp_path / "run")["report"])
     assert page.is_file()
     assert (tmp_path / "run" / "tables.csv").is_file()
