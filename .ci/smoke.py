@@ -8,11 +8,11 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 from contract_server import ContractServer, reddish
-from eagor.evaluation.workers import Unit, run_units
 from PIL import Image
 
 import eagor
 from eagor.cli import main
+from eagor.evaluation import runner
 from eagor.perception import load
 from eagor.worlds import apartment
 from eagor.worlds.glb import export_glb, import_glb
@@ -44,8 +44,8 @@ def smoke(folder: Path) -> None:
         tracker = eagor.DirectionTracker(eagor.TrackerConfig())
         tracker.add_pose(0.0, np.eye(3))
         tracker.observe(look(np.full((56, 112, 3), 128, np.uint8), "red chair", stamp=0.0))
-    units = [Unit(f"u{number}", "0", {"number": number}) for number in range(3)]
-    done = run_units(units, "smoke:double", {"task": "smoke", "factor": 2}, folder / "run", 1, engine="ray")
+    units = [runner.Unit(f"u{number}", "0", {"number": number}) for number in range(3)]
+    done = runner.run(units, "smoke:double", {"task": "smoke", "factor": 2}, folder / "run", 1, engine="ray")
     assert (done.done, done.failed) == (3, 0), done
 
 
