@@ -132,6 +132,23 @@ def read_file(path: str | os.PathLike[str]) -> bytes:
         return file.read()
 
 
+def append_all(file: int, data: bytes, sync: bool = False) -> None:
+    """Write all of `data` at the end of an open file, and if `sync` wait until it is on the disk.
+
+    Raises `OSError`; the file is then as it was: half a line would spoil the next one.
+    """
+    end = os.lseek(file, 0, os.SEEK_END)
+    try:
+        while data:  # a disk that fills up takes part of it first, and fails at the next call
+            data = data[os.write(file, data) :]
+        if sync:
+            os.fsync(file)
+    except OSError:
+        os.ftruncate(file, end)
+        os.lseek(file, end, os.SEEK_SET)
+        raise
+
+
 class Lines:
     """A text file that grows by whole lines. The first line creates the file."""
 
@@ -144,15 +161,7 @@ class Lines:
         try:
             if self._file < 0:
                 self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-            end = os.lseek(self._file, 0, os.SEEK_CUR)
-            try:
-                rest = data
-                while rest:
-                    rest = rest[os.write(self._file, rest) :]
-            except OSError:
-                os.ftruncate(self._file, end)
-                os.lseek(self._file, end, os.SEEK_SET)
-                raise
+            append_all(self._file, data)
         except OSError as error:
             raise StorageError(
                 f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are needed. What was "

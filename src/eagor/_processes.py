@@ -37,6 +37,9 @@ def cores_to_take() -> int:
     return min(int(asked), 1024) if asked.isdecimal() and int(asked) else usable_cores()
 
 
+_START = threading.Lock()  # the environment is that of all threads
+
+
 class WorkerEnded(Exception):
     """Nothing can be said to a worker, or heard from it, any more: it has ended, or its line was closed here."""
 
@@ -72,7 +75,7 @@ class Worker:
         given = (there, serve, arguments, at_parents_end)
         self.process = context.Process(target=_live, args=given, name=name, daemon=not parent)
         try:
-            with _starting():
+            with _START, _starting():
                 self.process.start()
         except BaseException:
             self.line.close()

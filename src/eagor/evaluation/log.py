@@ -20,7 +20,7 @@ import numpy as np
 
 import eagor
 from eagor._checks import parsed
-from eagor._files import claimed, open_regular, redacted, written
+from eagor._files import append_all, claimed, open_regular, redacted, written
 from eagor.errors import EagorError, FormatError, StorageError
 
 try:
@@ -87,13 +87,7 @@ class Log:
         try:
             if not os.fstat(self._file).st_nlink:
                 raise OSError(errno.ENOENT, "somebody has removed the file")
-            end = os.lseek(self._file, 0, os.SEEK_END)
-            try:
-                _write(self._file, line)
-                os.fsync(self._file)
-            except OSError:
-                os.ftruncate(self._file, end)  # half a line would spoil the next one
-                raise
+            append_all(self._file, line, sync=True)
         except OSError as error:
             raise StorageError(
                 f"could not keep the record {record.get('key')!r} ({len(line)} bytes) in {self.path}: "
@@ -225,12 +219,6 @@ def _text(found: Mapping[str, Any]) -> str:
     return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
 
 
-def _write(file: int, data: bytes) -> None:
-    """All of `data`; a disk that fills up takes part of it first, and fails at the next call."""
-    while data:
-        data = data[os.write(file, data) :]
-
-
 def _mend(file: int) -> None:
     """Bring the end of `file` to the end of a whole line: what comes next must begin on a line of its own."""
     size = os.lseek(file, 0, os.SEEK_END)
@@ -241,7 +229,7 @@ def _mend(file: int) -> None:
         tail = os.read(file, size - len(tail) - begin) + tail
     torn = tail[tail.rfind(b"\n") + 1 :]
     if _is_json(torn):  # somebody's editor left out the last newline
-        _write(file, b"\n")
+        append_all(file, b"\n")
     elif torn:
         os.ftruncate(file, size - len(torn))
 

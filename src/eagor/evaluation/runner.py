@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
-import os
 import signal
 import threading
 import time
@@ -26,7 +25,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from eagor._extras import need
-from eagor._processes import THREADS, Worker, WorkerEnded
+from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError, StorageError, WorkError
 from eagor.evaluation import log
 from eagor.plugins import readable_lists
@@ -300,11 +299,10 @@ def _together(schedule: Scheduler, hire: Callable[[], WorkerHandle], count: int)
     # Daemons: a thread that waits for a server must not keep the process alive after Ctrl-C.
     threads = [threading.Thread(target=lane, daemon=True) for _ in range(min(count, schedule.left))]
     try:
-        with _one_blas_thread():
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
         if schedule.fault is not None:
             raise schedule.fault
     except BaseException as fault:
@@ -339,19 +337,6 @@ def _lane(schedule: Scheduler, hire: Callable[[], WorkerHandle]) -> None:
             seconds = round(time.perf_counter() - began, 3)
             found = {"error": f"the worker died in this unit ({died})", "seconds": seconds}
         schedule.end(unit, number, found)
-
-
-@contextmanager
-def _one_blas_thread() -> Iterator[None]:
-    """New processes, which read this once, share the cores among them."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            os.environ.update({name: value} if value is not None else {})
 
 
 class _Here:
