@@ -22,7 +22,7 @@ from eagor.errors import WorldError
 from eagor.tasks.places import load_place
 from eagor.worlds.glb import import_glb
 from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import simulator, world
+from eagor.worlds.habitat import export, simulator, world
 from eagor.worlds.render import Renderer
 
 LIFT = 0.05  # metres: the mesh floats above the floor
@@ -264,6 +264,7 @@ def installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "magnum", magnum())
     monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
     monkeypatch.setattr(simulator, "device_for", lambda source: -1)
+    monkeypatch.setattr(export, "has_meshes", lambda: False)  # they are made in a process of its own
     yield
     simulator.close_all()
     world.open_scene.cache_clear()
