@@ -12,11 +12,11 @@ from PIL import Image
 
 import eagor
 from eagor.cli import main
-from eagor.evaluation import runner
+from eagor.lab.eval import runner
+from eagor.lab.worlds import apartment
+from eagor.lab.worlds.glb import export_glb, import_glb
+from eagor.lab.worlds.render import Renderer
 from eagor.perception import load
-from eagor.worlds import apartment
-from eagor.worlds.glb import export_glb, import_glb
-from eagor.worlds.render import Renderer
 
 
 def double(config):

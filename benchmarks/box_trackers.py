@@ -25,7 +25,7 @@ FOREVER = 10_000  # frames until a thing that is not seen is given up
 
 
 class BoxTracker:
-    """One of `NAMES`, as `eagor.tasks.methods.Method`."""
+    """One of `NAMES`, as `eagor.lab.agents.methods.Method`."""
 
     def __init__(self, name: str) -> None:
         import trackers

@@ -40,6 +40,9 @@ import common
 import numpy as np
 
 from eagor.evidence import Evidence
+from eagor.lab.agents.methods import NAMES, Method, make_method
+from eagor.lab.worlds.render import Renderer
+from eagor.lab.worlds.walkable import along, length_of
 from eagor.media import Pose, bags
 from eagor.media import ros_messages as ros
 from eagor.media.bags import BagWriter
@@ -53,10 +56,7 @@ from eagor.robots.go2.sim_wire import WireSettings
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.sphere import angular_distance, unit
-from eagor.tasks.methods import NAMES, Method, make_method
 from eagor.tracking.poses import PoseHistory
-from eagor.worlds.render import Renderer
-from eagor.worlds.walkable import along, length_of
 
 SCENES = ("standing robot, rolling ball", "walking robot, lying ball", "walking robot, rolling ball")
 QUERY, SPEED = "red ball", 0.3  # m/s, of a ball that rolls

@@ -18,14 +18,14 @@ from typing import Any
 import common
 import numpy as np
 
-from eagor.evaluation import tables
+from eagor.lab.agents.methods import answer_at
+from eagor.lab.agents.models import shared
+from eagor.lab.envs.episodes import Slot, slots
+from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.lab.eval import tables
+from eagor.lab.tasks.sim.play import Player, Seen
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
-from eagor.tasks.episodes import Slot, slots
-from eagor.tasks.methods import answer_at
-from eagor.tasks.models import shared
-from eagor.tasks.play import Player, Seen
-from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
 OURS, FRAME = "eagor", "frame"
 SHOWN = (tables.SEEN, tables.IN_SIGHT, tables.HIDDEN)

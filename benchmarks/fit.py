@@ -22,8 +22,8 @@ from typing import Any
 import common
 import numpy as np
 
-from eagor.evaluation.calibration import TASKS, Recorder, record_episodes
-from eagor.tasks.play import Recording
+from eagor.lab.eval.calibration import TASKS, Recorder, record_episodes
+from eagor.lab.tasks.sim.play import Recording
 
 AIMS = {"waypoint": ("mae", "tc"), "tracking": ("error", "tc")}
 

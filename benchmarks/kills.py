@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from processes import alive, sessions_of
 
-from eagor.evaluation import log
+from eagor.lab.eval import log
 
 PATIENCE = 60.0  # seconds that processes have to leave: nobody measures how long they take, only that they do
 TIMES = ("seconds", "ms", "milliseconds")

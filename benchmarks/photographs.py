@@ -40,19 +40,19 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from eagor.evaluation.detector_fit import fitted_model
-from eagor.evaluation.labelled_looks import LabelledLook
 from eagor.evidence import DetectorModel, Evidence, parse_model
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import ErpGrid
+from eagor.lab.agents.methods import NAMES, Method, TrackerMethod, make_method
+from eagor.lab.eval.detector_fit import fitted_model
+from eagor.lab.eval.labelled_looks import LabelledLook
 from eagor.media.panorama import read_panorama, turn
 from eagor.media.rotation import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
 from eagor.perception.things import Thing, spread_evidence
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.statistics import bootstrap_interval
-from eagor.tasks.methods import NAMES, Method, TrackerMethod, make_method
 from eagor.tracking import Estimate, TrackerConfig
 
 FRAMES, STEP, TUMBLE = 40, math.radians(9), math.radians(20)

@@ -154,9 +154,9 @@ def program(domain: int, speed: float) -> None:
 
 def camera(domain: int) -> None:
     """The camera: a painted room far away, which turns as the robot does."""
+    from eagor.lab.worlds.painted import painted_room
     from eagor.media.ros_messages import compressed_message, pose_of
     from eagor.sphere import heading
-    from eagor.worlds.painted import painted_room
 
     room, turned = painted_room(128, 256), [0.0]
 

@@ -4,9 +4,9 @@
 
 Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
 each, and, where --samples names them, in the labelled photographs of `hstar_mini`. Every agent looks through `truth`
-(`eagor.tasks.hstar.perception`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept from
-look to look with probability 0.3, 8 degrees of error. Success is strict. What was tuned
-was tuned on other apartments, with other luck.
+(`eagor.lab.tasks.hstar.perception`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept
+from look to look with probability 0.3, 8 degrees of error. Success is strict. What was tuned was tuned on other
+apartments, with other luck.
 
 Brackets are 95 % bootstrap intervals over targets (four starts and all repetitions of one together). Printed:
 
@@ -34,16 +34,16 @@ import numpy as np
 from PIL import Image
 
 from eagor.grids import ErpGrid
+from eagor.lab.envs.places import APARTMENT, Place, load_place
+from eagor.lab.envs.rules import Camera
+from eagor.lab.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episodes
+from eagor.lab.tasks.hstar.perception import open_eye
+from eagor.lab.tasks.hstar.play import make_agent, play
+from eagor.lab.tasks.hstar.rules import View, level_of
+from eagor.lab.tasks.hstar.search import SearchRules
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
-from eagor.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episodes
-from eagor.tasks.hstar.perception import open_eye
-from eagor.tasks.hstar.play import make_agent, play
-from eagor.tasks.hstar.rules import View, level_of
-from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.rules import Camera
 
 FIRST, LUCK = 8600, 2_000_000  # the first apartment; what seeds of noise begin with
 AGENTS = ("eagor", "grid", "sweep", "centroid", "single")

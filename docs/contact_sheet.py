@@ -7,10 +7,10 @@ import sys
 import numpy as np
 from PIL import Image, ImageDraw
 
+from eagor.lab.worlds.apartment import generate
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.render import Renderer
 from eagor.sphere import world_R_body
-from eagor.worlds.apartment import generate
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
 
 COLUMNS, COUNT, ROWS, HEIGHT = 4, 20, 160, 1.4
 

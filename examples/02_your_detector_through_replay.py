@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 import eagor
+from eagor.lab.worlds.painted import EYE, Room, bearing, paint
 from eagor.perception import load
 from eagor.perception.replay import write_record
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import EYE, Room, bearing, paint
 
 HEIGHT, WIDTH = 128, 256
 

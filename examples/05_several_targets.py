@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 import eagor
+from eagor.lab.worlds.painted import Room, bearing, paint
 from eagor.perception import load
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import Room, bearing, paint
 
 room = Room()
 balls = {f"{ball.colour} ball": ball for ball in room.balls}

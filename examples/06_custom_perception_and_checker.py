@@ -11,8 +11,8 @@ import numpy as np
 
 import eagor
 from eagor.errors import QueryError
+from eagor.lab.worlds.painted import EYE, Ball, bearing, painted_room
 from eagor.perception import check_perception
-from eagor.worlds.painted import EYE, Ball, bearing, painted_room
 
 
 class Darkest:

@@ -10,8 +10,8 @@ line the same is `eagor bench run tracking --perception truth --episodes 3 --see
 import tempfile
 from pathlib import Path
 
-from eagor.evaluation import log, simulated, tables
-from eagor.evaluation.studies import write_report
+from eagor.lab.eval import log, simulated, tables
+from eagor.lab.eval.studies import write_report
 
 run = simulated.Run(
     task="tracking",

@@ -14,10 +14,10 @@ from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO
 
 from eagor import perception
+from eagor.lab.agents.methods import answer_at, method_for
+from eagor.lab.agents.models import EpisodePerception
+from eagor.lab.envs.rules import NavigationRules
 from eagor.statistics import paired_difference, wilson_interval
-from eagor.tasks.methods import answer_at, method_for
-from eagor.tasks.models import EpisodePerception
-from eagor.tasks.rules import NavigationRules
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=20_000, help="of training, in four apartments")
@@ -51,7 +51,7 @@ class Estimate(gymnasium.Wrapper):
 def make(apartments):
     """The environment in apartments of these seeds; both numbers of an action are from -1 to 1."""
     settings = {"panorama": None, "seeds": apartments, "rules": NavigationRules(max_steps=100)}
-    env = gymnasium.make("eagor.tasks:Eagor/MapFreeNavigation-v0", **settings)
+    env = gymnasium.make("eagor.lab.tasks:Eagor/MapFreeNavigation-v0", **settings)
     return RescaleAction(Estimate(env), np.float32(-1), np.float32(1))
 
 

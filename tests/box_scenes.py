@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eagor.worlds.scene import Instance, Material, Scene
+from eagor.lab.worlds.scene import Instance, Material, Scene
 
 # Corners of a box are numbered by the bits x, y, z; faces counter-clockwise from outside.
 _FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))

@@ -11,7 +11,7 @@ import av
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.worlds.painted import painted_room
+from eagor.lab.worlds.painted import painted_room
 
 ROOM = painted_room(64, 128)
 HEADERS = {b"stsd": 8, b"avc1": 78, b"mp4v": 78}  # bytes before the boxes inside

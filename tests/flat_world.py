@@ -7,9 +7,9 @@ from types import ModuleType
 
 from rooms import two_rooms
 
-from eagor.tasks import navigation, place_env, places, tracking, waypoint
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
+from eagor.lab.tasks.sim import navigation, place_env, places, tracking, waypoint
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.render import Renderer
 
 
 def the_flat() -> places.Place:

@@ -18,8 +18,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from eagor.conventions import from_gltf, to_gltf
-from eagor.tasks.episodes import FileSlot, slot_of
-from eagor.tasks.places import load_place
+from eagor.lab.envs.episodes import FileSlot, slot_of
+from eagor.lab.envs.places import load_place
 
 CONFIG = "benchmark/nav/objectnav/objectnav_hm3d.yaml"
 NAMES = {"distance_to_goal": "distance_to_goal", "success": "success", "spl": "spl", "soft_spl": "soft_spl"}
@@ -215,10 +215,10 @@ def judged(file, walks):
     where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
     stops 1 mm before it (``collisions``, how often that was).
     """
-    from eagor.tasks.episodes import listed_slots, plan_listed
-    from eagor.tasks.navigation import MapFreeNavigationEnv, score
-    from eagor.tasks.play import STANDS
-    from eagor.tasks.rules import Camera, NavigationRules, as_dict, from_dict
+    from eagor.lab.envs.episodes import listed_slots, plan_listed
+    from eagor.lab.envs.rules import Camera, NavigationRules, as_dict, from_dict
+    from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv, score
+    from eagor.lab.tasks.sim.play import STANDS
 
     rules = from_dict(NavigationRules, as_dict(NavigationRules.objectnav()) | {"stop": "call"})
     slots = {(slot.scene, slot.episode): slot for slot in listed_slots("navigation", file, None, "habitat", None)}

@@ -19,11 +19,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.tasks.places import load_place
-from eagor.worlds.glb import import_glb
-from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import export, simulator, world
-from eagor.worlds.render import Renderer
+from eagor.lab.envs.places import load_place
+from eagor.lab.worlds.glb import import_glb
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.habitat import export, simulator, world
+from eagor.lab.worlds.render import Renderer
 
 LIFT = 0.05  # metres: the mesh floats above the floor
 

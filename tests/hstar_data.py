@@ -79,8 +79,8 @@ def patient():
     """A model for the command line: turns right twice, then submits where it looks."""
 
     def reply(messages):
+        from eagor.lab.tasks.hstar.prompts import succeeded
         from eagor.perception.vlm import ChatReply
-        from eagor.tasks.hstar.prompts import succeeded
 
         said = messages[-1].text
         turns = sum(message.role == "assistant" for message in messages)

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from eagor.sphere import world_R_body
-from eagor.tasks.osr.geometry import FloorLine, layout_from
-from eagor.tasks.osr.scoring import (
+from eagor.lab.envs.places import APARTMENT, Place, load_place
+from eagor.lab.envs.rules import Camera
+from eagor.lab.tasks.osr.geometry import FloorLine, layout_from
+from eagor.lab.tasks.osr.scoring import (
     COUNTING,
     DIRECTION,
     DISTANCE,
@@ -30,11 +31,10 @@ from eagor.tasks.osr.scoring import (
     distance_label,
     grid_of,
 )
-from eagor.tasks.osr.sightings import Body, Room, write_room
-from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.rules import Camera
-from eagor.worlds.raycast import Raycaster
-from eagor.worlds.scene import Scene
+from eagor.lab.tasks.osr.sightings import Body, Room, write_room
+from eagor.lab.worlds.raycast import Raycaster
+from eagor.lab.worlds.scene import Scene
+from eagor.sphere import world_R_body
 
 # Walls, floor and ceiling are the room itself; a ceiling lamp touches neither floor nor wall.
 UNNAMED = ("wall", "floor", "ceiling", "ceiling lamp")

@@ -9,9 +9,9 @@ import numpy as np
 from osr_apartments import conversation
 from PIL import Image
 
-from eagor.tasks.osr.geometry import FloorLine, layout_from
-from eagor.tasks.osr.scoring import grid_of
-from eagor.tasks.osr.sightings import Body, Room, write_room
+from eagor.lab.tasks.osr.geometry import FloorLine, layout_from
+from eagor.lab.tasks.osr.scoring import grid_of
+from eagor.lab.tasks.osr.sightings import Body, Room, write_room
 
 NAME = "ReplicaPano-made-here"
 CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])

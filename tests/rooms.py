@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
+from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
 
 HEIGHT = 2.6
 _CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=np.float32)

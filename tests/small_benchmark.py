@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from eagor.tasks.benchmark import Case, Figure
+from eagor.lab.tasks.benchmark import Case, Figure
 
 
 class Numbers:

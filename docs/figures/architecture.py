@@ -15,8 +15,8 @@ import numpy as np
 from common import INK, OURS, QUIET, figure, keep
 
 from eagor import DirectionTracker
+from eagor.lab.worlds.painted import painted_room
 from eagor.perception.colour import ColourPerception
-from eagor.worlds.painted import painted_room
 
 if TYPE_CHECKING:
     from types import FrameType

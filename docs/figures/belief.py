@@ -15,11 +15,11 @@ from moving import photograph, search
 
 import eagor
 from eagor.drawing import paint_belief
+from eagor.lab.agents.methods import BASE
+from eagor.lab.envs.places import APARTMENT, load_place
+from eagor.lab.envs.rules import Camera
 from eagor.perception import load
 from eagor.sphere import unit, wrap
-from eagor.tasks.methods import BASE
-from eagor.tasks.places import APARTMENT, load_place
-from eagor.tasks.rules import Camera
 
 SEED, EPISODE, LOOKS = 604, 2, 7
 ROWS, DEGREE = 320, 15

@@ -11,7 +11,7 @@ import numpy as np
 from common import OURS, TARGET, THEIRS, THIRD, figure, keep, lines, titled
 
 from eagor import PatchGrid, RealHarmonics, angular_distance, direction
-from eagor.evaluation.sheets import half_width_deg, highest_sidelobe, kernel
+from eagor.lab.eval.sheets import half_width_deg, highest_sidelobe, kernel
 
 DEGREES = {5: THIRD, 7: THEIRS, 15: OURS, 31: TARGET}
 GRID = PatchGrid(180, 360)

@@ -18,8 +18,8 @@ from PIL import Image
 
 from eagor.cli import main as eagor
 from eagor.cli.demo_apartment import play
-from eagor.tasks.episodes import PER_PLACE
-from eagor.tasks.rules import Camera
+from eagor.lab.envs.episodes import PER_PLACE
+from eagor.lab.envs.rules import Camera
 
 IMAGES = Path(__file__).parents[1] / "images"
 QUALITY = 82

@@ -22,14 +22,14 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import paint_belief
 from eagor.drawing.panorama import OURS, TRUTH
 from eagor.drawing.style import INK, QUIET, far_in_words, figure, image
+from eagor.lab.agents.methods import BASE
+from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.places import APARTMENT, load_place
+from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.lab.tasks.sim.play import Player
+from eagor.lab.worlds import View
 from eagor.perception import load
 from eagor.sphere import interpolate_rotation, unit
-from eagor.tasks.episodes import Slot
-from eagor.tasks.methods import BASE
-from eagor.tasks.places import APARTMENT, load_place
-from eagor.tasks.play import Player
-from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
-from eagor.worlds import View
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -30,17 +30,17 @@ import numpy as np
 from PIL import Image
 
 from eagor.errors import EagorError
+from eagor.lab.envs.places import Place, pixels_of
+from eagor.lab.tasks.sim.navigation import distance_to_box
+from eagor.lab.worlds.walkable import along, length_of
 from eagor.perception.scout import ScoutPerception
 from eagor.sphere import angular_distance
 from eagor.studio.density import density_of
 from eagor.studio.houses import Body, Tour, Walker, house_of, place_of, walled
 from eagor.studio.messages import SEED, jpeg
 from eagor.studio.walk import FINE
-from eagor.tasks.navigation import distance_to_box
-from eagor.tasks.places import Place, pixels_of
 from eagor.tracking import TrackerConfig
 from eagor.tracking.follower import Follower
-from eagor.worlds.walkable import along, length_of
 
 NEAR, FAR = 1.5, 3.0  # metres from the thing at first
 SHORTEST, LONGEST = 4.0, 8.0  # metres of walking

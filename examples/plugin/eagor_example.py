@@ -8,8 +8,8 @@ Install it beside eagor (``pip install ./examples/plugin``), and every command k
 Each of the three has a check that ships with eagor; call it from your tests:
 
     check_perception(Brightness(), panorama, "brightest", roll=16)    # eagor.perception
-    check_world(hall)                                                 # eagor.worlds.checking
-    check_task(TURNTABLE, world="hall")                               # eagor.tasks.checking, once it is installed
+    check_world(hall)                                                 # eagor.lab.worlds.checking
+    check_task(TURNTABLE, world="hall")                               # eagor.lab.tasks.sim.checking, once installed
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ import trimesh
 
 from eagor import ErpGrid, Evidence
 from eagor.errors import QueryError, WorldError
+from eagor.lab.envs.episodes import Episode, Slot, choose_target
+from eagor.lab.envs.place_env import AnsweringEnv
+from eagor.lab.envs.places import load_place, pixels_of
+from eagor.lab.tasks.task import Column, Played, Task
+from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
 from eagor.sphere import world_R_body
-from eagor.tasks.episodes import Episode, Slot, choose_target
-from eagor.tasks.place_env import AnsweringEnv
-from eagor.tasks.places import load_place, pixels_of
-from eagor.tasks.task import Column, Played, Task
-from eagor.worlds.scene import Instance, Lamp, Material, Room, Scene
 
 # --- a perception: a panorama and a query in, evidence out -----------------------------------------------------------
 

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from eagor import conventions as conventions
     from eagor import drawing as drawing
     from eagor import errors as errors
-    from eagor import evaluation as evaluation
     from eagor import evidence as evidence
     from eagor import grids as grids
     from eagor import harmonics as harmonics
+    from eagor import lab as lab
     from eagor import lenses as lenses
     from eagor import live as live
     from eagor import media as media
@@ -38,9 +38,7 @@ if TYPE_CHECKING:
     from eagor import queries as queries
     from eagor import sphere as sphere
     from eagor import statistics as statistics
-    from eagor import tasks as tasks
     from eagor import tracking as tracking
-    from eagor import worlds as worlds
     from eagor.belief import Belief, RangedBelief, log_ranges
     from eagor.errors import EagorError
     from eagor.evidence import Calibration, DetectorModel, Evidence
@@ -85,9 +83,9 @@ _HOME = {
 
 # The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
-    "baselines", "belief", "conventions", "drawing", "errors", "evaluation", "evidence", "grids", "harmonics",
-    "lenses", "live", "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics", "tasks",
-    "tracking", "worlds",
+    "baselines", "belief", "conventions", "drawing", "errors", "evidence", "grids", "harmonics",
+    "lab", "lenses", "live", "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics",
+    "tracking",
 )  # fmt: skip
 
 

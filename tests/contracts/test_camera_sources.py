@@ -20,6 +20,7 @@ import pytest
 from PIL import Image
 
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
+from eagor.lab.worlds.painted import painted_room
 from eagor.lenses import PinholeLens
 from eagor.media import Frame, check_camera
 from eagor.media.camera_sources import open_camera
@@ -30,7 +31,6 @@ from eagor.media.rigs import Rig, dual_fisheye, write_rig
 from eagor.media.stitching import seen_by
 from eagor.media.streams import Stream, device, raw_pipe
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import painted_room
 
 av = pytest.importorskip("av")
 ROOM = clips.ROOM

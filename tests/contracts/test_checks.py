@@ -12,20 +12,20 @@ import small_benchmark
 from box_scenes import scene_of, shell, thing
 from rooms import two_rooms
 
-from eagor import worlds
 from eagor.errors import EagorError, GridError, ImageError, PoseError, WorldError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
+from eagor.lab import worlds
+from eagor.lab.tasks import benchmark as benchmarks
+from eagor.lab.tasks import task as tasks
+from eagor.lab.tasks.benchmark import Case, Figure, check_benchmark
+from eagor.lab.tasks.sim.checking import check_task
+from eagor.lab.tasks.task import load
+from eagor.lab.worlds.checking import check_world
+from eagor.lab.worlds.painted import EYE, Room, paint, painted_room
+from eagor.lab.worlds.render import Frame, Photograph, Renderer
 from eagor.perception import check_perception
 from eagor.sphere import world_R_body
-from eagor.tasks import benchmark as benchmarks
-from eagor.tasks import task as tasks
-from eagor.tasks.benchmark import Case, Figure, check_benchmark
-from eagor.tasks.checking import check_task
-from eagor.tasks.task import load
-from eagor.worlds.checking import check_world
-from eagor.worlds.painted import EYE, Room, paint, painted_room
-from eagor.worlds.render import Frame, Photograph, Renderer
 
 sys.path.append(str(Path(__file__).parents[2] / "examples" / "plugin"))
 import eagor_example as example
@@ -49,7 +49,7 @@ def test_apartments_keep_the_contract_of_worlds(seed):
 
 
 def test_so_do_a_glb_file_a_photograph_and_a_painted_room(tmp_path):
-    from eagor.worlds.glb import export_glb
+    from eagor.lab.worlds.glb import export_glb
 
     check_world(worlds.load(str(export_glb(two_rooms(), tmp_path / "flat.glb"))))
     check_world(Photograph(painted_room(128, 256)))
@@ -176,7 +176,7 @@ BROKEN_WORLDS = {
     "only walls": (lambda seed: scene_of([shell(5, 4)[1], thing("tv", (0, 0, 1), (1, 0.1, 2))]), "has no ground"),
     "a floor upstairs": (lambda seed: moved(lambda v: v + np.array([0, 0, 3.0])), "its floor at z = 3.00 m; wanted 0"),
     "in millimetres": (lambda seed: moved(lambda v: v * [0.15, 0.15, 1]), "Are the lengths metres"),
-    "no frame": (Looking(lambda *where: flat(*where).ids), "shows a ndarray; wanted an eagor.worlds.render.Frame"),
+    "no frame": (Looking(lambda *where: flat(*where).ids), "shows a ndarray; wanted an eagor.lab.worlds.render.Frame"),
     "nothing to see": (changed(ids=lambda f: None), "shows neither rgb nor ids"),
     "a square picture": (changed(ids=lambda f: f.ids[:, ::2]), r"ids of shape \(32, 32\)"),
     "ids as floats": (changed(ids=lambda f: f.ids.astype(float)), "signed integers"),
@@ -331,7 +331,7 @@ def forgetful():
 
 
 BROKEN_TASKS = {
-    "no task": ("turntable", "is a str; wanted an eagor.tasks.task.Task"),
+    "no task": ("turntable", "is a str; wanted an eagor.lab.tasks.task.Task"),
     "a name with a space": (replace(TURNTABLE, name="Turn table"), "wanted lower-case letters and digits"),
     "no column": (replace(TURNTABLE, columns=()), "wanted at least one"),
     "a column twice": (replace(TURNTABLE, columns=TURNTABLE.columns[:1] * 2), "each key once"),

@@ -10,10 +10,10 @@ from PIL import Image
 
 import eagor
 from eagor.grids import ErpGrid, PatchGrid
+from eagor.lab.worlds.painted import painted_room
 from eagor.media.panorama import read_panorama
 from eagor.perception.colour import COLOURS, ColourPerception
 from eagor.sphere import direction
-from eagor.worlds.painted import painted_room
 
 PHOTOGRAPHS = Path(__file__).parents[2] / ".." / "shared" / "panoramas"
 HUES = [name for name, colour in COLOURS.items() if colour.hue is not None]

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 import yaml
 
+from eagor.lab.worlds.painted import Room, bearing, paint
 from eagor.media import Pose
 from eagor.media import ros_messages as m
 from eagor.media.ros_messages import store
 from eagor.robots.ros import publishing as made
 from eagor.sphere import angular_distance, world_R_body
-from eagor.worlds.painted import Room, bearing, paint
 
 PACKAGE = Path(__file__).parents[2] / "ros2" / "eagor_ros"
 LONG = 180.0

@@ -13,13 +13,10 @@ import pytest
 from flat_world import loaders, the_flat
 from gymnasium.utils.env_checker import check_env
 
-import eagor.tasks
+import eagor.lab.tasks
 from eagor.errors import EagorError, WorldError
-from eagor.sphere import angular_distance
-from eagor.tasks import navigation, tracking, waypoint
-from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.play import Player
-from eagor.tasks.rules import (
+from eagor.lab.envs.episodes import Episode, Slot
+from eagor.lab.envs.rules import (
     Camera,
     Disturbances,
     NavigationRules,
@@ -28,6 +25,9 @@ from eagor.tasks.rules import (
     as_dict,
     from_dict,
 )
+from eagor.lab.tasks.sim import navigation, tracking, waypoint
+from eagor.lab.tasks.sim.play import Player
+from eagor.sphere import angular_distance
 
 SHORT_LEGS = WaypointRules(leg_steps=6)
 SETTINGS = {"waypoint": {"rules": SHORT_LEGS}}
@@ -50,8 +50,8 @@ def make(task, **settings):
 
 
 def test_the_environments_are_registered():
-    assert set(eagor.tasks.ENVIRONMENTS) <= set(gymnasium.registry)
-    eagor.tasks.register()  # twice does no harm
+    assert set(eagor.lab.tasks.ENVIRONMENTS) <= set(gymnasium.registry)
+    eagor.lab.tasks.register()  # twice does no harm
 
 
 @pytest.mark.parametrize(

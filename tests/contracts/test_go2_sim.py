@@ -17,6 +17,7 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.grids import ErpGrid
+from eagor.lab.worlds.render import Ball
 from eagor.media import Frame, Pose
 from eagor.metrics import angular_error_deg
 from eagor.robots.dds import Link, free_domain
@@ -27,7 +28,6 @@ from eagor.robots.go2.sim_wire import TRUTH, WireSettings
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State
 from eagor.sphere import world_R_body
-from eagor.worlds.render import Ball
 
 live = pytest.mark.xdist_group("real time")
 

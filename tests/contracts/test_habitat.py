@@ -18,20 +18,20 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from rooms import two_rooms
 
-import eagor.tasks
-from eagor import worlds
+import eagor.lab.tasks
 from eagor.errors import WorldError
+from eagor.lab import worlds
+from eagor.lab.envs.places import load_place
+from eagor.lab.envs.rules import WaypointRules
+from eagor.lab.tasks.sim.checking import check_task
+from eagor.lab.tasks.task import load as load_task
+from eagor.lab.worlds.checking import check_world
+from eagor.lab.worlds.glb import export_glb
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.habitat import simulator
+from eagor.lab.worlds.habitat.simulator import close_all
+from eagor.lab.worlds.render import Renderer
 from eagor.sphere import world_R_body
-from eagor.tasks.checking import check_task
-from eagor.tasks.places import load_place
-from eagor.tasks.rules import WaypointRules
-from eagor.tasks.task import load as load_task
-from eagor.worlds.checking import check_world
-from eagor.worlds.glb import export_glb
-from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import simulator
-from eagor.worlds.habitat.simulator import close_all
-from eagor.worlds.render import Renderer
 
 pytestmark = [
     pytest.mark.habitat,
@@ -194,7 +194,7 @@ def test_our_tasks_keep_their_contract_in_it(flat, name, settings):
     ],
 )
 def test_gymnasiums_checker_passes(flat, name, settings):
-    eagor.tasks.register()
+    eagor.lab.tasks.register()
     env = gymnasium.make(
         f"Eagor/{name}-v0", disable_env_checker=True, world=f"habitat:{flat}", panorama=16, render_mode="rgb_array",
         **settings,

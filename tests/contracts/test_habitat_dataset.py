@@ -11,12 +11,12 @@ import pytest
 from box_scenes import scene_of, shell, thing
 
 from eagor.errors import WorldError
-from eagor.worlds.glb import import_glb
-from eagor.worlds.ground import Ground
-from eagor.worlds.habitat.export import Source, export_dataset, make_goals
-from eagor.worlds.objectnav import check_scene, read_episodes
-from eagor.worlds.render import Renderer
-from eagor.worlds.scene import Room
+from eagor.lab.worlds.glb import import_glb
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.habitat.export import Source, export_dataset, make_goals
+from eagor.lab.worlds.objectnav import check_scene, read_episodes
+from eagor.lab.worlds.render import Renderer
+from eagor.lab.worlds.scene import Room
 
 
 def furnished(source="room"):

@@ -13,26 +13,26 @@ import pytest
 from habitat_stand_in import PathFinder, Simulator, installed
 from rooms import two_rooms
 
-from eagor import worlds
 from eagor.errors import EagorError, MissingExtraError, WorldError
 from eagor.grids import ErpGrid
-from eagor.sphere import world_R_body
-from eagor.tasks.checking import check_task
-from eagor.tasks.places import load_place
-from eagor.tasks.task import load as load_task
-from eagor.worlds.checking import check_world
-from eagor.worlds.glb import export_glb
-from eagor.worlds.ground import Ground
-from eagor.worlds.habitat import simulator, world
-from eagor.worlds.habitat.navmesh import main_storey
-from eagor.worlds.habitat.simulator import (
+from eagor.lab import worlds
+from eagor.lab.envs.places import load_place
+from eagor.lab.tasks.sim.checking import check_task
+from eagor.lab.tasks.task import load as load_task
+from eagor.lab.worlds.checking import check_world
+from eagor.lab.worlds.glb import export_glb
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.habitat import simulator, world
+from eagor.lab.worlds.habitat.navmesh import main_storey
+from eagor.lab.worlds.habitat.simulator import (
     Frames,
     Source,
     device_for,  # itself: the stand-in puts another one into the module
     euclidean,
 )
-from eagor.worlds.habitat.world import parse
-from eagor.worlds.render import Renderer
+from eagor.lab.worlds.habitat.world import parse
+from eagor.lab.worlds.render import Renderer
+from eagor.sphere import world_R_body
 
 
 @pytest.fixture(scope="module")

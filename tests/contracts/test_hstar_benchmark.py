@@ -18,20 +18,20 @@ from PIL import Image
 
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
+from eagor.lab.agents.models import load_chat
+from eagor.lab.tasks import benchmark
+from eagor.lab.tasks.hstar import data
+from eagor.lab.tasks.hstar import perception as hstar_perception
+from eagor.lab.tasks.hstar.bench import HOS, HPS
+from eagor.lab.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.lab.tasks.hstar.perception import head_of, phrase_of, tag_of, thing_of
+from eagor.lab.tasks.hstar.play import CAUSES, VlmAgent, cause_of, play, work
+from eagor.lab.tasks.hstar.prompts import first_text, system_text
+from eagor.lab.tasks.hstar.rules import View, render_view
+from eagor.lab.tasks.hstar.search import SearchRules
 from eagor.perception.endpoint.server import ServedChat
 from eagor.perception.partial import look_at_view
 from eagor.perception.vlm import IMAGE, Message
-from eagor.tasks import benchmark
-from eagor.tasks.hstar import data
-from eagor.tasks.hstar import perception as hstar_perception
-from eagor.tasks.hstar.bench import HOS, HPS
-from eagor.tasks.hstar.data import Episode, open_panorama, read_episodes
-from eagor.tasks.hstar.perception import head_of, phrase_of, tag_of, thing_of
-from eagor.tasks.hstar.play import CAUSES, VlmAgent, cause_of, play, work
-from eagor.tasks.hstar.prompts import first_text, system_text
-from eagor.tasks.hstar.rules import View, render_view
-from eagor.tasks.hstar.search import SearchRules
-from eagor.tasks.models import load_chat
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
 
@@ -372,7 +372,7 @@ def test_the_model_is_shown_a_window_of_the_conversation(tmp_path, window, most)
 @pytest.mark.parametrize("form", ["free_think", "no_think", "grounding"])
 @pytest.mark.parametrize("kind", ["hos", "hps"])
 def test_prompts_say_what_the_protocol_dictates(kind, form):
-    from eagor.tasks.hstar.rules import parse_action
+    from eagor.lab.tasks.hstar.rules import parse_action
 
     text = system_text(kind, form)
     for part in ("rotate(yaw:int,pitch:int)", "submit(yaw:int,pitch:int)", "<answer>", "green cross"):

@@ -14,10 +14,9 @@ from strategies import rotations
 
 from eagor import conventions as conv
 from eagor.errors import WorldError
-from eagor.sphere import rotation
-from eagor.worlds.glb import FOOTING, FOOTING_NODE, ON_MESH, export_glb, footing_of, import_glb, name_from_nodes
-from eagor.worlds.ground import Ground
-from eagor.worlds.objectnav import (
+from eagor.lab.worlds.glb import FOOTING, FOOTING_NODE, ON_MESH, export_glb, footing_of, import_glb, name_from_nodes
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.objectnav import (
     Episode,
     Goal,
     Origin,
@@ -26,7 +25,8 @@ from eagor.worlds.objectnav import (
     read_episodes,
     write_episodes,
 )
-from eagor.worlds.scene import Lamp, Material, Room, Scene
+from eagor.lab.worlds.scene import Lamp, Material, Room, Scene
+from eagor.sphere import rotation
 
 VIEWS = np.array([[2.0, 2.0, 0.0], [1.0, 3.0, 0.01]])
 

@@ -21,7 +21,7 @@ import eagor
 from eagor import _extras
 from eagor._extras import EXTRAS, how_to_install, need
 from eagor.errors import EagorError, MissingExtraError
-from eagor.worlds.painted import painted_room
+from eagor.lab.worlds.painted import painted_room
 
 SOURCE = Path(eagor.__file__).parents[1]
 PROJECT = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -95,13 +95,13 @@ OTHERS = [
     ("photos", "locate room.png chair --perception onnx:d.onnx"),
 ]
 CALLS = [
-    "import eagor.tasks; eagor.tasks.register()",
-    "import eagor.tasks.place_env",
-    "from eagor.tasks.navigation import NAVIGATION",
-    "from eagor.tasks import task; task.load('waypoint')",
+    "import eagor.lab.tasks; eagor.lab.tasks.register()",
+    "import eagor.lab.envs.place_env",
+    "from eagor.lab.tasks.sim.navigation import NAVIGATION",
+    "from eagor.lab.tasks import task; task.load('waypoint')",
     "from eagor.perception.scout import ScoutPerception; ScoutPerception()",
-    "from eagor import worlds; worlds.load('scene.glb')(0)",
-    "import numpy as np; from eagor.worlds.raycast import Raycaster; Raycaster(np.eye(3), [[0, 1, 2]])",
+    "from eagor.lab import worlds; worlds.load('scene.glb')(0)",
+    "import numpy as np; from eagor.lab.worlds.raycast import Raycaster; Raycaster(np.eye(3), [[0, 1, 2]])",
 ]
 # One after the other in one process, as each costs a second to start: what they said, and how they ended.
 ALL = """

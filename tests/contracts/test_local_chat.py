@@ -10,10 +10,10 @@ import vlm_models
 from transformers.models.qwen2_vl.image_processing_pil_qwen2_vl import smart_resize
 
 from eagor.errors import EagorError, ImageError
+from eagor.lab.agents.models import load_chat, release, shared_chat
 from eagor.media.panorama import resized
 from eagor.perception.transformers import LocalChat, conversation, inputs
 from eagor.perception.vlm import FAMILIES, IMAGE, Message, nearest_size
-from eagor.tasks.models import load_chat, release, shared_chat
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 families = pytest.mark.parametrize("family", vlm_models.LANGUAGE)

@@ -16,13 +16,13 @@ import pytest
 from commands import eagor
 
 from eagor.errors import EagorError, FormatError
+from eagor.lab.tasks.benchmark import check_benchmark, load
+from eagor.lab.tasks.osr.data import SUFFIXES
+from eagor.lab.tasks.osr.data import load as load_scenes
+from eagor.lab.tasks.osr.play import Eagor, Majority, Vlm, work
+from eagor.lab.tasks.osr.scoring import DIRECTION, MAP
+from eagor.lab.tasks.osr.sightings import BeliefLooker
 from eagor.perception.vlm import IMAGE, ChatReply, Message
-from eagor.tasks.benchmark import check_benchmark, load
-from eagor.tasks.osr.data import SUFFIXES
-from eagor.tasks.osr.data import load as load_scenes
-from eagor.tasks.osr.play import Eagor, Majority, Vlm, work
-from eagor.tasks.osr.scoring import DIRECTION, MAP
-from eagor.tasks.osr.sightings import BeliefLooker
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 NAME, PLACES = osr_data.NAME, osr_data.PLACES
@@ -131,7 +131,7 @@ def test_the_model_is_asked_with_the_map_and_without(data: Path, suffix: str, tu
 
 
 def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: Path) -> None:
-    from eagor.tasks.osr.play import Reply, judged
+    from eagor.lab.tasks.osr.play import Reply, judged
 
     (scene,) = load_scenes(data, "qa")
     question = next(question for question in scene.questions if question.skill == DIRECTION)
@@ -191,8 +191,8 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
 
 
 def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
-    from eagor.tasks.osr.geometry import Sighting
-    from eagor.tasks.osr.sightings import Seen
+    from eagor.lab.tasks.osr.geometry import Sighting
+    from eagor.lab.tasks.osr.sightings import Seen
 
     (scene,) = load_scenes(data, "qa")
     twice = tuple(Sighting(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))

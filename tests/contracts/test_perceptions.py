@@ -19,6 +19,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.lab.worlds.painted import BALL_COLOURS, Ball, painted_room
 from eagor.media.panorama import read_panorama
 from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
@@ -27,7 +28,6 @@ from eagor.perception.truth import Noise, TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 from eagor.tracking.tracker import DirectionTracker
-from eagor.worlds.painted import BALL_COLOURS, Ball, painted_room
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 LYTHWOOD = SHARED / "panoramas" / "lythwood_room_1k.png"

@@ -13,6 +13,7 @@ import pytest
 from rosmaking import camera_info
 
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
+from eagor.lab.worlds.painted import painted_room
 from eagor.media import Pose, check_camera
 from eagor.media import ros_messages as m
 from eagor.media.bags import BagWriter
@@ -23,7 +24,6 @@ from eagor.robots.ros.graph import DdsGraph
 from eagor.robots.ros.pose_sources import BagPoses, RosPoses
 from eagor.robots.ros.sources import BagCamera, RosCamera
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import painted_room
 
 ROOM = painted_room(32, 64)
 START = 1_700_000_000.0

@@ -17,6 +17,7 @@ from rosmaking import camera_info
 from eagor import Evidence
 from eagor.errors import DeviceError
 from eagor.grids import PerspectiveGrid
+from eagor.lab.worlds.painted import Ball, Room, bearing, paint
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
 from eagor.media import Pose
@@ -29,7 +30,6 @@ from eagor.robots.ros.pose_sources import RosPoses
 from eagor.robots.ros.publishing import Stamps
 from eagor.robots.ros.sources import RosCamera
 from eagor.sphere import angular_distance, world_R_body
-from eagor.worlds.painted import Ball, Room, bearing, paint
 
 pytestmark = pytest.mark.xdist_group("real time")
 

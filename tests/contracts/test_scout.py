@@ -8,14 +8,14 @@ import pytest
 from eagor.errors import ImageError, QueryError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
+from eagor.lab.envs.places import Place
+from eagor.lab.worlds.apartment import CATEGORIES, generate
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.render import Ball, Renderer, with_ball
 from eagor.metrics import angular_error_deg
 from eagor.perception import check_perception
 from eagor.perception.scout import COARSEST, ROWS, ScoutPerception, resized, triangles
 from eagor.queries import COLOURS
-from eagor.tasks.places import Place
-from eagor.worlds.apartment import CATEGORIES, generate
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import Ball, Renderer, with_ball
 
 pytest.importorskip("onnxruntime")
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from eagor.grids import PerspectiveGrid
+from eagor.lab.worlds.painted import painted_room
 from eagor.live.events import Answer, Fault, FrameCame, PoseCame
 from eagor.media import Pose
 from eagor.perception.colour import ColourPerception
@@ -16,7 +17,6 @@ from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.messages import GuardState
 from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 from eagor.tracking import DirectionTracker
-from eagor.worlds.painted import painted_room
 
 
 @dataclass

@@ -14,9 +14,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FilterObservation, FlattenObservation, RecordEpisodeStatistics, RescaleAction
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorStatistics
 
-import eagor.tasks  # noqa: F401 (registers the environments)
+import eagor.lab.tasks  # noqa: F401 (registers the environments)
 from eagor.errors import WorldError
-from eagor.tasks.rules import NavigationRules, TrackingRules, WaypointRules
+from eagor.lab.envs.rules import NavigationRules, TrackingRules, WaypointRules
 
 stable_baselines3 = pytest.importorskip("stable_baselines3")
 check_for_stable_baselines = pytest.importorskip("stable_baselines3.common.env_checker").check_env

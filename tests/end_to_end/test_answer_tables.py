@@ -11,8 +11,8 @@ from PIL import Image
 
 from eagor.cli import main
 from eagor.cli.answers import COLUMNS, columns_of, row_of, table
+from eagor.lab.worlds.painted import EYE, Room, painted_room
 from eagor.perception.replay import write_record
-from eagor.worlds.painted import EYE, Room, painted_room
 
 FLOOR = -EYE[2]  # in axes of the camera
 BALL = math.dist(Room().balls[0].position, EYE)

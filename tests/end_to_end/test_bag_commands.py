@@ -13,13 +13,13 @@ from rosmaking import camera_info
 from eagor.cli import main
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.grids import PerspectiveGrid
+from eagor.lab.worlds.painted import Room, bearing, paint
 from eagor.lenses import PinholeLens
 from eagor.media import Pose
 from eagor.media import ros_messages as m
 from eagor.media.bags import BagWriter
 from eagor.media.panorama import view
 from eagor.sphere import angular_distance, direction, world_R_body
-from eagor.worlds.painted import Room, bearing, paint
 
 START = 1_700_000_000.125
 ROOM = Room()

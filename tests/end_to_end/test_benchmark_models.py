@@ -11,9 +11,9 @@ import vlm_models
 from contract_server import ContractServer, Reply
 
 from eagor.cli import main
-from eagor.evaluation import log
+from eagor.lab.agents.models import shared, shared_chat
+from eagor.lab.eval import log
 from eagor.perception.transformers import loading
-from eagor.tasks.models import shared, shared_chat
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 SMALL = {"hstar-hos": ("--set", "resolution=36"), "osr": ("--set", "suffix=qa")}  # osr with the map: two turns

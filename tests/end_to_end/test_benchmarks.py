@@ -18,11 +18,11 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.errors import EagorError
-from eagor.evaluation import log
-from eagor.evaluation.benchmark_tables import labels_of
-from eagor.evaluation.benchmarks import Published
-from eagor.evaluation.page import Curve, Series, line_chart
-from eagor.evaluation.runner import Outcome, Unit, run
+from eagor.lab.eval import log
+from eagor.lab.eval.benchmark_tables import labels_of
+from eagor.lab.eval.benchmarks import Published
+from eagor.lab.eval.page import Curve, Series, line_chart
+from eagor.lab.eval.runner import Outcome, Unit, run
 
 TESTS = Path(__file__).parents[1]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {

@@ -12,12 +12,12 @@ from PIL import Image
 from eagor.cli import main
 from eagor.cli.calibrate import print_scores
 from eagor.errors import FormatError, QueryError
-from eagor.evaluation.labelled_looks import read_truth, replayed_looks
 from eagor.evidence.calibration import Calibration
+from eagor.lab.eval.labelled_looks import read_truth, replayed_looks
+from eagor.lab.worlds.painted import painted_room
 from eagor.perception.calibrated import Calibrated, read_calibrated
 from eagor.perception.replay import ReplayPerception, write_record
 from eagor.sphere import azimuth_elevation, unit, world_R_body
-from eagor.worlds.painted import painted_room
 
 SPREAD = 0.06
 

@@ -13,12 +13,12 @@ from PIL import Image
 
 from eagor.cli import locate, main
 from eagor.grids import PerspectiveGrid
+from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media.panorama import turn, view
 from eagor.media.rigs import dual_fisheye, read_rig, write_rig
 from eagor.media.stitching import seen_by
 from eagor.perception.colour import ColourPerception
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 pytest.importorskip("cv2")
 pytest.importorskip("av")

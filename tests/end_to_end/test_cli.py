@@ -27,14 +27,14 @@ from eagor.cli.answers import SHORT
 from eagor.cli.models import how_to_find
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
 from eagor.drawing.style import distance_in_words, in_words
-from eagor.evaluation import calibration
 from eagor.grids import ErpGrid
+from eagor.lab.agents.methods import NAMES
+from eagor.lab.eval import calibration
+from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media.panorama import read_panorama, turn
 from eagor.perception import words as query_words
 from eagor.perception.replay import write_record
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
-from eagor.tasks.methods import NAMES
-from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 LYTHWOOD = SHARED / "panoramas" / "lythwood_room_1k.png"

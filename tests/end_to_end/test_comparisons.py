@@ -10,10 +10,10 @@ import pytest
 import synthetic_runs
 
 from eagor.cli import main
-from eagor.evaluation import log, studies
-from eagor.tasks import play, task
-from eagor.tasks.episodes import slots
-from eagor.tasks.tracking import TRACKING
+from eagor.lab.envs.episodes import slots
+from eagor.lab.eval import log, studies
+from eagor.lab.tasks.sim import play, task
+from eagor.lab.tasks.sim.tracking import TRACKING
 
 OURS_ALONE = replace(TRACKING, name="mine", title="Mine")  # as a package would bring it
 RULES = {

@@ -11,12 +11,12 @@ from PIL import Image
 
 from eagor.cli import demo_photo, main
 from eagor.cli.terminal import RunError, UsageError
+from eagor.lab.agents.methods import NAMES
+from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media.panorama import turn
 from eagor.perception import load
 from eagor.perception.views import Views
 from eagor.sphere import angular_distance, azimuth_elevation, direction
-from eagor.tasks.methods import NAMES
-from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]
 LYTHWOOD = Path(__file__).parents[2] / ".." / "shared" / "panoramas" / "lythwood_room_1k.png"

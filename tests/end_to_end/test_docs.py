@@ -20,7 +20,7 @@ from PIL import Image
 import eagor
 from eagor.cli import _parse
 from eagor.cli.demo_apartment import STUDY, STUDY_COMMAND
-from eagor.worlds.painted import painted_room
+from eagor.lab.worlds.painted import painted_room
 
 ROOT = Path(__file__).parents[2]
 SOURCE = Path(eagor.__file__).parent

@@ -8,10 +8,10 @@ from listed_rooms import room
 
 from eagor.cli import main
 from eagor.cli.export import sources_of
-from eagor.tasks.place_env import Carrier
-from eagor.tasks.rules import Camera, Disturbances
-from eagor.worlds.glb import export_glb
-from eagor.worlds.objectnav import read_episodes
+from eagor.lab.envs.place_env import Carrier
+from eagor.lab.envs.rules import Camera, Disturbances
+from eagor.lab.worlds.glb import export_glb
+from eagor.lab.worlds.objectnav import read_episodes
 
 
 def test_a_dataset_is_announced_as_it_is(tmp_path, capsys):

@@ -23,11 +23,11 @@ from scipy.spatial import cKDTree
 
 from eagor.cli import main
 from eagor.grids import ErpGrid
+from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media.panorama import turn
 from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import posed_by_file
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
-from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
 ROWS, COUNT, RATE = 192, 12, 4  # of a clip: rows, pictures, pictures per second

@@ -8,9 +8,9 @@ from habitat_stand_in import installed
 from listed_rooms import exported, rewrite
 
 from eagor.cli import main
-from eagor.evaluation import log
-from eagor.tasks.episodes import listed_slots
-from eagor.worlds.habitat import world
+from eagor.lab.envs.episodes import listed_slots
+from eagor.lab.eval import log
+from eagor.lab.worlds.habitat import world
 
 
 @pytest.fixture(autouse=True)

@@ -11,13 +11,13 @@ from eagor import metrics
 from eagor.cli import main
 from eagor.conventions import from_gltf
 from eagor.errors import WorldError
-from eagor.evaluation import log, studies
-from eagor.tasks.episodes import FileSlot, listed_slots, plan_listed, slot_of
-from eagor.tasks.places import load_place
-from eagor.tasks.play import Player
-from eagor.tasks.rules import Camera, NavigationRules
-from eagor.worlds.glb import ON_MESH
-from eagor.worlds.objectnav import read_episodes
+from eagor.lab.envs.episodes import FileSlot, listed_slots, plan_listed, slot_of
+from eagor.lab.envs.places import load_place
+from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.eval import log, studies
+from eagor.lab.tasks.sim.play import Player
+from eagor.lab.worlds.glb import ON_MESH
+from eagor.lab.worlds.objectnav import read_episodes
 
 
 @pytest.fixture(scope="module")

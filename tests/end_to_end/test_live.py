@@ -18,6 +18,7 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.grids import PerspectiveGrid
+from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.live.loop import LiveLoop
 from eagor.live.recording import Replay
 from eagor.media.camera_sources import open_camera
@@ -25,7 +26,6 @@ from eagor.media.panorama import view
 from eagor.perception.views import Views
 from eagor.sphere import world_R_body
 from eagor.studio.replays import recorded
-from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
 

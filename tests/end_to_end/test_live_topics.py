@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from eagor.cli import main
+from eagor.lab.worlds.painted import painted_room
 from eagor.robots.dds import free_domain
-from eagor.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -15,13 +15,13 @@ from eagor.cli import checks, main
 from eagor.cli import look as look_command
 from eagor.evidence import DetectorModel
 from eagor.grids import PerspectiveGrid
+from eagor.lab.worlds.painted import painted_room
 from eagor.lenses import PinholeLens
 from eagor.media.panorama import cut, turn
 from eagor.media.rigs import Rig, write_rig
 from eagor.perception.calibrated import Calibrated
 from eagor.perception.views import Views
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import painted_room
 
 ROWS, COUNT, RATE = 192, 8, 4
 POSES = [world_R_body(0.3 * k, 0.2 * math.sin(k), 0.1 * math.cos(k)) for k in range(COUNT)]

@@ -16,9 +16,10 @@ from eagor._extras import how_to_install
 from eagor.belief import Belief
 from eagor.cli import main, models
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation.labelled_looks import apartment_labels
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
+from eagor.lab.agents.models import shared
+from eagor.lab.eval.labelled_looks import apartment_labels
 from eagor.media.panorama import cut, read_panorama
 from eagor.perception import is_model, load, rows_of, short_name
 from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
@@ -27,7 +28,6 @@ from eagor.perception.transformers import TransformersPerception, loading
 from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.vlm import FAMILIES, Checkpoint
 from eagor.sphere import angular_distance, direction, world_R_body
-from eagor.tasks.models import shared
 
 QWEN = "qwen2_5_vl"
 SMALL = "pixels=25088&seam=false"  # 112 x 224 pixels, 32 tokens
@@ -266,7 +266,7 @@ def test_a_run_of_nothing_but_unreadable_answers_fails(eagor, tmp_path):
 
 
 def test_the_plain_model_is_compared_where_a_model_looks(monkeypatch):
-    from eagor.tasks.methods import NAMES, default_methods
+    from eagor.lab.agents.methods import NAMES, default_methods
 
     assert default_methods("scout") == NAMES
     assert default_methods("Qwen/Qwen2.5-VL-7B-Instruct") == ("plain", *NAMES)
@@ -455,8 +455,8 @@ def test_labels_of_apartments_are_true():
 
 def test_labels_of_apartments_point_at_the_thing(monkeypatch):
     """The instance that is seen in the direction of a label is the one that the query names."""
-    from eagor.evaluation import labelled_looks
-    from eagor.tasks.places import Place
+    from eagor.lab.envs.places import Place
+    from eagor.lab.eval import labelled_looks
 
     frames = []
     really = Place.ids

@@ -17,13 +17,14 @@ import pytest
 import yaml
 from PIL import Image
 
-from eagor import __version__, perception, worlds
+from eagor import __version__, perception
 from eagor.drawing.video import Movie
+from eagor.lab import worlds
+from eagor.lab.tasks import benchmark, task
+from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media import camera_sources as cameras
 from eagor.media.panorama import turn
 from eagor.sphere import world_R_body
-from eagor.tasks import benchmark, task
-from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())

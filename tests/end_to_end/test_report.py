@@ -13,13 +13,13 @@ import synthetic_runs as runs
 from rooms import two_rooms
 
 from eagor.errors import EagorError, FormatError, WorldError
-from eagor.evaluation.sheets import half_width_deg, highest_sidelobe
-from eagor.evaluation.simulated import Run
-from eagor.evaluation.studies import write_report
-from eagor.evaluation.tables import FIGURES, shown, summarise
-from eagor.tasks.task import load
-from eagor.worlds.glb import export_glb
-from eagor.worlds.render import Frame
+from eagor.lab.eval.sheets import half_width_deg, highest_sidelobe
+from eagor.lab.eval.simulated import Run
+from eagor.lab.eval.studies import write_report
+from eagor.lab.eval.tables import FIGURES, shown, summarise
+from eagor.lab.tasks.task import load
+from eagor.lab.worlds.glb import export_glb
+from eagor.lab.worlds.render import Frame
 
 METHODS = ("centroid", "cent_circ", "grid", "eagor_paper", "vmf", "eagor")
 VARIANTS = ("eagor:degree=7", "eagor:decode=mean", "eagor:floor=0.2")

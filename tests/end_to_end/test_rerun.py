@@ -18,8 +18,8 @@ from eagor import DirectionTracker, Evidence
 from eagor.cli import main
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError, StorageError
+from eagor.lab.worlds.painted import painted_room
 from eagor.sphere import azimuth_elevation, world_R_body
-from eagor.worlds.painted import painted_room
 
 VIEWER = Path(sys.executable).with_name("rerun")
 

@@ -10,11 +10,11 @@ from rerunreading import read
 
 from eagor import DirectionTracker, Evidence
 from eagor.drawing import rerun_log
+from eagor.lab.worlds.painted import painted_room
 from eagor.live.events import Answer, Asked, Fault, FrameCame, PoseCame
 from eagor.live.rerun import LiveLog
 from eagor.media import Pose
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import painted_room
 
 BEGIN = 1.79e9
 

@@ -24,7 +24,7 @@ from eagor.robots.dds import Link
 from eagor.media import Pose
 from eagor.media import ros_messages as m
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import Ball, Room, paint
+from eagor.lab.worlds.painted import Ball, Room, paint
 
 ROOM = Room(balls=(Ball((2.3, -1.0, 0.35), 0.35, "red"),))
 told, when = [0.0, 0.0, 0.0], 0.0

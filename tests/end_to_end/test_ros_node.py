@@ -18,11 +18,11 @@ import pytest
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
+from eagor.lab.worlds.painted import Room, bearing
 from eagor.media import ros_messages as m
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.ros import publishing as made
 from eagor.sphere import angular_distance
-from eagor.worlds.painted import Room, bearing
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -35,7 +35,7 @@ from eagor.robots.dds import Link
 from eagor.media import Pose
 from eagor.media import ros_messages as m
 from eagor.sphere import world_R_body
-from eagor.worlds.painted import Room, paint
+from eagor.lab.worlds.painted import Room, paint
 
 domain, speed = int(sys.argv[1]), float(sys.argv[2])
 mount = world_R_body(math.radians(40), 0, 0), np.array([0.05, 0.0, 0.3])

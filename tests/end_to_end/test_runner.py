@@ -16,9 +16,9 @@ import pytest
 from processes import wait_for
 
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import log, runner
-from eagor.evaluation.log import RECORDS, Log, StorageError, begin, description, read
-from eagor.evaluation.runner import Outcome, Scheduler, Unit, WorkError
+from eagor.lab.eval import log, runner
+from eagor.lab.eval.log import RECORDS, Log, StorageError, begin, description, read
+from eagor.lab.eval.runner import Outcome, Scheduler, Unit, WorkError
 
 WORK = "units_of_work:squares"
 
@@ -296,7 +296,7 @@ RUN = """
 import sys
 from functools import partial
 from pathlib import Path
-from eagor.evaluation.runner import Unit, run
+from eagor.lab.eval.runner import Unit, run
 
 if __name__ == "__main__":
     folder, notes, workers, sleep = sys.argv[1:]

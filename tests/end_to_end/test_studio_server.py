@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 
 from eagor import studio as studio_server
 from eagor.cli import main
-from eagor.worlds.painted import painted_room
+from eagor.lab.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from osr_apartments import LEAST, views, write_scene
 
-from eagor.tasks.benchmark import load
-from eagor.tasks.osr.play import work
+from eagor.lab.tasks.benchmark import load
+from eagor.lab.tasks.osr.play import work
 
 SEED = 30
 

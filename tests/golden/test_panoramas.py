@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from eagor.lab.worlds.apartment import generate
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.render import Renderer
 from eagor.sphere import world_R_body
-from eagor.worlds.apartment import generate
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
 
 HERE = Path(__file__).with_name("panoramas.json")
 SEEDS, LOOKS, ROWS, BLOCK = range(10), 2, 64, 16

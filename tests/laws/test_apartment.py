@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from strategies import at_most
 
 from eagor.errors import WorldError
-from eagor.tasks.places import UNTARGETED
-from eagor.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
-from eagor.worlds.apartment.families import FAMILIES
-from eagor.worlds.apartment.placement import (
+from eagor.lab.envs.places import UNTARGETED
+from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
+from eagor.lab.worlds.apartment.families import FAMILIES
+from eagor.lab.worlds.apartment.placement import (
     Furnisher,
     corners,
     distances,
@@ -24,11 +24,11 @@ from eagor.worlds.apartment.placement import (
     overlaps,
     tell_apart,
 )
-from eagor.worlds.apartment.plans import LINING, OUTSIDE, carve, draw_plan, rooms_of
-from eagor.worlds.ground import BESIDE, Ground
-from eagor.worlds.light import mean_colour
-from eagor.worlds.raycast import Raycaster
-from eagor.worlds.scene import STRUCTURE
+from eagor.lab.worlds.apartment.plans import LINING, OUTSIDE, carve, draw_plan, rooms_of
+from eagor.lab.worlds.ground import BESIDE, Ground
+from eagor.lab.worlds.light import mean_colour
+from eagor.lab.worlds.raycast import Raycaster
+from eagor.lab.worlds.scene import STRUCTURE
 
 SEEDS = (0, 3, 5, 1007)
 MORE = tuple(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 21))
@@ -224,8 +224,8 @@ def test_a_piece_out_of_reach_is_an_error_and_never_a_scene(monkeypatch):
         far.append(apartment)
         return apartment.pieces[:1]
 
-    monkeypatch.setattr("eagor.worlds.apartment._out_of_reach", out_of_reach)
-    monkeypatch.setattr("eagor.worlds.apartment._ATTEMPTS", 3)
+    monkeypatch.setattr("eagor.lab.worlds.apartment._out_of_reach", out_of_reach)
+    monkeypatch.setattr("eagor.lab.worlds.apartment._ATTEMPTS", 3)
     with pytest.raises(WorldError, match=r"seed 3 .*walk up to the tv"):
         generate(3)
     assert len({len(each.pieces) for each in far}) > 1  # each attempt draws another one

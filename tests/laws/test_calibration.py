@@ -9,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError
-from eagor.evaluation.calibration import (
+from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
+from eagor.evidence.detector import DetectorModel
+from eagor.grids import PatchGrid
+from eagor.lab.envs.episodes import Episode, Slot
+from eagor.lab.eval.calibration import (
     DETECTING,
     LEARNT,
     MOVING,
@@ -23,14 +28,9 @@ from eagor.evaluation.calibration import (
     score,
     with_habit,
 )
-from eagor.evidence import Evidence
-from eagor.evidence.calibration import Calibration
-from eagor.evidence.detector import DetectorModel
-from eagor.grids import PatchGrid
+from eagor.lab.tasks.sim.play import Moment, Recording
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.sphere import direction, unit, world_R_body
-from eagor.tasks.episodes import Episode, Slot
-from eagor.tasks.play import Moment, Recording
 from eagor.tracking.config import MotionModel, TrackerConfig
 
 GRID = PatchGrid(16, 32)
@@ -116,8 +116,8 @@ def fitted(found, base):
 
 @pytest.mark.slow
 def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
-    monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
-    monkeypatch.setattr("eagor.evaluation.calibration.DRAWS", 8)
+    monkeypatch.setattr("eagor.lab.eval.calibration.BASE", SMALL)
+    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", 8)
     rounds, trials = [], []
     looked = [recording(seed, steps=12) for seed in range(8)]
     best = fit("a detector", looked, 16, 1, lambda: trials.append(1), rounds.append)
@@ -174,7 +174,7 @@ def test_posters_and_what_a_place_keeps_are_counted():
 
 
 def test_a_detector_is_fitted_as_a_detector(monkeypatch):
-    monkeypatch.setattr("eagor.evaluation.calibration.BASE", SMALL)
+    monkeypatch.setattr("eagor.lab.eval.calibration.BASE", SMALL)
     best = fit("a detector", [detecting(seed, steps=12) for seed in range(6)], 6, 1)
     assert best.calibration is None
     assert {"detector", "forgetting"} <= best.as_json().keys()
@@ -212,7 +212,7 @@ def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
 
 def test_several_processes_find_the_same(monkeypatch):
     made = [detecting(seed, steps=6, height=1.3) for seed in range(2)]
-    monkeypatch.setattr("eagor.evaluation.calibration.DRAWS", 2)
+    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", 2)
     assert fit("a detector", made, 2, 2) == fit("a detector", made, 2, 1)
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from eagor.cli.answers import SHORT, header, line
 from eagor.drawing.style import distance_in_words, status_in_words
+from eagor.lab.agents.methods import NAMES
 from eagor.sphere import direction
-from eagor.tasks.methods import NAMES
 
 RIVALS = [name for name in NAMES if name != "eagor"]
 WIDEST = 120

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, FisheyeGrid
+from eagor.lab.worlds.apartment import generate
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.painted import painted_room
+from eagor.lab.worlds.render import Renderer
 from eagor.media.defects import NeverSeen, fisheye_circles, never_seen, problems, seam_of
 from eagor.media.panorama import read_panorama, turn, view
 from eagor.sphere import world_R_body
-from eagor.worlds.apartment import generate
-from eagor.worlds.ground import Ground
-from eagor.worlds.painted import painted_room
-from eagor.worlds.render import Renderer
 
 PHOTOGRAPHS = sorted(Path(__file__).parents[2].joinpath("../shared/panoramas").glob("*.png"))
 NAMES = ["painted", *(path.stem for path in PHOTOGRAPHS)]

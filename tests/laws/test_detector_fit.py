@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import DirectionError, EagorError, ResponseError, RotationError
-from eagor.evaluation.assignments import Deviations, expected_look_alikes, fitted_habit, rows_of, stretches
-from eagor.evaluation.detector_fit import FLAT, fit_detector, fitted_curve, fitted_model, knots_of, scatter, told
-from eagor.evaluation.labelled_looks import LabelledLook
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.lab.eval.assignments import Deviations, expected_look_alikes, fitted_habit, rows_of, stretches
+from eagor.lab.eval.detector_fit import FLAT, fit_detector, fitted_curve, fitted_model, knots_of, scatter, told
+from eagor.lab.eval.labelled_looks import LabelledLook
 from eagor.sphere import FORWARD, direction, unit, world_R_body
 
 NOTHING = np.zeros((0, 3))
@@ -48,7 +48,7 @@ def looks_of(
 @pytest.fixture
 def unjudged(monkeypatch):
     """Fits without a score on looks that were left out, which takes five more fits."""
-    monkeypatch.setattr("eagor.evaluation.detector_fit._held_out", lambda *_: None)
+    monkeypatch.setattr("eagor.lab.eval.detector_fit._held_out", lambda *_: None)
 
 
 def share(model):

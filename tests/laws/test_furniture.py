@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor._srgb import to_linear
+from eagor.lab.envs.places import UNTARGETED
+from eagor.lab.worlds.apartment.canvas import TONES
+from eagor.lab.worlds.apartment.furniture import KINDS, build
+from eagor.lab.worlds.apartment.furniture.model import assembled
+from eagor.lab.worlds.apartment.mesh import Part, box, part
+from eagor.lab.worlds.raycast import Raycaster
+from eagor.lab.worlds.scene import Lamp, Material
 from eagor.queries import COLOURS, parse_query
-from eagor.tasks.places import UNTARGETED
-from eagor.worlds.apartment.canvas import TONES
-from eagor.worlds.apartment.furniture import KINDS, build
-from eagor.worlds.apartment.furniture.model import assembled
-from eagor.worlds.apartment.mesh import Part, box, part
-from eagor.worlds.raycast import Raycaster
-from eagor.worlds.scene import Lamp, Material
 
 PLACEMENTS = ("floor", "top", "hung", "ceiling")
 BUDGET = 1600  # triangles of one piece

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from strategies import at_most
 
 from eagor.errors import WorldError
-from eagor.worlds.ground import Ground, touched
-from eagor.worlds.scene import Room
-from eagor.worlds.walkable import Walls
+from eagor.lab.worlds.ground import Ground, touched
+from eagor.lab.worlds.scene import Room
+from eagor.lab.worlds.walkable import Walls
 
 CELL, RADIUS = 0.05, 0.18
 seeds = st.integers(0, 2**32 - 1)

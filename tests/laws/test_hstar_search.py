@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
+from eagor.lab.agents.steering import Searcher
+from eagor.lab.tasks.hstar.perception import LENS, TruthEye
+from eagor.lab.tasks.hstar.rules import View, inside, submit_succeeds
+from eagor.lab.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
 from eagor.perception.truth import Noise
 from eagor.sphere import direction
-from eagor.tasks.hstar.perception import LENS, TruthEye
-from eagor.tasks.hstar.rules import View, inside, submit_succeeds
-from eagor.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
-from eagor.tasks.steering import Searcher
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 

@@ -11,11 +11,11 @@ from strategies import directions, rotations
 
 from eagor.errors import GridError, ImageError
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
+from eagor.lab.worlds.painted import painted_room
 from eagor.lenses import FisheyeLens, PinholeLens
 from eagor.media.rigs import Rig, dual_fisheye, read_rig, write_rig
 from eagor.media.stitching import Stitcher, seen_by
 from eagor.sphere import angular_distance, world_R_body
-from eagor.worlds.painted import painted_room
 
 cv2 = pytest.importorskip("cv2")
 

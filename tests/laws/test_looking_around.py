@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
+from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
+from eagor.lab.agents.steering import Searcher
+from eagor.lab.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
+from eagor.lab.tasks.hstar.play import EagorAgent
+from eagor.lab.tasks.hstar.rules import View
+from eagor.lab.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
-from eagor.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
-from eagor.tasks.hstar.play import EagorAgent
-from eagor.tasks.hstar.rules import View
-from eagor.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
-from eagor.tasks.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
-from eagor.tasks.steering import Searcher
 
 TURN = math.radians(30)
 ROWS, HEIGHT = 64, 1.25

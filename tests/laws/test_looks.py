@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from eagor import Calibration, DetectorModel, Evidence
 from eagor.grids import ErpGrid
+from eagor.lab.agents.search_space import LEAST, Chance
 from eagor.sphere import direction
-from eagor.tasks.search_space import LEAST, Chance
 from eagor.tracking.looking import information
 
 GRID = ErpGrid(16, 32)

@@ -8,8 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import at_most, rotations
 
-from eagor.worlds.apartment import mesh as m
-from eagor.worlds.scene import Material
+from eagor.lab.worlds.apartment import mesh as m
+from eagor.lab.worlds.scene import Material
 
 LENGTHS = st.floats(0.05, 2.0)
 SIZES = st.tuples(LENGTHS, LENGTHS, LENGTHS)

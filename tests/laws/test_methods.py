@@ -13,10 +13,19 @@ from hypothesis import strategies as st
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
 from eagor.drawing.still import CURVES
 from eagor.errors import EagorError, TimeError
-from eagor.evaluation.page import DARK, LIGHT, STYLES
 from eagor.evidence.detector import DetectorModel
+from eagor.lab.agents.methods import (
+    EVERY,
+    FITTED,
+    NAMES,
+    SETTINGS,
+    FilterMethod,
+    TrackerMethod,
+    make_method,
+    tracker_config,
+)
+from eagor.lab.eval.page import DARK, LIGHT, STYLES
 from eagor.sphere import FORWARD, world_R_body
-from eagor.tasks.methods import EVERY, FITTED, NAMES, SETTINGS, FilterMethod, TrackerMethod, make_method, tracker_config
 from eagor.tracking.config import TrackerConfig
 
 GRID = PatchGrid(18, 36)

@@ -10,12 +10,12 @@ from eagor import Evidence
 from eagor.cli import main
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
+from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.places import APARTMENT, in_view, mask_of
+from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv
+from eagor.lab.tasks.sim.play import Player
 from eagor.sphere import azimuth_elevation, direction
-from eagor.tasks.episodes import Slot
-from eagor.tasks.navigation import MapFreeNavigationEnv
-from eagor.tasks.places import APARTMENT, in_view, mask_of
-from eagor.tasks.play import Player
-from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 
 NARROW = Camera(hfov=100.0)
 

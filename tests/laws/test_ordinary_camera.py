@@ -10,6 +10,7 @@ from PIL import Image
 from eagor.errors import ImageError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.lenses import PinholeLens
 from eagor.media.footage import FrameCheck, ShapeError, VideoFrames
 from eagor.media.intrinsics import Camera, Told, camera_of, ordinary_grid, told_by_photograph, told_by_video
@@ -24,7 +25,6 @@ from eagor.perception.things import ViewBox, things
 from eagor.sphere import angular_distance, world_R_body
 from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked
-from eagor.worlds.painted import EYE, Room, bearing, painted_room
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
 ROOM = painted_room(256, 512)

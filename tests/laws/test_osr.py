@@ -17,9 +17,9 @@ from eagor.errors import DirectionError, FormatError
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
-from eagor.tasks.osr import direction_label, distance_label, lenient, score, score_map, swapped
-from eagor.tasks.osr.data import read
-from eagor.tasks.osr.geometry import (
+from eagor.lab.tasks.osr import direction_label, distance_label, lenient, score, score_map, swapped
+from eagor.lab.tasks.osr.data import read
+from eagor.lab.tasks.osr.geometry import (
     MARGIN,
     FloorLine,
     Placed,
@@ -33,7 +33,7 @@ from eagor.tasks.osr.geometry import (
     place,
     place_on_circle,
 )
-from eagor.tasks.osr.scoring import (
+from eagor.lab.tasks.osr.scoring import (
     COUNTING,
     DIRECTION,
     DIRECTIONS,
@@ -53,7 +53,7 @@ from eagor.tasks.osr.scoring import (
     steps,
     turned,
 )
-from eagor.tasks.osr.sightings import Body, Room, extent, read_room, sightings, sightings_in, write_room
+from eagor.lab.tasks.osr.sightings import Body, Room, extent, read_room, sightings, sightings_in, write_room
 
 CELLS = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)).map(list), min_size=1, max_size=3)
 LAYOUTS = st.fixed_dictionaries({"a": CELLS.map(lambda cells: cells[:1]), "b": CELLS, "c": CELLS})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eagor.evaluation import tables
+from eagor.lab.eval import tables
 
 SEEN = [False, True, True, False, True]
 

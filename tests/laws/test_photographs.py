@@ -6,9 +6,9 @@ from PIL import Image, PngImagePlugin
 
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid
+from eagor.lab.worlds.painted import painted_room
 from eagor.media.panorama import read_photograph, turn
 from eagor.sphere import angular_distance, direction
-from eagor.worlds.painted import painted_room
 
 SHAPE = (128, 256)
 

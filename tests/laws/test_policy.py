@@ -8,8 +8,8 @@ from box_scenes import scene_of, shell, thing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.tasks.steering import Policy
-from eagor.worlds.ground import Ground
+from eagor.lab.agents.steering import Policy
+from eagor.lab.worlds.ground import Ground
 
 STEP = 0.25
 angles = st.floats(-math.pi, math.pi)

@@ -15,11 +15,11 @@ from strategies import at_most, rotations
 
 from eagor.errors import GridError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
+from eagor.lab.worlds import light as light_module
+from eagor.lab.worlds.light import SKY_GAIN, bake, hemisphere, light_of, sky_radiance
+from eagor.lab.worlds.render import Renderer
+from eagor.lab.worlds.scene import Instance, Lamp, Lattice, Material, Room, Scene
 from eagor.sphere import rotation, world_R_body
-from eagor.worlds import light as light_module
-from eagor.worlds.light import SKY_GAIN, bake, hemisphere, light_of, sky_radiance
-from eagor.worlds.render import Renderer
-from eagor.worlds.scene import Instance, Lamp, Lattice, Material, Room, Scene
 
 SIZE = np.array([5.0, 4.0, 2.6])
 EYE = (2.2, 1.7, 1.4)
@@ -229,7 +229,7 @@ def test_out_of_the_window_there_is_nothing_to_hit_but_something_to_see(renderer
 
 
 def test_ids_and_range_need_no_light(scene, monkeypatch):
-    monkeypatch.setattr("eagor.worlds.render.light_of", lambda *_: pytest.fail("light was asked for"))
+    monkeypatch.setattr("eagor.lab.worlds.render.light_of", lambda *_: pytest.fail("light was asked for"))
     Renderer(scene).panorama(EYE, np.eye(3), 8, rgb=False)
 
 

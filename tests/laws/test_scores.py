@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from eagor.evaluation.benchmarks import Published
-from eagor.evaluation.studies import compare
-from eagor.tasks.benchmark import Figure
+from eagor.lab.eval.benchmarks import Published
+from eagor.lab.eval.studies import compare
+from eagor.lab.tasks.benchmark import Figure
 
 FIGURES = (
     Figure("overall", "Overall", "mean over the kinds", lambda record: record["score"], lambda record: record["kind"]),

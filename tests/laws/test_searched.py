@@ -11,14 +11,14 @@ from box_scenes import scene_of, shell, thing
 from PIL import Image
 
 from eagor.conventions import wxyz_from_rotation
-from eagor.evaluation import scenes
-from eagor.evaluation.studies import write_report
+from eagor.lab.agents import search_space
+from eagor.lab.agents.floor_map import CONTACT, FLOOR, UNKNOWN
+from eagor.lab.envs.places import Place
+from eagor.lab.envs.rules import Camera
+from eagor.lab.eval import scenes
+from eagor.lab.eval.studies import write_report
+from eagor.lab.worlds import ground_of, view_of
 from eagor.sphere import world_R_body
-from eagor.tasks import search_space
-from eagor.tasks.floor_map import CONTACT, FLOOR, UNKNOWN
-from eagor.tasks.places import Place
-from eagor.tasks.rules import Camera
-from eagor.worlds import ground_of, view_of
 
 CAMERA = Camera()
 WALL = thing("wall", (5.0, 0, 0), (5.1, 6, 2.5))  # without a door: nobody sees the room behind it

@@ -8,16 +8,16 @@ from box_scenes import scene_of, shell, thing
 
 from eagor.errors import WorldError
 from eagor.evidence.detector import DetectorModel
+from eagor.lab.agents.floor_map import CELL, CONTACT, FLOOR, UNKNOWN, FloorMap
+from eagor.lab.agents.search_space import LEAST, Chance, SearchedGround, SteeringInput
+from eagor.lab.agents.steering import Approach, Policy, Searcher, seeking, steering_for
+from eagor.lab.envs.places import Place, in_view
+from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.tasks.sim.navigation import undone
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.render import Renderer
 from eagor.sphere import world_R_body
-from eagor.tasks.floor_map import CELL, CONTACT, FLOOR, UNKNOWN, FloorMap
-from eagor.tasks.navigation import undone
-from eagor.tasks.places import Place, in_view
-from eagor.tasks.rules import Camera, NavigationRules
-from eagor.tasks.search_space import LEAST, Chance, SearchedGround, SteeringInput
-from eagor.tasks.steering import Approach, Policy, Searcher, seeking, steering_for
 from eagor.tracking import TrackerConfig
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import Renderer
 
 HEIGHT, STEP = 1.25, 0.25
 CAMERA, CHANCE = Camera(), Chance()

@@ -18,9 +18,9 @@ from PIL import Image
 from starlette.datastructures import Headers
 
 from eagor.errors import EagorError, ImageError
-from eagor.evaluation.study import LoadedRun
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
+from eagor.lab.eval.study import LoadedRun
 from eagor.lenses import PinholeLens
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble

@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError
-from eagor.evaluation import tables
-from eagor.evaluation.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
-from eagor.evaluation.sheets import half_width_deg, highest_sidelobe, kernel, main_sheet, ordering_sheet, verdict
-from eagor.evaluation.study import FIELDS, table_csv
-from eagor.evaluation.tables import FIGURES, OURS, as_text, best, mark, ordered, shown, summarise, varied_by
 from eagor.harmonics import RealHarmonics
+from eagor.lab.eval import tables
+from eagor.lab.eval.samples import RESAMPLES, SEED, Gap, holm, mean_intervals
+from eagor.lab.eval.sheets import half_width_deg, highest_sidelobe, kernel, main_sheet, ordering_sheet, verdict
+from eagor.lab.eval.study import FIELDS, table_csv
+from eagor.lab.eval.tables import FIGURES, OURS, as_text, best, mark, ordered, shown, summarise, varied_by
+from eagor.lab.tasks.task import load
 from eagor.sphere import direction
 from eagor.statistics import bootstrap_interval, paired_difference, share_interval
-from eagor.tasks.task import load
 
 MAKERS = {"waypoint": runs.waypoint, "navigation": runs.navigation, "tracking": runs.tracking}
 KEYS = {

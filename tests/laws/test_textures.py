@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor._srgb import to_coded, to_linear
+from eagor.lab.worlds.apartment import textures
+from eagor.lab.worlds.apartment.canvas import TONES, Canvas, noise, sRGB
+from eagor.lab.worlds.apartment.pictures import MOTIFS_OF, PICTURES, paint
+from eagor.lab.worlds.apartment.textures import REPEAT, SURFACES, material
 from eagor.perception.colour import ColourPerception
 from eagor.queries import COLOURS
-from eagor.worlds.apartment import textures
-from eagor.worlds.apartment.canvas import TONES, Canvas, noise, sRGB
-from eagor.worlds.apartment.pictures import MOTIFS_OF, PICTURES, paint
-from eagor.worlds.apartment.textures import REPEAT, SURFACES, material
 
 WHOLE = ("leaf", "lampshade")  # each drawing is one thing from edge to edge
 REPEATING = [(kind, variant) for kind, (count, _) in SURFACES.items() for variant in range(count) if kind not in WHOLE]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from eagor.grids import ErpGrid
+from eagor.lab.worlds.painted import painted_room
 from eagor.media.video import Video
 from eagor.sphere import angular_distance, direction
-from eagor.worlds.painted import painted_room
 
 ROOM = clips.ROOM
 

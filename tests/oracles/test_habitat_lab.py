@@ -10,9 +10,9 @@ from listed_rooms import exported
 
 from eagor.cli import main
 from eagor.conventions import from_gltf, pose_from_habitat, rotation_from_xyzw
-from eagor.evaluation import studies
-from eagor.evaluation.samples import finished
-from eagor.worlds.objectnav import read_episodes, spelt
+from eagor.lab.eval import studies
+from eagor.lab.eval.samples import finished
+from eagor.lab.worlds.objectnav import read_episodes, spelt
 
 pytestmark = [
     pytest.mark.habitat,

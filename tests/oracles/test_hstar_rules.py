@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError, FormatError, ImageError
-from eagor.tasks.hstar import (
+from eagor.lab.tasks.hstar import (
     Action,
     View,
     parse_action,
@@ -20,7 +20,7 @@ from eagor.tasks.hstar import (
     submit_succeeds,
     window_of,
 )
-from eagor.tasks.hstar.rules import FORMS, inside, read_action, visible_share, without_cross
+from eagor.lab.tasks.hstar.rules import FORMS, inside, read_action, visible_share, without_cross
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 SUBMIT, PARSE = SHARED / "conformance_hstar_submit.json", SHARED / "conformance_hstar_parse.json"

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from eagor.tasks.osr import direction_label, distance_label, score
-from eagor.tasks.osr.data import SUFFIXES, load
-from eagor.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, count_label, layout_of
+from eagor.lab.tasks.osr import direction_label, distance_label, score
+from eagor.lab.tasks.osr.data import SUFFIXES, load
+from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, count_label, layout_of
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 pytestmark = pytest.mark.skipif(not SAMPLES.exists(), reason="the shared benchmark samples are not here")

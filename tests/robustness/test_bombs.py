@@ -21,11 +21,11 @@ from PIL import Image
 from processes import limited
 
 from eagor.errors import FormatError, ImageError, WorldError
+from eagor.lab.tasks.hstar import data as files
+from eagor.lab.tasks.hstar.data import Stored, find_scenes, open_panorama
+from eagor.lab.worlds.glb import import_glb
+from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama
-from eagor.tasks.hstar import data as files
-from eagor.tasks.hstar.data import Stored, find_scenes, open_panorama
-from eagor.worlds.glb import import_glb
-from eagor.worlds.objectnav import read_episodes
 
 
 def glb(tree, binary=b""):
@@ -224,8 +224,8 @@ def test_an_archive_of_many_folders_is_read_folder_by_folder(tmp_path, monkeypat
 IMPORTS = """
 import numpy, trimesh
 from eagor.errors import EagorError
-from eagor.worlds.glb import import_glb
-from eagor.worlds.objectnav import read_episodes
+from eagor.lab.worlds.glb import import_glb
+from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama
 """
 READERS = """

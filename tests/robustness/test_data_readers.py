@@ -14,15 +14,15 @@ from mutations import as_text, damaged, reads, trees
 from strategies import HOSTILE
 
 from eagor._checks import parsed
-from eagor.evaluation import log
+from eagor.lab.eval import log
+from eagor.lab.tasks.benchmark import Case
+from eagor.lab.tasks.hstar.bench import HOS
+from eagor.lab.tasks.hstar.data import read_episodes, read_scenes
+from eagor.lab.tasks.hstar.rules import View, normalised, parse_action, submit_succeeds
+from eagor.lab.tasks.osr.data import load
+from eagor.lab.tasks.osr.scoring import SKILLS, distance_label, lenient, score
+from eagor.lab.tasks.osr.sightings import read_depth, read_room, sightings
 from eagor.perception.vlm.answers import parse_boxes, parse_presence
-from eagor.tasks.benchmark import Case
-from eagor.tasks.hstar.bench import HOS
-from eagor.tasks.hstar.data import read_episodes, read_scenes
-from eagor.tasks.hstar.rules import View, normalised, parse_action, submit_succeeds
-from eagor.tasks.osr.data import load
-from eagor.tasks.osr.scoring import SKILLS, distance_label, lenient, score
-from eagor.tasks.osr.sightings import read_depth, read_room, sightings
 
 ANNOTATION = [
     {"task": "Find the red square", "yaw": [40.0, 70.0], "pitch": [-15, 10], "initial yaw": [0, 90], "level": [0, 1]},

@@ -16,8 +16,8 @@ from processes import little_room
 from eagor._files import Lines, written
 from eagor.cli import main
 from eagor.errors import StorageError
-from eagor.evaluation import log
-from eagor.worlds.painted import painted_room
+from eagor.lab.eval import log
+from eagor.lab.worlds.painted import painted_room
 
 pytest.importorskip("resource")  # POSIX
 

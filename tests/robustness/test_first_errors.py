@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from eagor.cli import main
-from eagor.worlds.painted import painted_room
+from eagor.lab.worlds.painted import painted_room
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from processes import little_room
 
 from eagor.cli import main
 from eagor.errors import StorageError, WorldError
-from eagor.evaluation import log
-from eagor.worlds.glb import export_glb
-from eagor.worlds.habitat import export as habitat_export
-from eagor.worlds.habitat.export import Source, export_dataset
+from eagor.lab.eval import log
+from eagor.lab.worlds.glb import export_glb
+from eagor.lab.worlds.habitat import export as habitat_export
+from eagor.lab.worlds.habitat.export import Source, export_dataset
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import synthetic_runs
 
 from eagor.cli import main
 from eagor.errors import FormatError
-from eagor.evaluation.studies import write_report
-from eagor.evaluation.tables import summarise
+from eagor.lab.eval.studies import write_report
+from eagor.lab.eval.tables import summarise
 
 GONE = object()
 

@@ -16,13 +16,13 @@ from PIL import Image
 from processes import limited
 from strategies import HOSTILE
 
+from eagor.lab.tasks.hstar.data import Stored, open_panorama
+from eagor.lab.worlds.glb import export_glb, import_glb
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.objectnav import read_episodes
+from eagor.lab.worlds.painted import painted_room
+from eagor.lab.worlds.scene import Instance, Material, Scene
 from eagor.media.panorama import read_panorama
-from eagor.tasks.hstar.data import Stored, open_panorama
-from eagor.worlds.glb import export_glb, import_glb
-from eagor.worlds.ground import Ground
-from eagor.worlds.objectnav import read_episodes
-from eagor.worlds.painted import painted_room
-from eagor.worlds.scene import Instance, Material, Scene
 
 PIXELS = painted_room(16, 32)
 MODES = {
@@ -112,8 +112,8 @@ IMPORTS = """
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception.records import parse_record
-from eagor.tasks.osr.sightings import read_depth
-from eagor.worlds.glb import import_glb
+from eagor.lab.tasks.osr.sightings import read_depth
+from eagor.lab.worlds.glb import import_glb
 from eagor.media.panorama import read_panorama
 import numpy, trimesh
 """

@@ -45,9 +45,9 @@ def site(tmp_path_factory):
     for name, text in BROKEN.items():
         (folder / f"broken_{name}.py").write_text(text + "\n")
     install(folder, "broken", "\n".join(lines).encode())
-    install(folder, "torn", b"[eagor.tasks]\nno value\n")
-    install(folder, "bytes", b"[eagor.worlds]\nx = \xff\xfe\n")
-    install(folder, "nameless", b"[eagor.worlds]\nnameless = json:loads\n")
+    install(folder, "torn", b"[eagor.lab.tasks]\nno value\n")
+    install(folder, "bytes", b"[eagor.lab.worlds]\nx = \xff\xfe\n")
+    install(folder, "nameless", b"[eagor.lab.worlds]\nnameless = json:loads\n")
     (folder / "nameless-1.0.dist-info" / "METADATA").unlink()
     return folder
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import HOSTILE
 
-from eagor.tasks.hstar.rules import parse_action
+from eagor.lab.tasks.hstar.rules import parse_action
 
 # The published parser's own patterns: they backtrack, for minutes on a model that repeats itself.
 WHOLE = {

@@ -6,7 +6,7 @@ import hstar_data
 import pytest
 
 from eagor.cli import main
-from eagor.evaluation import log
+from eagor.lab.eval import log
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_an_interrupted_run_says_how_it_goes_on(run, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("eagor.evaluation.runner.run", interrupted)
+    monkeypatch.setattr("eagor.lab.eval.runner.run", interrupted)
     capsys.readouterr()
     assert main(words) == 130
     said = " ".join(capsys.readouterr().err.split())

@@ -10,8 +10,8 @@ import pytest
 
 from eagor._files import claimed
 from eagor.errors import EagorError, FormatError, StorageError
-from eagor.evaluation import log
-from eagor.evaluation.log import Log, begin, description, read
+from eagor.lab.eval import log
+from eagor.lab.eval.log import Log, begin, description, read
 
 
 def record(key, attempt=1, status="ok", **more):

@@ -27,7 +27,7 @@ from PIL import Image
 
 from eagor.cli import main, terminal
 from eagor.errors import AnswerError, EagorError, ServerError
-from eagor.evaluation import log
+from eagor.lab.eval import log
 from eagor.perception import load, short_name
 from eagor.perception.endpoint import EndpointPerception
 from eagor.perception.endpoint.client import place_of

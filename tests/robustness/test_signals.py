@@ -9,7 +9,7 @@ import hstar_data
 import pytest
 from processes import alive, sessions_of, wait_for
 
-from eagor.evaluation import log
+from eagor.lab.eval import log
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
 

@@ -11,10 +11,10 @@ from PIL import Image
 from eagor._tables import as_csv
 from eagor.cli import main
 from eagor.drawing.still import draw_errors
-from eagor.evaluation import log
-from eagor.evaluation.sheets import Box, Row, Sheet
-from eagor.evaluation.study import markdown
-from eagor.worlds.painted import painted_room
+from eagor.lab.eval import log
+from eagor.lab.eval.sheets import Box, Row, Sheet
+from eagor.lab.eval.study import markdown
+from eagor.lab.worlds.painted import painted_room
 
 EVIL = "<script>alert(1)</script> ![x](http://e.x/p) | `a` \\"
 

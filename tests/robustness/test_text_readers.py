@@ -13,9 +13,9 @@ from strategies import HOSTILE
 
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
-from eagor.evaluation import benchmarks, log
-from eagor.evaluation.labelled_looks import read_truth
 from eagor.evidence import Evidence
+from eagor.lab.eval import benchmarks, log
+from eagor.lab.eval.labelled_looks import read_truth
 from eagor.media.pose_files import read_poses
 from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx import read_labels

@@ -1,6 +1,6 @@
 """Balls in stored views: the tracking task asks for them, and no apartment holds any.
 
-They are painted as the task paints them (`eagor.worlds.render`), standing on the floor. The stored views have no
+They are painted as the task paints them (`eagor.lab.worlds.render`), standing on the floor. The stored views have no
 ranges; what hides a ball is read from the picture: a thing whose lowest visible point in the columns of the ball is
 lower than the ball's own foot stands nearer.
 """
@@ -12,10 +12,10 @@ import math
 import numpy as np
 from data import HEIGHTS, moments
 
+from eagor.lab.tasks.sim.tracking import RADIUS
+from eagor.lab.worlds.render import PAINTS, Ball, Frame, with_ball
+from eagor.lab.worlds.scene import STRUCTURE
 from eagor.queries import COLOURS
-from eagor.tasks.tracking import RADIUS
-from eagor.worlds.render import PAINTS, Ball, Frame, with_ball
-from eagor.worlds.scene import STRUCTURE
 
 SHARE = 0.4  # of the views that get a ball
 AWAY = (0.8, 6.0)  # metres from the camera, along the floor

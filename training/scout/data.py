@@ -2,7 +2,7 @@
 
 One file per apartment, ``apartment-<seed>.npz``, which is skipped where it exists; the same seed and arguments give the
 same arrays. All apartments come from the development seeds; no split holds those of the results
-(`eagor.tasks.places.REPORT`).
+(`eagor.lab.envs.places.REPORT`).
 
     python data.py FOLDER --split train --apartments 260 --workers 2
     python data.py FOLDER --split held-out --apartments 40 --views 12
@@ -12,7 +12,7 @@ Arrays of a file (V views, I instances, H rows):
 - ``rgb`` ``(V, H, 2H, 3)`` uint8 sRGB and ``ids`` ``(V, H, 2H)`` int16, in the layout of `eagor.sphere`;
 - ``category`` ``(I,)``, ``colour`` ``(I,)``: places in `CLASSES` and `eagor.queries.COLOURS`, -1 for neither;
 - ``nameable`` ``(I,)``: 1 if the category alone, 2 if colour and category single the thing out in its apartment,
-  else 0 (`eagor.tasks.places.Place.nameable`);
+  else 0 (`eagor.lab.envs.places.Place.nameable`);
 - ``pixels`` ``(V, I)`` int32: pixels of an id panorama of 64 rows, by which the tasks decide what is visible;
 - ``area`` ``(V, I)`` steradians, ``mean`` ``(V, I, 3)``, ``moment`` ``(V, I, 3, 3)``: solid angle, mean direction
   (unit) and second moments in the tangent plane there (squared chords) of what is visible of a thing, body frame.
@@ -38,7 +38,7 @@ TILT = math.radians(3.0)  # standard deviation of roll and of pitch, in every ot
 
 def classes() -> tuple[str, ...]:
     """Everything that a pixel can show: what can be asked for (balls are put in by `balls`), then the building."""
-    from eagor.worlds.apartment import CATEGORIES
+    from eagor.lab.worlds.apartment import CATEGORIES
 
     rest = ("wall", "floor", "ceiling")
     return (*sorted({*CATEGORIES, "ball"} - {*rest}), *rest)
@@ -70,13 +70,13 @@ def make(job: tuple[int, Path, int, int, bool]) -> tuple[int, float]:
         return seed, 0.0
     from scipy.spatial.transform import Rotation
 
+    from eagor.lab.envs.places import Place
+    from eagor.lab.worlds import light
+    from eagor.lab.worlds.apartment import generate
+    from eagor.lab.worlds.ground import Ground
+    from eagor.lab.worlds.render import Renderer, Shader
+    from eagor.lab.worlds.scene import STEP, Lattice
     from eagor.queries import COLOURS
-    from eagor.tasks.places import Place
-    from eagor.worlds import light
-    from eagor.worlds.apartment import generate
-    from eagor.worlds.ground import Ground
-    from eagor.worlds.render import Renderer, Shader
-    from eagor.worlds.scene import STEP, Lattice
 
     scene = generate(seed)
     place = Place(scene, Ground.from_scene(scene), Renderer(scene))

@@ -12,8 +12,8 @@ from data import classes
 
 from eagor._values import lazy
 from eagor.grids import PatchGrid
+from eagor.lab.envs.places import UNTARGETED
 from eagor.queries import COLOURS
-from eagor.tasks.places import UNTARGETED
 
 CLASSES = classes()
 WORDS = CLASSES[:-3]  # categories that can be asked for: all but walls, floors and ceilings

@@ -28,7 +28,7 @@ from eagor.cli.results import BenchCompare, BenchFailures, BenchReport
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
-    from eagor.evaluation.study import Planned, Study
+    from eagor.lab.eval.study import Planned, Study
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,8 +189,8 @@ FLAGS = ("scoring", "labels")  # options of benchmarks that have a flag of their
 
 def listed(options: BenchList) -> int:
     """``eagor bench list``."""
-    from eagor import worlds
-    from eagor.evaluation.studies import SIMULATED, offers
+    from eagor.lab import worlds
+    from eagor.lab.eval.studies import SIMULATED, offers
 
     found = offers()
     if options.json:
@@ -221,8 +221,8 @@ def listed(options: BenchList) -> int:
 
 def info(options: BenchInfo) -> int:
     """``eagor bench info``."""
-    from eagor.evaluation.studies import unimportable
-    from eagor.tasks import benchmark
+    from eagor.lab.eval.studies import unimportable
+    from eagor.lab.tasks import benchmark
 
     found: dict[str, dict[str, Any]] = {}
     refused: dict[str, list[str]] = {}
@@ -251,7 +251,7 @@ def info(options: BenchInfo) -> int:
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
-    from eagor.evaluation import log, runner, studies
+    from eagor.lab.eval import log, runner, studies
 
     kind = studies.known().get(options.task)
     if kind is None:
@@ -303,7 +303,7 @@ def _folder(config: dict[str, Any]) -> str:
 
 def score(options: BenchScore) -> int:
     """``eagor bench score``."""
-    from eagor.evaluation import benchmarks
+    from eagor.lab.eval import benchmarks
 
     bare, cases, told = benchmarks.read_predictions(options.predictions, options.task, options.data, _options(options))
     records, missing = benchmarks.judged_predictions(bare.settings, cases, told)
@@ -320,9 +320,9 @@ def score(options: BenchScore) -> int:
 
 def _simulated(options: BenchRun) -> Planned:
     from eagor.cli.checks import calibrated, check_looks, checked_rows
-    from eagor.evaluation.simulated import Run, named, variants
-    from eagor.tasks.methods import default_methods
-    from eagor.tasks.rules import Disturbances
+    from eagor.lab.agents.methods import default_methods
+    from eagor.lab.envs.rules import Disturbances
+    from eagor.lab.eval.simulated import Run, named, variants
 
     checked_rows(options.rows)
     if options.scenes is not None and options.episodes_file is None:
@@ -354,7 +354,7 @@ def _simulated(options: BenchRun) -> Planned:
 
 def _published(options: BenchRun) -> Planned:
     from eagor.cli.checks import calibrated
-    from eagor.evaluation.benchmarks import BenchmarkRun
+    from eagor.lab.eval.benchmarks import BenchmarkRun
 
     if options.data is None:
         raise terminal.UsageError(f"{options.task} needs its published files; give their folder with --data")

@@ -16,8 +16,8 @@ from eagor.cli.options import Common, Rows, Whole, bare, given
 from eagor.errors import EagorError, PoseError
 
 if TYPE_CHECKING:
-    from eagor.evaluation.detector_fit import DetectorFit
-    from eagor.evaluation.labelled_looks import Pose
+    from eagor.lab.eval.detector_fit import DetectorFit
+    from eagor.lab.eval.labelled_looks import Pose
     from eagor.perception.calibrated import Calibrated, Labelled
 
 
@@ -89,7 +89,7 @@ def _refuse(options: Calibrate, names: Sequence[str], why: str) -> None:
 
 def responses(options: Calibrate) -> int:
     """``eagor calibrate``."""
-    from eagor.evaluation.calibration import DRAWS, PER_PLACE, TASKS, development_slots, fit, record_episodes
+    from eagor.lab.eval.calibration import DRAWS, PER_PLACE, TASKS, development_slots, fit, record_episodes
     from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
@@ -123,8 +123,8 @@ def responses(options: Calibrate) -> int:
 def replay(options: Calibrate) -> int:
     """``eagor calibrate --replay FILE --truth FILE``."""
     from eagor._version import __version__
-    from eagor.evaluation.detector_fit import RESAMPLES, fit_detector
-    from eagor.evaluation.labelled_looks import read_truth, replayed_looks
+    from eagor.lab.eval.detector_fit import RESAMPLES, fit_detector
+    from eagor.lab.eval.labelled_looks import read_truth, replayed_looks
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.replay import ReplayPerception
 
@@ -234,7 +234,7 @@ def heads(options: Calibrate) -> int:
     if "attention" not in perception.family.extractors:
         raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
     if options.labels is None:
-        from eagor.evaluation.labelled_looks import apartment_labels
+        from eagor.lab.eval.labelled_looks import apartment_labels
         from eagor.perception import rows_of
 
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))

@@ -60,8 +60,8 @@ def demo(options: Demo) -> int:
 
 def _apartment(options: Demo) -> int:
     from eagor.cli import demo_apartment
-    from eagor.tasks.episodes import PER_PLACE
-    from eagor.tasks.places import SEEDS
+    from eagor.lab.envs.episodes import PER_PLACE
+    from eagor.lab.envs.places import SEEDS
 
     if not 0 <= options.seed < SEEDS:
         raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")

@@ -20,17 +20,17 @@ from eagor.cli import terminal
 from eagor.cli.checks import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
-from eagor.evaluation import page, tables
-from eagor.evaluation.page import Box, Row, Section, Sheet
-from eagor.evaluation.tables import OURS
+from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerMethod, answer_at
+from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.places import APARTMENT, Place, load_place
+from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.lab.eval import page, tables
+from eagor.lab.eval.page import Box, Row, Section, Sheet
+from eagor.lab.eval.tables import OURS
+from eagor.lab.tasks.sim.play import Player, Seen
 from eagor.metrics import angular_error_deg
 from eagor.perception import load, rows_of
 from eagor.sphere import direction
-from eagor.tasks.episodes import Slot
-from eagor.tasks.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerMethod, answer_at
-from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.play import Player, Seen
-from eagor.tasks.rules import Camera, Disturbances, NavigationRules, as_dict
 from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:

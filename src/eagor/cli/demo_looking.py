@@ -21,11 +21,11 @@ from eagor.cli.terminal import RunError
 from eagor.drawing.style import in_words, sureness
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
+from eagor.lab.tasks.hstar.play import SWEEP
 from eagor.media.panorama import cut, turn
 from eagor.perception import Perception, look, short_name
 from eagor.perception.partial import look_at_view
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
-from eagor.tasks.hstar.play import SWEEP
 from eagor.tracking import DirectionTracker, Estimate, Heights, TurningCamera
 
 OURS, SHOWN = "next", ("next", "follow", "sweep")
@@ -225,7 +225,7 @@ def as_json(searches: Searches, spec: str, photo: str) -> dict[str, Any]:
 def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Path:
     """Draw our looks into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import Mosaic, draw_belief
-    from eagor.evaluation.page import Box, Row, Section, Sheet, document, pictures, text
+    from eagor.lab.eval.page import Box, Row, Section, Sheet, document, pictures, text
 
     mosaic, moments = Mosaic(), []
     for number, (taken, picture) in enumerate(zip(searches.taken[OURS], searches.pictures, strict=True), 1):

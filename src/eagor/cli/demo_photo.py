@@ -18,14 +18,14 @@ from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.style import in_words
-from eagor.evaluation.tables import OURS
+from eagor.lab.agents.methods import NAMES, TrackerMethod, make_method
+from eagor.lab.eval.tables import OURS
+from eagor.lab.worlds.render import Photograph
 from eagor.media.panorama import cut
 from eagor.perception import Perception, look, rows_of, short_name
 from eagor.perception.views import Views
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
-from eagor.tasks.methods import NAMES, TrackerMethod, make_method
 from eagor.tracking.estimate import Estimate
-from eagor.worlds.render import Photograph
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -95,8 +95,8 @@ def as_json(looks: Looks, spec: str, photo: str) -> dict[str, Any]:
 def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import draw_belief, draw_errors
-    from eagor.evaluation.page import Box, Row, Section, Sheet, document, pictures, text
-    from eagor.tasks.methods import DESCRIPTIONS
+    from eagor.lab.agents.methods import DESCRIPTIONS
+    from eagor.lab.eval.page import Box, Row, Section, Sheet, document, pictures, text
 
     names = sorted(looks.directions, key=lambda name: name != OURS)  # ours first: it is drawn on top
     moments = []

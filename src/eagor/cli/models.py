@@ -297,8 +297,9 @@ READY = "ready"
 
 def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if a required package is missing."""
-    from eagor import perception, plugins, worlds
-    from eagor.tasks import benchmark, task
+    from eagor import perception, plugins
+    from eagor.lab import worlds
+    from eagor.lab.tasks import benchmark, task
 
     found = {name: version_of(name) for name in PACKAGES}
     optional = {name: version_of(name) for name in OPTIONAL}

@@ -12,7 +12,7 @@ from eagor.cli import terminal
 from eagor.cli.options import Common, Flag, Whole, bare
 
 if TYPE_CHECKING:
-    from eagor.evaluation.study import LoadedRun
+    from eagor.lab.eval.study import LoadedRun
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +67,8 @@ class BenchFailures(Common):
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor.cli.checks import checked_folder
-    from eagor.evaluation import studies
-    from eagor.evaluation.studies import write_report
+    from eagor.lab.eval import studies
+    from eagor.lab.eval.studies import write_report
 
     if not options.folders:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
@@ -105,7 +105,7 @@ def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
-    from eagor.evaluation import simulated, studies
+    from eagor.lab.eval import simulated, studies
 
     methods = simulated.named(options.methods)
     if options.b is None and len(methods) != 2:
@@ -121,8 +121,8 @@ def compare(options: BenchCompare) -> int:
 
 def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
-    from eagor.evaluation import studies
-    from eagor.evaluation.page import lines_of
+    from eagor.lab.eval import studies
+    from eagor.lab.eval.page import lines_of
 
     if options.limit < 0:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
@@ -130,7 +130,7 @@ def failures(options: BenchFailures) -> int:
     worst = run.study.worst(run, options.method)
     if options.rerun is not None:
         from eagor.cli.checks import checked_out
-        from eagor.evaluation.simulated import log_case
+        from eagor.lab.eval.simulated import log_case
 
         case = log_case(run, worst, options.episode, checked_out(options.rerun, "--rerun"))
         terminal.log(f"{options.rerun}: {case}, for the Rerun viewer (rerun {options.rerun})")

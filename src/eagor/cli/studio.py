@@ -21,7 +21,7 @@ from eagor.errors import EagorError
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-    from eagor.evaluation.study import LoadedRun
+    from eagor.lab.eval.study import LoadedRun
     from eagor.live.loop import LiveLoop, Watcher
     from eagor.studio.hub import LiveSource, Settings
 
@@ -198,9 +198,9 @@ def beside_report(run: LoadedRun, out: Path) -> str | None:
     A report is not lost for it: what is wrong is said as a warning. A run with a model gets none: to play it again
     would load the model, or ask its server.
     """
+    from eagor.lab.agents.models import release
     from eagor.perception import is_model
     from eagor.studio.runs import built, episode_of, episodes_of, write
-    from eagor.tasks.models import release
 
     try:
         if is_model(str(run.settings.get("perception", ""))) or not episodes_of(run)["playable"]:

@@ -129,7 +129,7 @@ def track(options: Track) -> int:
 
 def _rival_names() -> tuple[str, ...]:
     """The other methods, in the order of the columns."""
-    from eagor.tasks.methods import NAMES
+    from eagor.lab.agents.methods import NAMES
 
     return tuple(name for name in NAMES if name != "eagor")
 
@@ -138,7 +138,7 @@ def _rivals(perception: str) -> dict[str, Method]:
     """Every other method by name, with its settings for `perception`."""
     import numpy as np
 
-    from eagor.tasks.methods import make_method
+    from eagor.lab.agents.methods import make_method
 
     return {name: make_method(name, np.random.default_rng(0), perception) for name in _rival_names()}
 

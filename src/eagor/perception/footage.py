@@ -84,7 +84,7 @@ class HiddenParts:
 
 
 class Method(Protocol):
-    """Another method to compare with, as `eagor.tasks.methods` makes them."""
+    """Another method to compare with, as `eagor.lab.agents.methods` makes them."""
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
         """The camera's pose, before the evidence of its time."""

@@ -15,12 +15,12 @@ from typing import Any
 
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError
+from eagor.lab.agents.methods import BASE
 from eagor.studio.following import SOONEST, FollowingSession, warm
 from eagor.studio.messages import Message
 from eagor.studio.picture import PictureSession, VideoSession
 from eagor.studio.session import Close, Opening, Outbox
 from eagor.studio.walk import WalkSession
-from eagor.tasks.methods import BASE
 
 __all__ = ["serve"]
 

@@ -22,6 +22,9 @@ import numpy as np
 from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
+from eagor.lab.agents.models import is_privileged
+from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
+from eagor.lab.worlds.render import Photograph
 from eagor.media import Frame
 from eagor.media.panorama import read_photograph
 from eagor.media.rotation import VisualOdometer
@@ -46,10 +49,7 @@ from eagor.studio.session import (
     Turned,
 )  # fmt: skip
 from eagor.studio.steps import calibration_of, lens_of, shown_jpeg
-from eagor.tasks.models import is_privileged
-from eagor.tasks.places import LOOK_ROWS, Place, load_place
 from eagor.tracking import Around, TrackerConfig
-from eagor.worlds.render import Photograph
 
 __all__ = ["ROWS", "Reel", "serve"]
 

@@ -15,6 +15,7 @@ import numpy as np
 from eagor.errors import EagorError, PoseError, TimeError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
+from eagor.lab.agents.methods import BASE, DESCRIPTIONS, NAMES, Method, make_method
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.session import Loaded, Opening, Outbox, Question, Refused
 from eagor.studio.steps import (
@@ -28,7 +29,6 @@ from eagor.studio.steps import (
     evidence_of,
     scene_of,
 )
-from eagor.tasks.methods import BASE, DESCRIPTIONS, NAMES, Method, make_method
 from eagor.tracking import Around, Estimate, Surroundings, TrackerConfig
 from eagor.tracking.follower import Follower, Refresh
 

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import QueryError
+from eagor.lab.agents.steering import Policy
+from eagor.lab.envs.episodes import PER_PLACE, Slot
+from eagor.lab.envs.places import APARTMENT, Place, load_place
+from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.tasks.sim import navigation
+from eagor.lab.worlds.scene import STRUCTURE, Instance
+from eagor.lab.worlds.walkable import Walkable
 from eagor.queries import matching, parse_query
 from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.studio.messages import LATE, SEED, rounded
-from eagor.tasks import navigation
-from eagor.tasks.episodes import PER_PLACE, Slot
-from eagor.tasks.places import APARTMENT, Place, load_place
-from eagor.tasks.rules import Camera, NavigationRules
-from eagor.tasks.steering import Policy
-from eagor.worlds.scene import STRUCTURE, Instance
-from eagor.worlds.walkable import Walkable
 
 __all__ = ["Body", "House", "Tour", "Walker", "house_of", "place_of", "plan_of", "walled"]
 

@@ -1,6 +1,6 @@
 """Episodes as the page shows them: steps with belief, panorama, answers of all methods, in one JSON object.
 
-An episode of a simulated task is played again (as `eagor.evaluation.simulated` does for the Rerun viewer): the method
+An episode of a simulated task is played again (as `eagor.lab.eval.simulated` does for the Rerun viewer): the method
 with a belief sees what it saw in the run. What the other methods said is in the records. A live recording goes through
 the live core again; of a robot's walk its report is read.
 """
@@ -20,10 +20,14 @@ from eagor._checks import parsed
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation.samples import case_of, finished
-from eagor.evaluation.simulated import player_of
-from eagor.evaluation.study import LoadedRun
-from eagor.evaluation.tables import OURS
+from eagor.lab.agents.methods import DESCRIPTIONS, TrackerMethod
+from eagor.lab.envs.episodes import Episode
+from eagor.lab.envs.places import Place, load_place
+from eagor.lab.eval.samples import case_of, finished
+from eagor.lab.eval.simulated import player_of
+from eagor.lab.eval.study import LoadedRun
+from eagor.lab.eval.tables import OURS
+from eagor.lab.tasks.sim.play import Seen
 from eagor.live.core import LiveCore
 from eagor.live.events import Answer, FrameCame, PoseCame
 from eagor.live.recording import Replay
@@ -32,10 +36,6 @@ from eagor.studio.houses import plan_of
 from eagor.studio.live import Waiting
 from eagor.studio.messages import rounded, webp
 from eagor.studio.steps import belief_in_json, believed, calibration_of, lens_of, scene_of, seen_webp, shown_jpeg
-from eagor.tasks.episodes import Episode
-from eagor.tasks.methods import DESCRIPTIONS, TrackerMethod
-from eagor.tasks.places import Place, load_place
-from eagor.tasks.play import Seen
 
 __all__ = ["REPORT", "Redrawn", "recorded", "redraw", "walked"]
 

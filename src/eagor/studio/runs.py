@@ -21,11 +21,11 @@ import numpy as np
 from eagor._checks import parsed
 from eagor._files import written
 from eagor.errors import EagorError, FormatError
-from eagor.evaluation import log, studies
-from eagor.evaluation.benchmarks import KIND
-from eagor.evaluation.samples import case_of, finished
-from eagor.evaluation.study import LoadedRun
-from eagor.evaluation.tables import OURS
+from eagor.lab.eval import log, studies
+from eagor.lab.eval.benchmarks import KIND
+from eagor.lab.eval.samples import case_of, finished
+from eagor.lab.eval.study import LoadedRun
+from eagor.lab.eval.tables import OURS
 from eagor.live.recording import Replay
 from eagor.media.bags import is_bag
 from eagor.studio.messages import media_type, rounded

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eagor.lab.agents.methods import BASE
 from eagor.studio.messages import Message
-from eagor.tasks.methods import BASE
 
 if TYPE_CHECKING:
     from eagor.evidence import Evidence

@@ -16,12 +16,12 @@ from eagor.drawing.view import Mosaic
 from eagor.evidence import Calibration, Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.harmonics import RealHarmonics
+from eagor.lab.worlds.render import Photograph
 from eagor.live.events import FrameCame
 from eagor.sphere import angular_distance
 from eagor.studio.density import DEGREE, MASS, Density, density_of
 from eagor.studio.messages import Blob, jpeg, rounded, webp
 from eagor.tracking import Estimate, Surroundings, TrackerConfig
-from eagor.worlds.render import Photograph
 
 __all__ = [
     "FLOATS", "LISTED", "Listing", "belief_in_json", "belief_of", "believed", "calibration_of", "error_deg",

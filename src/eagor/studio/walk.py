@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from eagor.lab.envs.rules import NavigationRules
+from eagor.lab.worlds.walkable import Way
 from eagor.studio.following import SOONEST, FollowingSession
 from eagor.studio.houses import Body, House, Walker, walled
 from eagor.studio.messages import rounded
 from eagor.studio.session import Built, Loaded, Opening, Outbox, Panorama, Refused, See, Seen
-from eagor.tasks.rules import NavigationRules
 from eagor.tracking import Estimate
-from eagor.worlds.walkable import Way
 
 __all__ = ["WalkSession"]
 

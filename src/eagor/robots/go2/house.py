@@ -17,18 +17,18 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from eagor import worlds
 from eagor._checks import require, whole, within
 from eagor._processes import Worker, WorkerEnded
 from eagor._values import lazy
 from eagor.errors import DeviceError, EagorError, QueryError, WorldError
+from eagor.lab import worlds
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.render import PAINTS, Ball, Renderer, with_ball
+from eagor.lab.worlds.scene import STRUCTURE, Scene
+from eagor.lab.worlds.walkable import stroll
 from eagor.media import Pose
 from eagor.queries import COLOURS, Query, parse_query
 from eagor.sphere import world_R_body
-from eagor.worlds.ground import Ground
-from eagor.worlds.render import PAINTS, Ball, Renderer, with_ball
-from eagor.worlds.scene import STRUCTURE, Scene
-from eagor.worlds.walkable import stroll
 
 __all__ = [
     "CAMERA_FRAME", "CAMERA_TOPIC", "CameraSettings", "House", "Moment", "PictureProcess", "RollingBall",
@@ -142,7 +142,7 @@ class House:
 def load_house(
     world: str, seed: int, *, ball: str | None = None, speed: float = 0.0, rng: np.random.Generator | None = None
 ) -> House:
-    """The scene of this seed in the world that `eagor.worlds.load` finds, with a ball of a colour if one is asked for.
+    """The scene of this seed in a world that `eagor.lab.worlds.load` finds, with a ball of a colour if one is asked.
 
     `rng` draws the ball's way. Raises `WorldError` if there is no such world, or no room in it; `QueryError` for a ball
     of another colour.

@@ -61,7 +61,7 @@ BEFORE = 0.8  # metres before the target's centre at which the way may end: thin
 class SimSettings:
     """What is simulated.
 
-    - `world`, `seed`: the house, as `eagor.worlds.load` has it; None: an endless empty floor, without pictures.
+    - `world`, `seed`: the house, as `eagor.lab.worlds.load` has it; None: an endless empty floor, without pictures.
     - `target`: what the robot is to find, in words, such as "red chair". A ball ("red ball") is brought into the house,
       and rolls at `speed` metres per second.
     - `start`: x, y (metres) and heading (radians); None: drawn from the seed, some metres from the target.

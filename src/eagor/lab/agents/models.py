@@ -1,0 +1,197 @@
+"""Perceptions and talking models of a run: made once per process, and adapted to one episode.
+
+Most perceptions see the panorama. `truth` gets the instance ids instead, which only a simulator knows; no picture is
+rendered for it. The ``vlm`` agents of the benchmarks talk to any `Chat`, which is named by text.
+"""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import importlib
+import inspect
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import AnswerError, EagorError
+from eagor.evidence import Evidence
+from eagor.lab.envs.episodes import Slot
+from eagor.perception import Perception, load, local_model, look, parse_options
+from eagor.perception.calibrated import from_json
+from eagor.perception.vlm import Chat, Message
+from eagor.queries import Named
+
+
+class EpisodePerception:
+    """A perception in the episode of a slot: it looks once per step.
+
+    One that reads instance ids begins an episode among `things` (indexed by instance id). Its mistakes are the same
+    each time, and others for another `purpose`.
+    """
+
+    def __init__(self, perception: Any, slot: Slot, things: Sequence[Named], purpose: str = "perception") -> None:
+        self._privileged = is_privileged(perception)
+        self._sees: Callable[..., Evidence] = partial(look, perception)
+        if self._privileged:
+            self._sees = perception.episode(things, int(slot.rng(purpose).integers(1 << 31)))
+        self.source: dict[str, Any] = {}
+        self.milliseconds: list[float] = []
+        self.looks = 0
+        self.unread: list[AnswerError] = []
+
+    def look(
+        self, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
+    ) -> Evidence | None:
+        """The evidence in what an environment returned (`eagor.lab.envs.place_env`); `query`: another than its own.
+
+        None if a model's answer could not be read: one among hundreds costs its step, not the episode.
+        """
+        self.looks += 1
+        image = info["instances"]["ids"] if self._privileged else observation["panorama"]
+        pose = info["truth"]["world_R_body"]
+        try:
+            evidence = self._sees(image, query or info["query"], stamp=stamp, world_R_body=pose)
+        except AnswerError as error:
+            self.unread.append(error)
+            return None
+        if evidence.source is not None:
+            self.source = dict(evidence.source)
+            self.milliseconds.append(float(self.source.pop("milliseconds", 0.0)))
+        return evidence
+
+    def account(self) -> dict[str, Any]:
+        """Number of looks and of unreadable answers, the mean time of a look, and the source of the last one.
+
+        Empty if the perception tells no source, or reads instance ids. Raises `AnswerError` if more than half of the
+        answers could not be read: that is no result.
+        """
+        if 2 * len(self.unread) > self.looks:
+            raise AnswerError(
+                f"{len(self.unread)} of {self.looks} answers could not be read; the last: {self.unread[-1]}"
+            )
+        if self._privileged or not (self.source or self.unread):
+            return {}
+        mean = round(float(np.mean(self.milliseconds)), 1) if self.milliseconds else None
+        return {"looks": self.looks, "unread": len(self.unread), "milliseconds": mean, "source": self.source}
+
+
+@dataclass
+class Delay:
+    """Evidence that arrives `steps` steps after its look; `waiting` is still on its way."""
+
+    steps: int
+    waiting: list[Evidence | None] = field(default_factory=list)
+
+    def due(self, look: Evidence | None) -> Evidence | None:
+        """What arrives at the step of this look: an earlier one, this one without a delay, or nothing."""
+        self.waiting.append(look)
+        return self.waiting.pop(0) if len(self.waiting) > self.steps else None
+
+
+@lru_cache(maxsize=1)
+def shared(perception: str) -> Perception:
+    """The perception of this name, made once per process for all callers: a model may take minutes and gigabytes.
+
+    `release` frees it. Raises as `eagor.perception.load`, and errors of its server.
+    """
+    return _checked(load(perception))
+
+
+def _checked(made: Any) -> Any:
+    """`made`, once it has made sure by itself that it works, where it can."""
+    if (check := getattr(made, "check", None)) is not None:
+        check()
+    return made
+
+
+def release() -> None:
+    """Free the perception of `shared`, the model of `shared_chat`, and their GPU memory."""
+    shared.cache_clear()
+    shared_chat.cache_clear()
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        torch.cuda.empty_cache()
+
+
+def recalibrator(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
+    """Gives looks the calibration in the settings of a run ("calibrated"); without one they keep their own."""
+    if not settings.get("calibrated"):
+        return lambda evidence: evidence
+    return from_json(settings["calibrated"], "the settings").reread
+
+
+def is_privileged(perception: Any) -> bool:
+    """Whether the perception reads instance ids."""
+    return hasattr(perception, "episode")
+
+
+def load_chat(spec: str) -> Chat:
+    """The model that `spec` names. Raises `EagorError` if it cannot be made.
+
+    - ``MODEL@ADDRESS[?option=value&...]``: on an OpenAI-compatible server (`ServedChat`). The model defaults to the
+      server's only one, the address to ``http://localhost:8000/v1``.
+    - ``FOLDER[?option=value&...]`` with ``config.json``, or a hub name: on this machine (`LocalChat`).
+    - ``package.module:function``: the `Chat` that ``function()`` returns.
+    """
+    module, colon, name = spec.partition(":")
+    named = module.replace(".", "").isidentifier() and name.isidentifier()
+    if colon and named and not {"@", "/"} & set(spec):
+        try:
+            make = getattr(importlib.import_module(module), name)
+        except Exception as error:  # a broken module may raise anything
+            raise EagorError(
+                f"the model {spec!r} cannot be imported ({type(error).__name__}: {error}); wanted "
+                f"package.module:function, or {spec}@http://localhost:11434 for a model on a server"
+            ) from error
+        return _made(spec, make)
+    place, _, written = spec.partition("?")
+    here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
+    if here or ("/" in place and "@" not in place and "://" not in place):
+        from eagor.perception.transformers import LocalChat
+
+        return local_model(LocalChat, place, parse_options(written))
+    from eagor.perception.endpoint.server import chat_from_text
+
+    return chat_from_text(spec)
+
+
+def _made(spec: str, make: Any) -> Chat:
+    """The result of `make`. Raises `EagorError` if it takes arguments, as a model itself does."""
+    try:
+        inspect.signature(make).bind()
+    except (TypeError, ValueError) as error:  # ValueError: it has no signature
+        raise EagorError(
+            f"the model {spec!r} cannot be made ({error}); wanted a function without arguments that returns the model"
+        ) from error
+    return make()
+
+
+@lru_cache(maxsize=1)
+def shared_chat(spec: str) -> Chat:
+    """The model that `spec` names, made once per process for all callers; `release` frees it.
+
+    Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
+    """
+    made = load_chat(spec)
+    if not callable(made):
+        raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
+    if not inspect.signature(made).parameters:
+        raise EagorError(f"the model {spec!r} takes no argument; wanted the messages of a conversation")
+    return _checked(made)
+
+
+def digest(messages: Sequence[Message]) -> str:
+    """A short hash of a conversation, text and pictures."""
+    found = hashlib.sha256()
+    for message in messages:
+        found.update(f"{message.role}\0{message.text}\0".encode())
+        for image in message.images:
+            found.update(np.ascontiguousarray(image).tobytes())
+    return found.hexdigest()[:16]

@@ -1,0 +1,395 @@
+"""Episodes, the same for every method: how those of a run are numbered, and those that a file lists.
+
+N episodes with seed S use the apartments S, S + 1, ..., `PER_PLACE` in each. All randomness derives from an episode's
+identity, so any part of a run can be played alone.
+
+Files list episodes of ObjectNav of HM3D or MP3D, or what ``eagor export habitat`` writes. They are played in Habitat
+(``--world habitat``), in the scene that the file names below the folder of scenes. In our own world only episodes of
+ours can be played: they say which apartment or exported GLB they were made for. `plan_listed` makes one ready to be
+played: where it starts, what counts as reached, how long the shortest way is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import WorldError
+from eagor.lab.envs.places import APARTMENT, SEEDS, Place, load_place, pixels_of
+from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.worlds import FILES
+from eagor.lab.worlds.ground import STOREY
+from eagor.lab.worlds.objectnav import LAB_BODY, SceneEpisodes, check_scene, read_episodes
+from eagor.lab.worlds.objectnav import Episode as ObjectNavEpisode
+from eagor.lab.worlds.scene import Scene
+from eagor.sphere import heading, world_R_body
+
+PER_PLACE = 5
+UNRECORDED = ("slot", "route", "view_points", "goals")  # long parts of an episode, which its slot brings back
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A place in a run: the `number`-th episode of the run, the `index`-th in the world of this `seed`."""
+
+    task: str
+    world: str
+    seed: int
+    index: int
+    number: int
+
+    @property
+    def id(self) -> str:
+        """Stable name: seed of the apartment, and index of the episode in it."""
+        return f"{self.seed}-{self.index}"
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """An independent generator for each purpose, wherever the file of the scene is."""
+        name = f"{self.task}/{_content(self.world)}/{self.id}/{purpose}"
+        return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Where it happens, what to look for, and where the body starts.
+
+    `targets`: ids of the things that the query names; `start`: x, y in metres; `yaw`: radians; `stratum`: kind of the
+    episode, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint, inf if no path
+    leads there (things on walls can be targets, too).
+    """
+
+    slot: Slot
+    scene: str
+    scene_hash: str
+    query: str
+    targets: tuple[int, ...]
+    start: tuple[float, float]
+    yaw: float
+    shortest: float
+    stratum: dict[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """For records and reports."""
+        known = {"id": self.slot.id, "seed": self.slot.seed, "world": self.slot.world, "index": self.slot.index}
+        rest = {key: value for key, value in asdict(self).items() if key not in UNRECORDED}
+        return known | rest | {"shortest": self.shortest if math.isfinite(self.shortest) else None}
+
+
+def slots(task: str, count: int, seed: int, world: str = APARTMENT) -> Iterator[Slot]:
+    """The slots of a run. Raises `WorldError` if there are not enough apartments."""
+    if count < 1:
+        raise WorldError(f"{count} episodes; wanted 1 or more")
+    places = (count + PER_PLACE - 1) // PER_PLACE
+    if not 0 <= seed <= SEEDS - places:
+        raise WorldError(
+            f"{count} episodes from seed {seed} need apartments {seed} to {seed + places - 1}; "
+            f"there are 0 to {SEEDS - 1}"
+        )
+    for number in range(count):
+        yield Slot(task, world, seed + number // PER_PLACE, number % PER_PLACE, number)
+
+
+def heading_to(start: np.ndarray, goal: np.ndarray) -> float:
+    """Yaw (radians) from one point ``(2,)`` of the floor to another."""
+    return float(np.arctan2(goal[1] - start[1], goal[0] - start[0]))
+
+
+def choose_target(place: Place, rng: np.random.Generator) -> Iterator[tuple[int, str]]:
+    """The nameable things of a place in random order, with their names; every category is equally likely."""
+    by_category: dict[str, list[int]] = {}
+    names = place.nameable()
+    for index in names:
+        by_category.setdefault(place.scene.instances[index].category, []).append(index)
+    for category in rng.permutation(sorted(by_category)):
+        for index in rng.permutation(by_category[str(category)]):
+            yield int(index), str(names[int(index)])
+
+
+# --- episodes that a file lists ---------------------------------------------------------------------------------------
+
+HABITAT = "habitat"  # the world in which scenes of others can be played
+BODY = f"body={LAB_BODY:g}"  # the option that asks for the mesh on which habitat-lab judges such episodes
+_APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
+_PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
+OFF = 0.5  # metres that a start may lie above or below the ground: meshes float by the height of a voxel, or two
+
+
+@dataclass(frozen=True)
+class FileSlot(Slot):
+    """An episode of a file: the `episode`-th of its `scene` (the scene_id there)."""
+
+    scene: str = ""
+    episode: int = 0
+
+    @property
+    def id(self) -> str:
+        """Stable name: the scene's, and the index of the episode among those of the scene."""
+        return f"{PurePosixPath(self.scene).name.partition('.')[0]}-{self.episode}"
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """An independent generator for each purpose, wherever the folder of scenes is."""
+        name = f"{self.task}/{self.scene}/{self.episode}/{purpose}"
+        return np.random.default_rng([zlib.crc32(name.encode()), self.episode])
+
+
+def slot_of(values: dict[str, Any]) -> Slot:
+    """The slot of a unit of work, from JSON."""
+    return FileSlot(**values) if "scene" in values else Slot(**values)
+
+
+def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[FileSlot]:
+    """The slots of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
+
+    `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). Options may follow
+    "habitat:?"; without another ``body``, Habitat's scenes have the mesh that habitat-lab uses for ObjectNav on HM3D.
+    `scenes`: the folder that the scene_ids are relative to; None: the nearest ``scene_datasets`` above the file.
+
+    Raises `WorldError` if the file cannot be read, or its scenes cannot be played in that world.
+    """
+    if count is not None and count < 1:
+        raise WorldError(f"{count} episodes; wanted 1 or more")
+    by_scene = {each.episodes[0].scene: each for each in read_file(file)}
+    name, _, options = world.partition("?")
+    there = name.partition(":")[0] == HABITAT
+    whole = HABITAT if there else APARTMENT
+    if there:
+        options = "&".join(filter(None, (options, BODY * ("body=" not in options))))
+        world = HABITAT if name in (HABITAT, f"{HABITAT}:") else f"{name}?{options}"
+    if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
+        raise WorldError(
+            f"{file} has episodes in {len(by_scene)} scenes, but --world {world} is one of them; name the world "
+            f"{whole} alone, and their folder with --scenes"
+        )
+    homes = {
+        scene: _homes(scene, each, world, options, number, Path(file), scenes)
+        for number, (scene, each) in enumerate(by_scene.items())
+    }
+    _check_files({scene: home[0][0] for scene, home in homes.items()}, file)
+    turns = [(index, scene) for scene, each in by_scene.items() for index in range(len(each.episodes))]
+    places = {scene: number for number, scene in enumerate(by_scene)}
+    chosen = sorted(turns, key=lambda turn: turn[0])[:count]
+    # One scene after the other, and of a scene one storey after the other: opening one takes seconds.
+    chosen.sort(key=lambda turn: (places[turn[1]], homes[turn[1]][turn[0]][0], turn[0]))
+    return [
+        FileSlot(task, *homes[scene][index], index, number, scene, index)
+        for number, (index, scene) in enumerate(chosen)
+    ]
+
+
+def scene_files(slots: Sequence[Slot]) -> list[Path]:
+    """The files of the scenes in which these are played; none of apartments."""
+    return [Path(path) for path in dict.fromkeys(_file(slot.world) for slot in slots) if path]
+
+
+def _homes(
+    scene: str, episodes: SceneEpisodes, world: str, options: str, number: int, file: Path, scenes: Path | None
+) -> list[tuple[str, int]]:
+    """World and seed of each episode of this scene; seeds of what is no apartment begin at 10 000."""
+    seed, count = SEEDS + number, len(episodes.episodes)
+    if world == HABITAT:
+        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, options, file, scenes), episodes)]
+    if world != APARTMENT:
+        return [(world, seed)] * count
+    origins = {episode.origin.version if episode.origin is not None else None for episode in episodes.episodes}
+    (version,) = origins if len(origins) == 1 else (None,)
+    if version is None:
+        raise WorldError(
+            f"{file}: the episodes in {scene} do not say which of our scenes they were made for, so they can only be "
+            f"played in Habitat: --world {HABITAT} --scenes DIR"
+        )
+    if match := _APARTMENT.fullmatch(version):
+        from eagor.lab.worlds.apartment import VERSION
+
+        if match[1] != VERSION or int(match[2]) >= SEEDS:
+            raise WorldError(
+                f"{file}: the episodes in {scene} were made for {version}; this version makes apartments {VERSION} "
+                f"with seeds below {SEEDS}. Export them anew"
+            )
+        return [(APARTMENT, int(match[2]))] * count
+    return [(str(_below(scene, file, scenes)), seed)] * count
+
+
+def _in_habitat(scene: str, episodes: SceneEpisodes, options: str, file: Path, scenes: Path | None) -> str:
+    """``habitat:FILE?options``, with the scene dataset's configuration that the episodes name, if it is there."""
+    path = _below(scene, file, scenes)
+    _, found, rest = episodes.episodes[0].dataset_config.rpartition("scene_datasets/")
+    config = _below(rest, file, scenes) if found else None
+    dataset = f"dataset={config}&" if config is not None and config.is_file() else ""
+    return f"{HABITAT}:{path}?{dataset}{options}"
+
+
+def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
+    """The world of each episode, on the storey of its start: opening one takes seconds, so near heights share one."""
+    heights = [float(episode.position[2]) for episode in episodes.episodes]
+    lowest: list[float] = []
+    for height in sorted(heights):
+        if not lowest or height - lowest[-1] > STOREY:  # starts on stairs must not join the storeys that these join
+            lowest.append(height)
+    group = np.searchsorted(lowest, heights, side="right") - 1
+    levels = [float(np.median(np.array(heights)[group == each])) for each in range(len(lowest))]
+    return [f"{world}&storey={levels[each]:.2f}" for each in group]
+
+
+def _below(scene: str, file: Path, scenes: Path | None) -> Path:
+    """The file of a scene below the folder of scenes."""
+    if scenes is None:
+        above = [parent / "scene_datasets" for parent in file.absolute().parents]
+        scenes = next((folder for folder in above if folder.is_dir()), None)
+    if scenes is None:
+        raise WorldError(
+            f"no folder scene_datasets is above {file}; say where the scenes are with --scenes DIR, the folder that "
+            f"holds {scene.removeprefix(_PREFIX)}"
+        )
+    return Path(scenes) / scene.removeprefix(_PREFIX)
+
+
+def _check_files(worlds: dict[str, str], file: Path | str) -> None:
+    """Raise `WorldError` if not one of the scenes is there; a part of them is what many people have."""
+    paths = {scene: Path(path) for scene, world in worlds.items() if (path := _file(world))}
+    if paths and len(paths) == len(worlds) and not any(path.exists() for path in paths.values()):
+        scene, path = next(iter(paths.items()))
+        raise WorldError(
+            f"none of the {len(paths)} scenes of {file} is there, such as {path}; --scenes names the folder that holds "
+            f"{scene.removeprefix(_PREFIX)}"
+        )
+
+
+def _file(world: str) -> str:
+    """The file of a world that is a scene in a file; empty for others."""
+    name = world.removeprefix(f"{HABITAT}:").partition("?")[0]
+    return name if name != world or Path(name).suffix.lower() in FILES else ""
+
+
+def _content(world: str) -> str:
+    """A world with the digest of the scene's file in place of its path."""
+    path = _file(world)
+    return world.replace(path, _digest(*_mark(Path(path))), 1) if path and Path(path).is_file() else world
+
+
+@lru_cache(maxsize=64)
+def _digest(path: str, *_: int) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
+    """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
+    path = Path(file)
+    return _read(path, tuple(_mark(each) for each in (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+
+
+@lru_cache(maxsize=2)
+def _read(file: Path, _: tuple[tuple[str, int, int], ...]) -> tuple[SceneEpisodes, ...]:
+    return read_episodes(file)
+
+
+def _mark(path: Path) -> tuple[str, int, int]:
+    """Changes with the file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return str(path), 0, 0
+    return str(path), found.st_mtime_ns, found.st_size
+
+
+@dataclass(frozen=True, eq=False)
+class FileEpisode(Episode):
+    """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
+
+    View points are those of all storeys: habitat-lab measures to the nearest of all. `listed`: how long the shortest
+    way is according to the file, and its number there.
+    """
+
+    goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    view_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    listed: dict[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        return super().as_json() | {"slot": asdict(self.slot)}
+
+
+def plan_listed(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> FileEpisode:
+    """The episode of this slot, ready to be played.
+
+    Raises `WorldError` if the scene is another one than the episode was made for, the start is not on free ground, or
+    no way leads from there to a goal.
+    """
+    found = next((each for each in read_file(file) if each.episodes[0].scene == slot.scene), None)
+    if found is None or slot.episode >= len(found.episodes):
+        raise WorldError(f"{file} has no episode {slot.episode} in {slot.scene}; it has changed: start the run anew")
+    episode = found.episodes[slot.episode]
+    name = f"episode {slot.episode} of {slot.scene}"
+    place = load_place(slot.world, slot.seed, camera.radius)
+    if isinstance(place.scene, Scene):
+        check_scene(episode, place.scene, place.ground)
+    zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
+    start = _start(place, episode, name, zero)
+    things = found.goals[episode.category]
+    storey = float(episode.position[2])
+    near = [thing for thing in things if (np.abs(thing.view_positions[:, 2] - storey) <= STOREY).any()]
+    views = np.concatenate([thing.view_positions for thing in things])
+    targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
+    if rules.goal == "view_points" and not near:
+        raise WorldError(
+            f"{name} has no view points on the storey of its start; --set goal=footprint measures to the thing itself"
+        )
+    if rules.goal == "footprint" and not targets:
+        raise WorldError(f"{name}: {place.scene.source} names no {episode.category}; leave goal at view_points")
+    planned = FileEpisode(
+        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=episode.category, targets=targets,
+        start=(float(start[0]), float(start[1])), yaw=heading(episode.world_R_body), shortest=math.inf,
+        goals=np.array([thing.position for thing in near or things]) - [0.0, 0.0, zero],
+        view_points=views - [0.0, 0.0, zero],
+        listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
+    )  # fmt: skip
+    way = place.way_to_views(planned.view_points) if rules.goal == "view_points" else place.way_to(targets)
+    shortest = float(way.distance(start))
+    if not math.isfinite(shortest):
+        raise WorldError(
+            f"{name}: no way leads from ({start[0]:.2f}, {start[1]:.2f}) to "
+            f"{'a view point of ' * (rules.goal == 'view_points')}any {episode.category}; leave it out, or use the "
+            "body that it was made for"
+        )
+    ends = views[:, :2] if rules.goal == "view_points" else planned.goals[:, :2]
+    straight = float(np.hypot(*(ends - start).T).min())
+    shown = pixels_of(place.ids(place.eye(start, camera.height), world_R_body(0.0)), targets)
+    kind = {
+        "visible": shown >= rules.visible_pixels,
+        "way": "winding" if shortest > rules.winding_above * straight else "direct",
+        "category": episode.category,
+    }
+    return FileEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
+
+
+def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> np.ndarray:
+    """The start ``(2,)`` on free ground, which may be a cell away: files of others hold rounded numbers.
+
+    `zero`: the height of our z = 0 in the file.
+    """
+    xy = episode.position[:2]
+    found = place.ground.snap(xy, within=place.ground.cell)
+    if found is None:
+        near = place.ground.snap(xy)
+        away = (
+            "nothing is free there" if near is None else f"the nearest free place is {np.hypot(*(near - xy)):.2f} m off"
+        )
+        raise WorldError(
+            f"{name} starts at ({xy[0]:.2f}, {xy[1]:.2f}), which is not on free ground for a body of radius "
+            f"{place.ground.radius:g} m in {place.scene.source}: {away}. Use the scene and the radius it was made for"
+        )
+    ground = zero + place.ground.height(found)
+    if abs(ground - episode.position[2]) > OFF:
+        raise WorldError(
+            f"{name} starts at the height {episode.position[2]:.2f} m, but the ground there is at {ground:.2f} m in "
+            f"{place.scene.source}: it is on another storey. Choose the world that holds its storey: --world habitat "
+            "does so by itself, habitat:SCENE?storey=HEIGHT by hand"
+        )
+    return found

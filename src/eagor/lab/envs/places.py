@@ -1,0 +1,169 @@
+"""Places: a scene with its ground plan and its renderer, cached while in use; and what a camera shows of them.
+
+The worlds render panoramas for every camera, so that all perceptions and methods get what they know. Of a camera that
+does not see all around the picture is 4:3, straight ahead: outside of it there is nothing in the panorama, and a look
+says nothing there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from eagor._values import lazy
+from eagor.evidence import BodyMask
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.lab import worlds
+from eagor.lab.envs.rules import Camera
+from eagor.lab.worlds import ground_of, view_of
+from eagor.lab.worlds.render import Frame
+from eagor.lab.worlds.scene import STRUCTURE, Scene
+from eagor.lab.worlds.walkable import Walkable, Way
+from eagor.queries import COLOURS, Query
+
+APARTMENT = "apartment"
+SEEDS = 10_000  # number of apartments
+DEVELOPMENT = range(SEEDS // 5)  # the first fifth is for tuning parameters, never for results
+REPORT = range(SEEDS // 5, SEEDS)
+LOOK_ROWS = 64  # of the id panoramas that decide visibility, and that `truth` reads
+FLOORS = ("floor", "rug")  # categories that one walks on
+LEVEL = 0.02  # metres: where nothing is called a floor, it is what lies as high as the ground, to within this
+UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # never targets
+SHAPE = 3, 4  # rows and columns of the picture, up to a factor
+MASK_ROWS = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Somewhere to walk and look."""
+
+    scene: Scene | worlds.SimulatedScene
+    ground: Walkable
+    renderer: worlds.View
+    _ways: dict[Any, Way] = field(default_factory=dict, init=False, repr=False)  # they go when the place goes
+
+    def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
+        """The point ``(3,)`` at this height (metres) above the ground at a point ``(2,)``: of a camera, say."""
+        return np.array([xy[0], xy[1], height + self.ground.height(xy)])
+
+    def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:
+        """The instance in each direction: an equirectangular image ``(rows, 2 rows)``, -1 for none."""
+        ids = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=False).ids
+        assert ids is not None
+        return ids
+
+    def floor_in(self, ids: np.ndarray, position: np.ndarray, world_R_body: np.ndarray) -> np.ndarray:
+        """Which pixels of an image of `ids` ``(rows, 2 rows)``, taken from this pose, show what one walks on, bool.
+
+        That is what the scene calls a floor or a rug. In a scene that names neither it is what lies as high as the
+        ground under the camera.
+        """
+        if len(self._floors):
+            return np.isin(ids, self._floors)
+        rows = len(ids)
+        metres = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=True, ids=False).range
+        assert metres is not None
+        up = ErpGrid(rows, 2 * rows).directions @ world_R_body[2]  # how far a ray rises per metre
+        with np.errstate(invalid="ignore"):  # no hit: infinitely far
+            height = position[2] + up * metres - self.ground.height(position[:2])
+        return (ids >= 0) & (np.abs(height) < LEVEL)
+
+    @lazy
+    def _floors(self) -> np.ndarray:
+        return np.flatnonzero([thing.category in FLOORS for thing in self.scene.instances])
+
+    def nameable(self) -> dict[int, Query]:
+        """The things with a unique query, "[colour] category", by their index in the scene."""
+        found: dict[Query, list[int]] = {}
+        for index, thing in enumerate(self.scene.instances):
+            if thing.category not in UNTARGETED:
+                found.setdefault(Query(thing.category, thing.colour), []).append(index)
+        count = Counter(thing.category for thing in self.scene.instances)
+        names = {}
+        for query, members in found.items():
+            if count[query.category] == 1:
+                names[members[0]] = Query(query.category)  # the only sofa is called "sofa",
+            elif len(members) == 1 and query.colour:
+                names[members[0]] = query  # one of several chairs is named with its colour
+        return names
+
+    def missing(self, rng: np.random.Generator, known: bool = False) -> Query:
+        """A query without an answer: an absent category (not if `known`), or a category here in another colour."""
+        from eagor.lab.worlds.apartment import CATEGORIES
+
+        here = {thing.category for thing in self.scene.instances} - {*UNTARGETED}
+        absent = sorted({*CATEGORIES} - {*UNTARGETED} - here)
+        if absent and not (known and here) and (rng.random() < 0.5 or not here):
+            return Query(str(rng.choice(absent)))
+        category = str(rng.choice(sorted(here)))
+        taken = {thing.colour for thing in self.scene.instances if thing.category == category}
+        return Query(category, str(rng.choice([colour for colour in COLOURS if colour not in taken])))
+
+    def way_to(self, targets: tuple[int, ...]) -> Way:
+        """Geodesic distance to the nearest of the targets' footprints."""
+        if targets not in self._ways:
+            fields = [self.ground.footprint(self.scene.instances[target]) for target in targets]
+            self._ways[targets] = fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
+        return self._ways[targets]
+
+    def way_to_views(self, places: np.ndarray) -> Way:
+        """Geodesic distance to the nearest of places ``(n, 3)`` at the feet, metres, world frame."""
+        key = np.ascontiguousarray(places, dtype=np.float64).tobytes()
+        if key not in self._ways:
+            self._ways[key] = self.ground.field_to_places(np.frombuffer(key).reshape(-1, 3))
+        return self._ways[key]
+
+
+@lru_cache(maxsize=4)
+def load_place(world: str, seed: int, radius: float) -> Place:
+    """The scene of this seed in a world that `eagor.lab.worlds.load` finds, with the ground for a body of this radius.
+
+    Raises `WorldError` if there is no such world, or no room to stand in it.
+    """
+    scene = worlds.load(world)(seed)
+    return Place(scene, ground_of(scene, radius), view_of(scene))
+
+
+def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:
+    """The number of pixels of an id image that show one of the targets."""
+    return int(sum(np.count_nonzero(ids == target) for target in targets))
+
+
+def in_view(camera: Camera, rows: int) -> np.ndarray | None:
+    """The pixels ``(rows, 2 rows)`` of a panorama in the body frame that the camera shows, bool; None: all of them."""
+    return None if camera.around else _in_view(camera.hfov, rows)
+
+
+def mask_of(camera: Camera) -> BodyMask | None:
+    """What the camera can see, as evidence is covered with it; None: everything."""
+    return None if camera.around else _mask(camera.hfov)
+
+
+def cut(frame: Frame, camera: Camera) -> Frame:
+    """A rendered panorama without what the camera does not show: the mean colour, no range, no thing (-1)."""
+    if camera.around:
+        return frame
+    parts: dict[str, np.ndarray] = {}
+    for name, nothing in (("rgb", None), ("range", math.inf), ("ids", -1)):
+        whole = getattr(frame, name)
+        if whole is None:
+            continue
+        seen = _in_view(camera.hfov, len(whole))
+        parts[name] = whole.copy()
+        parts[name][~seen] = np.rint(whole[seen].mean(axis=0)) if nothing is None else nothing
+    return replace(frame, **parts)
+
+
+@lru_cache(maxsize=8)
+def _in_view(hfov: float, rows: int) -> np.ndarray:
+    return PerspectiveGrid(*SHAPE, math.radians(hfov)).project(ErpGrid(rows, 2 * rows).directions)[2]
+
+
+@lru_cache(maxsize=4)
+def _mask(hfov: float) -> BodyMask:
+    return BodyMask(_in_view(hfov, MASK_ROWS))

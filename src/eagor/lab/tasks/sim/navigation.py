@@ -1,0 +1,221 @@
+"""Map-Free Navigation: start facing away from the target, and walk by fixed steps until it is reached.
+
+Episodes come in strata. In two thirds of them the target is visible at the start. In half of them the path is longer
+than the straight line by more than a fifth, so that walking straight leads into walls.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from eagor import metrics
+from eagor.errors import WorldError
+from eagor.lab.envs.episodes import Episode, FileEpisode, Slot, choose_target, heading_to, plan_listed
+from eagor.lab.envs.place_env import PlaceEnv, as_walk, walking_space
+from eagor.lab.envs.places import Place, load_place, pixels_of
+from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.tasks.task import COVERAGE, Column, Played, Task
+from eagor.sphere import azimuth_elevation, world_R_body
+
+# (visible at the start, winding path), cyclic: two thirds visible, half winding.
+STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
+AT_SEAM = math.radians(5)  # of an equirectangular picture, behind the body
+MOVED = 1e-4  # metres (and 1e-5 of the coordinates): less is no move in habitat-lab's distance to the goal
+ONLY_TURNED = 1e-4  # metres, as poses are rounded
+TRIES = 40  # starts tried per target and stratum
+
+
+def plan(slot: Slot, camera: Camera, rules: NavigationRules) -> Episode:
+    """The episode of this slot. Raises `WorldError` if the world has no target under these rules."""
+    place = load_place(slot.world, slot.seed, camera.radius)
+    rng = slot.rng("plan")
+    visible, winding = STRATA[slot.number % len(STRATA)]
+    # The wanted stratum first, then whatever the apartment offers: few have every kind of start.
+    for wanted in ((visible, winding), (visible, not winding), (not visible, winding), (not visible, not winding)):
+        for target, query in choose_target(place, rng):
+            start = _start(place, target, wanted, camera, rules, rng)
+            if start is not None:
+                xy, shortest, ratio = start
+                # The bearing to the target, turned so that it lies behind, within the tolerance.
+                away = math.pi + math.radians(rules.facing_away) * float(rng.uniform(-1, 1))
+                yaw = math.remainder(heading_to(xy, place.scene.instances[target].centre[:2]) + away, 2 * math.pi)
+                kind = {
+                    "visible": wanted[0],
+                    "way": "winding" if wanted[1] else "direct",
+                    "ratio": round(ratio, 3),
+                    "category": place.scene.instances[target].category,
+                }
+                return Episode(
+                    slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,),
+                    start=(float(xy[0]), float(xy[1])), yaw=yaw, shortest=shortest, stratum=kind,
+                )  # fmt: skip
+    raise WorldError(
+        f"{place.scene.source} has no target that is {rules.nearest} to {rules.farthest} m away; "
+        "widen the rules, or leave this world out"
+    )
+
+
+def _start(
+    place: Place,
+    target: int,
+    wanted: tuple[bool, bool],
+    camera: Camera,
+    rules: NavigationRules,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, float, float] | None:
+    """A start of the wanted kind for this target: its point, geodesic distance, and ratio to the straight line."""
+    thing, visible, winding = place.scene.instances[target], *wanted
+    points, way = place.ground.points, place.way_to((target,))
+    geodesic = place.ground.at_points(way)
+    straight = distance_to_box(points, thing.low[:2], thing.high[:2])
+    ratio = geodesic / np.maximum(straight, 1e-6)
+    fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
+    fits &= (ratio > rules.winding_above) if winding else (ratio <= rules.winding_above)
+    candidates = np.flatnonzero(fits)
+    for choice in rng.permutation(candidates)[:TRIES]:
+        position = place.eye(points[choice], camera.height)
+        seen = pixels_of(place.ids(position, world_R_body(0.0)), (target,)) >= rules.visible_pixels
+        if seen == visible:
+            return points[choice], float(geodesic[choice]), float(ratio[choice])
+    return None
+
+
+def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Straight distance (metres) ``(n,)`` of points ``(n, 2)`` on the floor from a footprint."""
+    return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
+
+
+def score(rules: NavigationRules, shortest: float, distance: float, path: float, stopped: bool) -> dict[str, float]:
+    """Habitat's measures of one episode: success, spl, soft_spl (0 to 1)."""
+    won = metrics.success([distance], [stopped], rules.success_distance)
+    return {
+        "success": float(won[0]),
+        "spl": float(metrics.spl(won, [shortest], [path])[0]),
+        "soft_spl": float(metrics.soft_spl([distance], [shortest], [path])[0]),
+    }
+
+
+def measure(played: Played) -> dict[str, Any]:
+    """The errors of the estimate in one episode, and Habitat's measures of the path."""
+    info = played.info
+    return {
+        "mae": metrics.mean_error(played.trace["error_deg"]),
+        "seam_crossings": int(metrics.seam_crossings(played.directions).sum()),
+        "starts_at_seam": float(abs(azimuth_elevation(played.directions[0])[0]) > math.pi - AT_SEAM),
+        "coverage": played.coverage,
+        **{key: info[key] for key in ("success", "spl", "soft_spl")},
+        "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
+        "steps": info["num_steps"],
+        "path_m": played.walked,
+        "shortest_m": played.shortest,
+        "collisions": info["collisions"]["count"],
+        "undone": undone(_walked(np.array(played.trace["pose"])[:, :2], played.camera), played.camera.step),
+    }
+
+
+def _walked(places: np.ndarray, camera: Camera) -> np.ndarray:
+    """The places ``(n, 2)`` less the steps in which a body that does not see all around only turned."""
+    if camera.around or not len(places):
+        return places
+    moved = np.hypot(*np.diff(places, axis=0).T) > ONLY_TURNED
+    return places[np.concatenate([[True], moved])]
+
+
+def undone(places: np.ndarray, step: float) -> float:
+    """The share of steps that lead back: they end less than half a step from where the body was before.
+
+    `places` ``(n, 2)``: before each step and after the last.
+    """
+    if len(places) < 2:
+        return 0.0
+    apart = np.linalg.norm(places[1:, None] - places[None, :-1], axis=-1)
+    earlier = np.arange(len(places) - 1) < np.arange(len(places) - 1)[:, None]
+    return float(np.mean(np.any((apart < step / 2) & earlier, axis=1)))
+
+
+class MapFreeNavigationEnv(PlaceEnv):
+    """Reach the target: `rules` set the distance, the number of steps, and whether stop has to be called.
+
+    An action (heading, distance) turns the body to the heading and walks; a distance of 0 calls stop. The reward is the
+    geodesic progress of the step in metres, plus 1 on success.
+    """
+
+    task = "navigation"
+
+    def __init__(self, rules: NavigationRules | None = None, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.rules = rules or NavigationRules()
+        self.action_space = walking_space(self.camera)
+
+    def plan(self, slot: Slot) -> Episode:
+        return plan(slot, self.camera, self.rules)
+
+    def _start(self) -> None:
+        self._stopped = False
+        self._measured: np.ndarray | None = None
+        self._left = self._distance_to_goal()
+
+    def _distance_to_goal(self) -> float:
+        if self.rules.goal == "footprint":
+            return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
+        # habitat-lab's DistanceToGoal measures anew only where the body has moved.
+        if self._measured is None or not np.allclose(self._measured, self.body.xy, atol=MOVED):
+            self._measured = self.body.xy
+            return float(self.place.way_to_views(self.episode.view_points).distance(self.body.xy))
+        return self._left
+
+    def _target(self) -> np.ndarray | None:
+        if not isinstance(self.episode, FileEpisode):
+            return super()._target()
+        return min(self.episode.goals, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
+
+    def _measures(self) -> dict[str, Any]:
+        scores = score(self.rules, self.episode.shortest, self._left, self.body.walked, self._stopped)
+        return {"distance_to_goal": self._left, **scores}
+
+    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
+        turn, length, stop = as_walk(action, self.camera)
+        before = self._left
+        self._walk(turn, length, self.rules.sliding)
+        self._left = self._distance_to_goal()
+        reached = self._left < self.rules.success_distance
+        self._stopped = (stop and self.rules.stop == "call") or (reached and self.rules.stop == "reach")
+        terminated, truncated = self._stopped, self.body.steps >= self.rules.max_steps and not self._stopped
+        info = self._info()
+        gained = before - self._left if math.isfinite(before) and math.isfinite(self._left) else 0.0
+        return self._observation(), gained + info["success"], terminated, truncated, info
+
+
+NAVIGATION = Task(
+    name="navigation",
+    title="Map-Free Navigation",
+    what="start facing away from the thing, and search and walk until it is reached",
+    environment=MapFreeNavigationEnv,
+    rules=NavigationRules,
+    measure=measure,
+    columns=(
+        Column("sr", "SR", "%", "high", "success", "episodes that end at the target", scale=100.0, share=True),
+        Column("spl", "SPL", "%", "high", "spl", "success weighted by path length", scale=100.0),
+        Column("soft_spl", "SoftSPL", "%", "high", "soft_spl", "progress weighted by path length", scale=100.0),
+        Column("steps", "Steps", "", "low", "steps", "mean number of steps"),
+        Column("undone", "Undone", "%", "low", "undone", "steps that lead back to where the body was", scale=100.0),
+        Column("mae", "MAE", "°", "low", "mae", "mean direction error"),
+        Column(
+            "seam_success", "Seam", "%", "high", "success", "success where the true bearing crossed the seam",
+            scale=100.0, share=True, only_if="seam_crossings",
+        ),
+        Column(
+            "seam_start", "Seam start", "%", "high", "success",
+            "success of the episodes that begin with the thing within 5 degrees of the seam, the same for all methods",
+            scale=100.0, share=True, only_if="starts_at_seam",
+        ),
+        COVERAGE,
+    ),
+    headline="sr",
+    strata={"visible": "Target in sight at the start", "way": "Way to the target"},
+    walked=True,
+    listed=plan_listed,
+)  # fmt: skip

@@ -1,0 +1,293 @@
+"""The test that every world has to pass: for plugins, and for ours.
+
+Most faulty worlds have faulty frames: Y up, a mirrored picture, a transposed pose, ranges along the camera's axis. Each
+check finds one such mistake, and says what to change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import cast
+
+import numpy as np
+
+from eagor.errors import WorldError
+from eagor.grids import ErpGrid
+from eagor.lab.worlds import SimulatedScene, View, World, ground_of, view_of
+from eagor.lab.worlds.render import Frame
+from eagor.lab.worlds.scene import STRUCTURE, Scene
+from eagor.lab.worlds.walkable import Walkable
+from eagor.media.panorama import turn
+from eagor.queries import COLOURS
+from eagor.sphere import direction
+from eagor.sphere import world_R_body as pose_of
+
+EYE = 1.25  # metres above the floor: height of the camera
+FREE = 1.0  # square metres on which a body has to be able to stand
+NEAR = 0.05  # metres: tolerance of the floor at z = 0, and of an instance's bounds
+RADIUS = 0.18  # metres: of the body for which there has to be room
+LOOSE = 0.1  # metres, and this share of the range: tolerance of points in a picture
+INSIDE = 0.95  # share of the pixels of an instance that have to show points within its bounds
+SPOTS = 9  # places from which the floor is looked at
+ALIKE = 0.02  # share of pixels that may differ between two pictures that should be the same
+STEP = 0.25  # share of the range by which the camera moves to check ranges
+AZIMUTHS = np.radians([-135.0, -75.0, -45.0, 45.0, 105.0, 135.0])  # directions of these moves, mostly off the axes
+
+
+def check_world(
+    world: World | View, seed: int = 0, *, position: tuple[float, float, float] = (0.0, 0.0, 0.0), rows: int = 32
+) -> None:
+    """Raise `AssertionError` unless `world` keeps the contract for this `seed`.
+
+    A world that makes a `Scene` or a `SimulatedScene` must make the same one again. It must have a floor at z = 0 to
+    stand on, names that can be asked for, at least one thing with a unique name, and bounds that fit the triangles or,
+    without triangles, what is seen. Panoramas of `rows` rows (an
+    even number) from a free place, or of a `View` (a photograph, another renderer) from `position`, metres, must have
+    the right shapes and types, be reproducible, turn and tilt with the camera, and have ranges that shrink by the
+    distance that the camera moves.
+    """
+    if isinstance(world, View):
+        _check_view(world, position, rows)
+        return
+    scene = cast(World, world)(seed)
+    _require(
+        isinstance(scene, Scene | SimulatedScene),
+        f"made a {type(scene).__name__} of seed {seed}; wanted a Scene (eagor.lab.worlds.scene)",
+    )
+    again = cast(World, world)(seed)
+    _require(
+        scene.hash == again.hash,
+        f"made scene {scene.hash} of seed {seed}, then {again.hash}; wanted the same each time: draw everything from "
+        "np.random.default_rng(seed), and nothing from what was made before",
+    )
+    _check_names(scene)
+    if isinstance(scene, Scene):
+        _check_bounds(scene)
+    ground, view = _check_floor(scene), view_of(scene)
+    rng, roomy = np.random.default_rng(seed), float(ground.clearance[ground.free].max()) / 2
+    x, y = ground.sample(rng, roomy).tolist()
+    position = (x, y, ground.height(np.array([x, y])) + EYE)
+    _check_view(view, position, rows)
+    if not isinstance(scene, Scene):
+        spots = [ground.sample(rng, roomy) for _ in range(SPOTS)]
+        _check_seen(scene, view, [(*xy.tolist(), ground.height(xy) + EYE) for xy in spots], rows)
+
+
+def _check_names(scene: Scene | SimulatedScene) -> None:
+    """Check that categories and colours are words of queries, and that something can be asked for."""
+    for index, thing in enumerate(scene.instances):
+        _require(
+            bool(thing.category) and thing.category == " ".join(thing.category.lower().split()),
+            f"calls instance {index} {thing.category!r}; wanted lower-case words with single spaces, such as "
+            "'coffee table': queries are compared with them",
+        )
+        _require(
+            thing.colour is None or thing.colour in COLOURS,
+            f"gives instance {index} ({thing.category}) the colour {thing.colour!r}; wanted None or one of "
+            f"{', '.join(COLOURS)}: choose the nearest",
+        )
+    things = [thing for thing in scene.instances if thing.category not in STRUCTURE]
+    names = Counter((thing.category, thing.colour) for thing in things)
+    _require(
+        1 in names.values(),
+        f"has {len(things)} things besides {', '.join(STRUCTURE)}, but none with a unique category and colour; wanted "
+        "at least one: tasks have to be able to ask for something. Add a thing, or a colour",
+    )
+
+
+def _check_bounds(scene: Scene) -> None:
+    """Check that the bounds of each instance are those of its triangles."""
+    for index, thing in enumerate(scene.instances):
+        mine = scene.vertices[scene.triangles[scene.instance == index]].reshape(-1, 3)
+        _require(
+            len(mine) > 0,
+            f"has no triangle for instance {index} ({thing.name}); wanted at least one: leave out invisible instances",
+        )
+        low, high = mine.min(axis=0), mine.max(axis=0)
+        off = float(max(np.abs(low - thing.low).max(), np.abs(high - thing.high).max()))
+        _require(
+            off <= NEAR,
+            f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, {off:.2f} m off "
+            f"its triangles; wanted {_point(low)} to {_point(high)}, metres, world frame",
+        )
+
+
+def _check_seen(scene: SimulatedScene, view: View, positions: list[tuple[float, float, float]], rows: int) -> None:
+    """Check, in panoramas from these places, that the floor is below, and things within their bounds."""
+    directions = ErpGrid(rows, 2 * rows).directions
+    below, inside = [], np.zeros((2, len(scene.instances)))  # pixels of each instance: all, and those within its bounds
+    for position in positions:
+        frame = view.panorama(position, np.eye(3), rows, rgb=False)
+        if frame.range is None:
+            return
+        below.append(float(np.median(frame.range[-1])) * abs(float(directions[-1, 0, 2])) - EYE)
+        if frame.ids is None:
+            continue
+        hit = np.isfinite(frame.range) & (frame.ids >= 0)
+        ids, metres = frame.ids[hit], frame.range[hit][:, None].astype(np.float64)
+        _require(
+            not len(ids) or int(ids.max()) < len(scene.instances),
+            f"shows the id {ids.max(initial=0)}, but has {len(scene.instances)} instances; wanted their indices",
+        )
+        points, loose = np.array(position) + metres * directions[hit], LOOSE + 0.02 * metres
+        low, high = (np.array([getattr(thing, end) for thing in scene.instances])[ids] for end in ("low", "high"))
+        fits = ((points >= low - loose) & (points <= high + loose)).all(axis=1)
+        inside += [np.bincount(ids, minlength=inside.shape[1]), np.bincount(ids[fits], minlength=inside.shape[1])]
+    off = float(np.median(below))
+    _require(
+        abs(off) <= NEAR,
+        f"shows the floor {EYE + off:.2f} m below the camera (median), which stands {EYE:g} m above the ground; wanted "
+        "the same: z = 0 is the floor, and the ground's height is that of the surface",
+    )
+    for index, thing in enumerate(scene.instances):
+        seen, fits = inside[:, index]
+        _require(
+            fits >= INSIDE * seen,
+            f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, but shows "
+            f"{100 * (1 - fits / max(seen, 1)):.0f} % of its pixels outside; wanted at most {100 * (1 - INSIDE):.0f} "
+            "%: bounds are metres of the world frame, and ids are indices of the list of instances",
+        )
+
+
+def _check_floor(scene: Scene | SimulatedScene) -> Walkable:
+    """Check that there is a floor at z = 0, and room to stand on it."""
+    try:
+        ground = ground_of(scene, RADIUS)
+    except WorldError as error:
+        raise AssertionError(
+            f"the world has no ground: {error}. Wanted level triangles at z = 0, metres, z up (not Y up)"
+        ) from error
+    _require(
+        abs(ground.floor) <= NEAR,
+        f"has its floor at z = {ground.floor:.2f} m; wanted 0, where cameras and trackers expect it: move the scene",
+    )
+    area = float(ground.free.sum()) * ground.cell**2
+    _require(
+        area >= FREE,
+        f"lets a body of radius {ground.radius:g} m stand on {area:.2f} square metres; wanted at least {FREE:g}. Are "
+        "the lengths metres? Is everything blocked below 1.5 m?",
+    )
+    return ground
+
+
+def _check_view(view: View, position: tuple[float, float, float], rows: int) -> None:
+    """Check that the view from `position` is a correct panorama."""
+    ahead = np.eye(3)
+    frame = view.panorama(position, ahead, rows)
+    _check_frame(frame, rows)
+    again = _image(view.panorama(position, ahead, rows))
+    here = _image(frame)
+    worst = _unlike(here, again)
+    _require(
+        worst <= ALIKE,
+        f"shows {100 * worst:.0f} % of the pixels differently in a second look; wanted the same picture: no noise, and "
+        "no state that a look changes",
+    )
+    # A quarter turn to the left: everything moves a quarter of the image to the right.
+    left = _image(view.panorama(position, pose_of(math.pi / 2), rows))
+    right, wrong = (_unlike(left, np.roll(here, columns, axis=1)) for columns in (rows // 2, -(rows // 2)))
+    hint = "; it turns the wrong way: is the picture mirrored, or world_R_body transposed?" if wrong <= ALIKE else ""
+    _require(
+        right <= ALIKE,
+        f"shows {100 * right:.0f} % of the pixels elsewhere than a quarter of the image to the right after the camera "
+        f"has turned to the left by 90 degrees; wanted at most {100 * ALIKE:.0f} %{hint}. The middle of the image "
+        "looks along +x of the body, its left half to +y",
+    )
+    _check_tilt(view, position, rows, here)
+    if frame.range is not None:
+        _check_ranges(view, position, rows, frame.range)
+
+
+def _check_frame(frame: Frame, rows: int) -> None:
+    """Check shapes, types and values of one panorama."""
+    _require(isinstance(frame, Frame), f"shows a {type(frame).__name__}; wanted an eagor.lab.worlds.render.Frame")
+    _require(
+        frame.rgb is not None or frame.ids is not None,
+        "shows neither rgb nor ids, though both were asked for; wanted at least one of them",
+    )
+    for name, part, shape, kinds in (
+        ("rgb", frame.rgb, (rows, 2 * rows, 3), "u"),
+        ("range", frame.range, (rows, 2 * rows), "f"),
+        ("ids", frame.ids, (rows, 2 * rows), "i"),
+    ):
+        if part is not None:
+            fits = part.shape == shape and part.dtype.kind in kinds and (name != "rgb" or part.dtype == np.uint8)
+            kind = {"u": "uint8 (sRGB)", "f": "floating point (metres)", "i": "signed integers"}[kinds]
+            _require(fits, f"shows {name} of shape {part.shape}, type {part.dtype}; wanted {shape}, {kind}")
+    if frame.range is not None:
+        _require(
+            bool((frame.range > 0).all()),
+            f"shows ranges down to {np.min(frame.range):g} m; wanted all above 0, inf for no hit, no NaN",
+        )
+    if frame.ids is not None:
+        lowest = int(frame.ids.min())
+        _require(lowest >= -1, f"shows ids down to {lowest}; wanted indices of the list of instances, and -1 for none")
+
+
+def _check_tilt(view: View, position: tuple[float, float, float], rows: int, here: np.ndarray) -> None:
+    """Check that the picture tilts with the camera: it has to be closer to the true tilt than to any other."""
+    pose = pose_of(0.0, math.radians(35.0), math.radians(25.0))
+    tilted = _image(view.panorama(position, pose, rows)).astype(np.float64)
+    others = {
+        "the camera does not tilt": np.eye(3),
+        "it tilts the wrong way: is world_R_body taken for its transpose?": pose,
+        "nose up is taken for nose down": pose_of(0.0, -math.radians(35.0), math.radians(25.0)).T,
+        "it rolls the wrong way": pose_of(0.0, math.radians(35.0), -math.radians(25.0)).T,
+    }
+    still = here.astype(np.float64)
+    weights = ErpGrid(rows, 2 * rows).weights
+
+    def off(new_R_old: np.ndarray) -> float:
+        gap = np.abs(turn(still, new_R_old) - tilted)
+        return float((gap.mean(axis=-1) * weights).sum() if gap.ndim == 3 else (np.minimum(gap, 1) * weights).sum())
+
+    wanted, rivals = off(pose.T), {why: off(matrix) for why, matrix in others.items()}
+    why = min(rivals, key=lambda name: rivals[name])
+    _require(
+        wanted <= rivals[why],
+        f"does not show the view of a camera with its nose 35 degrees down and its right side 25 degrees down "
+        f"({why}); wanted the panorama turned by world_R_body.T: direction_body = world_R_body.T @ direction_world",
+    )
+
+
+def _check_ranges(view: View, position: tuple[float, float, float], rows: int, range: np.ndarray) -> None:
+    """Check that ranges shrink by the distance moved towards a thing: metres, along the ray, in the world frame."""
+    grid = ErpGrid(rows, 2 * rows)
+    x, y, _ = grid.project(direction(AZIMUTHS, np.full(len(AZIMUTHS), -0.1)))
+    found = []
+    for row, column in zip(y.astype(int), x.astype(int), strict=True):
+        before = float(range[row, column])
+        if not math.isfinite(before):
+            continue
+        there = np.asarray(position) + STEP * before * grid.directions[row, column]
+        after = view.panorama((float(there[0]), float(there[1]), float(there[2])), np.eye(3), rows, rgb=False).range
+        found.append(math.nan if after is None else float(after[row, column]) / before)
+    if found:
+        left = float(np.median(found))
+        _require(
+            abs(left - (1 - STEP)) <= 0.02,
+            f"shows things at {100 * left:.0f} % of their range after the camera has moved {100 * STEP:.0f} % of the "
+            f"way to them; wanted {100 * (1 - STEP):.0f} %: ranges are metres from the camera along the ray (not depth "
+            "along an axis), and position is in metres of the world frame, x and y level, z up",
+        )
+
+
+def _image(frame: Frame) -> np.ndarray:
+    """The part of pictures that is compared: colour if there is one, otherwise ids."""
+    return frame.rgb if frame.rgb is not None else cast(np.ndarray, frame.ids)
+
+
+def _unlike(a: np.ndarray, b: np.ndarray) -> float:
+    """The share of pixels that differ by more than rounding."""
+    gap = np.abs(a.astype(np.int64) - b.astype(np.int64))
+    return float(((gap.max(axis=-1) if gap.ndim == 3 else gap) > (2 if gap.ndim == 3 else 0)).mean())
+
+
+def _point(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in values) + ")"
+
+
+def _require(holds: bool, text: str) -> None:
+    if not holds:
+        raise AssertionError(f"the world {text}")

@@ -1,0 +1,486 @@
+"""Scenes as GLB (binary glTF 2.0): import of any, export of ours.
+
+glTF has Y up: our (x, y, z) is its (x, z, -y), see `eagor.conventions.to_gltf`. Beside `<name>.glb` an export writes
+
+- `<name>.semantic.json`: the instances of the triangles, and everything else that does not fit into GLB;
+- `<name>.stage_config.json`: for Habitat, which assumes Z up for any bare GLB;
+- `<name>.navmesh.json`: Habitat's NavMeshSettings for the same body as `eagor.lab.worlds.ground`.
+
+habitat-lab makes its own mesh of a scene, with voxels of 0.05 m that are 0.2 m high. Recast, which does it, counts them
+from the lowest corner of the scene, and puts the mesh on top of the voxel that a floor is in: a scene that begins at
+its floor has its mesh 0.2 m above it, which habitat-lab counts as distance. Exported scenes begin `FOOTING` below their
+floor: there the mesh is `ON_MESH` above it.
+
+Textures in KTX2 and geometry in Draco are not supported: they are imported as plain colour, or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+
+from eagor._checks import parsed, shown
+from eagor._extras import need
+from eagor._files import written
+from eagor._srgb import to_coded, to_linear
+from eagor.conventions import from_gltf, to_gltf
+from eagor.errors import WorldError
+from eagor.lab.worlds.ground import floor_height, level_triangles
+from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
+from eagor.media.panorama import FORMATS, decoded_bytes
+from eagor.queries import COLOURS, SYNONYMS, singular
+
+__all__ = ["export_glb", "import_glb"]
+
+LAB_VOXEL = 0.2  # metres: the height of habitat-lab's voxels
+ON_MESH = 0.01  # metres of habitat-lab's mesh above the floor of an exported scene: rugs are in the same voxel
+FOOTING = LAB_VOXEL - ON_MESH  # metres below the floor at which an exported scene begins ...
+FOOTING_NODE = "eagor_footing"  # ... with this node, which is no thing
+LEVEL = 0.05  # metres: triangles this close to the height of the floor are part of it
+SHRUNK = 0.5  # side of the footing in those of the triangle above it: no corner of it shows at the edge of the floor
+# What a stage configuration says of a scene of ours: a GLB has Y up, which Habitat does not assume.
+STAGE = {
+    "up": [0, 1, 0], "front": [0, 0, -1], "units_to_meters": 1.0, "is_collidable": True, "shader_type": "flat",
+}  # fmt: skip
+
+# Words of node names without meaning: of modelling programs, and of places.
+_EMPTY_WORDS = {
+    "mesh", "node", "object", "obj", "geometry", "geom", "primitive", "default", "group", "root", "scene", "world",
+    "model", "material", "instance", "sm", "lod", "polysurface", "gltf", "armature", "collection", "untitled", "north",
+    "south", "east", "west", "left", "right", "front", "back", "upper", "lower", "top", "bottom", "inner", "outer",
+    "interior", "exterior",
+}  # fmt: skip
+_DARK = 0.02  # linear: a darker colour cannot carry the light of a lamp
+# A few kilobytes can ask for anything: nodes that share a mesh, accessors without data, blank textures. So the size of
+# the result is computed before memory is allocated.
+_FREE_ENTRIES = 2_000_000  # corners, indices and similar entries allowed for any file, and for larger files ...
+_ENTRIES_PER_BYTE = 1  # ... three times the need of a file without shared parts
+_FREE_BYTES = 1 << 27  # decoded bytes of pictures allowed for any file, and for larger files ...
+_BYTES_PER_BYTE = 600  # ... this per byte of the file
+_DEEPEST = 256  # nesting of nodes
+
+
+def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
+    """Category and colour in the first meaningful name ("RedChair.001": a red chair; default "object")."""
+    for name in names:
+        apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+        words = [word for word in re.findall(r"[a-z]+", apart.lower()) if len(word) > 1 and word not in _EMPTY_WORDS]
+        first = SYNONYMS.get(words[0], words[0]) if words else None  # "gray" is "grey"
+        colour = first if len(words) > 1 and first in COLOURS else None
+        words = words[1:] if colour else words
+        if words:
+            return singular(" ".join(words)), colour
+    return "object", None
+
+
+def _names(scene: Scene) -> list[str]:
+    """The names of the materials in a file: they are all different."""
+    return [f"{index} {material.name}" for index, material in enumerate(scene.materials)]
+
+
+def _write_exactly(tree: dict[str, Any], ours: Mapping[str, Material]) -> None:
+    """Write colours and emission into the JSON of a glTF as linear numbers, which trimesh rounds to 8 bits."""
+    for entry in tree.get("materials", []):
+        material = ours[entry["name"]]
+        linear = to_linear(np.asarray(material.colour, dtype=np.float64))
+        entry["pbrMetallicRoughness"]["baseColorFactor"] = [*linear.tolist(), 1.0]
+        if material.emission > 0:
+            light = linear * material.emission
+            strength = max(1.0, float(light.max()))
+            entry["emissiveFactor"] = (light / strength).tolist()
+            if strength > 1:
+                entry["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
+                tree["extensionsUsed"] = ["KHR_materials_emissive_strength"]
+
+
+def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
+    """trimesh's material (or None) as ours, with the JSON `entries`; `pixels` caches decoded pictures by identity."""
+    if pbr is None:
+        return Material("default")
+    name = str(getattr(pbr, "name", None) or "material")
+    same = [entry for entry in entries if entry.get("name") == name]
+    entry = same[0] if len(same) == 1 else {}
+    rounded = getattr(pbr, "baseColorFactor", None)
+    linear = np.ones(3) if rounded is None else np.asarray(rounded, dtype=np.float64)[:3] / 255
+    linear = np.asarray(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", linear), dtype=np.float64)[:3]
+    image = getattr(pbr, "baseColorTexture", None)
+    if image is not None and id(image) not in pixels:
+        pixels[id(image)] = np.asarray(image.convert("RGB"))
+    texture = None if image is None else pixels[id(image)]
+    light = getattr(pbr, "emissiveFactor", None)
+    light = np.zeros(3) if light is None else np.asarray(light, dtype=np.float64)
+    extension = entry.get("extensions", {}).get("KHR_materials_emissive_strength", {})
+    light = light * float(extension.get("emissiveStrength", 1.0))
+    emission = 0.0
+    if light.max() > 0 and linear.max() < _DARK:  # a lamp of black material: its light is its colour
+        linear, emission = light / light.max(), float(light.max())
+    elif light.max() > 0:
+        emission = float(light.max() / linear.max())
+    red, green, blue = to_coded(np.clip(linear, 0, 1)).tolist()
+    return Material(name, (red, green, blue), texture, emission)
+
+
+def voxel_for(radius: float, cell: float) -> float:
+    """The size (metres) of voxels of about `cell` of which a whole number makes up the radius of a body.
+
+    Recast, which makes the meshes, rounds the radius up to whole voxels: with 0.05 m it keeps a body of 0.18 m off the
+    walls by 0.20 m.
+    """
+    return round(radius / max(1, round(radius / cell)) * (1 + 1e-6), 9) if radius > 0 else cell
+
+
+def footing_of(corners: np.ndarray, floor: float) -> np.ndarray:
+    """A triangle ``(3, 3)`` that puts habitat-lab's mesh `ON_MESH` above the floor: metres, z up, facing down.
+
+    `corners` ``(n, 3, 3)``: the triangles of the scene, of which those at the height `floor` are its floor. It lies
+    below the largest of them, out of sight, and a whole number of voxels lower if the scene goes deeper.
+    """
+    z = corners[..., 2]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    largest = corners[np.where(np.abs(z - floor).max(axis=1) < LEVEL, np.abs(normals[:, 2]), -1.0).argmax()]
+    voxels = max(0, math.ceil((floor - FOOTING - float(z.min())) / LAB_VOXEL))
+    found = largest[::-1] if np.cross(*(largest[1:] - largest[:1]))[2] > 0 else largest.copy()
+    found = found.mean(axis=0) + SHRUNK * (found - found.mean(axis=0))
+    found[:, 2] = floor - FOOTING - voxels * LAB_VOXEL
+    return found
+
+
+def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Path:
+    """Write a scene to the file `target` (.glb), and its companions beside it; returns the path of the GLB.
+
+    Each material of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has
+    several. `<name>.navmesh.json` is for a body of this `radius` (metres) that is as high and climbs as
+    `Ground.from_scene` takes it for; its voxels are of about the size of a cell there and fit the radius. Existing
+    files are overwritten. Raises `StorageError` if a file cannot be written.
+    """
+    target = Path(target)
+    blob, nodes = _blob(scene)
+    written(target, blob)
+    navmesh = {
+        "cell_size": voxel_for(radius, 0.05), "cell_height": 0.05, "agent_height": 1.5, "agent_radius": radius,
+        "agent_max_climb": 0.12, "agent_max_slope": 45.0,
+    }  # fmt: skip
+    semantic = {
+        "format": "eagor semantic 1", "glb_sha256": hashlib.sha256(blob).hexdigest(), "scene_hash": scene.hash,
+        "source": scene.source,
+        "instances": [vars(thing) | {"nodes": found} for thing, found in zip(scene.instances, nodes, strict=True)],
+        "materials": [
+            {"gltf": name, "name": material.name, "colour": material.colour, "emission": float(material.emission)}
+            for name, material in zip(_names(scene), scene.materials, strict=True)
+        ],
+        "rooms": [vars(room) for room in scene.rooms], "lamps": [vars(lamp) for lamp in scene.lamps],
+        "daylight": scene.daylight, "facts": scene.facts,
+    }  # fmt: skip
+    stage = {"render_asset": target.name, "collision_asset": target.name, **STAGE}
+    for kind, content in (("semantic", semantic), ("stage_config", stage), ("navmesh", navmesh)):
+        text = json.dumps(content, indent=1, default=lambda array: array.tolist())
+        written(target.with_suffix(f".{kind}.json"), text + "\n")
+    return target
+
+
+def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
+    """A scene as the content of a GLB, and the names of the nodes of each instance."""
+    need("a GLB file", "sim", "trimesh")
+    import trimesh
+    from PIL import Image
+    from trimesh.exchange.gltf import export_glb as to_bytes
+    from trimesh.visual.material import PBRMaterial
+    from trimesh.visual.texture import TextureVisuals
+
+    ours = dict(zip(_names(scene), scene.materials, strict=True))
+    looks = []
+    for name, look in ours.items():
+        image = None if look.texture is None else Image.fromarray(np.ascontiguousarray(look.texture[..., :3]))
+        glow = image if look.emission > 0 else None
+        looks.append(
+            PBRMaterial(
+                name=name, baseColorTexture=image, emissiveTexture=glow, metallicFactor=0.0, roughnessFactor=1.0,
+                doubleSided=True,
+            )
+        )  # fmt: skip
+    parts = np.unique(np.stack([scene.instance, scene.material], axis=1), axis=0)
+    several = np.bincount(parts[:, 0], minlength=len(scene.instances)) > 1
+    model = trimesh.Scene()
+    nodes: list[list[str]] = [[] for _ in scene.instances]
+    for owner, look in parts.tolist():
+        chosen = (scene.instance == owner) & (scene.material == look)
+        corners = [scene.vertices[scene.triangles[chosen]].reshape(-1, 3), scene.uv[chosen].reshape(-1, 2)]
+        # One vertex for each pair of position and texture coordinates.
+        distinct, index = np.unique(np.column_stack(corners).astype(np.float32), axis=0, return_inverse=True)
+        visual = TextureVisuals(uv=distinct[:, 3:], material=looks[look])
+        mesh = trimesh.Trimesh(to_gltf(distinct[:, :3]), index.reshape(-1, 3), visual=visual, process=False)
+        name = re.sub(r"\W+", "_", scene.instances[owner].category) + f"_{owner}" + f"_m{look}" * bool(several[owner])
+        nodes[owner].append(name)
+        model.add_geometry(mesh, node_name=name, geom_name=name)
+    corners = scene.vertices[scene.triangles].astype(np.float64)
+    level = level_triangles(corners)
+    if level[0].any():
+        below = footing_of(corners, floor_height(corners, *level))
+        mesh = trimesh.Trimesh(to_gltf(below), [[0, 1, 2]], process=False)
+        model.add_geometry(mesh, node_name=FOOTING_NODE, geom_name=FOOTING_NODE)
+    return to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: _write_exactly(tree, ours)), nodes
+
+
+# --- import -----------------------------------------------------------------------------------------------------------
+
+
+def import_glb(path: Path | str) -> Scene:
+    """The scene in a GLB (or .gltf) file, converted from Y up to z up; its position is kept.
+
+    With the semantic JSON of `export_glb` beside it, instances, rooms, lamps and materials are restored exactly;
+    `facts["exported hash"]` is the hash of the exported scene, if the GLB was not changed since. Without it every node
+    with triangles is an instance; its category and colour (if any) come from the words of its name or of a parent's.
+    Normals, vertex colours and all textures except the base colour's are ignored. Missing texture coordinates become
+    (0, 0), missing materials white.
+
+    Raises `WorldError` if the file is missing, empty, corrupt or without triangles, or does not fit the JSON.
+    """
+    path = Path(path)
+    blob = _read(path)
+    parts, materials = _load(path, blob)
+    companion = path.with_suffix(".semantic.json")
+    if companion.is_file():
+        try:
+            return _annotated(path, parts, materials, msgspec.convert(parsed(companion.read_bytes()), _Told), blob)
+        except (WorldError, ValueError, msgspec.ValidationError) as error:
+            raise WorldError(
+                f"{companion} cannot be used ({str(error)[:300]}); wanted what export_glb writes; export again, or "
+                "remove it to import the GLB by itself"
+            ) from error
+    corners = [part.vertices[part.triangles].reshape(-1, 3) for part in parts]
+    instances = [
+        Instance(*name_from_nodes(part.names), None, where.min(axis=0), where.max(axis=0))
+        for part, where in zip(parts, corners, strict=True)
+    ]
+    looks = np.array([part.material for part in parts])
+    return _joined(path, parts, np.arange(len(parts)), looks, instances, materials)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The triangles of a node, in our frame. `names`: its own, its parents', and its mesh's."""
+
+    names: tuple[str, ...]
+    vertices: np.ndarray
+    triangles: np.ndarray
+    uv: np.ndarray
+    material: int
+
+
+def _read(path: Path) -> bytes:
+    try:
+        blob = path.read_bytes()
+    except OSError as error:
+        raise WorldError(f"{path} cannot be read: {error.strerror}; wanted a GLB file") from error
+    if not blob:
+        raise WorldError(f"{path} is empty; wanted a GLB file. Was the download or the export cut off?")
+    if path.suffix.lower() != ".gltf" and not blob.startswith(b"glTF"):
+        lfs = blob.startswith(b"version https://git-lfs")
+        pointer = " This is a Git LFS pointer: run `git lfs pull`." if lfs else ""
+        raise WorldError(f"{path} starts with {blob[:8]!r}, wanted a GLB file, which starts with b'glTF'.{pointer}")
+    return blob
+
+
+def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
+    """The parts of a file, and its materials."""
+    need("a GLB file", "sim", "trimesh")
+    import trimesh
+
+    try:
+        text = path.suffix.lower() == ".gltf"
+        tree = parsed(blob if text else blob[20 : 20 + int.from_bytes(blob[12:16], "little")])
+        size = _size(path, tree, blob)
+        _check_tree(tree, size)
+        model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
+        looks = [getattr(getattr(mesh, "visual", None), "material", None) for mesh in model.geometry.values()]
+        _check_pictures((getattr(look, "baseColorTexture", None) for look in looks), size)
+        entries, pixels = tree.get("materials", []), {}
+        parts, materials, known = [], [], {}
+        for mesh in model.dump():  # with the transforms of their nodes
+            node, geometry = mesh.metadata["node"], mesh.metadata["name"]
+            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING_NODE:
+                continue
+            pbr = getattr(model.geometry[geometry].visual, "material", None)
+            if id(pbr) not in known:
+                known[id(pbr)] = len(materials)
+                materials.append(from_pbr(pbr, entries, pixels))
+            names = (*model.graph.transforms.shortest_path(model.graph.base_frame, node)[:0:-1], str(geometry))
+            parts.append(_part(mesh, names, known[id(pbr)]))
+    except Exception as error:  # trimesh may raise anything
+        if isinstance(error, WorldError):
+            raise WorldError(f"{path}: {error}") from error
+        raise WorldError(
+            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {str(error)[:300]}); is it complete? "
+            "Export it again"
+        ) from error
+    if not parts:
+        raise WorldError(f"{path} holds no triangles; wanted a GLB with at least one mesh")
+    return parts, materials
+
+
+def _size(path: Path, tree: Any, blob: bytes) -> int:
+    """Bytes of the file, including the files beside a .gltf."""
+    beside = [str(part.get("uri", "")) for kind in ("buffers", "images") for part in tree.get(kind, [])]
+    files = {path.parent / name for name in beside if name and len(name) < 256 and not name.startswith("data:")}
+    return len(blob) + sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _part(mesh: Any, names: tuple[str, ...], material: int) -> _Part:
+    vertices, triangles = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise WorldError(
+            f"triangles of node {names[0]!r} point outside its {len(vertices)} vertices; the GLB is corrupt"
+        )
+    uv = getattr(mesh.visual, "uv", None)
+    uv = np.zeros((len(vertices), 2)) if uv is None or np.shape(uv) != (len(vertices), 2) else np.asarray(uv)
+    return _Part(names, from_gltf(vertices).astype(np.float32), triangles, uv[triangles].astype(np.float32), material)
+
+
+Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Triple = tuple[Finite, Finite, Finite]
+
+
+class Thing(msgspec.Struct):
+    """An instance in a semantic JSON: `nodes` are those of its triangles."""
+
+    category: str
+    low: Triple
+    high: Triple
+    colour: str | None = None
+    room: str | None = None
+    nodes: list[str] = []
+
+    def instance(self) -> Instance:
+        return Instance(self.category, self.colour, self.room, np.array(self.low), np.array(self.high))
+
+
+class Area(msgspec.Struct):
+    """A room in a semantic JSON."""
+
+    name: str
+    kind: str
+    rectangles: list[tuple[Finite, Finite, Finite, Finite]]
+
+    def made(self) -> Room:
+        return Room(self.name, self.kind, np.array(self.rectangles).reshape(-1, 4))
+
+
+class _Look(msgspec.Struct):
+    gltf: str
+    name: str
+    colour: Triple
+    emission: Finite
+
+
+class _Light(msgspec.Struct):
+    position: Triple
+    power: Triple
+
+
+class _Told(msgspec.Struct):
+    """What `export_glb` writes beside a GLB."""
+
+    format: Literal["eagor semantic 1"]
+    glb_sha256: str
+    scene_hash: str
+    instances: list[Thing]
+    materials: list[_Look]
+    rooms: list[Area]
+    lamps: list[_Light]
+    daylight: Triple
+    facts: dict[str, Any]
+
+
+def _annotated(path: Path, parts: list[_Part], materials: list[Material], told: _Told, blob: bytes) -> Scene:
+    """The exported scene, from its parts and the semantic JSON."""
+    owner = {name: index for index, thing in enumerate(told.instances) for name in thing.nodes}
+    by_name = {part.names[0]: part for part in parts}
+    place = {look.gltf: index for index, look in enumerate(told.materials)}
+    strange = {*owner} ^ {*by_name} or {material.name for material in materials} - {*place}
+    if strange:
+        raise WorldError(
+            f"{path.name} and its semantic JSON do not have the same nodes and materials: "
+            f"{shown(', '.join(sorted(strange)[:3]), 200)} only in one of the two"
+        )
+    parts = [by_name[name] for name in owner]
+    textures = {material.name: material.texture for material in materials}
+    looks = np.array([place[materials[part.material].name] for part in parts])
+    owners = np.array([owner[part.names[0]] for part in parts])
+    exact = [Material(look.name, look.colour, textures.get(look.gltf), look.emission) for look in told.materials]
+    facts = dict(told.facts)
+    if told.glb_sha256 == hashlib.sha256(blob).hexdigest():
+        facts["exported hash"] = told.scene_hash
+    return _joined(
+        path, parts, owners, looks, [thing.instance() for thing in told.instances], exact,
+        rooms=tuple(area.made() for area in told.rooms),
+        lamps=tuple(Lamp(np.array(light.position), np.array(light.power)) for light in told.lamps),
+        daylight=told.daylight, facts=facts,
+    )  # fmt: skip
+
+
+def _joined(
+    path: Path, parts: list[_Part], owners: np.ndarray, looks: np.ndarray,
+    instances: list[Instance], materials: list[Material], **more: Any,
+) -> Scene:  # fmt: skip
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    counts = [len(part.triangles) for part in parts]
+    return Scene(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]).astype(np.int32),
+        np.repeat(owners, counts).astype(np.int32), np.repeat(looks, counts).astype(np.int32),
+        np.concatenate([part.uv for part in parts]), tuple(instances), tuple(materials), source=f"glb {path.name}",
+        **more,
+    )  # fmt: skip
+
+
+def _check_tree(tree: Any, size: int) -> None:
+    """Raise `WorldError` if the JSON of a file of `size` bytes in total asks for too much."""
+    counts = [int(entry["count"]) for entry in tree.get("accessors", [])]
+    meshes = [sum(_corners(part, counts) for part in mesh["primitives"]) for mesh in tree.get("meshes", [])]
+    nodes = tree.get("nodes", [])
+    asked = sum(counts) + sum(meshes[node["mesh"]] for node in nodes if "mesh" in node)
+    most = max(_FREE_ENTRIES, _ENTRIES_PER_BYTE * size)
+    if min(counts, default=0) < 0 or asked > most:
+        raise WorldError(f"its nodes ask for {asked} corners and indices, in {size} bytes; wanted at most {most}")
+    _check_nest(nodes)
+
+
+def _check_pictures(pictures: Iterable[Any], size: int) -> None:
+    """Raise `WorldError` for pictures of unusual formats, or too large for a file of `size` bytes."""
+    found = {id(picture): picture for picture in pictures if picture is not None}
+    for picture in found.values():
+        if picture.format not in (*FORMATS, "MPO"):  # MPO: a JPEG with more in it
+            raise WorldError(f"it has a texture in the format {picture.format}; wanted PNG, JPEG or WebP")
+    asked, most = sum(decoded_bytes(picture) for picture in found.values()), max(_FREE_BYTES, _BYTES_PER_BYTE * size)
+    if asked > most:
+        raise WorldError(f"its textures have {asked} bytes when decoded; wanted at most {most}")
+
+
+def _corners(primitive: Mapping[str, Any], counts: list[int]) -> int:
+    used = (primitive["attributes"].get("POSITION"), primitive.get("indices"))
+    return sum(counts[index] for index in used if index is not None)
+
+
+def _check_nest(nodes: list[Any]) -> None:
+    children = {index: node.get("children", []) for index, node in enumerate(nodes)}
+    height: dict[int, int] = {}  # of the tree below each node, itself included
+    try:
+        for index in TopologicalSorter(children).static_order():  # children first
+            height[index] = 1 + max((height[child] for child in children[index]), default=0)
+    except CycleError as error:
+        raise WorldError(
+            f"{len(error.args[1]) - 1} of its {len(nodes)} nodes are in a cycle; export it again"
+        ) from None
+    if max(height.values(), default=0) > _DEEPEST:
+        raise WorldError(f"its nodes are nested {max(height.values())} deep; wanted at most {_DEEPEST}")

@@ -1,0 +1,434 @@
+"""The ground plan of a scene: where a round body can stand, path lengths, and steps with collisions.
+
+A grid of square cells in the world frame (x along columns, y along rows, metres). A cell is *free* if it has a floor
+and no obstacle within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts. All
+distances are of paths over free cells.
+
+Which cells a triangle touches between two heights is exact and conservative (`touched`): it is clipped to the slab and
+projected, and a cell counts if its square meets the projection (separating axes). So neither a thin wall nor a chair
+leg falls between samples. A face exactly between two cells, as walls on round numbers, counts for the one behind it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from eagor._values import lazy
+from eagor.errors import WorldError
+from eagor.lab.worlds.scene import STRUCTURE, Instance, Room, Scene
+from eagor.lab.worlds.walkable import CellGraph, Field, Walls, cells_of, pulled
+
+_INWARD = 1e-3  # in cells: shift of a face to its back
+_TOUCH = 1e-4  # in cells: smaller overlaps do not count, to be safe from rounding
+_AT_ONCE = 400_000  # candidate cells tested together; bounds the memory
+BESIDE = 0.75  # metres from which one can reach a piece of furniture
+STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
+_NEAREST = 4000  # points tried if no room tells on which side of the walls a thing is
+_LARGEST = 4_000_000  # cells; 100 m x 100 m at 5 cm
+_CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are closed
+_AROUND = np.array([(c, r) for r in (-1, 0, 1) for c in (-1, 0, 1)])
+_BESIDE_CORNER = {0: (1, 3), 2: (1, 5), 6: (3, 7), 8: (5, 7)}  # places in _AROUND: no way leads through a closed corner
+
+
+def touched(
+    corners: np.ndarray, low: float, high: float, origin: np.ndarray, cell: float, shape: tuple[int, int]
+) -> np.ndarray:
+    """Cells ``(rows, cols)`` bool that the part of the triangles with low < z < high touches.
+
+    `corners` ``(n, 3, 3)`` metres; `origin` ``(2,)``: the low corner of cell (0, 0); rows along y, columns along x.
+    """
+    mask = np.zeros(shape, dtype=bool)
+    z = corners[:, :, 2]
+    bottom, top = z.min(axis=1), z.max(axis=1)
+    flat = top - bottom < 1e-9
+    meets = np.where(flat, (bottom > low) & (bottom < high), (top > low) & (bottom < high))
+    inside = meets & (bottom >= low) & (top <= high)
+    whole, cut = (_in_cells(corners[chosen], origin, cell) for chosen in (inside, meets & ~inside))
+    _mark(mask, whole[:, :, :2])
+    _mark(mask, _clip(_clip(cut, low, 1.0), -high, -1.0)[:, :, :2])
+    return mask
+
+
+def level_triangles(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which triangles ``(n, 3, 3)`` are level within 45 degrees, which look up, and their areas."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    double = np.linalg.norm(normal, axis=1)
+    return (np.abs(normal[:, 2]) > 0.7071 * double) & (double > 0), normal[:, 2] > 0, double / 2
+
+
+def floor_height(corners: np.ndarray, level: np.ndarray, upward: np.ndarray, area: np.ndarray) -> float:
+    """0 if there is a floor at 0, otherwise the height of the lowest large level surface."""
+    chosen = level & upward if (level & upward).any() else level
+    if not chosen.any():
+        return 0.0
+    heights, areas = corners[chosen][:, :, 2].mean(axis=1), area[chosen]
+    levels, bins = np.unique(np.round(heights / 0.05), return_inverse=True)
+    total = np.bincount(bins, weights=areas)
+    large = levels[total >= 0.5 * total.max()]
+    if 0 in large:
+        return 0.0
+    within = levels[bins] == large[0]
+    return float(np.average(heights[within], weights=areas[within]))
+
+
+def _in_cells(corners: np.ndarray, origin: np.ndarray, cell: float) -> np.ndarray:
+    """Triangles with x and y in cells, z in metres, shifted a little to their back."""
+    corners = corners.astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    inward = _INWARD * normal[:, :2] / np.where(length > 0, length, 1.0)
+    corners[:, :, :2] = (corners[:, :, :2] - origin) / cell - inward[:, None]
+    return corners
+
+
+def _clip(polygons: np.ndarray, limit: float, sign: float) -> np.ndarray:
+    """The parts ``(n, k + 1, 3)`` with sign z >= limit of convex polygons ``(n, k, 3)``; the last corner repeats."""
+    count, sides = polygons.shape[:2]
+    if count == 0:
+        return np.zeros((0, sides + 1, 3))
+    height = sign * polygons[:, :, 2] - limit
+    following = np.roll(height, -1, axis=1)
+    inside = height >= 0
+    crossing = inside != (following >= 0)
+    step = np.where(crossing, height - following, 1.0)
+    share = (height / step)[:, :, None]
+    between = polygons + share * (np.roll(polygons, -1, axis=1) - polygons)
+    # Sutherland and Hodgman: every edge gives its start if that is inside, then its crossing. Valid ones go first.
+    points = np.stack([polygons, between], axis=2).reshape(count, 2 * sides, 3)
+    valid = np.stack([inside, crossing], axis=2).reshape(count, 2 * sides)
+    order = np.argsort(~valid, axis=1, kind="stable")[:, : sides + 1]
+    last = np.clip(valid.sum(axis=1) - 1, 0, sides)
+    order = np.take_along_axis(order, np.minimum(np.arange(sides + 1), last[:, None]), axis=1)
+    return np.take_along_axis(points, order[:, :, None], axis=1)[valid.any(axis=1)]
+
+
+def _mark(mask: np.ndarray, polygons: np.ndarray) -> None:
+    """Mark the cells that convex polygons ``(n, k, 2)``, in cells, touch."""
+    rows, cols = mask.shape
+    limit = np.array([cols, rows])
+    first = np.floor(polygons.min(axis=1) + _TOUCH)
+    last = np.maximum(first, np.floor(polygons.max(axis=1) - _TOUCH))
+    near = ((last >= 0) & (first < limit)).all(axis=1)
+    polygons = polygons[near]
+    first = np.clip(first[near], 0, limit - 1).astype(np.int64)
+    size = np.clip(last[near], 0, limit - 1).astype(np.int64) - first + 1
+    # A polygon within one row or one column of cells touches all cells of its box.
+    simple = (size == 1).any(axis=1)
+    _each_cell(mask, first[simple], size[simple], None)
+    _each_cell(mask, first[~simple], size[~simple], polygons[~simple])
+
+
+def _each_cell(mask: np.ndarray, first: np.ndarray, size: np.ndarray, polygons: np.ndarray | None) -> None:
+    ends = np.cumsum(size[:, 0] * size[:, 1])
+    start = 0
+    while start < len(first):
+        before = ends[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(ends, before + _AT_ONCE, side="right")))
+        width, height = size[start:stop, 0], size[start:stop, 1]
+        counts = width * height
+        owner = np.repeat(np.arange(stop - start), counts)
+        local = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+        col = first[start:stop, 0][owner] + local % width[owner]
+        row = first[start:stop, 1][owner] + local // width[owner]
+        if polygons is not None:
+            met = _meets(polygons[start:stop], owner, col + 0.5, row + 0.5)
+            col, row = col[met], row[met]
+        mask[row, col] = True
+        start = stop
+
+
+def _meets(polygons: np.ndarray, owner: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Whether the unit square about (x, y) meets polygon `owner`: no edge normal separates the two."""
+    met = np.ones(len(owner), dtype=bool)
+    for side in range(polygons.shape[1]):
+        edge = np.roll(polygons, -1, axis=1)[:, side] - polygons[:, side]
+        length = np.hypot(edge[:, 0], edge[:, 1])
+        normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1) / np.where(length > 1e-12, length, 1.0)[:, None]
+        normal[length <= 1e-12] = 0.0  # a repeated corner separates nothing
+        along = np.einsum("nkj,nj->nk", polygons, normal)
+        half = 0.5 * np.abs(normal).sum(axis=1) - _TOUCH * (length > 1e-12)
+        low, high = along.min(axis=1) - half, along.max(axis=1) + half
+        place = x * normal[owner, 0] + y * normal[owner, 1]
+        met &= (place >= low[owner]) & (place <= high[owner])
+    return met
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Free cells ``(rows, cols)`` bool and `clearance` ``(rows, cols)``: metres to the nearest obstacle or edge.
+
+    `structure` ``(rows, cols)`` bool: cells with a wall, door or window. `floor`: height of the floor in metres.
+    `radius`: of the body. Cell (0, 0) has its low corner at `origin` ``(2,)``. Cells at the border are never free.
+    """
+
+    origin: np.ndarray
+    cell: float
+    radius: float
+    floor: float
+    free: np.ndarray
+    clearance: np.ndarray
+    structure: np.ndarray
+    rooms: tuple[Room, ...] = ()
+
+    @classmethod
+    def from_scene(
+        cls, scene: Scene, *, cell: float = 0.05, radius: float = 0.18,
+        height: float = 1.5, climb: float = 0.12, floor: float | None = None,
+    ) -> Ground:  # fmt: skip
+        """The ground of a scene, for a body of `radius` and `height` that walks over obstacles lower than `climb`.
+
+        Obstacles are all triangles between `climb` and `height` above the floor. The floor is level surfaces within
+        `climb` of the height `floor`; by default 0 if the scene has a floor there, otherwise its lowest large level
+        surface. Raises `WorldError` if there is no floor, no free cell, or too large a floor for such cells.
+        """
+        if not (0 < cell <= 1 and radius >= 0 and 0 <= climb < height):
+            raise WorldError(
+                f"cell = {cell}, radius = {radius}, climb = {climb}, height = {height}; wanted a cell above 0 and at "
+                "most 1 m, no negative radius, and 0 <= climb < height"
+            )
+        corners = scene.vertices[scene.triangles].astype(np.float64)
+        level, upward, area = level_triangles(corners)
+        floor = floor_height(corners, level, upward, area) if floor is None else float(floor)
+        slab = floor - max(climb, 0.1), floor + max(climb, 0.1)
+        z = corners[:, :, 2]
+        floors = corners[level & (z.max(axis=1) > slab[0]) & (z.min(axis=1) < slab[1])]
+        if len(floors) == 0:
+            raise WorldError(
+                f"{scene.source} has no level surface near z = {floor:g} m; pass floor=, the height of its floor"
+            )
+        low, high = floors[:, :, :2].min(axis=(0, 1)), floors[:, :, :2].max(axis=(0, 1))
+        origin = low - 2 * cell
+        cols, rows = (int(n) for n in np.ceil((high - origin) / cell) + 2)
+        if rows * cols > _LARGEST:
+            raise WorldError(
+                f"the floor of {scene.source} is {high[0] - low[0]:.0f} m x {high[1] - low[1]:.0f} m: {rows * cols} "
+                f"cells of {cell} m, wanted at most {_LARGEST}; raise cell, or leave the terrain out of the scene"
+            )
+        grid = origin, cell, (rows, cols)
+        crack = math.ceil(_CRACK / cell / 2)
+        covered = np.pad(touched(floors, *slab, *grid), crack)
+        has_floor = np.asarray(ndimage.binary_closing(covered, iterations=crack), dtype=bool)
+        has_floor = has_floor[crack:-crack, crack:-crack]
+        structural = np.array([thing.category in STRUCTURE for thing in scene.instances])[scene.instance]
+        body = floor + climb, floor + height
+        structure = touched(corners[structural], *body, *grid)
+        blocked = structure | touched(corners[~structural], *body, *grid) | ~has_floor
+        blocked[[0, -1]] = blocked[:, [0, -1]] = True
+        clearance = np.asarray(ndimage.distance_transform_edt(~blocked)) * cell
+        free = largest_area((clearance >= radius) & ~blocked)
+        if not free.any():
+            raise WorldError(
+                f"nowhere in {scene.source} can a body of radius {radius:g} m stand; wanted some floor at z = "
+                f"{floor:g} m with nothing above it up to {height:g} m. Lower radius, or pass floor="
+            )
+        return cls(origin, cell, radius, floor, free, clearance, structure, scene.rooms)
+
+    # --- points ---
+
+    @property
+    def points(self) -> np.ndarray:
+        """The centres ``(n, 2)`` of the free cells, in reading order."""
+        return self._centres
+
+    def height(self, xy: np.ndarray) -> float:
+        """Height of the ground under a point: that of the floor, which is level."""
+        return self.floor
+
+    def is_free(self, xy: np.ndarray) -> np.ndarray:
+        """Whether the body can stand at points ``(..., 2)``; False off the plan and for NaN."""
+        _, (row, col), known = cells_of(xy, self.origin, self.cell, self.free.shape)
+        return known & self.free[row, col]
+
+    def centres(self, cells: np.ndarray) -> np.ndarray:
+        """Points ``(..., 2)`` at the centres of cells ``(..., 2)``, which are rows and columns."""
+        return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * self.cell
+
+    def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
+        """The free point ``(2,)`` nearest to a point; None if there is none `within` this many metres, and for NaN."""
+        xy = np.asarray(xy, dtype=np.float64)
+        if not np.isfinite(xy).all():
+            return None
+        if self.is_free(xy):
+            return xy.copy()
+        low = self.origin + self._graph.nodes[:, ::-1] * self.cell
+        margin = 1e-6 * self.cell  # off the edge of the cell, which belongs to its neighbour
+        nearest = np.clip(xy, low + margin, low + self.cell - margin)
+        away = np.hypot(*(nearest - xy).T)
+        best = int(away.argmin())
+        return nearest[best] if away[best] <= within else None
+
+    def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
+        """A free point ``(2,)``, uniform over the cells of at least this `clearance` (m). `WorldError` if none."""
+        cells = np.argwhere(self.free & (self.clearance >= clearance))
+        if len(cells) == 0:
+            raise WorldError(
+                f"no free cell has a clearance of {clearance:g} m; the most is {self.clearance[self.free].max():.2f} m"
+            )
+        place = cells[rng.integers(len(cells))][::-1] + rng.uniform(0.001, 0.999, size=2)
+        return self.origin + place * self.cell
+
+    # --- distances ---
+
+    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> Field:
+        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``, metres; each starts at its offset ``(n,)`` or 0.
+
+        Points that are not free are ignored: if none is free, every distance is inf.
+        """
+        points, starts = checked_goals(points, offsets)
+        stand = self.is_free(points)
+        points, starts = points[stand], starts[stand]
+        # The cells about each point start at their own distance from it.
+        place = (points - self.origin) / self.cell
+        around = np.floor(place).astype(np.intp)[:, None] + _AROUND
+        away = np.hypot(*np.moveaxis(around + 0.5 - place[:, None], -1, 0)) + starts[:, None] / self.cell
+        index = self._graph.index[around[..., 1], around[..., 0]]
+        usable = index >= 0
+        for corner, (one, other) in _BESIDE_CORNER.items():
+            usable[:, corner] &= usable[:, one] & usable[:, other]
+        return self._spread(index[usable], away[usable])
+
+    def field_to_places(self, places: np.ndarray) -> Field:
+        """Distances to the nearest of places ``(n, 3)`` at the feet, metres: of those on this floor that are free."""
+        places = np.asarray(places, dtype=np.float64).reshape(-1, 3)
+        return self.field(places[np.abs(places[:, 2] - self.floor) <= STOREY, :2])
+
+    def at_points(self, way: Field) -> np.ndarray:
+        """Metres ``(n,)`` of a field of this ground at all `points`."""
+        return way.metres[self.free]
+
+    def footprint(self, instance: Instance) -> Field:
+        """Distances to the footprint of an instance, metres, via points `beside` it; inf everywhere without any."""
+        seeds, away = self._beside(instance)
+        return self._spread(seeds, away / self.cell)
+
+    def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
+        """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint, metres.
+
+        A point is beside it if it is within 0.75 m and its line to the nearest point of the footprint crosses no wall,
+        door or window. A thing against or on a wall shares cells with it, so crossings close to the end do not count,
+        unless the point lies outside the room of the thing: walls may be thin. If no point is beside (a vase in the
+        middle of a large table), the result is the points of the same room that are at most 0.75 m farther than the
+        nearest of them; without rooms, those with a clear line.
+        """
+        places, away = self._beside(instance)
+        return self.points[places], away
+
+    def _beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
+        """Indices of the points `beside` an instance among the free cells, and their distances."""
+        points = self.points
+        nearest = np.clip(points, instance.low[:2], instance.high[:2])
+        away = np.hypot(*(nearest - points).T)
+        room = next((room for room in self.rooms if room.name == instance.room), None)
+        close = np.flatnonzero(away <= BESIDE)
+        anywhere, early = self._crossings(points[close], nearest[close])
+        clear = ~early
+        if room is not None:
+            clear &= ~anywhere | room.contains(*points[close].T)
+        seeds = close[clear]
+        if len(seeds) == 0:
+            x, y, _ = instance.centre
+            room = room or next((other for other in self.rooms if other.contains(x, y)), None)
+            if room is not None:
+                seeds = np.flatnonzero(room.contains(*points.T))
+            else:
+                seeds = np.argsort(away, kind="stable")[:_NEAREST]
+                seeds = seeds[~self._crossings(points[seeds], nearest[seeds])[1]]
+            seeds = seeds[away[seeds] <= away[seeds].min(initial=np.inf) + BESIDE]
+        return seeds, away[seeds]
+
+    def _crossings(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whether lines ``(n, 2)`` cross structure: anywhere, and farther than a cell and a half from their ends."""
+        gap = np.hypot(*(ends - starts).T)
+        count = max(2, math.ceil(float(gap.max(initial=0.0)) / self.cell * 4) + 1)
+        share = np.linspace(0.0, 1.0, count)
+        line = starts[:, None] + share[:, None] * (ends - starts)[:, None]
+        rows, cols = self.structure.shape
+        col, row = np.moveaxis(np.floor((line - self.origin) / self.cell).astype(np.intp), -1, 0)
+        hit = np.asarray(self.structure)[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+        early = (1 - share) * gap[:, None] > 1.5 * self.cell
+        return np.any(hit, axis=1), np.any(hit & early, axis=1)
+
+    def _spread(self, seeds: np.ndarray, offsets: np.ndarray) -> Field:
+        return Field(self.origin, self.cell, self._graph.spread(seeds, offsets) * self.cell)
+
+    @lazy
+    def _graph(self) -> CellGraph:
+        return CellGraph(self.free)
+
+    @lazy
+    def _centres(self) -> np.ndarray:
+        return self.centres(self._graph.nodes)
+
+    @lazy
+    def _walls(self) -> Walls:
+        return Walls(self.free.astype(np.uint8).tobytes(), self.clearance.ravel().tolist(), self.free.shape[1])
+
+    def path(self, start: np.ndarray, goal: np.ndarray | Field) -> np.ndarray:
+        """The shortest path ``(n, 2)`` from a free point to another, or down a field to its goal.
+
+        Taut, over free cells only. With the field of a footprint it ends at the free cell beside it. Raises
+        `WorldError` if the start is not free or there is no path.
+        """
+        field = goal if isinstance(goal, Field) else self.field(goal)
+        x, y = (float(value) for value in start)
+        row, col = self._cell_of(x, y)
+        if not math.isfinite(field.metres[row, col]):
+            raise WorldError(
+                f"there is no path from ({x:.2f}, {y:.2f}) to the goal; is it free ground? snap() finds some"
+            )
+        cells = self._graph.descend(field.metres / self.cell, row, col)
+        ox, oy = float(self.origin[0]), float(self.origin[1])
+        points = [((x - ox) / self.cell, (y - oy) / self.cell), *((c + 0.5, r + 0.5) for r, c in cells)]
+        if not isinstance(goal, Field):
+            points.append(((float(goal[0]) - ox) / self.cell, (float(goal[1]) - oy) / self.cell))
+        taut = pulled(points, self._walls.sees)
+        return self.origin + np.array(taut) * self.cell
+
+    # --- steps ---
+
+    def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = True) -> tuple[np.ndarray, bool]:
+        """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided. Metres.
+
+        A blocked step loses its component into the wall (`slide`), or the body stops. The end is always free, and never
+        farther away than the length of the step. Raises `WorldError` if the start is not free or the step not finite.
+        """
+        x, y, dx, dy = float(xy[0]), float(xy[1]), float(step[0]), float(step[1])
+        if not math.isfinite(dx + dy):
+            raise WorldError(f"step = ({dx}, {dy}); wanted two finite numbers, metres")
+        self._cell_of(x, y)
+        (ox, oy), cell = self.origin.tolist(), self.cell
+        x, y, collided = self._walls.move((x - ox) / cell, (y - oy) / cell, dx / cell, dy / cell, slide)
+        # Away from the edges of the cell, where rounding would lead into its neighbours.
+        x, y = (min(max(value, int(value) + 1e-9), int(value) + 1 - 1e-9) for value in (x, y))
+        return np.array((ox + x * cell, oy + y * cell)), collided
+
+    def _cell_of(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column of a free point; raises `WorldError` for any other."""
+        rows, cols = self.free.shape
+        col, row = (x - self.origin[0]) / self.cell, (y - self.origin[1]) / self.cell
+        if not (0 <= col < cols and 0 <= row < rows and self.free[int(row), int(col)]):
+            raise WorldError(f"({x:.3f}, {y:.3f}) is not free ground; start from a free point, such as snap() gives")
+        return int(row), int(col)
+
+
+def checked_goals(points: np.ndarray, offsets: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Points ``(n, 2)`` and where distances to them start ``(n,)``, by default at 0. Raises `WorldError`."""
+    points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    starts = np.zeros(len(points)) if offsets is None else np.array(np.broadcast_to(offsets, len(points)))
+    if points.shape != (len(points), 2) or not (np.isfinite(starts) & (starts >= 0)).all():
+        raise WorldError(
+            f"points have shape {points.shape}, offsets {starts.tolist()}; wanted (n, 2) and finite metres >= 0"
+        )
+    return points, starts
+
+
+def largest_area(free: np.ndarray) -> np.ndarray:
+    """The largest set of cells connected along edges."""
+    labels = np.zeros(free.shape, dtype=np.int32)
+    ndimage.label(free, output=labels)
+    sizes = np.bincount(labels.ravel())[1:]
+    return labels == sizes.argmax() + 1 if len(sizes) else free
