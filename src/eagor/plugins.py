@@ -1,12 +1,11 @@
-"""Plugins: perceptions, cameras, worlds, tasks and benchmarks of other packages, by name.
+"""Plugins: perceptions, cameras, worlds and tasks of other packages, by name.
 
 A package adds its own under an entry-point group in its ``pyproject.toml``; they are known wherever it is installed:
 
 - ``eagor.perceptions``: a class or function that makes a perception (`eagor.perception`);
 - ``eagor.cameras``: a function that makes a source of pictures (`eagor.media.camera_sources`);
 - ``eagor.worlds``: a world, a function from a seed to a scene (`eagor.lab.worlds`);
-- ``eagor.tasks``: a simulated task, an `eagor.lab.tasks.task.Task`;
-- ``eagor.benchmarks``: a benchmark with published data, or a function that makes it (`eagor.lab.tasks.benchmark`).
+- ``eagor.tasks``: a task, simulated or with published data, or a function that makes it (`eagor.lab.tasks.task.Task`).
 
 Ours are known even if the package runs from a folder, without installed metadata. Plugins cannot take our names: such a
 plugin is left out, with a warning when the name is loaded, and in ``eagor doctor``.

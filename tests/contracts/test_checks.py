@@ -2,13 +2,15 @@
 
 import itertools
 import math
+import re
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
-import small_benchmark
+import small_task
 from box_scenes import scene_of, shell, thing
 from rooms import two_rooms
 
@@ -16,11 +18,9 @@ from eagor.errors import EagorError, GridError, ImageError, PoseError, WorldErro
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.lab import worlds
-from eagor.lab.tasks import benchmark as benchmarks
 from eagor.lab.tasks import task as tasks
-from eagor.lab.tasks.benchmark import Case, Figure, check_benchmark
-from eagor.lab.tasks.sim.checking import check_task
-from eagor.lab.tasks.task import load
+from eagor.lab.tasks.sim.checking import check_simulation
+from eagor.lab.tasks.task import Sample, load
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.painted import EYE, Room, paint, painted_room
 from eagor.lab.worlds.render import Frame, Photograph, Renderer
@@ -67,13 +67,13 @@ def test_so_does_the_examples_world(seed):
 )
 @pytest.mark.parametrize("index", [0, *(pytest.param(index, marks=pytest.mark.slow) for index in (1, 2))])
 def test_our_tasks_keep_the_contract_of_tasks(name, settings, index):
-    found = check_task(load(name), seed=3, index=index, settings=settings)
+    found = check_simulation(load(name), seed=3, index=index, settings=settings)
     assert found["success" if name == "navigation" else load(name).headline] == (1.0 if name == "navigation" else 0.0)
 
 
 def test_so_does_the_examples_task_in_its_own_world_and_in_ours():
-    assert check_task(example.TURNTABLE, world="hall")["error"] == 0.0
-    assert check_task(example.TURNTABLE, seed=3, settings={"steps": 8})["last"] == 0.0
+    assert check_simulation(example.TURNTABLE, world="hall")["error"] == 0.0
+    assert check_simulation(example.TURNTABLE, seed=3, settings={"steps": 8})["last"] == 0.0
 
 
 @pytest.mark.parametrize("query", ["brightest", "darkest"])
@@ -258,7 +258,7 @@ def told(**changes):
 
 
 def column(**changes):
-    return replace(TURNTABLE, columns=(replace(TURNTABLE.columns[0], **changes), TURNTABLE.columns[1]))
+    return replace(TURNTABLE, metrics=(replace(TURNTABLE.metrics[0], **changes), TURNTABLE.metrics[1]))
 
 
 @dataclass
@@ -331,11 +331,11 @@ def forgetful():
 
 
 BROKEN_TASKS = {
-    "no task": ("turntable", "is a str; wanted an eagor.lab.tasks.task.Task"),
+    "no task": ("turntable", "is a str; wanted an eagor.lab.tasks.sim.task.SimTask"),
     "a name with a space": (replace(TURNTABLE, name="Turn table"), "wanted lower-case letters and digits"),
-    "no column": (replace(TURNTABLE, columns=()), "wanted at least one"),
-    "a column twice": (replace(TURNTABLE, columns=TURNTABLE.columns[:1] * 2), "each key once"),
-    "no headline": (replace(TURNTABLE, headline="score"), "wanted one of its columns, error, last"),
+    "no column": (replace(TURNTABLE, metrics=()), "wanted at least one"),
+    "a column twice": (replace(TURNTABLE, metrics=TURNTABLE.metrics[:1] * 2), "each key once"),
+    "no headline": (replace(TURNTABLE, headline="score"), "wanted one of its metrics, error, last"),
     "better is less": (column(better="less"), "wanted 'low', 'high' or None"),
     "rules that change": (replace(TURNTABLE, rules=Soft), "wanted a frozen dataclass"),
     "rules without a default": (replace(TURNTABLE, rules=Unset), "Wanted a default for each"),
@@ -368,7 +368,7 @@ BROKEN_TASKS = {
     "a figure that is NaN": (measured(lambda m: m | {"last": math.nan}), "wanted a finite number, or None"),
     "a figure that is missing": (measured(lambda m: {"error": m["error"]}), "wanted also last, which its table shows"),
     "a share of degrees": (
-        replace(measured(lambda m: m | {"error": m["error"] + 0.5}), columns=column(share=True).columns),
+        replace(measured(lambda m: m | {"error": m["error"] + 0.5}), metrics=column(share=True).metrics),
         "wanted 0 or 1 per episode",
     ),
     "better the other way round": (column(better="high"), "wanted the reverse"),
@@ -379,19 +379,22 @@ BROKEN_TASKS = {
 @pytest.mark.parametrize(("task", "says"), BROKEN_TASKS.values(), ids=BROKEN_TASKS)
 def test_the_check_of_tasks_finds(task, says):
     with pytest.raises(AssertionError, match=says) as raised:
-        check_task(task, world="hall")
+        check_simulation(task, world="hall")
     assert "anted" in str(raised.value), "it says what was wanted"
 
 
 def test_a_walked_task_wants_the_figures_that_reports_read():
     navigation = load("navigation")
     broken = replace(navigation, measure=lambda played: {"success": 1.0, "spl": 1.0, "steps": 3, "soft_spl": 1.0})
-    with pytest.raises(AssertionError, match="wanted also coverage, mae, seam_crossings"):
-        check_task(broken, seed=3)
+    with pytest.raises(AssertionError, match="wanted also coverage, mae"):
+        check_simulation(broken, seed=3)
 
 
 def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):
-    with pytest.raises(EagorError, match="no task 'chess'; known are waypoint, navigation, tracking, turntable"):
+    with pytest.raises(
+        EagorError,
+        match="no task 'chess'; known are waypoint, navigation, tracking, hstar-hos, hstar-hps, osr, turntable",
+    ):
         load("chess")
     monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:TURNTABLE")
     with pytest.raises(EagorError, match=r"'spin'.*is the task 'turntable'; wanted .*whose name is that of the entry"):
@@ -460,16 +463,16 @@ def test_the_check_of_perceptions_finds(perception, says):
     assert "wanted" in str(raised.value)
 
 
-# --- benchmarks with one fault ---------------------------------------------------------------------------------------
+# --- tasks with published data, with one fault -----------------------------------------------------------------------
 
 
-class Good(small_benchmark.Numbers):
-    pass
+class Good(small_task.Numbers):
+    """A task whose members a test may replace."""
 
 
 def faulty(faults):
-    """A benchmark whose records have these faults."""
-    return type("Faulty", (Good,), {"settle": lambda self, s: Good.settle(self, s) | {"faults": faults}})()
+    """A task whose records have these faults."""
+    return other(runner=lambda self, config: lambda payload: Good.runner(self, config)(payload) | faults)
 
 
 def other(**members):
@@ -477,56 +480,63 @@ def other(**members):
 
 
 _seen = itertools.count()
-CASES = [Case("a1", "a1", "a", "a1")]
-BROKEN_BENCHMARKS = {
-    "settings with a set": (other(settle=lambda self, s: {"some": {1, 2}}), "which JSON does not preserve"),
-    "settings that grow": (
-        other(settle=lambda self, s: Good.settle(self, s) | {"more": s.get("more", 0) + 1}),
-        "and that again to",
+SAMPLES = [Sample("a1", "a", "a1")]
+BROKEN = {
+    "a config that grows": (
+        other(resolve=lambda self, c: msgspec.structs.replace(c, seed=c.seed + 1)),
+        "to another config the second time",
     ),
-    "no cases": (other(cases=lambda self, data, s: []), "has no cases in"),
-    "an id twice": (other(cases=lambda self, data, s: CASES * 2), "gives several cases the id a1"),
-    "other cases each time": (
-        other(cases=lambda self, data, s: [replace(CASES[0], id=f"a{next(_seen)}")]),
+    "no samples": (other(samples=lambda self, config: []), "has no samples; wanted"),
+    "an id twice": (other(samples=lambda self, config: SAMPLES * 2), "gives several samples the id a1; wanted"),
+    "other samples each time": (
+        other(samples=lambda self, config: [replace(SAMPLES[0], id=f"a{next(_seen)}")]),
         "wanted the same in the same order",
     ),
     "a payload with bytes": (
-        other(cases=lambda self, data, s: [replace(CASES[0], payload=b"a1")]),
-        "gives a1 the payload b'a1'",
+        other(samples=lambda self, config: [replace(SAMPLES[0], payload=b"a1")]),
+        "gives a1 a payload that JSON cannot hold",
     ),
-    "no headline": (
-        other(figures=(Figure("share", "Share", "", lambda record: record["score"]),)),
-        "has 'share' as its first figure",
-    ),
-    "info in words": (other(info=lambda self, data: "three"), "tells info in a str"),
-    "a record with NaN": (faulty({"views": math.nan}), "which JSON does not preserve"),
-    "another case": (faulty({"case": "z9"}), r"wanted \('a1', 'a'\)"),
-    "another cluster": (faulty({"cluster": "z"}), r"wanted \('a1', 'a'\)"),
+    "a record with NaN": (faulty({"views": math.nan}), "which JSON cannot hold"),
+    "another case": (faulty({"case": "z9"}), "records the case z9 of the sample a1; wanted"),
     "a score of 100": (faulty({"score": 100}), r"wanted a number in \[0, 1\], 1 being success"),
     "no score": (faulty({"score": None}), r"wanted a number in \[0, 1\], 1 being success"),
-    "a figure in per cent": (
-        other(figures=(Figure("overall", "Overall", "", lambda record: 100 * record["score"]),)),
-        "reads 100.0 from the record of a1",
-    ),
 }
 
 
-def test_a_small_benchmark_keeps_the_contract(tmp_path):
-    records = check_benchmark(Good(), small_benchmark.write(tmp_path), "right")
+def test_a_small_task_keeps_the_contract(tmp_path):
+    records = tasks.check_task(Good(), data=str(small_task.write(tmp_path)))
     assert [record["score"] for record in records] == [1.0, 1.0, 1.0]
 
 
-def test_a_benchmark_may_be_named_by_its_class_and_has_the_name_that_it_is_found_by(monkeypatch):
-    monkeypatch.setitem(benchmarks.BUILT_IN, "numbers", "small_benchmark:Numbers")
-    assert isinstance(benchmarks.load("numbers"), small_benchmark.Numbers)
-    for name, value, said in (("digits", "small_benchmark:Numbers", "'numbers'"), ("none", "math:pi", "a float")):
-        monkeypatch.setitem(benchmarks.BUILT_IN, name, value)
-        with pytest.raises(EagorError, match=f"{name}.* is .*{said}; wanted"):
-            benchmarks.load(name)
+def test_so_does_a_simulated_one():
+    values = {"perception": "truth", "episodes": 1, "seed": 3, "methods": ["vmf", "eagor"], "rules": {"steps": 8}}
+    (record,) = tasks.check_task(load("tracking"), **values)
+    assert list(record["methods"]) == ["vmf", "eagor"]
 
 
-@pytest.mark.parametrize(("benchmark", "says"), BROKEN_BENCHMARKS.values(), ids=BROKEN_BENCHMARKS)
-def test_the_check_of_benchmarks_finds(benchmark, says, tmp_path):
-    with pytest.raises(AssertionError, match=says) as raised:
-        check_benchmark(benchmark, small_benchmark.write(tmp_path), "right")
-    assert "wanted" in str(raised.value)
+def test_a_task_may_be_named_by_its_class_and_has_the_name_that_it_is_found_by(monkeypatch):
+    monkeypatch.setitem(tasks.BUILT_IN, "numbers", "small_task:Numbers")
+    assert isinstance(load("numbers"), small_task.Numbers)
+    for name, value, says in (("digits", "small_task:Numbers", "'numbers'"), ("none", "math:pi", "a float")):
+        monkeypatch.setitem(tasks.BUILT_IN, name, value)
+        with pytest.raises(EagorError, match=f"{name}.* is .*{says}; wanted"):
+            load(name)
+
+
+@pytest.mark.parametrize(("task", "says"), BROKEN.values(), ids=BROKEN)
+def test_the_check_of_every_task_finds(task, says, tmp_path):
+    with pytest.raises(AssertionError, match=says):
+        tasks.check_task(task, data=str(small_task.write(tmp_path)))
+
+
+def test_a_setting_is_named_with_what_it_can_be(tmp_path):
+    for changes, says in (
+        ({"steps": "many"}, "rules.steps = 'many': Expected `int`, got `str`"),
+        ({"speed": "-1"}, "speed = -1.0; wanted metres per second, above 0"),
+        ({"chess": "1"}, "tracking has no 'chess' to set; it has perception, "),
+    ):
+        with pytest.raises(EagorError, match=re.escape(says)):
+            tasks.read_config(load("tracking"), {}, changes)
+    with pytest.raises(EagorError, match=re.escape("scoring = 'kind'")) as refused:
+        tasks.read_config(load("hstar-hos"), {"data": str(tmp_path)}, {"scoring": "kind"})
+    assert "wanted official, strict (what counts as success)" in str(refused.value)

@@ -17,7 +17,7 @@ from eagor.errors import EagorError, MissingExtraError, WorldError
 from eagor.grids import ErpGrid
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
-from eagor.lab.tasks.sim.checking import check_task
+from eagor.lab.tasks.sim.checking import check_simulation
 from eagor.lab.tasks.task import load as load_task
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.glb import export_glb
@@ -73,7 +73,7 @@ def test_the_world_keeps_the_contract_of_worlds(flat):
     ],
 )
 def test_our_tasks_keep_their_contract_in_it(flat, name, settings):
-    found = check_task(load_task(name), f"habitat:{flat}", seed=2, settings=settings)
+    found = check_simulation(load_task(name), f"habitat:{flat}", seed=2, settings=settings)
     assert found["success" if name == "navigation" else load_task(name).headline] == (
         1.0 if name == "navigation" else 0
     )

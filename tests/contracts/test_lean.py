@@ -179,7 +179,7 @@ def test_base_commands_work(answers):
     assert found["healthy"]
     assert set(found["optional"].values()) == {None}
     assert [each for each in found["install"] if how_to_install("sim") in each]
-    assert found["perceptions"]["scout"] == "wants gymnasium, trimesh, onnxruntime (the extra 'sim')"
+    assert found["perceptions"]["scout"] == "wants gymnasium, jinja2, trimesh, onnxruntime (the extra 'sim')"
     assert found["tasks"]["navigation"] == f"a simulated task needs gymnasium: {how_to_install('sim')}"
     assert abs(json.loads(answers[BASE["locate"]][1])["azimuth_deg"] + 23.4) < 3
     assert len(answers[BASE["track"]][1].splitlines()) >= 2

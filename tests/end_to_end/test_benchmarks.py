@@ -13,16 +13,16 @@ from types import SimpleNamespace
 
 import hstar_data
 import pytest
-import small_benchmark
 from processes import alive, sessions_of, wait_for
 
 from eagor.cli import main
 from eagor.errors import EagorError
 from eagor.lab.eval import log
-from eagor.lab.eval.benchmark_tables import labels_of
-from eagor.lab.eval.benchmarks import Published
-from eagor.lab.eval.page import Curve, Series, line_chart
+from eagor.lab.eval.charts import Curve, Series, line_chart
+from eagor.lab.eval.results import label_of, made, summarise
 from eagor.lab.eval.runner import Outcome, Unit, run
+from eagor.lab.eval.tables import as_text, failed_lines, main_table
+from eagor.lab.tasks import task
 
 TESTS = Path(__file__).parents[1]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
@@ -74,8 +74,8 @@ def test_the_summary_of_a_run(runs):
     _, oracle, ours = runs
     assert (oracle["task"], oracle["agent"], oracle["episodes"], oracle["failed"]) == ("hstar-hos", "oracle", 16, 0)
     assert [oracle[key] for key in ("overall", "easy", "medium", "hard", "official", "strict")] == [100.0] * 6
-    assert (ours["agent"], ours["perception"], ours["clusters"]) == ("eagor", "truth:miss=0.5", 4)
-    low, high = ours["intervals"]["overall"]["wilson"]
+    assert (ours["agent"], ours["perception"], ours["groups"]) == ("eagor", "truth:miss=0.5", 4)
+    low, high = ours["intervals"]["eagor · truth:miss=0.5"]["overall"]
     assert low < ours["overall"] < high or ours["overall"] == high
     assert len(ours["by_turn"]["success"]) == 10
     assert ours["by_turn"]["success"][-1] == pytest.approx(ours["overall"])
@@ -195,7 +195,7 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         "- Run: eagor · truth:miss=0.5",
         "- Run: oracle",
     ]
-    assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 6
+    assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 7
     settings = log.description(place / "ours")
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
@@ -209,33 +209,38 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     part = bench("report", tmp_path / "oracle")
     assert "without --limit and --shard, plays the rest" in " ".join(part.stderr.split())
     assert "1 of 16 cases" in (tmp_path / "oracle" / "report.html").read_text()
-    assert "Cases: 1 of 16 with results, 0 could not be run" in (tmp_path / "oracle" / "tables.md").read_text()
+    assert "Records: 1 of 16 with results, 0 could not be run" in (tmp_path / "oracle" / "tables.md").read_text()
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
     assert "tables.md is not a folder" in refused("report", place / "ours", "--out", tmp_path / "tables.md")
 
 
-def test_a_benchmark_that_names_no_causes_has_failures_all_the_same():
+def numbers(records, monkeypatch):
+    monkeypatch.setitem(task.BUILT_IN, "numbers", "small_task:NUMBERS")
+    return made({"task": "numbers", "agent": "right"}, [{"attempt": 1, **record} for record in records])
+
+
+def test_a_task_that_names_no_causes_has_failures_all_the_same(monkeypatch):
     records = [
         {"key": case, "case": case, "cluster": "a", "status": "ok", "tags": ["odd"], "score": score, "answer": "7"}
         for case, score in (("a1", 1.0), ("a2", 0.0))
     ]
-    records.append({"key": "a3", "status": "failed", "attempt": 2, "error": "torn"})
-    run = Published(small_benchmark.Numbers()).loaded({"task": "numbers"}, records)
-    assert run.summary["causes"] == run.summary["tags"]["odd"]["causes"] == {"wrong": 1}
-    assert run.study.worst(run, None).lines == ["a2  wrong  [odd]  '': 7"]
+    run = numbers([*records, {"key": "a3", "status": "failed", "error": "torn"}], monkeypatch)
+    part = summarise(run)["answers"]["right"]
+    assert part["causes"] == part["tags"]["odd"]["causes"] == {"wrong": 1}
+    assert failed_lines(run) == ["a2  wrong  [odd]  '': 7"]
 
 
-def test_few_clusters_are_said_and_give_no_interval_of_their_own():
+def test_few_clusters_are_said(monkeypatch):
     records = [
-        {"key": f"a{k}", "case": f"a{k}", "cluster": f"c{k % 3}", "status": "ok", "attempt": 1, "score": 0.0}
-        for k in range(4)
+        {"key": f"a{k}", "case": f"a{k}", "cluster": f"c{k % 3}", "status": "ok", "score": 0.0} for k in range(4)
     ]
-    run = Published(small_benchmark.Numbers()).loaded({"task": "numbers", "agent": "right"}, records)
-    report = run.study.report([run])
-    assert "right: 0.0 % (0.0 to 49.0)" in report.lead[0]  # Wilson's
-    assert "Only 3 clusters: intervals that resample so few are too narrow." in report.sheets[0].notes
+    run = numbers(records, monkeypatch)
+    summary = summarise(run)
+    assert summary["intervals"]["right"]["overall"][1] > 60  # none of three clusters succeeded
+    for text in (as_text(run, summary), main_table(run.task, summary).notes):
+        assert "Only 3 clusters: intervals that resample so few are too narrow." in text
 
 
 def test_each_point_of_a_reliability_chart_has_its_mark():
@@ -255,8 +260,8 @@ def test_a_legend_of_long_names_has_one_column_and_models_go_without_their_addre
     long = [f"vlm · endpoint:Qwen/Qwen2.5-VL-{size}B-Instruct" for size in (3, 7, 72)]
     assert height(*long) - height("a", "b", "c") == pytest.approx(32, abs=1)  # two more lines of the legend
     model = "endpoint:Qwen/Qwen2.5-VL-7B-Instruct@http://127.0.0.1:8000/v1?max_tokens=9"
-    summaries = [{"agent": "vlm", "model": model}, {"agent": "eagor", "perception": "truth:miss=0.5"}]
-    assert labels_of(summaries) == [long[1], "eagor · truth:miss=0.5"]
+    assert label_of({"agent": "vlm", "model": model}) == long[1]
+    assert label_of({"agent": "eagor", "perception": "truth:miss=0.5"}) == "eagor · truth:miss=0.5"
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):
@@ -269,7 +274,7 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     at = lines.index("episodes")
     assert [line.split() for line in lines[at + 1 : at + 3]] == [["hos", "16"], ["hps", "0"]]
     assert not any("{" in line for line in lines), "parts are lines, not JSON"
-    assert "holds the data of no known benchmark" in refused("info", tmp_path)
+    assert "holds the data of no known task" in refused("info", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -282,7 +287,7 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--episodes", "2"), "takes no --episodes"),
         (("run", "osr", "--data", "x", "--agent", "oracle", "--walking"), "takes no --walking"),
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
-        (("run", "hstar-hos", "--data", "x", "--labels", "both"), "no option labels"),
+        (("run", "hstar-hos", "--data", "x", "--labels", "both"), "takes no --labels"),
         (("compare", "nowhere", "nowhere"), "no run.json"),
     ],
 )

@@ -14,7 +14,9 @@ from eagor.errors import WorldError
 from eagor.lab.envs.episodes import FileSlot, listed_slots, plan_listed, slot_of
 from eagor.lab.envs.places import load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
-from eagor.lab.eval import log, studies
+from eagor.lab.eval import log
+from eagor.lab.eval.replay import slot_in
+from eagor.lab.eval.results import read
 from eagor.lab.tasks.sim.play import Player
 from eagor.lab.worlds.glb import ON_MESH
 from eagor.lab.worlds.objectnav import read_episodes
@@ -57,7 +59,7 @@ def test_a_run_plays_some_episodes_of_each_scene_and_says_how_they_were_judged(r
         assert "less than 0.1 m along the floor from a view point of the goal" in text
     assert main(["bench", "failures", str(out), "--json"]) == 0
     shown = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert isinstance(slot_of(shown["cases"][0]["unit"]["slot"]), FileSlot)
+    assert isinstance(slot_in(read(out), shown["cases"][0]["case"]), FileSlot)
 
 
 def test_each_measure_is_that_of_the_recorded_path(run, file):
@@ -91,7 +93,7 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
 
 def test_a_unit_played_again_is_the_same(run):
     out, _ = run
-    told = studies.read(out)
+    told = read(out)
     record = next(each for each in told.records if each["key"].endswith("eagor"))
     again = Player(dict(told.settings)).play(slot_of(record["episode"]["slot"]), ["eagor"])
     assert again["methods"]["eagor"]["path"] == record["methods"]["eagor"]["path"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 from osr_apartments import LEAST, views, write_scene
 
-from eagor.lab.tasks.benchmark import load
-from eagor.lab.tasks.osr.play import work
+from eagor.lab.tasks.task import configure, load
 
 SEED = 30
 
@@ -30,23 +30,16 @@ def test_views_are_the_same_each_time_and_see_enough() -> None:
 
 
 def test_true_contacts_answer_almost_all_that_is_clear(scenes: Path) -> None:
-    bench = load("osr")
-    settings = bench.settle(
-        {
-            "data": str(scenes),
-            "agent": "eagor",
-            "perception": "truth",
-            "labels": "corrected",
-            "skill": "relative_direction",
-        }
-    )
-    do = work(settings)
-    records = [do(case.payload) for case in bench.cases(scenes, settings)]
+    task = load("osr")
+    values = {"data": str(scenes), "agent": "eagor", "perception": "truth"}
+    config = configure(task, values, {"labels": "corrected", "skill": "relative_direction"})
+    do = task.runner(config)
+    records = [do(sample.payload) for sample in task.samples(config)]
     clear = [record["score"] for record in records if "clear" in record["tags"]]
     assert len(clear) >= 40
     assert sum(clear) / len(clear) >= 0.9
-    unit = work(settings | {"range": "unit"})
-    blind = [unit(case.payload)["score"] for case in bench.cases(scenes, settings)]
+    unit = task.runner(msgspec.structs.replace(config, range="unit"))
+    blind = [unit(sample.payload)["score"] for sample in task.samples(config)]
     assert sum(blind) / len(blind) < 0.8
 
 

@@ -24,7 +24,7 @@ from eagor.lab.agents.methods import (
     make_method,
     tracker_config,
 )
-from eagor.lab.eval.page import DARK, LIGHT, STYLES
+from eagor.lab.eval.charts import DARK, LIGHT, STYLES
 from eagor.sphere import FORWARD, world_R_body
 from eagor.tracking.config import TrackerConfig
 

@@ -16,7 +16,7 @@ from eagor.lab.agents.floor_map import CONTACT, FLOOR, UNKNOWN
 from eagor.lab.envs.places import Place
 from eagor.lab.envs.rules import Camera
 from eagor.lab.eval import scenes
-from eagor.lab.eval.studies import write_report
+from eagor.lab.eval.report import write_report
 from eagor.lab.worlds import ground_of, view_of
 from eagor.sphere import world_R_body
 

@@ -20,7 +20,7 @@ from starlette.datastructures import Headers
 from eagor.errors import EagorError, ImageError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.lab.eval.study import LoadedRun
+from eagor.lab.eval.results import Run
 from eagor.lenses import PinholeLens
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
@@ -311,12 +311,12 @@ def test_a_run_is_found_by_its_name_alone(tmp_path):
     ("settings", "says"),
     [
         ({"task": "navigation"}, "no episode has a result, 2 could not be run"),
-        ({"kind": "benchmark"}, "still pictures"),
+        ({"agent": "eagor"}, "still pictures"),
     ],
 )
 def test_a_run_of_which_no_episode_can_be_shown_says_why(settings, says):
     failed = [{"key": f"e{k}", "attempt": 1, "status": "failed", "error": "no"} for k in range(2)]
-    run = LoadedRun(SimpleNamespace(name="some task"), settings, failed, {"failed": 2})
+    run = Run(SimpleNamespace(name="some task"), settings, failed)
     assert not runs.episodes_of(run)["playable"]
     with pytest.raises(EagorError, match=says):
         runs.episode_of(run, None)

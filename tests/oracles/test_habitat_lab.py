@@ -10,8 +10,8 @@ from listed_rooms import exported
 
 from eagor.cli import main
 from eagor.conventions import from_gltf, pose_from_habitat, rotation_from_xyzw
-from eagor.lab.eval import studies
-from eagor.lab.eval.samples import finished
+from eagor.lab.eval import results
+from eagor.lab.tasks.task import finished
 from eagor.lab.worlds.objectnav import read_episodes, spelt
 
 pytestmark = [
@@ -57,7 +57,7 @@ def test_its_measures_of_our_paths_are_ours(file, found, tmp_path, method):
     words = ["bench", "run", "navigation", "--perception", "truth", "--methods", method, "--episodes-file", str(file),
              "--out", str(tmp_path), "--set", "max_steps=6"]  # fmt: skip
     assert main(words) == 0
-    run = studies.read(tmp_path)
+    run = results.read(tmp_path)
     rows = habitat_lab.differences(run.settings, finished(run.records), found)
     assert len(rows) == 12
     for ours, theirs in rows.values():

@@ -15,13 +15,13 @@ from strategies import HOSTILE
 
 from eagor._checks import parsed
 from eagor.lab.eval import log
-from eagor.lab.tasks.benchmark import Case
 from eagor.lab.tasks.hstar.bench import HOS
 from eagor.lab.tasks.hstar.data import read_episodes, read_scenes
 from eagor.lab.tasks.hstar.rules import View, normalised, parse_action, submit_succeeds
 from eagor.lab.tasks.osr.data import load
 from eagor.lab.tasks.osr.scoring import SKILLS, distance_label, lenient, score
 from eagor.lab.tasks.osr.sightings import read_depth, read_room, sightings
+from eagor.lab.tasks.task import Sample, read_config
 from eagor.perception.vlm.answers import parse_boxes, parse_presence
 
 ANNOTATION = [
@@ -242,8 +242,8 @@ def test_predictions_are_judged_or_refused(line):
     episode = {"id": "hall/0/0", "scene": "hall", "entry": 0, "kind": "hos", "task": "Find it", "yaw": [40, 70],
                "pitch": [-15, 10], "start": 0.0, "level": 1, "panorama": {"path": "x", "member": ""},
                "others": []}  # fmt: skip
-    case = Case("hall/0/0", "hall", "hall/0", {"episode": episode, "siblings": []})
-    record = reads(lambda: HOS.judge(case, prediction, {"scoring": "official", "form": "free_think"}))
+    sample = Sample("hall/0/0", "hall", {"episode": episode, "siblings": []})
+    record = reads(lambda: HOS.score(sample, prediction, read_config(HOS, {"data": "."})))
     if record is not None:
         assert record["score"] in (0.0, 1.0)
         assert log.as_line({"key": "hall/0/0", "attempt": 1, "status": "ok", **record})

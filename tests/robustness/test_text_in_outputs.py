@@ -12,24 +12,23 @@ from eagor._tables import as_csv
 from eagor.cli import main
 from eagor.drawing.still import draw_errors
 from eagor.lab.eval import log
-from eagor.lab.eval.sheets import Box, Row, Sheet
-from eagor.lab.eval.study import markdown
+from eagor.lab.eval.page import Cell, Row, Table, markdown
 from eagor.lab.worlds.painted import painted_room
 
 EVIL = "<script>alert(1)</script> ![x](http://e.x/p) | `a` \\"
 
 
 def test_markdown_shows_names_as_they_are():
-    sheet = Sheet(
-        EVIL, (EVIL, EVIL), (Row(EVIL, (Box(EVIL, EVIL),), "ours"), Row(EVIL, (Box(EVIL),))), (EVIL, "a\n# b")
+    table = Table(
+        EVIL, (EVIL, EVIL), (Row(EVIL, (Cell(EVIL, EVIL),), "ours"), Row(EVIL, (Cell(EVIL),))), (EVIL, "a\n# b")
     )
-    text = markdown(EVIL, [(EVIL, EVIL)], [sheet])
+    text = markdown(EVIL, [(EVIL, EVIL)], [table])
     assert "<script" not in text
     assert "](" not in text.replace("\\](", "")
     assert "\n# b" not in text
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert [line.replace("\\|", "").count("|") for line in rows] == [3] * 4
-    assert "p < 0.05" in markdown("t", [], [Sheet("t", ("a",), (), ("p < 0.05",))])
+    assert "p < 0.05" in markdown("t", [], [Table("t", ("a",), (), ("p < 0.05",))])
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "=HYPERLINK(1)"])

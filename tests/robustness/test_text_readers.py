@@ -14,8 +14,9 @@ from strategies import HOSTILE
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
-from eagor.lab.eval import benchmarks, log
+from eagor.lab.eval import log
 from eagor.lab.eval.labelled_looks import read_truth
+from eagor.lab.eval.predictions import _predicted
 from eagor.media.pose_files import read_poses
 from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx import read_labels
@@ -213,9 +214,7 @@ def test_descriptions_of_runs(folder, blob):
 def test_predictions(folder, blob):
     path = folder / "predictions.jsonl"
     path.write_bytes(blob)
-    found = reads(
-        lambda: benchmarks._predicted(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot")
-    )
+    found = reads(lambda: _predicted(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot"))
     assert found is None or set(found) <= {"a/0/0", "b/0/0"}
 
 

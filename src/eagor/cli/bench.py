@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -28,7 +28,8 @@ from eagor.cli.results import BenchCompare, BenchFailures, BenchReport
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
-    from eagor.lab.eval.study import Planned, Study
+    from eagor.lab.eval.results import Run
+    from eagor.lab.tasks.task import Task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,27 +178,23 @@ class Bench:
     ]
 
 
-SEED = 2000
 PERCEPTION = "scout"
-# Options that only benchmarks with published data have, and those that only simulated tasks have.
-PUBLISHED_ONLY = ("data", "agent", "model", "scoring", "labels", "limit", "shard")
-SIMULATED_ONLY = (
-    "methods", "episodes", "episodes_file", "scenes", "ablations", "walking", "latency", "world", "rows", "detector",
+FLAGS = ("scoring", "labels")  # fields of some tasks' configs that have a flag of their own
+GIVEN = (  # fields that have a flag of the same name
+    "perception", "data", "agent", "model", "methods", "episodes", "episodes_file", "scenes", "seed", "world", "rows",
 )  # fmt: skip
-FLAGS = ("scoring", "labels")  # options of benchmarks that have a flag of their own
 
 
 def listed(options: BenchList) -> int:
     """``eagor bench list``."""
     from eagor.lab import worlds
-    from eagor.lab.eval.studies import SIMULATED, offers
 
-    found = offers()
+    found = {name: _described(name, broken) for name, broken in _known().items()}
     if options.json:
         terminal.emit(found)
         return terminal.OK
-    simulated = {name: entry for name, entry in found.items() if entry["kind"] == SIMULATED}
     print("Simulated, no data needed (eagor bench run TASK)")
+    simulated = {name: entry for name, entry in found.items() if "agents" not in entry}
     terminal.columns(
         {name: entry.get("what", f"not available ({entry.get('unavailable')})") for name, entry in simulated.items()}
     )
@@ -205,11 +202,7 @@ def listed(options: BenchList) -> int:
     for name, entry in found.items():
         if name in simulated:
             continue
-        if "unavailable" in entry:
-            print(f"{name}: not available ({entry['unavailable']})\n")
-            continue
-        print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)")
-        print("  agents")
+        print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)\n  agents")
         terminal.columns(entry["agents"])
         print("  options (--scoring, --labels, others with --set OPTION=VALUE)")
         terminal.columns(
@@ -219,59 +212,93 @@ def listed(options: BenchList) -> int:
     return terminal.OK
 
 
+def _known() -> dict[str, str]:
+    """The tasks by name, and why one of another package cannot be imported ("" if it can)."""
+    from eagor import plugins
+    from eagor.lab.tasks import task as tasks
+
+    why = {point.name: text for point, text in plugins.faults(plugins.brought(tasks.GROUP, tasks.BUILT_IN)).items()}
+    return {name: f"cannot be imported ({why[name]})" if name in why else "" for name in tasks.known()}
+
+
+def _described(name: str, broken: str) -> dict[str, Any]:
+    """What ``eagor bench list --json`` says of a task."""
+    import msgspec
+
+    from eagor.lab import worlds
+    from eagor.lab.tasks.task import choices_of, description_of, load
+
+    try:
+        if broken:
+            raise EagorError(broken)
+        task = load(name)
+    except Exception as error:  # a broken plugin may raise anything
+        return {"unavailable": str(error) if isinstance(error, EagorError) else repr(error)}
+    own = [
+        field for field in msgspec.structs.fields(task.Config) if description_of(field.type) and field.name not in GIVEN
+    ]
+    return {
+        "title": task.title,
+        "what": task.what,
+        **(
+            {"kind": "published data", "agents": dict(task.agents)}  # type: ignore[attr-defined]
+            if hasattr(task, "agents")
+            else {"kind": "simulated", "worlds": sorted(worlds.known())}
+        ),
+        "options": {
+            field.name: {
+                "default": None if field.default is msgspec.NODEFAULT else field.default,
+                "what": description_of(field.type),
+                "choices": list(choices_of(field.type)),
+            }
+            for field in own
+        },
+    }
+
+
 def info(options: BenchInfo) -> int:
     """``eagor bench info``."""
-    from eagor.lab.eval.studies import unimportable
-    from eagor.lab.tasks import benchmark
+    from eagor.lab.tasks.task import load
 
     found: dict[str, dict[str, Any]] = {}
     refused: dict[str, list[str]] = {}
-    broken = {} if options.task else unimportable((benchmark.GROUP, benchmark.BUILT_IN))
-    for name in [options.task] if options.task else sorted(benchmark.known()):
-        if name in broken:
-            refused.setdefault(broken[name], []).append(name)
-            continue
+    for name, broken in ({options.task: ""} if options.task else _known()).items():
         try:
-            told = benchmark.load(name).info(options.data)
+            if broken:
+                raise EagorError(broken)
+            task = load(name)
+            content = task.info(options.data) if hasattr(task, "info") else None  # type: ignore[attr-defined]
         except EagorError as error:
             refused.setdefault(str(error), []).append(name)
             continue
-        if told not in found.values():
-            found[name] = told
+        if content is not None and content not in found.values():
+            found[name] = content
     if not found:
         reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
-        raise FormatError(f"{options.data} holds the data of no known benchmark; " + reasons)
+        raise FormatError(f"{options.data} holds the data of no known task; {reasons or 'name one that has data'}")
     if options.json:
         terminal.emit(found)
     else:
-        for told in found.values():
-            terminal.facts(told)
+        for content in found.values():
+            terminal.facts(content)
     return terminal.OK
 
 
 def run(options: BenchRun) -> int:
     """``eagor bench run``."""
-    from eagor.lab.eval import log, runner, studies
+    from eagor.lab.eval import log, results, runner
+    from eagor.lab.tasks.task import WORK, configure, load, settings_of
 
-    kind = studies.known().get(options.task)
-    if kind is None:
-        studies.load(options.task)  # says what there is
-    simulated = kind == studies.SIMULATED
-    what, others = ("a simulated task", PUBLISHED_ONLY) if simulated else (
-        "a benchmark with published data", SIMULATED_ONLY
-    )  # fmt: skip
-    if wrong := given(options, others):
-        raise terminal.UsageError(f"{options.task} is {what} and takes no --{wrong[0]}")
+    task = load(options.task)
     if options.workers < 1:
         raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
     if options.address is not None and options.engine != "ray":
         raise terminal.UsageError(f"--address {options.address} needs a Ray cluster; add --engine ray")
-    planned = (_simulated if simulated else _published)(options)
-    config = planned.config()  # wrong settings are reported before the run is announced
-    units, study = planned.units(config), studies.load(options.task)
-    out = options.out or Path("runs") / _folder(config)
-    terminal.log(f"{options.task}: {len(units)} units of work; records go to {out}")
-    with terminal.progress(options.task, len(units)) as advance:
+    config = configure(task, _values(options, task), _changes(options))  # wrong ones are said before the run begins
+    units, settings = runner.units_of(task, config, options.limit, _shard(options.shard)), settings_of(config)
+    out = options.out or Path("runs") / _folder(settings)
+    terminal.log(f"{task.name}: {len(units)} units of work; records go to {out}")
+    with terminal.progress(task.name, len(units)) as advance:
 
         def done(record: dict[str, Any]) -> None:
             advance()
@@ -281,48 +308,37 @@ def run(options: BenchRun) -> int:
         names = "workers", "retry_failed", "engine", "address"
         how = {name: getattr(options, name) for name in names}
         try:
-            outcome = runner.run(units, study.work, config, out, on_done=done, **how)
+            outcome = runner.run(units, WORK, settings, out, on_done=done, **how)
         except KeyboardInterrupt:
             recorded = {record["key"] for record in log.read(out)} & {unit.key for unit in units}
             terminal.log(f"{len(recorded)} of {len(units)} units are in {out}; the same command goes on from there")
             raise
     if outcome.skipped:
         terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
-    return _said(study, studies.read(out).summary, out, options.json)
+    return _summarised(results.read(out), out, options.json)
 
 
-def _folder(config: dict[str, Any]) -> str:
-    """The default name of a run's folder."""
-    from eagor.perception import short_name
-
-    who = config.get("perception") or (config.get("model") or "").partition("@")[0]
-    listed = Path(config["episodes_file"]).name.partition(".")[0] if "episodes_file" in config else ""
-    parts = config["task"], config.get("agent"), short_name(who) if who else "", listed or str(config["seed"])
-    return "-".join(part for part in parts if part)
-
-
-def score(options: BenchScore) -> int:
-    """``eagor bench score``."""
-    from eagor.lab.eval import benchmarks
-
-    bare, cases, told = benchmarks.read_predictions(options.predictions, options.task, options.data, _options(options))
-    records, missing = benchmarks.judged_predictions(bare.settings, cases, told)
-    if not records:
-        raise EagorError(f"{options.predictions} has no prediction for any of the {len(cases)} cases")
-    if options.out:
-        benchmarks.keep_predictions(bare.settings, records, options.out)
-    summary = bare.study.loaded(bare.settings, records).summary | {"missing": missing}
-    if missing:
-        terminal.warning(f"{missing} of {len(cases)} cases have no prediction; the figures cover the others")
-    code = _said(bare.study, summary, options.out, options.json)
-    return terminal.INCOMPLETE if missing and code == terminal.OK else code
-
-
-def _simulated(options: BenchRun) -> Planned:
+def _values(options: BenchRun, task: Task) -> dict[str, Any]:
+    """The settings of a run by field. Raises `UsageError` for an option that the task does not have."""
     from eagor.cli.checks import calibrated, check_looks, checked_rows
+
+    fields = task.Config.__struct_fields__
+    simulated = "methods" in fields
+    more = ("ablations", "walking", "latency", "detector") if not simulated else ()
+    if wrong := given(options, [name for name in (*GIVEN, *FLAGS) if name not in fields] + [*more]):
+        raise terminal.UsageError(f"{task.name} takes no --{wrong[0].replace('_', '-')}")
+    values = {name: getattr(options, name) for name in GIVEN if name in fields}
+    values |= {name: str(value) for name, value in values.items() if isinstance(value, Path)}
+    if not simulated:
+        if "data" in fields and options.data is None:
+            raise terminal.UsageError(f"{task.name} needs its published files; give their folder with --data")
+        if options.calibration:
+            made = calibrated(str(options.perception), options.calibration, None, options.force)
+            values["calibrated"] = made.as_json() if made else None
+        return values
     from eagor.lab.agents.methods import default_methods
     from eagor.lab.envs.rules import Disturbances
-    from eagor.lab.eval.simulated import Run, named, variants
+    from eagor.lab.tasks.sim.task import split_methods, variants
 
     checked_rows(options.rows)
     if options.scenes is not None and options.episodes_file is None:
@@ -333,54 +349,39 @@ def _simulated(options: BenchRun) -> Planned:
         raise terminal.UsageError("--engine threads is for models on servers; use processes or ray for simulated tasks")
     perception = options.perception or PERCEPTION
     check_looks(perception)
-    methods = named(options.methods) or default_methods(perception)
+    methods = split_methods(options.methods) or list(default_methods(perception))
     if options.ablations:
-        methods += tuple(name for name in variants(options.task) if name not in methods)
-    return Run(
-        task=options.task,
-        perception=perception,
-        episodes=options.episodes,
-        seed=SEED if options.seed is None else options.seed,
-        methods=methods,
-        world=options.world,
-        rows=options.rows,
-        disturbances=(Disturbances.walking if options.walking else Disturbances)(latency=options.latency),
-        calibrated=calibrated(perception, options.calibration, options.detector, options.force),
-        settings=pairs_of(options.set),
-        episodes_file=options.episodes_file,
-        scenes=options.scenes,
-    )
+        methods += [name for name in variants(task) if name not in methods]  # type: ignore[arg-type]
+    made = calibrated(perception, options.calibration, options.detector, options.force)
+    return values | {
+        "perception": perception,
+        "methods": methods,
+        "disturbances": (Disturbances.walking if options.walking else Disturbances)(latency=options.latency),
+        "calibrated": made.as_json() if made else None,
+    }
 
 
-def _published(options: BenchRun) -> Planned:
-    from eagor.cli.checks import calibrated
-    from eagor.lab.eval.benchmarks import BenchmarkRun
-
-    if options.data is None:
-        raise terminal.UsageError(f"{options.task} needs its published files; give their folder with --data")
-    wanted = BenchmarkRun(
-        task=options.task,
-        data=options.data,
-        agent=options.agent,
-        perception=options.perception,
-        model=options.model,
-        seed=options.seed or 0,
-        options=_options(options),
-        limit=options.limit,
-        shard=_shard(options.shard),
-    )
-    if not options.calibration:
-        return wanted
-    found = calibrated(str(wanted.config().get("perception")), options.calibration, None, options.force)
-    return replace(wanted, calibrated=found.as_json() if found else None)
-
-
-def _options(options: BenchRun | BenchScore) -> dict[str, Any]:
+def _changes(options: BenchRun | BenchScore) -> dict[str, str]:
     flags = {name: getattr(options, name) for name in FLAGS if getattr(options, name) is not None}
-    given = pairs_of(options.set)
-    if twice := sorted(flags.keys() & given.keys()):
+    changes = pairs_of(options.set)
+    if twice := sorted(flags.keys() & changes.keys()):
         raise terminal.UsageError(f"{twice[0]} is given twice, as --{twice[0]} and with --set")
-    return flags | given
+    return flags | changes
+
+
+def _folder(settings: dict[str, Any]) -> str:
+    """The default name of a run's folder."""
+    from eagor.perception import short_name
+
+    who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
+    file = Path(settings.get("episodes_file") or "").name.partition(".")[0]
+    parts = (
+        settings["task"],
+        settings.get("agent"),
+        short_name(who) if who else "",
+        file or str(settings.get("seed", "")),
+    )
+    return "-".join(part for part in parts if part)
 
 
 def _shard(text: str | None) -> tuple[int, int]:
@@ -392,15 +393,35 @@ def _shard(text: str | None) -> tuple[int, int]:
     return int(part), int(parts)
 
 
-def _said(study: Study, summary: dict[str, Any], out: Path | None, as_json: bool) -> int:
+def score(options: BenchScore) -> int:
+    """``eagor bench score``."""
+    from eagor.lab.eval import predictions
+
+    made, count, missing = predictions.score_predictions(
+        options.predictions, options.task, options.data, _changes(options)
+    )
+    if options.out:
+        predictions.keep(made, options.out)
+    if missing:
+        terminal.warning(f"{missing} of {count} cases have no prediction; the figures cover the others")
+    code = _summarised(made, options.out, options.json, {"missing": missing})
+    return terminal.INCOMPLETE if missing and code == terminal.OK else code
+
+
+def _summarised(run: Run, out: Path | None, as_json: bool, more: dict[str, Any] | None = None) -> int:
     """Print the summary of a run or of scores; returns the exit code."""
+    from eagor.lab.eval import report, results, tables
+
+    summary = results.summarise(run)
+    if success := report.criterion_of(run):
+        summary["success"] = success
     if as_json:
-        terminal.emit(study.as_json(summary) | ({"out": str(out)} if out else {}))
+        terminal.emit(results.as_json(summary, run) | (more or {}) | ({"out": str(out)} if out else {}))
     else:
-        terminal.say(*study.as_text(summary))
+        terminal.say(*tables.as_text(run, summary))
         if out:
             print(f"\nFor pictures and intervals: eagor bench report {out}")
     if not summary["episodes"]:
-        terminal.error(f"no {study.case} could be run" + (f"; {out} says why" if out else ""))
+        terminal.error(f"no {getattr(run.task, 'case', 'case')} could be run" + (f"; {out} says why" if out else ""))
         return terminal.FAILED
     return terminal.INCOMPLETE if summary["failed"] else terminal.OK

@@ -24,9 +24,9 @@ from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerMethod, 
 from eagor.lab.envs.episodes import Slot
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
-from eagor.lab.eval import page, tables
-from eagor.lab.eval.page import Box, Row, Section, Sheet
-from eagor.lab.eval.tables import OURS
+from eagor.lab.eval import steps as parts
+from eagor.lab.eval.page import Cell, Fold, Pictures, Row, Section, Table, Text, page
+from eagor.lab.eval.results import OURS
 from eagor.lab.tasks.sim.play import Player, Seen
 from eagor.metrics import angular_error_deg
 from eagor.perception import load, rows_of
@@ -45,7 +45,7 @@ PICTURES = (  # what each shows
     "Floor plan with the way of the camera from the start to where it ended",
 )
 SPOKEN = {PLAIN: "the newest look alone", OURS: "our tracker"}
-PARTS = {tables.SEEN: "once it was seen", tables.IN_SIGHT: "in sight", tables.HIDDEN: "hidden again"}
+PARTS = {parts.SEEN: "once it was seen", parts.IN_SIGHT: "in sight", parts.HIDDEN: "hidden again"}
 # 200 searches in apartments that no setting was chosen on, as docs/results/navigation.md has them: degrees of error in
 # each of `PARTS`, with 95 % intervals.
 STUDY_COMMAND = "python benchmarks/first_sighting.py --seed 8840 --episodes 200"
@@ -107,7 +107,7 @@ class Search:
         """Each method's mean error, degrees, in each of `PARTS`; None where the walk has no such step."""
         here = np.array(self.visible)
         since = np.logical_or.accumulate(here)
-        chosen = {tables.SEEN: since, tables.IN_SIGHT: here, tables.HIDDEN: since & ~here}
+        chosen = {parts.SEEN: since, parts.IN_SIGHT: here, parts.HIDDEN: since & ~here}
         return {
             name: {part: float(errors[steps].mean()) if steps.any() else None for part, steps in chosen.items()}
             for name, errors in self.errors.items()
@@ -192,11 +192,11 @@ def summary(search: Search) -> list[str]:
         f"was out of sight in {away} of {len(search.visible)} looks."
     ]
     means = search.means
-    if means[OURS][tables.HIDDEN] is not None:
-        ours, alone = (_degrees(means[name][tables.HIDDEN]) for name in (OURS, PLAIN))
+    if means[OURS][parts.HIDDEN] is not None:
+        ours, alone = (_degrees(means[name][parts.HIDDEN]) for name in (OURS, PLAIN))
         lines.append(f"While it was hidden again, {SPOKEN[OURS]} was off by {ours}, {SPOKEN[PLAIN]} by {alone}.")
-    if means[OURS][tables.IN_SIGHT] is not None:
-        ours, alone = (_degrees(means[name][tables.IN_SIGHT]) for name in (OURS, PLAIN))
+    if means[OURS][parts.IN_SIGHT] is not None:
+        ours, alone = (_degrees(means[name][parts.IN_SIGHT]) for name in (OURS, PLAIN))
         lines.append(f"In sight: {ours} and {alone}.")
     return lines
 
@@ -220,44 +220,45 @@ def write_report(search: Search, folder: Path) -> Path:
     for name, picture in pictures.items():
         keep_picture(picture, folder / f"{name}.png")
     beliefs, errors, above = (
-        page.wide(_as_address(picture), words) for picture, words in zip(pictures.values(), PICTURES, strict=True)
+        Pictures([(_as_address(picture), words)], "wide")
+        for picture, words in zip(pictures.values(), PICTURES, strict=True)
     )
-    means, rules, parts = search.means, search.rules, tuple(PARTS.values())
+    means, rules, heads = search.means, search.rules, tuple(PARTS.values())
     every = [([_degrees(means[name][part]) for part in PARTS], name) for name in EVERY]
     rows = [
-        Row(n, _boxes([*cells, DESCRIPTIONS.get(n) or NEWEST]), "told ours" if n == OURS else "told")
+        Row(n, _cells([*cells, DESCRIPTIONS.get(n) or NEWEST]), "text ours" if n == OURS else "text")
         for cells, n in every
     ]
     study = [
-        Row(name, _boxes(map(_interval, cells)), "ours" if name == SPOKEN[OURS] else "")
+        Row(name, _cells(map(_interval, cells)), "ours" if name == SPOKEN[OURS] else "")
         for name, cells in STUDY.items()
     ]
-    lead = page.text(
+    lead = Text(
         f"A camera walks through {APARTMENT} {search.slot.seed} and looks for it. Heat is what our tracker believes, "
         f"and the white line holds 90 % of that. {' '.join(summary(search))}"
     )
-    way = page.text(
+    way = Text(
         f"Each step goes {Camera().step} m, sliding along walls; the search is over within {rules.success_distance} m "
         f"(of walking) of the {search.thing}, or after {rules.max_steps} steps. Our tracker steers, without a map: it "
         "walks by the floor that its looks have shown. All methods get its looks, through the perception "
         f"{search.perception}.", "note",
     )  # fmt: skip
     repeat = f"The perception is scout, and intervals are of 95 %. Repeat it: {STUDY_COMMAND}"
-    walk = Sheet("Every method on this walk", ("mean error", *parts, "what it is"), tuple(rows))
+    walk = Table("Every method on this walk", ("mean error", *heads, "what it is"), tuple(rows))
     sections = [
         Section("luck", "Is that luck?", [
-            page.text(STUDY_IN_WORDS), Sheet("200 searches", ("mean error", *parts), tuple(study)),
-            page.text(repeat, "note"),
+            Text(STUDY_IN_WORDS), Table("200 searches", ("mean error", *heads), tuple(study)),
+            Text(repeat, "note"),
         ]),
         Section("error", "The error on this walk", [
-            errors, page.folded("The way from above, and every method on the same looks", above, way, walk),
+            errors, Fold("The way from above, and every method on the same looks", [above, way, walk]),
         ]),
     ]  # fmt: skip
-    return written(folder / "report.html", page.document(f"Where is the {search.thing}?", [lead, beliefs], sections))
+    return written(folder / "report.html", page(f"Where is the {search.thing}?", [lead, beliefs], sections))
 
 
-def _boxes(cells: Iterable[str]) -> tuple[Box, ...]:
-    return tuple(map(Box, cells))
+def _cells(cells: Iterable[str]) -> tuple[Cell, ...]:
+    return tuple(map(Cell, cells))
 
 
 def _strip(search: Search, place: Place) -> Image:

@@ -225,7 +225,7 @@ def as_json(searches: Searches, spec: str, photo: str) -> dict[str, Any]:
 def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Path:
     """Draw our looks into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import Mosaic, draw_belief
-    from eagor.lab.eval.page import Box, Row, Section, Sheet, document, pictures, text
+    from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, page
 
     mosaic, moments = Mosaic(), []
     for number, (taken, picture) in enumerate(zip(searches.taken[OURS], searches.pictures, strict=True), 1):
@@ -234,14 +234,16 @@ def write_report(searches: Searches, spec: str, photo: str, folder: Path) -> Pat
         keep_picture(drawn, folder / f"look-{number:02}.jpg")
         moments.append((as_image(drawn, title), f"{title}, presence {taken.estimate.presence:.2f}"))
     rows = [
-        Row(choice, (Box(told), Box(off or "-"), Box(CHOICES[choice][1])), "told ours" if choice == OURS else "told")
-        for choice, told, off in _cells(searches)
+        Row(
+            choice, (Cell(looks), Cell(off or "-"), Cell(CHOICES[choice][1])), "text ours" if choice == OURS else "text"
+        )
+        for choice, looks, off in _cells(searches)
     ]
     heads = ("where to look", "looks until sure", "off the looks all around (°)", "what it is")
     sections = [
-        Section("looks", "What the camera saw, and what we believed", [pictures(moments, "strip")]),
-        Section("searches", "Each search side by side", [Sheet("Looks until sure", heads, tuple(rows))]),
+        Section("looks", "What the camera saw, and what we believed", [Pictures(moments, "strip")]),
+        Section("searches", "Each search side by side", [Table("Looks until sure", heads, tuple(rows))]),
     ]
-    lead = [text(f"{photo}, seen by {short_name(spec)} through {searches.hfov:g} degrees. {summary(searches)[0]}")]
-    lead += map(text, summary(searches)[1:])
-    return written(folder / "report.html", document(f"Where is the {searches.query}?", lead, sections))
+    lead = [Text(f"{photo}, seen by {short_name(spec)} through {searches.hfov:g} degrees. {summary(searches)[0]}")]
+    lead += map(Text, summary(searches)[1:])
+    return written(folder / "report.html", page(f"Where is the {searches.query}?", lead, sections))

@@ -19,7 +19,7 @@ from eagor.cli.checks import keep_picture
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.style import in_words
 from eagor.lab.agents.methods import NAMES, TrackerMethod, make_method
-from eagor.lab.eval.tables import OURS
+from eagor.lab.eval.results import OURS
 from eagor.lab.worlds.render import Photograph
 from eagor.media.panorama import cut
 from eagor.perception import Perception, look, rows_of, short_name
@@ -96,7 +96,7 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     from eagor.drawing import draw_belief, draw_errors
     from eagor.lab.agents.methods import DESCRIPTIONS
-    from eagor.lab.eval.page import Box, Row, Section, Sheet, document, pictures, text
+    from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, page
 
     names = sorted(looks.directions, key=lambda name: name != OURS)  # ours first: it is drawn on top
     moments = []
@@ -117,9 +117,9 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     rows = []
     for name in looks.directions:
         mean, last, near = figures(looks, name).values()
-        boxes = (Box(f"{mean:.1f}"), Box(f"{last:.1f}"), Box(f"{near:.0f}"), Box(DESCRIPTIONS[name]))
-        rows.append(Row(name, boxes, "told ours" if name == OURS else "told"))
-    sheet = Sheet(f"Angles to our last answer, over {len(looks.poses)} looks", _HEADS, tuple(rows))
+        cells = (Cell(f"{mean:.1f}"), Cell(f"{last:.1f}"), Cell(f"{near:.0f}"), Cell(DESCRIPTIONS[name]))
+        rows.append(Row(name, cells, "text ours" if name == OURS else "text"))
+    table = Table(f"Angles to our last answer, over {len(looks.poses)} looks", _HEADS, tuple(rows))
     steady = "How steady each method is: no truth is known, so the angles are to our last answer"
     both = [
         (as_image(errors, "Angle of each method to our last answer, over time"), steady),
@@ -129,11 +129,11 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
         ),
     ]
     sections = [
-        Section("looks", "What the camera saw, and what we believed", [pictures(moments, "strip")]),
-        Section("methods", "Each method side by side", [sheet, pictures(both)]),
+        Section("looks", "What the camera saw, and what we believed", [Pictures(moments, "strip")]),
+        Section("methods", "Each method side by side", [table, Pictures(both)]),
     ]
-    lead = [text(f"{photo}, seen by {short_name(spec)}. {summary(looks)[0]}"), *map(text, summary(looks)[1:])]
-    return written(folder / "report.html", document(f"Where is the {looks.query}?", lead, sections))
+    lead = [Text(f"{photo}, seen by {short_name(spec)}. {summary(looks)[0]}"), *map(Text, summary(looks)[1:])]
+    return written(folder / "report.html", page(f"Where is the {looks.query}?", lead, sections))
 
 
 def highlights(looks: Looks) -> list[tuple[int, str]]:

@@ -139,6 +139,7 @@ USES = {
 }  # what `missing` asks for
 MORE_USES = {
     "ray": "runs on a cluster",
+    "report": "reports of runs",
     "robot": "live cameras, ROS 2, robots",
     "rerun": "logs for the Rerun viewer",
 }
@@ -299,12 +300,12 @@ def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if a required package is missing."""
     from eagor import perception, plugins
     from eagor.lab import worlds
-    from eagor.lab.tasks import benchmark, task
+    from eagor.lab.tasks import task
 
     found = {name: version_of(name) for name in PACKAGES}
     optional = {name: version_of(name) for name in OPTIONAL}
     here = Machine(_memory(), _gpus())
-    parts = (perception, worlds, task, benchmark)  # what plugins can extend
+    parts = (perception, worlds, task)  # what plugins can extend
     points = {part.GROUP.removeprefix("eagor."): part.known() for part in parts}
     theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
     faults = plugins.faults(theirs)

@@ -10,9 +10,10 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
 from eagor.cli.options import Common, Flag, Whole, bare
+from eagor.errors import EagorError
 
 if TYPE_CHECKING:
-    from eagor.lab.eval.study import LoadedRun
+    from eagor.lab.eval.results import Run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,15 +68,15 @@ class BenchFailures(Common):
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor.cli.checks import checked_folder
-    from eagor.lab.eval import studies
-    from eagor.lab.eval.studies import write_report
+    from eagor.lab.eval.report import write_report
+    from eagor.lab.eval.results import read
 
     if not options.folders:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
     if options.out is not None:
         checked_folder(options.out)
     episode, out = None, options.out or options.folders[0]
-    runs = [studies.read(folder) for folder in options.folders]
+    runs = [read(folder) for folder in options.folders]
     if len(options.folders) == 1 and not options.without_episode:
         from eagor.cli.studio import beside_report
 
@@ -91,62 +92,101 @@ def report(options: BenchReport) -> int:
     return terminal.OK
 
 
-def _counted(folder: Path, run: LoadedRun) -> dict[str, Any]:
+def _counted(folder: Path, run: Run) -> dict[str, Any]:
     """How many records a run has, and how many it is to have; said, if these are fewer."""
-    planned, there = run.study.planned(run.settings), len(run.records)
+    planned, there = run.planned, len(run.records)
     if planned is not None and there < planned:
-        part = ", without --limit and --shard," if run.study.several else ""
         terminal.warning(
-            f"{folder} has {there} of {planned} records; the figures are about these. The command of the run{part} "
-            "plays the rest"
+            f"{folder} has {there} of {planned} records; the figures are about these. The command of the run, without "
+            "--limit and --shard, plays the rest"
         )
     return {"folder": str(folder), "records": there, "planned": planned}
 
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
-    from eagor.lab.eval import simulated, studies
+    from eagor.lab.eval import results, tables
+    from eagor.lab.tasks.sim.task import split_methods
 
-    methods = simulated.named(options.methods)
+    methods = split_methods(options.methods)
     if options.b is None and len(methods) != 2:
         raise terminal.UsageError("name a second run, or two methods of this one with --methods")
-    a = studies.read(options.a)
-    found = studies.compare(a, a if options.b is None else studies.read(options.b), methods)
+    a = results.read(options.a)
+    found = results.compare(a, a if options.b is None else results.read(options.b), methods)
     if options.json:
         terminal.emit(found)
     else:
-        terminal.say(*studies.comparison_in_words(found, a))
+        terminal.say(*tables.comparison_in_words(found, a))
     return terminal.OK
 
 
 def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
-    from eagor.lab.eval import studies
-    from eagor.lab.eval.page import lines_of
+    from eagor.lab.eval import results, tables
+    from eagor.lab.eval.scenes import figures_of
+    from eagor.lab.tasks.task import sample_of
 
     if options.limit < 0:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
-    run = studies.read(options.run)
-    worst = run.study.worst(run, options.method)
+    run = results.read(options.run)
+    summary, method = results.summarise(run), _method(run, options.method)
     if options.rerun is not None:
         from eagor.cli.checks import checked_out
-        from eagor.lab.eval.simulated import log_case
+        from eagor.lab.eval.replay import log_case
 
-        case = log_case(run, worst, options.episode, checked_out(options.rerun, "--rerun"))
+        case = log_case(run, method, options.episode, checked_out(options.rerun, "--rerun"))
         terminal.log(f"{options.rerun}: {case}, for the Rerun viewer (rerun {options.rerun})")
     elif options.episode is not None:
         raise terminal.UsageError("--episode names the episode for --rerun FILE.rrd; give that, too")
+    found = {key: summary[key] for key in ("task", "episodes", "failed", "failures")}
+    layers = []
+    if run.simulated:
+        ranked = results.rank(run, method)[::-1]
+        found["method"] = method
+        lines = [
+            f"{sample_of(r.record)}  {r.record['episode']['query']!r}  {figures_of(r.record, run.task, method)}"
+            for r in ranked
+        ]
+        cases = [
+            {
+                "case": sample_of(result.record),
+                "query": result.record["episode"]["query"],
+                "cause": run.task.failure(result.record),
+                "figures": {metric.key: metric.of(result.answer) for metric in run.task.metrics},
+                "scene": result.record["episode"].get("scene"),
+            }
+            for result in ranked
+        ]
+    else:
+        (part,) = summary["answers"].values()
+        found |= {"agent": run.settings.get("agent"), "tags": part["tags"], "causes": part["causes"]}
+        keys = ("case", "tags", "answer", "error")
+        cases = [{**{key: r.get(key) for key in keys}, "cause": cause} for r, cause in tables.failures(run)]
+        lines = tables.failed_lines(run)
+        layers = [tables.tag_table(run.task, part), tables.cause_table(run.task, part)]
     if options.json:
-        terminal.emit(worst.said | {"cases": worst.cases[: options.limit]})
+        terminal.emit(found | {"cases": cases[: options.limit]})
         return terminal.OK
-    for sheet in worst.sheets:
-        terminal.say(sheet.title, *lines_of(sheet), "")
-    if not worst.lines:
-        print("No case failed." if run.summary["episodes"] else f"No {run.study.case} has a result.")
-    for line in worst.lines[: options.limit]:
-        terminal.say(line)
-    if len(worst.lines) > options.limit:
-        print(f"... and {len(worst.lines) - options.limit} more (--limit)")
-    for failure in run.summary["failures"]:
+    for table in layers:
+        if table is not None:
+            terminal.say(table.title, *table.lines(tables.WIDTH), "")
+    if not lines:
+        print("No case failed." if summary["episodes"] else "No case has a result.")
+    terminal.say(*lines[: options.limit])
+    if len(lines) > options.limit:
+        print(f"... and {len(lines) - options.limit} more (--limit)")
+    for failure in summary["failures"]:
         terminal.say(f"could not be run: {failure['key']} (attempt {failure['attempt']}): {failure['error']}")
     return terminal.OK
+
+
+def _method(run: Run, name: str | None) -> str:
+    """Whose cases are listed: ours, else the first that has played. Raises `EagorError` for one that has not."""
+    from eagor.lab.eval.results import OURS
+
+    names = list(run.results())
+    if not run.simulated and name:
+        raise EagorError(f"a run of {run.task.name} has one agent; leave out the method {name}")
+    if name and names and name not in names:
+        raise EagorError(f"the run has no method {name!r}; it has {', '.join(names)}")
+    return name or (OURS if OURS in names else next(iter(names), OURS))

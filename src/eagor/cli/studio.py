@@ -21,7 +21,7 @@ from eagor.errors import EagorError
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-    from eagor.lab.eval.study import LoadedRun
+    from eagor.lab.eval.results import Run
     from eagor.live.loop import LiveLoop, Watcher
     from eagor.studio.hub import LiveSource, Settings
 
@@ -192,7 +192,7 @@ def export(options: Studio) -> int:
     return terminal.OK
 
 
-def beside_report(run: LoadedRun, out: Path) -> str | None:
+def beside_report(run: Run, out: Path) -> str | None:
     """Write ``episode.html`` of a run's worst episode into `out`; its name, or None where that cannot be.
 
     A report is not lost for it: what is wrong is said as a warning. A run with a model gets none: to play it again

@@ -1,6 +1,6 @@
 """Episodes as the page shows them: steps with belief, panorama, answers of all methods, in one JSON object.
 
-An episode of a simulated task is played again (as `eagor.lab.eval.simulated` does for the Rerun viewer): the method
+An episode of a simulated task is played again (as `eagor.lab.eval.replay` does for the Rerun viewer): the method
 with a belief sees what it saw in the run. What the other methods said is in the records. A live recording goes through
 the live core again; of a robot's walk its report is read.
 """
@@ -23,11 +23,10 @@ from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import DESCRIPTIONS, TrackerMethod
 from eagor.lab.envs.episodes import Episode
 from eagor.lab.envs.places import Place, load_place
-from eagor.lab.eval.samples import case_of, finished
-from eagor.lab.eval.simulated import player_of
-from eagor.lab.eval.study import LoadedRun
-from eagor.lab.eval.tables import OURS
+from eagor.lab.eval.replay import player_of
+from eagor.lab.eval.results import OURS, Run
 from eagor.lab.tasks.sim.play import Seen
+from eagor.lab.tasks.task import finished, sample_of
 from eagor.live.core import LiveCore
 from eagor.live.events import Answer, FrameCame, PoseCame
 from eagor.live.recording import Replay
@@ -68,22 +67,20 @@ class Redrawn:
         return {"scene": self.scene, "steps": steps, "methods": [each["name"] for each in self.scene["methods"]]}
 
 
-def redraw(run: LoadedRun, case: str, advance: Advance = lambda _: None) -> Redrawn:
+def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> Redrawn:
     """Episode `case` of a run of a simulated task, again, with pictures finer than what the perception looked at.
 
     `advance` is called with the number of each step, and for each picture.
     Raises `EagorError` for an unknown episode, or a run without a tracker.
     """
-    records = [record for record in finished(run.records) if case_of(record) == case]
+    records = [record for record in finished(run.records) if sample_of(record) == case]
     if not records:
         raise EagorError(f"the run has no episode {case!r} with a result; choose one of those that are listed")
     methods: dict[str, Any] = {}
     for record in records:
         methods |= {name: entry | {"record": record} for name, entry in record.get("methods", {}).items()}
     shown = _believer(run, case, methods)
-    player, slot = player_of(
-        run, next((each for each in run.study.worst(run, shown).cases if each["case"] == case), {})
-    )
+    player, slot = player_of(run, case)
     episode = player.plan(slot)
     place = load_place(slot.world, slot.seed, player.camera.radius)
     made = player.method(shown, slot)
@@ -109,7 +106,7 @@ def redraw(run: LoadedRun, case: str, advance: Advance = lambda _: None) -> Redr
     return found
 
 
-def _believer(run: LoadedRun, case: str, methods: Mapping[str, Any]) -> str:
+def _believer(run: Run, case: str, methods: Mapping[str, Any]) -> str:
     """The method whose belief is shown: ours, else another tracker."""
     known = [name for name in (OURS, *methods) if name in methods]
     trackers = [name for name in known if name.partition(":")[0] in (OURS, "eagor_paper")]
@@ -122,14 +119,14 @@ def _believer(run: LoadedRun, case: str, methods: Mapping[str, Any]) -> str:
 
 
 def _scene(
-    run: LoadedRun, episode: Episode, place: Place, methods: Mapping[str, Any], shown: str, calibrated: dict[str, Any]
+    run: Run, episode: Episode, place: Place, methods: Mapping[str, Any], shown: str, calibrated: dict[str, Any]
 ) -> dict[str, Any]:
     plan = plan_of(place.ground, place.scene.instances)
     names = {place.scene.instances[index].name for index in episode.targets if index < len(place.scene.instances)}
     plan["things"] = [thing | {"target": thing["name"] in names} for thing in plan["things"]]
     listed = [shown, *(name for name in methods if name != shown)]
     return scene_of(
-        "run", f"{run.study.name} {episode.slot.id}: {episode.query}", str(episode.query), plan=plan, method=shown,
+        "run", f"{run.task.name} {episode.slot.id}: {episode.query}", str(episode.query), plan=plan, method=shown,
         calibration=calibrated, perception=str(run.settings.get("perception", "")),
         methods=[{"name": name, "words": DESCRIPTIONS.get(name.partition(":")[0], name)} for name in listed],
         paths={name: path for name in listed if (path := _path(methods[name]))},

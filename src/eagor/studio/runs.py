@@ -21,11 +21,9 @@ import numpy as np
 from eagor._checks import parsed
 from eagor._files import written
 from eagor.errors import EagorError, FormatError
-from eagor.lab.eval import log, studies
-from eagor.lab.eval.benchmarks import KIND
-from eagor.lab.eval.samples import case_of, finished
-from eagor.lab.eval.study import LoadedRun
-from eagor.lab.eval.tables import OURS
+from eagor.lab.eval import log
+from eagor.lab.eval.results import OURS, Run, read
+from eagor.lab.tasks.task import finished, sample_of
 from eagor.live.recording import Replay
 from eagor.media.bags import is_bag
 from eagor.studio.messages import media_type, rounded
@@ -104,7 +102,7 @@ def _line(name: str, folder: Path) -> dict[str, Any]:
         done = len(log.read(folder))
     except (EagorError, OSError) as error:
         return line | {"episodes": 0, "done": 0, "problem": str(error)}
-    still = settings.get("kind") == KIND
+    still = "agent" in settings
     problem = "" if done and not still else "still pictures, see its report" if done else "It has no records yet."
     line |= {"task": str(settings.get("task", "")), "perception": str(settings.get("perception", ""))}
     return line | {"episodes": settings.get("episodes"), "done": done, "problem": problem}
@@ -121,15 +119,15 @@ def opened(folder: Path) -> dict[str, Any]:
         return _few(kind, [(WALK, title, str(report.get("query", "")))])
     if kind is None:
         raise FormatError(f"{folder.name} holds no run: no {log.RUN} and no recording")
-    return episodes_of(studies.read(folder))
+    return episodes_of(read(folder))
 
 
-def episodes_of(run: LoadedRun) -> dict[str, Any]:
+def episodes_of(run: Run) -> dict[str, Any]:
     """The episodes of a bench run, as `opened` gives them."""
-    methods = list(run.methods)
+    methods = list(run.results()) if run.simulated else []
     episodes: dict[str, dict[str, Any]] = {}
     for record in finished(run.records):
-        case = case_of(record)
+        case = sample_of(record)
         entry = episodes.setdefault(case, _entry(case, record))
         for name, part in record.get("methods", {}).items():
             entry["methods"][name] = _figures(part)
@@ -137,12 +135,12 @@ def episodes_of(run: LoadedRun) -> dict[str, Any]:
         ours = entry["methods"].get(OURS) or next(iter(entry["methods"].values()), {})
         entry |= {"error_deg": ours.get("error_deg"), "success": ours.get("success")}
     order = sorted(episodes.values(), key=_badness)
-    failed, problem = run.summary.get("failed", 0), ""
-    if run.settings.get("kind") == KIND:
+    failed, problem = len(run.records) - len(finished(run.records)), ""
+    if not run.simulated:
         problem = STILL
     elif not order:
         problem = f"no episode has a result, {failed} could not be run; eagor bench failures RUN says why"
-    return {"kind": "bench", "task": run.study.name, "methods": methods, "episodes": order, "failed": failed,
+    return {"kind": "bench", "task": run.task.name, "methods": methods, "episodes": order, "failed": failed,
             "playable": not problem, "problem": problem}  # fmt: skip
 
 
@@ -183,17 +181,17 @@ def again(folder: Path, key: str | None, advance: Callable[[int], object] = lamb
         return recorded(replay, query, advance)
     if kind == "robot":
         return walked(folder)
-    return episode_of(studies.read(folder), key, advance)
+    return episode_of(read(folder), key, advance)
 
 
-def episode_of(run: LoadedRun, key: str | None, advance: Callable[[int], object] = lambda _: None) -> Redrawn:
+def episode_of(run: Run, key: str | None, advance: Callable[[int], object] = lambda _: None) -> Redrawn:
     """One episode of a bench run, as `again` gives it. Raises `EagorError` where there is none to be played again."""
     told = episodes_of(run)
     if told["problem"]:
         raise EagorError(told["problem"])
     if key is None:
         key = told["episodes"][0]["key"]
-    cases = {key_of(case): case for record in finished(run.records) for case in (case_of(record),)}
+    cases = {key_of(case): case for record in finished(run.records) for case in (sample_of(record),)}
     cases |= {case: case for case in cases.values()}
     if key not in cases:
         raise EagorError(f"the run has no episode {key!r}; it has {', '.join(sorted(cases.values())[:8])}")

@@ -36,9 +36,9 @@ from eagor.lab.envs.rules import Camera, Disturbances, as_dict
 from eagor.lab.eval.assignments import expected_look_alikes
 from eagor.lab.eval.detector_fit import fitted_model, short
 from eagor.lab.eval.labelled_looks import LabelledLook
-from eagor.lab.tasks import task as tasks
 from eagor.lab.tasks.sim.play import MASS, Player, Recording
 from eagor.lab.tasks.sim.tracking import TrackingEpisode
+from eagor.lab.tasks.task import load as load_task
 from eagor.lab.worlds.render import PAINTS
 from eagor.metrics import angular_error_deg
 from eagor.perception import load, rows_of
@@ -183,7 +183,8 @@ class Recorder:
         config = {"perception": perception, "rows": rows or rows_of(seeing)}
         config |= {"camera": as_dict(Camera()), "disturbances": as_dict(Disturbances())}
         self.players = {
-            task: Player(config | {"task": task, "rules": as_dict(tasks.load(task).rules())}, seeing) for task in TASKS
+            task: Player(config | {"task": task, "rules": as_dict(load_task(task).rules())}, seeing)
+            for task in TASKS  # type: ignore[attr-defined]
         }
 
     def record(self, slot: Slot) -> Recording:

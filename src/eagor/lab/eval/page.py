@@ -1,46 +1,26 @@
-"""The pieces of a report's page, tables and charts, and the one HTML file that is made of them: no script.
+"""Tables and the other parts of a report: as a page that needs nothing else, as Markdown, as lines for a terminal.
 
-The page follows the reader's light or dark colours, and reads on a phone: tables scroll in their own box, charts stack.
-Charts are SVG by matplotlib: they scale. A method is told apart by its colour, its dashes and the shape of its marks,
-so that colour alone is never needed. The colours are variables of the page's style sheet: matplotlib is given a
-stand-in for each, which `finished` replaces.
+The page (``report.html``, a Jinja template) follows the reader's light or dark colours, and reads on a phone: tables
+scroll in their own box, charts stack. Words are escaped by the template; only SVG of `eagor.lab.eval.charts` is not.
 """
 
 from __future__ import annotations
 
-import html
-import io
-import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from importlib.resources import files
 
-import numpy as np
+from eagor._extras import need
+from eagor._version import __version__
+from eagor.lab.eval.charts import DARK, LIGHT, palette
 
-from eagor.drawing.html_parts import facts as facts
-from eagor.drawing.html_parts import filled
-from eagor.drawing.html_parts import items as items
-
-# All have at least 3:1 contrast on their ground. The first eight hues stay apart for the colour-blind (after Okabe and
-# Ito); the others are told apart by their dashes and marks. A chart asks for a colour by its name here.
-LIGHT = {
-    "eagor": "#005fa3", "eagor_paper": "#c44e00", "centroid": "#a8467f", "cent_circ": "#866400", "grid": "#007a5a",
-    "vmf": "#2f3440", "grid_filter": "#3d84c6", "particle_filter": "#71767f", "oracle": "#2f3440",
-    "plain": "#a3333d", "best_detection": "#7b4fb5", "last_detection": "#0f7f8c",
-}  # fmt: skip
-DARK = {
-    "eagor": "#5cb8f5", "eagor_paper": "#ff8f45", "centroid": "#e79bca", "cent_circ": "#e8d44d", "grid": "#34cfa3",
-    "vmf": "#e9ebf0", "grid_filter": "#9fb6ff", "particle_filter": "#a4a9b3", "oracle": "#e9ebf0",
-    "plain": "#f28b92", "best_detection": "#c0a6ff", "last_detection": "#6fd3dd",
-}  # fmt: skip
 NOTHING = "–"  # a figure without a case
-SPARE = 8  # colours of series that are no methods: x0 to x7
 
 
 @dataclass(frozen=True)
-class Box:
-    """A cell: its text, an interval in small print, a mark, and whether it is the best of its column."""
+class Cell:
+    """Its text, an interval in small print, a mark (a dagger, or a word), and whether it is the best of its column."""
 
     text: str
     small: str = ""
@@ -50,15 +30,15 @@ class Box:
 
 @dataclass(frozen=True)
 class Row:
-    """A row: its head, its cells, and its kind ("ours", "paper", "told" where the last cell is a text, or "")."""
+    """A row: its head, its cells, and its kind ("ours", "paper", "text" where the last cell is a text, or "")."""
 
     head: str
-    boxes: tuple[Box, ...]
+    cells: tuple[Cell, ...]
     kind: str = ""
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Table:
     """A table: what it shows, the heads of its columns (the first is that of the row heads), rows and notes."""
 
     title: str
@@ -66,8 +46,76 @@ class Sheet:
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
 
+    def lines(self, width: int = 0) -> list[str]:
+        """For a terminal: with the intervals in brackets where that is at most `width` wide."""
+        for small in (True, False):
+            rows = [[row.head, *(_in_line(cell, small) for cell in row.cells)] for row in self.rows]
+            lines = in_columns([self.heads, *rows])
+            if max(map(len, lines)) <= width:
+                break
+        return lines
 
-Part = Sheet | str  # a table, or any other part of a page as HTML
+    def markdown(self) -> str:
+        """Nothing of a name is taken for markup."""
+        lines = [
+            f"## {_escaped(self.title)}",
+            "",
+            _piped(map(_escaped, self.heads)),
+            "|---|" + "---:|" * (len(self.heads) - 1),
+        ]
+        for row in self.rows:
+            stars = {"paper": "*", "ours": "**"}.get(row.kind, "")
+            lines.append(_piped([f"{stars}{_escaped(row.head)}{stars}", *map(_in_markdown, row.cells)]))
+        return "\n".join([*lines, "", *(f"{_escaped(note)}\n" for note in self.notes)])
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; its kind is "note", "warn", "h3" (a heading) or ""."""
+
+    text: str
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A line that leads to a file beside the page."""
+
+    text: str
+    file: str
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures (SVG, or the data address of a picture) with captions; `kind`: "map", "strip", "wide" or ""."""
+
+    items: Sequence[tuple[str, str]]
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and what they are."""
+
+    pairs: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class List:
+    """Lines."""
+
+    lines: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What is there for those who ask."""
+
+    title: str
+    parts: Sequence[Part]
+
+
+Part = Table | Text | Link | Pictures | Facts | List | Fold
 
 
 @dataclass(frozen=True)
@@ -75,8 +123,29 @@ class Section:
     """A part of the page that the contents name."""
 
     id: str
-    heading: str
+    title: str
     parts: Sequence[Part]
+
+
+def page(title: str, lead: Sequence[Part], sections: Sequence[Section]) -> str:
+    """The whole page as HTML. Raises `MissingExtraError` without the extra ``report``."""
+    need("a report", "report", "jinja2")
+    import jinja2
+
+    folder = files("eagor.lab.eval")
+    template, style = (folder.joinpath(f"report.{kind}").read_text(encoding="utf-8") for kind in ("html", "css"))
+    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.tests["kind"] = lambda part, name: type(part).__name__ == name
+    return environment.from_string(template).render(
+        title=title, lead=lead, sections=sections, css=style, light=palette(LIGHT), dark=palette(DARK),
+        version=__version__,
+    )  # fmt: skip
+
+
+def markdown(title: str, facts: Sequence[tuple[str, str]], tables: Sequence[Table]) -> str:
+    """All tables as one Markdown text."""
+    lines = [f"# {_escaped(title)}", "", *(f"- {_escaped(name)}: {_escaped(value)}" for name, value in facts), ""]
+    return "\n".join([*lines, *(table.markdown() for table in tables)])
 
 
 def number(value: float | None, digits: int = 1, sign: bool = False) -> str:
@@ -92,9 +161,9 @@ def span(ends: Sequence[float | None] | None, digits: int = 1, sign: bool = Fals
     return " to ".join(number(end, digits, sign) for end in ends) if ends and None not in ends else ""
 
 
-def box(value: float | None, ends: Sequence[float | None] | None = None, digits: int = 1) -> Box:
+def cell(value: float | None, ends: Sequence[float | None] | None = None, digits: int = 1) -> Cell:
     """A cell with a figure and its interval."""
-    return Box(number(value, digits), span(ends, digits))
+    return Cell(number(value, digits), span(ends, digits))
 
 
 def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -104,303 +173,22 @@ def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(row).rstrip() for row in cells]
 
 
-def lines_of(sheet: Sheet) -> list[str]:
-    """A table as lines for a terminal, intervals in brackets."""
-    cells = ([f"{box.text} ({box.small})" if box.small else box.text for box in row.boxes] for row in sheet.rows)
-    return in_columns([sheet.heads, *([row.head, *texts] for row, texts in zip(sheet.rows, cells, strict=True))])
+def _in_line(cell: Cell, small: bool) -> str:
+    return f"{cell.text}{cell.mark if len(cell.mark) == 1 else ''}{f' ({cell.small})' if cell.small and small else ''}"
 
 
-# --- the parts of a page, as HTML -------------------------------------------------------------------------------------
+def _in_markdown(cell: Cell) -> str:
+    """A dagger stands at the figure, a word at the end."""
+    text = f"**{_escaped(cell.text)}**" if cell.best else _escaped(cell.text)
+    small = f" ({_escaped(cell.small)})" if cell.small else ""
+    return f"{text}{cell.mark}{small}" if len(cell.mark) == 1 else f"{text}{small} {cell.mark}".rstrip()
 
 
-def text(words: str, kind: str = "") -> str:
-    """A paragraph; its kind is "note", "warn" or ""."""
-    return f'<p class="{kind}">{html.escape(words)}</p>' if kind else f"<p>{html.escape(words)}</p>"
+def _escaped(text: str) -> str:
+    """`text` as Markdown shows it: no tag, no link, no code, no cell of a table and no line begins in it."""
+    marked = re.sub(r"([\\`\[\]|])", r"\\\1", " ".join(text.split()))
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", marked)
 
 
-def heading(words: str) -> str:
-    """A heading below a section's own."""
-    return f"<h3>{html.escape(words)}</h3>"
-
-
-def link(words: str, file: str) -> str:
-    """A line that leads to a file beside the page."""
-    return f'<p><a href="{html.escape(file)}">{html.escape(words)}</a></p>'
-
-
-def pictures(found: Sequence[tuple[str, str]], kind: str = "") -> str:
-    """Pictures (SVG, as this module makes it, or an element) with captions; `kind`: "map", "strip" or ""."""
-    inside = "".join(f"<figure>{each}<figcaption>{html.escape(words)}</figcaption></figure>" for each, words in found)
-    return f'<div class="figures {kind}">{inside}</div>'
-
-
-def wide(address: str, words: str) -> str:
-    """A picture at this data address that is as wide as the page, and scrolls on a phone."""
-    return _scrolls("picture", words, f'<img alt="{html.escape(words)}" src="{address}">', " wide")
-
-
-def folded(summary: str, *parts: Part) -> str:
-    """What is there for those who ask."""
-    return f"<details><summary>{html.escape(summary)}</summary>{shown(parts)}</details>"
-
-
-def could_not(summary: Mapping[str, Any]) -> list[Part]:
-    """Which units of a run have no result, and why."""
-    lines = [f"{f['key']} (attempt {f['attempt']}): {f['error']}" for f in summary["failures"]]
-    return [text("These are errors, not wrong answers: they are in no figure above."), items(lines)]
-
-
-def shown(parts: Iterable[Part]) -> str:
-    """All parts as HTML."""
-    return "\n".join(_table(part) if isinstance(part, Sheet) else part for part in parts)
-
-
-def document(title: str, lead: Sequence[Part], sections: Sequence[Section]) -> str:
-    """The whole page."""
-    bodies = (
-        f'<section aria-labelledby="{each.id}"><h2 id="{each.id}">{html.escape(each.heading)}</h2>\n'
-        f"{shown(each.parts)}\n</section>"
-        for each in sections
-    )
-    return filled(
-        "report.html", "report.css", title=html.escape(title), lead=shown(lead), light=_palette(LIGHT),
-        dark=_palette(DARK), sections="\n".join(bodies),
-        contents="\n".join(f'<li><a href="#{each.id}">{html.escape(each.heading)}</a></li>' for each in sections),
-    )  # fmt: skip
-
-
-def _table(sheet: Sheet) -> str:
-    heads = "".join(f'<th scope="col">{html.escape(head)}</th>' for head in sheet.heads)
-    rows = "\n".join(
-        f'<tr class="{row.kind}"><th scope="row">{html.escape(row.head)}</th>{"".join(map(_cell, row.boxes))}</tr>'
-        for row in sheet.rows
-    )
-    head = f"<caption>{html.escape(sheet.title)}</caption><thead><tr>{heads}</tr></thead>"
-    table = _scrolls("table", sheet.title, f"<table>{head}<tbody>\n{rows}\n</tbody></table>")
-    return "\n".join([table, *(text(note, "note") for note in sheet.notes)])
-
-
-def _cell(box: Box) -> str:
-    """A dagger stands at the figure, a word below it."""
-    told = f"<b>{html.escape(box.text)}</b>" if box.best else html.escape(box.text)
-    if len(box.mark) == 1:
-        than = "worse" if box.mark == "†" else "better"
-        told += f'<sup title="{than} than what it is compared with">{box.mark}</sup>'
-    small = " ".join(filter(None, (box.small, f"· {box.mark}" if len(box.mark) > 1 else "")))
-    return f"<td>{told}{f'<small>{html.escape(small)}</small>' if small else ''}</td>"
-
-
-def _scrolls(what: str, words: str, inside: str, kind: str = "") -> str:
-    """What is too wide for a phone, in a region that scrolls."""
-    region = f'class="scroll{kind}" role="region" tabindex="0" aria-label="{html.escape(words)}"'
-    return f'<p class="hint">The {what} scrolls sideways →</p>\n<div {region}>{inside}</div>'
-
-
-def _palette(colours: Mapping[str, str]) -> str:
-    """The colours of methods and spare series, by their names in the style sheet."""
-    spare = {f"x{k}": colour for k, colour in enumerate(list(colours.values())[:SPARE])}
-    return "".join(f"--c-{name}:{colour};" for name, colour in {**colours, **spare}.items())
-
-
-# --- charts by matplotlib, as SVG for a page --------------------------------------------------------------------------
-
-RING = "ring"
-ALL_MARKED = 10  # points of a line that all have a mark; of more some
-STYLES: dict[str, tuple[Any, str]] = {  # dashes and marks, as matplotlib names them
-    "eagor": ("-", "o"),
-    "eagor_paper": ((0, (7, 3)), "s"),
-    "centroid": ((0, (2, 3)), "^"),
-    "cent_circ": ((0, (9, 3, 2, 3)), "v"),
-    "grid": ((0, (5, 3)), "D"),
-    "best_detection": ((0, (8, 2, 2, 2, 2, 2)), "*"),
-    "last_detection": ((0, (4, 1)), ">"),
-    "vmf": ((0, (3, 2)), "x"),
-    "grid_filter": ((0, (10, 4)), "+"),
-    "particle_filter": ((0, (1, 3)), RING),
-    "oracle": ("-", RING),
-    "plain": ((0, (1, 2)), "D"),
-}
-MARKS = ("o", "s", "^", "D", "v", "x", "+", RING)
-_PAGE = ("ink", "quiet", "paper", "rule", "target")
-_COLOURS = (*_PAGE, *(f"c-{name}" for name in LIGHT), *(f"c-x{k}" for k in range(SPARE)))
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A mean `y` at each `x` with its interval, over `n` episodes; None where too few episodes have a case."""
-
-    x: tuple[float, ...]
-    y: tuple[float | None, ...]
-    low: tuple[float | None, ...]
-    high: tuple[float | None, ...]
-    n: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Series:
-    """A line of a chart: what it is called, its points, and the name of its looks."""
-
-    name: str
-    curve: Curve
-    look: str
-    strong: bool = False
-
-
-def bands(series: Sequence[Series]) -> str:
-    """What a caption says of the bands of these lines; "" where none is drawn."""
-    return "; bands: 95 % intervals" if any(v is not None for line in series for v in line.curve.low) else ""
-
-
-def look_of(name: str, index: int = 0) -> str:
-    """The looks of a method; others get one of the spare ones, by `index`."""
-    return name if name in STYLES else f"x{index % SPARE}"
-
-
-def style_of(look: str, **more: Any) -> dict[str, Any]:
-    """How matplotlib draws a line of these looks, and its marks."""
-    dashes, mark = STYLES.get(look) or ("-", MARKS[int(look[1:]) % len(MARKS)])
-    found = {"color": colour_of(f"c-{look}"), "linestyle": dashes, "marker": mark, "clip_on": False}
-    if mark == RING:
-        found |= {"marker": "o", "markerfacecolor": colour_of("paper")}
-    return found | more
-
-
-def colour_of(name: str) -> str:
-    """The stand-in for a colour of the page."""
-    return f"#fe00{_COLOURS.index(name):02x}"
-
-
-def blank(width: float, height: float, inside: tuple[float, float, float, float] = (0, 0, 1, 1)) -> tuple[Any, Any]:
-    """A figure of this many pixels, and its axes within (left, bottom, width, height: shares); nothing is drawn yet."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width / 72, height / 72), dpi=72)
-    axes = figure.add_axes(inside)
-    axes.axis("off")
-    figure.patch.set_visible(False)
-    axes.patch.set_visible(False)
-    return figure, axes
-
-
-def line_chart(
-    series: Sequence[Series],
-    title: str,
-    x_label: str,
-    y_label: str,
-    y_range: tuple[float, float] | None = None,
-    event: str = "",
-    diagonal: bool = False,
-) -> str:
-    """Lines with their 95 % bands and a legend; the strong ones lie on top.
-
-    `event` names what happens at x = 0, where a line is drawn; `diagonal` draws y = x.
-    """
-    values = [v for line in series for v in (*line.curve.y, *line.curve.low, *line.curve.high) if v is not None]
-    low, high = y_range or (0.0, max(values, default=1.0) * 1.04)
-    high = max(high, low + 1e-6)
-    rows = math.ceil(len(series) / _columns([line.name for line in series]))
-    height = 300 + 16 * rows
-    figure, axes = blank(480, height, (46 / 480, (42 + 16 * rows) / height, 418 / 480, 246 / height))
-    axes.axis("on")
-    for side in axes.spines.values():
-        side.set_visible(False)
-    axes.grid(axis="y", color=colour_of("rule"), linewidth=1, clip_on=False)
-    axes.locator_params(nbins=6, steps=[1, 2, 5, 10])
-    axes.tick_params(length=0, pad=6, labelsize=12, labelcolor=colour_of("quiet"))
-    axes.set_xlabel(x_label, color=colour_of("ink"), fontsize=12)
-    axes.set_ylabel(y_label, color=colour_of("ink"), fontsize=12)
-    xs = [x for line in series for x in line.curve.x]
-    axes.set_xlim(min(xs), max(xs) if max(xs) > min(xs) else min(xs) + 1)
-    axes.set_ylim(low, high)
-    quiet = {"color": colour_of("quiet"), "linewidth": 1, "linestyle": (0, (2, 3)), "clip_on": False}
-    if event and min(xs) < 0 < max(xs):
-        axes.plot([0, 0], [low, high], **quiet)
-        axes.annotate(event, (0, 1), (4, -11), xycoords=("data", "axes fraction"), textcoords="offset points",
-                      color=colour_of("quiet"), fontsize=11)  # fmt: skip
-    if diagonal:
-        ends = max(axes.get_xlim()[0], low), min(axes.get_xlim()[1], high)
-        axes.plot(ends, ends, **quiet)
-    for index, line in enumerate(sorted(series, key=lambda line: line.strong)):
-        x = np.array(line.curve.x, dtype=float)
-        y, below, above = (np.clip(_floats(v), low, high) for v in (line.curve.y, line.curve.low, line.curve.high))
-        axes.fill_between(x, below, above, where=np.isfinite(y + below + above), linewidth=0, alpha=0.13,
-                          color=colour_of(f"c-{line.look}"), clip_on=False)  # fmt: skip
-        count = np.count_nonzero(np.isfinite(y))
-        every = 1 if count <= ALL_MARKED else math.ceil(count / 7)
-        axes.plot(x, y, label=line.name, markevery=(index % every, every), markersize=7 if line.strong else 6,
-                  linewidth=3.2 if line.strong else 1.7, **style_of(line.look))  # fmt: skip
-    _legend(figure, axes, [line.name for line in series])
-    return finished(figure, title, _in_words(series, x_label, y_label))
-
-
-def legend(names: Sequence[str], strong: str, of: str) -> str:
-    """The names of methods, each with a sample of its line, as a picture of its own; `of`: what it belongs to."""
-    figure, axes = blank(480, 16 * math.ceil(len(names) / _columns(names)) + 2)
-    for name in names:
-        axes.plot([], [], label=name, linewidth=3.2 if name == strong else 1.7, **style_of(look_of(name)))
-    _legend(figure, axes, names)
-    return finished(figure, f"Legend of {of}", f"the methods {', '.join(names)}")
-
-
-def finished(figure: Any, title: str, words: str, image: str = "") -> str:
-    """A figure as SVG, with a title and a description for those who do not see it; `image`: what lies below it.
-
-    Numbers of ids come from the title and the words, so that the same chart is the same text, and differ by chart.
-    """
-    import matplotlib.text
-
-    for each in figure.findobj(matplotlib.text.Text):
-        each.set_parse_math(False)  # a dollar in a name is a dollar
-    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": f"{title}{words}"}
-    with matplotlib.rc_context(settings), io.StringIO() as buffer:
-        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
-        drawn = buffer.getvalue()
-    box = re.search(r'viewBox="([^"]*)"', drawn)
-    body = re.search(r"<svg[^>]*>(.*)</svg>", drawn, re.DOTALL)
-    assert box is not None
-    assert body is not None
-    inner = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body[1], flags=re.DOTALL)
-    inner = re.sub(r' id="(?!m[0-9a-f]{10}")[^"]*"', "", inner.replace("xlink:href", "href"))
-    inner = re.sub(r"font-family: [^;\"]*", "font-family: system-ui, sans-serif", inner)
-    inner = re.sub(r"#fe00([0-9a-f]{2})", lambda found: f"var(--{_COLOURS[int(found[1], 16)]})", inner)
-    inner = re.sub(r"\s*\n\s*", " ", inner)
-    below = f'<image href="{image}" width="100%" height="100%" preserveAspectRatio="none"/>' if image else ""
-    said = html.escape(f"{title}. {words}")
-    return (
-        f'<svg viewBox="{box[1]}" role="img" aria-label="{said}" stroke-linejoin="round"><title>{html.escape(title)}'
-        f"</title>{below}{inner}</svg>"
-    )
-
-
-def _columns(names: Sequence[str]) -> int:
-    """How many columns of a legend of 480 pixels these names fit into, at about 6.5 pixels a letter."""
-    widest = 60 + 6.5 * max(map(len, names), default=0)
-    return max(1, min(3, len(names), int(480 / widest)))
-
-
-def _legend(figure: Any, axes: Any, names: Sequence[str]) -> None:
-    """All lines that are named, in this order, at the foot of the figure."""
-    handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(
-        [handles[name] for name in names], names, loc="lower center", ncol=_columns(names), frameon=False,
-        fontsize=12, labelcolor=colour_of("ink"), handlelength=3, borderpad=0, borderaxespad=0, columnspacing=1.5,
-        labelspacing=0.3,
-    )  # fmt: skip
-
-
-def _floats(values: Sequence[float | None]) -> np.ndarray:
-    return np.array([math.nan if value is None else value for value in values], dtype=float)
-
-
-def _in_words(series: Sequence[Series], x_label: str, y_label: str) -> str:
-    """The lines' ends and peaks, for those who do not see them."""
-    found = []
-    for line in series:
-        points = [(x, y) for x, y in zip(line.curve.x, line.curve.y, strict=True) if y is not None]
-        if points:
-            top = max(points, key=lambda point: point[1])
-            found.append(
-                f"{line.name}: {points[0][1]:.3g} at {points[0][0]:g}, {points[-1][1]:.3g} at {points[-1][0]:g}, "
-                f"at most {top[1]:.3g} at {top[0]:g}"
-            )
-    return f"{y_label} against {x_label}. " + "; ".join(found)
+def _piped(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

@@ -29,6 +29,8 @@ from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError, StorageError, WorkError
 from eagor.lab.agents.models import release
 from eagor.lab.eval import log
+from eagor.lab.tasks.task import WORK, Task, configure, settings_of
+from eagor.lab.tasks.task import load as load_task
 from eagor.plugins import readable_lists
 
 Engine = Literal["processes", "threads", "ray"]
@@ -113,6 +115,30 @@ def run(
         return Outcome(schedule.done, schedule.failed, schedule.skipped)
     finally:
         release()
+
+
+def units_of(task: Task, config: Any, limit: int | None = None, shard: tuple[int, int] = (1, 1)) -> list[Unit]:
+    """The units of a run. `limit`: only the first so many samples; `shard`: (i, n), every n-th from the i-th on.
+
+    Neither changes what a sample is called, so any parts of a run fit into one folder. Raises `EagorError`.
+    """
+    part, parts = shard
+    if not 1 <= part <= parts:
+        raise EagorError(f"shard {part}/{parts}; wanted i/n with 1 <= i <= n, such as 1/4")
+    if limit is not None and limit < 1:
+        raise EagorError(f"a limit of {limit} samples; wanted 1 or more")
+    samples = task.samples(config)[:limit][part - 1 :: parts]
+    return [Unit(f"{task.name}/{sample.id}", sample.group, sample.payload) for sample in samples]
+
+
+def run_task(task: str | Task, folder: Path, values: Mapping[str, Any], **how: Any) -> Outcome:
+    """Do what `folder` has no record of yet of the run whose settings are `values`; `how` as in `run`.
+
+    Raises as `eagor.lab.tasks.task.configure` and `run`.
+    """
+    task = load_task(task) if isinstance(task, str) else task
+    config = configure(task, values)
+    return run(units_of(task, config), WORK, settings_of(config), folder, **how)
 
 
 def _samples(units: Sequence[Unit]) -> dict[str, Any]:

@@ -19,15 +19,16 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, WorldError
 from eagor.lab.agents.floor_map import CELL, FLOOR, FloorMap
 from eagor.lab.agents.search_space import looked_along
-from eagor.lab.envs.rules import Camera, from_dict
-from eagor.lab.eval import page
-from eagor.lab.eval.page import Part, blank, colour_of, finished, legend, look_of, style_of
-from eagor.lab.eval.samples import Record, played_by
-from eagor.lab.eval.tables import OURS, is_ablation, is_rival, ordered, shown
+from eagor.lab.envs.rules import Camera
+from eagor.lab.eval.charts import blank, colour_of, legend, look_of, style_of, svg_of
+from eagor.lab.eval.page import Part, Pictures, Text
+from eagor.lab.eval.results import OURS, Result, Run, is_rival, is_variant, ordered, rank
+from eagor.lab.eval.steps import truth_of
+from eagor.lab.eval.tables import shown
+from eagor.lab.tasks.task import Record, Task, config_of
 
 if TYPE_CHECKING:
     from eagor.lab.envs.places import Place
-    from eagor.lab.tasks.task import Task
     from eagor.lab.worlds.walkable import Walkable
 
 BLUE = (36, 146, 232)  # red, green, blue: one for a light and a dark page, as the greys of the plan are
@@ -143,33 +144,17 @@ def key_to_search(search: Search, of: str) -> str:
         axes.text(middle + 22 * shades + 8, 9, "looks would find it", **text)
     words = "dashed where it searched, solid where it went to where the thing should be"
     words += "; shaded where looks showed the floor, the stronger the surer they find a thing there" if shades else ""
-    return finished(figure, f"Key to the search of {of}", words)
+    return svg_of(figure, f"Key to the search of {of}", words)
 
 
-def chosen(records: Sequence[Record], task: Task) -> dict[str, Record]:
-    """The best, the median and the worst episode of our default method (fewer, where there are fewer)."""
-    those = ranked(records, task, OURS)
-    if not those:
-        return {}
-    places = {"best": 0, "median": len(those) // 2, "worst": len(those) - 1}
+def chosen(ranked: Sequence[Result]) -> dict[str, Record]:
+    """The best, the median and the worst of ranked episodes (fewer, where there are fewer)."""
+    places = {"best": 0, "median": len(ranked) // 2, "worst": len(ranked) - 1} if ranked else {}
     found: dict[str, Record] = {}
     for name, place in places.items():
-        if those[place] not in found.values():
-            found[name] = those[place]
+        if ranked[place].record not in found.values():
+            found[name] = ranked[place].record
     return found
-
-
-def ranked(records: Sequence[Record], task: Task, method: str) -> list[Record]:
-    """The episodes that `method` has played, best first: by its error, after success and path length."""
-    return sorted(played_by(records, method), key=lambda record: _rank(record["methods"][method], task))
-
-
-def _rank(entry: Mapping[str, Any], task: Task) -> tuple[float, ...]:
-    """Lower is better."""
-    if task.walked:
-        metrics = entry["metrics"]
-        return -metrics["success"], -metrics["spl"], metrics["mae"]
-    return (float(np.mean([error for error in entry["trace"]["error_deg"] if error is not None])),)
 
 
 def open_episode(record: Record, radius: float, open_place: OpenPlace) -> Place:
@@ -239,12 +224,13 @@ def floor_map(place: Place, record: Record, others: Sequence[Record], search: Se
     if search is not None:
         words += f"; {search.in_words(ground.free)}"
         plan = plan if search.found is None else shaded(plan, search.found)
-    return finished(figure, title, words, _png(plan[box][::-1]))
+    return svg_of(figure, title, words, _png(plan[box][::-1]))
 
 
 def strip(place: Place, record: Record) -> list[tuple[str, str]]:
     """Six moments through the camera, each an SVG and its caption: what was true, and what each method said."""
-    truth, traces = _truth(record), {name: entry["trace"] for name, entry in record["methods"].items()}
+    truth = truth_of(Result(record, record["methods"][OURS]))
+    traces = {name: entry["trace"] for name, entry in record["methods"].items()}
     names = [name for name in ordered(traces) if is_rival(name)]
     poses, found = _poses(record), []
     for number, step in enumerate(moments_of(record), start=1):
@@ -268,7 +254,7 @@ def strip(place: Place, record: Record) -> list[tuple[str, str]]:
         words = f"true azimuth {azimuth:.0f} degrees" if there else "no target"
         words += f"; {OURS} says {traces[OURS]['azimuth_deg'][step]:.0f} degrees; positive is to the left"
         title = f"Panorama at step {step} of episode {record['episode']['id']}"
-        found.append((finished(figure, title, words, _panorama(place, record, poses[step], step)), caption))
+        found.append((svg_of(figure, title, words, _panorama(place, record, poses[step], step)), caption))
     return found
 
 
@@ -276,19 +262,6 @@ def _poses(record: Record, name: str = OURS) -> np.ndarray:
     """x, y, z, qw, qx, qy, qz of the camera at each step ``(n, 7)``."""
     source = record["truth"] if "truth" in record else record["methods"][name]["trace"]
     return np.array(source["pose"], dtype=float)
-
-
-def _truth(record: Record) -> Mapping[str, Any]:
-    """The true directions by step, under the same names for every task."""
-    if "truth" in record:
-        return record["truth"]
-    trace = record["methods"][OURS]["trace"]
-    flat = [0.0] * len(trace["true_azimuth_deg"])
-    return {
-        "azimuth_deg": trace["true_azimuth_deg"],
-        "elevation_deg": trace.get("true_elevation_deg", flat),
-        "visible": trace["visible"],
-    }
 
 
 def _stops(way: np.ndarray, moments: Sequence[int]) -> list[tuple[str, np.ndarray]]:
@@ -344,45 +317,45 @@ def _png(pixels: np.ndarray, colours: int | None = None) -> str:
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
-def three(records: Sequence[Record], task: Task, config: Mapping[str, Any], open_place: OpenPlace | None) -> list[Part]:
+def three(run: Run, results: Mapping[str, Sequence[Result]], open_place: OpenPlace | None) -> list[Part]:
     """The best, the median and the worst episode of our default method: a map, and six moments."""
-    found = chosen(records, task)
+    found = chosen(rank(run, OURS))
     if not found:
-        return [page.text(f"There is no episode with a result of {OURS}.")]
+        return [Text(f"There is no episode with a result of {OURS}.")]
     if open_place is None:
         from eagor.lab.envs.places import load_place as open_place
-    radius = float(config.get("camera", {}).get("radius", Camera().radius))
-    by = f"Chosen by the error of {OURS}" + (", after success and path length." if task.walked else ".")
-    parts: list[Part] = [page.text(by, "note")]
+    camera = _camera(run)
+    parts: list[Part] = [Text(f"Chosen by the metrics of {OURS}.", "note")]
+    others = [result.record for each in results.values() for result in each]
     for kind, record in found.items():
         episode = record["episode"]
-        parts.append(page.heading(f"The {kind}: {episode['query']}, episode {episode['id']}"))
-        parts.append(page.text(figures_of(record, task)))
+        parts.append(Text(f"The {kind}: {episode['query']}, episode {episode['id']}", "h3"))
+        parts.append(Text(figures_of(record, run.task)))
         try:
-            place = open_episode(record, radius, open_place)
-            parts += _pictures(place, record, records, task, search_of(place, record, _camera(config)))
+            place = open_episode(record, (camera or Camera()).radius, open_place)
+            parts += _pictures(place, record, others, search_of(place, record, camera))
         except (EagorError, ImportError, OSError) as error:
-            parts.append(page.text(f"No pictures: {error}", "note"))
+            parts.append(Text(f"No pictures: {error}", "note"))
         except (KeyError, IndexError) as error:  # only pictures need it: its place, its balls
             lacks = f"the record {record['key']!r} does not hold all that they need ({type(error).__name__}: {error})"
-            parts.append(page.text(f"No pictures: {lacks}", "note"))
+            parts.append(Text(f"No pictures: {lacks}", "note"))
     return parts
 
 
-def _camera(config: Mapping[str, Any]) -> Camera | None:
+def _camera(run: Run) -> Camera | None:
     """The camera of a run; None if it is one of another version."""
     try:
-        return from_dict(Camera, dict(config.get("camera", {})))
+        return config_of(run.task, run.settings).camera
     except EagorError:
         return None
 
 
-def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task, search: Search | None) -> list[Part]:
+def _pictures(place: Any, record: Record, records: Sequence[Record], search: Search | None) -> list[Part]:
     """The map and the strip of one episode, with a legend; with a key to its `search`, if it was one."""
     others = []
-    if task.walked:
+    if "truth" not in record:  # each method went its own way
         same = [r for r in records if r["episode"]["id"] == record["episode"]["id"]]
-        others = [r for r in same if (name := next(iter(r["methods"]))) != OURS and not is_ablation(name)]
+        others = [r for r in same if (name := next(iter(r["methods"]))) != OURS and not is_variant(name)]
     names = ordered([*(next(iter(r["methods"])) for r in others), *(n for n in record["methods"] if is_rival(n))])
     above = [
         (floor_map(place, record, others, search), "From above; numbers: the moments."),
@@ -390,11 +363,11 @@ def _pictures(place: Any, record: Record, records: Sequence[Record], task: Task,
         (legend(names, OURS, str(record["key"])), "Each method's line and mark."),
     ]
     caption = "White ring: the truth. Marks: what each method says. The middle is straight ahead, the edges are behind."
-    return [page.pictures(above, "map"), page.pictures(strip(place, record), "strip"), page.text(caption, "note")]
+    return [Pictures(above, "map"), Pictures(strip(place, record), "strip"), Text(caption, "note")]
 
 
 def figures_of(record: Record, task: Task, method: str = OURS) -> str:
     """The figures of a method in an episode, in words."""
-    values = [(column, column.of(record, method)) for column in task.columns]
-    told = ", ".join(f"{c.title} {shown(value, c)}{c.unit}" for c, value in values if value is not None)
-    return f"{method}: {told}."
+    values = [(metric, metric.of(record["methods"][method])) for metric in task.metrics]
+    figures = ", ".join(f"{m.title} {shown(value, m)}{m.unit}" for m, value in values if value is not None)
+    return f"{method}: {figures}."

@@ -1,467 +1,511 @@
-"""Tables of simulated tasks; the order of their methods, and what the papers printed (``published.toml``).
+"""The tables of a report, the same for the page, for Markdown and for the terminal.
 
-And what the steps of episodes say: errors around turns and seam crossings and along the way; where they come from.
-Before the first sighting, errors are the price of the search; in sight, the perception's; hidden, the memory's. Per
-episode first (the mean over its events or steps), then the mean over the episodes, with intervals that resample
-apartments.
+``published.toml`` has what the papers printed.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from itertools import groupby
 from typing import Any
 
-import numpy as np
-
-from eagor.errors import EagorError
-from eagor.lab.agents.methods import EVERY, ORACLE
-from eagor.lab.eval.page import Curve, in_columns, number
-from eagor.lab.eval.samples import (
-    IN_LEGS,
-    SIMULATED,
-    WALKED,
-    WATCHED,
-    Gap,
-    Measured,
-    Record,
-    Sample,
-    checked,
-    clustered,
-    failures,
-    finished,
-    gap,
-    group_of,
-    holm,
-    mean_intervals,
-    method_names,
-    numbers,
-    played_by,
-    sample,
+from eagor._tables import as_csv
+from eagor.lab.eval import steps
+from eagor.lab.eval.page import NOTHING, Cell, Row, Table, cell, in_columns, number, span
+from eagor.lab.eval.results import (
+    FEW,
+    OURS,
+    PAPERS,
+    RIVALS,
+    SIGNIFICANT,
+    Difference,
+    Result,
+    Run,
+    Summary,
+    compared_with,
+    corrected,
+    difference,
+    is_rival,
+    is_variant,
+    lowest_p,
+    small_cluster_warning,
+    values_of,
 )
-from eagor.lab.tasks.task import Column, Task, known, load
-from eagor.metrics import seam_crossings
-from eagor.sphere import direction
+from eagor.lab.tasks.task import Metric, Task, finished
 
-OURS, PAPERS = "eagor", "eagor_paper"  # our default, and the method as published
-RIVALS = ("centroid", "cent_circ", "grid")  # what the paper compares itself with
-ORDER = (*EVERY, ORACLE)
-
-_PRINTED = tomllib.loads((Path(__file__).parent / "published.toml").read_text(encoding="utf-8"))
-FIGURES: dict[str, dict[str, dict[str, float]]] = {
+_PRINTED = tomllib.loads(files("eagor.lab.eval").joinpath("published.toml").read_text(encoding="utf-8"))
+PUBLISHED: dict[str, dict[str, dict[str, float]]] = {
     task: {name: dict(zip(rows["columns"], row, strict=False)) for name, row in rows.items() if name != "columns"}
     for task, rows in _PRINTED["figures"].items()
 }
-FAILURE_TAGS: dict[str, dict[str, tuple[float, float]]] = _PRINTED["failure_tags"]
-RESOLUTION_DEG = {7: 25.0}  # "about 25 degrees of angular resolution", by degree
+PUBLISHED_TAGS: dict[str, dict[str, tuple[float, float]]] = _PRINTED["failure_tags"]
+
+DAGGER = {"-": "†", "+": "‡", "": ""}
+WIDTH = 120  # of a terminal
+FIELDS = (
+    "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
+    "reference", "difference", "difference_low", "difference_high", "p", "p_holm",
+)  # fmt: skip
 
 
-def ordered(names: Iterable[str]) -> list[str]:
-    """Method names in the order of the tables: plain, the paper's, the further rivals, ours, the oracle, ablations."""
-    place = {name: index for index, name in enumerate(ORDER)}
-    return sorted(names, key=lambda name: (place.get(name, len(place)), *_natural(name)))
+# --- cells ------------------------------------------------------------------------------------------------------------
 
 
-def is_ablation(name: str) -> bool:
-    """Whether the method is a variation of another one: "eagor:degree=7"."""
-    return ":" in name
-
-
-def varied_by(name: str) -> tuple[str, tuple[str, ...]]:
-    """The varied method, and the names of the settings: "eagor:degree=7" is ("eagor", ("degree",))."""
-    base, _, text = name.partition(":")
-    return base, tuple(item.partition("=")[0] for item in text.split(","))
-
-
-def degree_of(name: str) -> int | None:
-    """The degree that a variant such as "eagor:degree=7" sets; None where it sets none."""
-    value = name.rpartition("=")[2]
-    return int(value) if value.isdecimal() else None
-
-
-def is_rival(name: str) -> bool:
-    """Whether the method competes: neither a variation nor one that is told the truth."""
-    return not is_ablation(name) and name != ORACLE
-
-
-def compared_with(name: str, reference: str) -> str:
-    """What a method is measured against: an ablation against the method that it varies, all others against one."""
-    return name.partition(":")[0] if is_ablation(name) else reference
-
-
-def _natural(name: str) -> tuple[str, float, str]:
-    """A sort key that puts degree=7 before degree=15."""
-    head, _, value = name.rpartition("=")
-    try:
-        return head, float(value), ""
-    except ValueError:
-        return (head or name), 0.0, value
-
-
-# --- from the records of a simulated run to its table -----------------------------------------------------------------
-
-_WORDS = {True: "yes", False: "no"}
-SIGNIFICANT = 0.05
-
-
-def summarise(records: Iterable[Record], reference: str = OURS) -> dict[str, Any]:
-    """The table of one task, as plain values; each method is compared with `reference`.
-
-    - "methods" {name: {column: value}}, "counts" and "intervals" (95 %, of whole apartments: Wilson's for shares of
-      success, else a bootstrap) alike; "episodes" with a result, "apartments", "failed" units and "failures".
-    - "differences" {name: {column: {difference, low, high, p, p_holm, n, groups}}}: method minus reference over shared
-      episodes; p by sign flips of apartments, p_holm corrected for all tests. Ablations are a family of their own, each
-      compared with the method that it varies.
-    - "strata" {title: {label: {"episodes", "methods", "intervals", "counts"}}}.
-
-    Raises `EagorError` for records of several tasks, or of an unknown one; `FormatError` for one that no task writes.
-    """
-    records = list(records)
-    task = task_of(records)
-    checked(records, WALKED if task.walked else WATCHED)
-    if any("leg" in record.get("truth", {}) for record in finished(records)):
-        checked(records, IN_LEGS)
-    columns = task.columns
-    good = finished(records)
-    cells, samples = _cells(good, columns)
-    return {
-        "task": task.name,
-        "episodes": len({record["episode"]["id"] for record in good}),
-        "apartments": len({group_of(record) for record in good}),
-        "failed": len(records) - len(good),
-        **cells,
-        "reference": reference,
-        "differences": _differences(samples, columns, reference),
-        "strata": {title: _strata(good, columns, name) for name, title in task.strata.items()},
-        "failures": failures(records),
-    }
-
-
-def task_of(records: Sequence[Record]) -> Task:
-    """The one task that records are of. Raises as `summarise`."""
-    checked(records, SIMULATED)
-    names = {record.get("task") for record in records} - {None}
-    if len(names) != 1:
-        found = sorted(map(str, names)) or "none"
-        raise EagorError(f"the records are of the tasks {found}; wanted one of {', '.join(known())}")
-    return load(str(names.pop()))
-
-
-def as_text(summary: dict[str, Any]) -> list[str]:
-    """The table for a terminal: a line per method, one with the numbers of cases, and what the marks mean."""
-    columns = shown_columns(summary)
-    if not summary["methods"]:
-        return [f"{load(summary['task']).title}: no results; {summary['failed']} failed"]
-    rows = [["", *(f"{column.title} {column.unit}".strip() for column in columns)]]
-    marks = set()
-    for name in summary["methods"]:
-        row = [name]
-        for column in columns:
-            found = mark(summary, name, column)
-            marks.add(found)
-            figure = shown(summary["methods"][name][column.key], column)
-            row.append(f"{figure}{found or ' '}{own_cases(summary, name, column)}")
-        rows.append(row)
-    counts = [summary["counts"][name] for name in summary["methods"]]
-    rows.append(["cases", *(f"{_span([count[column.key] for count in counts])} " for column in columns)])
-    head = f"{load(summary['task']).title}: {summary['episodes']} episodes"
-    if summary["failed"]:
-        head += f"; {summary['failed']} could not be run"
-    notes = [text for sign, text in (("-", "- worse"), ("+", "+ better")) if sign in marks]
-    other = f"{summary['reference']} (a variant: than what it varies)"
-    judged = [summary["judged"]] if summary.get("judged") else []
-    tail = [f"{', '.join(notes)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests"] if notes else []
-    return [head, *in_columns(rows), *judged, *tail]
-
-
-def own_cases(summary: dict[str, Any], name: str, column: Column) -> str:
-    """How many cases a method has in a column, where methods differ in that; else nothing."""
-    counts = {count[column.key] for count in summary["counts"].values()} - {0}
-    return f"({summary['counts'][name][column.key]})" if len(counts) > 1 else ""
-
-
-def mark(summary: dict[str, Any], name: str, column: Column) -> str:
+def mark(summary: Summary, name: str, metric: Metric) -> str:
     """Whether a method differs from its reference beyond chance: "-" it is worse, "+" it is better, "" neither."""
-    found = summary["differences"].get(name, {}).get(column.key)
-    if found is None or column.better is None or found["p_holm"] >= SIGNIFICANT or found["difference"] == 0:
+    found = summary["differences"].get(name, {}).get(metric.key)
+    if found is None or metric.better is None or found["p_holm"] >= SIGNIFICANT or found["difference"] == 0:
         return ""
-    return "-" if (found["difference"] > 0) == (column.better == "low") else "+"
+    return "-" if (found["difference"] > 0) == (metric.better == "low") else "+"
 
 
-def best(summary: dict[str, Any], column: Column, names: Sequence[str]) -> set[str]:
-    """Those of `names` with the best figure of a column, as it is shown; nobody where neither side is better."""
-    there = {name: summary["methods"][name][column.key] for name in names}
-    figures = {name: round(value, column.digits) for name, value in there.items() if value is not None}
-    if column.better is None or not figures:
+def best(summary: Summary, metric: Metric, names: Sequence[str]) -> set[str]:
+    """Those of `names` with the best figure of a metric, as it is shown; nobody where neither side is better."""
+    there = {name: summary["methods"][name][metric.key] for name in names}
+    figures = {name: round(value, metric.digits) for name, value in there.items() if value is not None}
+    if metric.better is None or len(names) < 2 or not figures:
         return set()
-    winner = (min if column.better == "low" else max)(figures.values())
+    winner = (min if metric.better == "low" else max)(figures.values())
     return {name for name, value in figures.items() if value == winner}
 
 
-def shown_columns(summary: dict[str, Any]) -> list[Column]:
-    """The columns in which some method has a case."""
+def shown(value: float | None, metric: Metric, sign: bool = False) -> str:
+    """A figure as text; a dash where there is no case."""
+    return number(value, metric.digits, sign or metric.key == "delta")
+
+
+def column_header(metric: Metric) -> str:
+    """The title of a metric, an arrow to its better side, its unit."""
+    arrow = {"low": " ↓", "high": " ↑", None: ""}[metric.better]
+    return f"{metric.title}{arrow}{f', {metric.unit}' if metric.unit else ''}"
+
+
+def shown_metrics(task: Task, summary: Summary) -> list[Metric]:
+    """The metrics in which some method has a case."""
     rows = summary["methods"].values()
-    return [column for column in load(summary["task"]).columns if any(row[column.key] is not None for row in rows)]
+    return [metric for metric in task.metrics if any(row[metric.key] is not None for row in rows)]
 
 
-def headed(column: Measured) -> str:
-    """The head of a column: its title, an arrow to its better side, its unit."""
-    arrow = {"low": " ↓", "high": " ↑", None: ""}[column.better]
-    return f"{column.title}{arrow}{f', {column.unit}' if column.unit else ''}"
+def own_cases(summary: Summary, name: str, metric: Metric) -> str:
+    """How many cases a method has in a metric, where methods differ in that; else nothing."""
+    counts = {count[metric.key] for count in summary["counts"].values()} - {0}
+    return f"({summary['counts'][name][metric.key]})" if len(counts) > 1 else ""
 
 
-def shown(value: float | None, column: Measured, sign: bool = False) -> str:
-    """A figure of a column as text; a dash where there is no case."""
-    return number(value, column.digits, sign or column.key == "delta")
+def _cell(summary: Summary, name: str, metric: Metric, rivals: Sequence[str] = ()) -> Cell:
+    ends = summary["intervals"][name][metric.key]
+    small = f"{span(ends, metric.digits, metric.key == 'delta')} {own_cases(summary, name, metric)}".strip()
+    winner = name in best(summary, metric, rivals)
+    return Cell(shown(summary["methods"][name][metric.key], metric), small, DAGGER[mark(summary, name, metric)], winner)
 
 
-def corrected(gaps: dict[tuple[str, ...], Gap | None]) -> dict[tuple[str, ...], dict[str, Gap | None]]:
-    """`gaps` with p_holm filled in over all of them; nested by all but the last part of their names."""
-    there = [name for name, found in gaps.items() if found is not None]
-    values = dict(zip(there, holm([found.p for found in gaps.values() if found is not None]), strict=True))
-    nested: dict[tuple[str, ...], dict[str, Gap | None]] = {}
-    for name, found in gaps.items():
-        nested.setdefault(name[:-1], {})[name[-1]] = None if found is None else replace(found, p_holm=values[name])
-    return nested
+def _row(summary: Summary, name: str, metrics: Sequence[Metric], rivals: Sequence[str]) -> Row:
+    return row(name, [_cell(summary, name, metric, rivals) for metric in metrics])
 
 
-def _cells(records: Sequence[Record], columns: Sequence[Column]) -> tuple[dict[str, Any], dict[str, dict[str, Sample]]]:
-    """Values, intervals and counts by method and column, and the samples they come from."""
-    samples = {
-        name: {column.key: sample(records, name, column) for column in columns}
-        for name in ordered(method_names(records))
+def row(name: str, cells: Sequence[Cell]) -> Row:
+    """The row of a method; ours is shown as such."""
+    return Row(name, tuple(cells), "ours" if name.partition(" ")[0] == OURS else "")
+
+
+def _heads(metrics: Sequence[Metric], first: str = "method") -> tuple[str, ...]:
+    return (first, *map(column_header, metrics))
+
+
+def _part_cell(value: steps.Part | None) -> Cell:
+    return cell(value.mean, (value.low, value.high)) if value else cell(None)
+
+
+# --- of every task ----------------------------------------------------------------------------------------------------
+
+
+def main_table(task: Task, summary: Summary) -> Table:
+    """The table laid out like the paper's, with the published row below each method that has one."""
+    metrics = shown_metrics(task, summary)
+    names = [name for name in summary["methods"] if not is_variant(name)]
+    rivals = [name for name in names if is_rival(name)]
+    published = dict(PUBLISHED.get(task.name, {}))
+    rows = []
+    for name in names:
+        rows.append(_row(summary, name, metrics, rivals))
+        if name in published:
+            rows.append(_published_row("as published", published.pop(name), metrics))
+    rows += [_published_row(f"{name}, published", values, metrics) for name, values in published.items()]
+    unit = summary["unit"]
+    notes = [_cases(summary, names, metrics)]
+    if summary["reference"] in names and len(rivals) > 1 and summary["groups"] > 1:
+        notes.append(
+            f"† worse, ‡ better than {summary['reference']}: p < {SIGNIFICANT} over what both have, by sign flips of "
+            f"{unit}s, Holm's correction over all tests of this table. Bold: the best of its column."
+        )
+        if summary["reference"] == OURS:
+            notes.append(_behind(summary, rivals, metrics))
+    notes += _few(summary, rivals)
+    if PUBLISHED.get(task.name):
+        notes.append(
+            "As published: measured by the papers in their own setting (worlds, models, perception, rules, the whole "
+            "data). They cannot be compared with ours one to one."
+        )
+    return Table(f"{task.title}: {summary['episodes']} {_plural(task)}", _heads(metrics), tuple(rows), tuple(notes))
+
+
+def _published_row(name: str, values: Mapping[str, float], metrics: Sequence[Metric]) -> Row:
+    cells = tuple(Cell(f"{values[m.key]:g}".replace("-", "−") if m.key in values else NOTHING) for m in metrics)
+    return Row(name, cells, "paper")
+
+
+def _plural(task: Task) -> str:
+    return f"{getattr(task, 'case', 'case')}s"
+
+
+def as_text(run: Run, summary: Summary) -> list[str]:
+    """The main table for a terminal, and what its marks mean."""
+    if not summary["methods"] or not summary["episodes"]:
+        return [f"{run.task.title}: no results; {summary['failed']} failed"]
+    table = main_table(run.task, summary)
+    ours = Table(table.title, table.heads, tuple(row for row in table.rows if row.kind != "paper"))
+    head = f"{table.title}, {summary['groups']} {summary['unit']}s"
+    if summary["failed"]:
+        head += f"; {summary['failed']} could not be run"
+    lines = ours.lines(WIDTH)
+    marks = [text for sign, text in (("†", "† worse"), ("‡", "‡ better")) if any(sign in line for line in lines)]
+    notes = [summary["success"]] if summary.get("success") else []
+    if marks:
+        other = f"{summary['reference']} (a variant: than what it varies)"
+        notes.append(f"{', '.join(marks)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests")
+    if any("(" in line for line in lines[1:]):
+        notes.append(f"In brackets: 95 % of whole {summary['unit']}s.")
+    return [head, *lines, *notes, *small_cluster_warning(summary["groups"], summary["unit"])]
+
+
+def _few(summary: Summary, rivals: Sequence[str]) -> list[str]:
+    """What so few groups cannot tell; nothing where there are enough, or none."""
+    groups, unit = summary["groups"], summary["unit"]
+    notes = small_cluster_warning(groups, unit)
+    tests = sum(found is not None for name in rivals for found in summary["differences"].get(name, {}).values())
+    lowest = lowest_p(groups, tests)
+    if groups > 1 and tests and lowest >= SIGNIFICANT:
+        notes.append(
+            f"With {groups} {unit}s and {tests} tests no p can be below {min(lowest, 1.0):.2g} after the correction: "
+            "whatever the figures are, none of their differences is told from chance."
+        )
+    return notes
+
+
+def _behind(summary: Summary, rivals: Sequence[str], metrics: Sequence[Metric]) -> str:
+    """In which columns ours is worse than a rival beyond chance, by how much, and why that is."""
+    found = []
+    for metric in metrics:
+        ahead = [name for name in rivals if mark(summary, name, metric) == "+"]
+        if ahead:
+            figures = ", ".join(f"{name} {shown(summary['methods'][name][metric.key], metric)}" for name in ahead)
+            ours = shown(summary["methods"][OURS][metric.key], metric)
+            found.append(f"{metric.title}: {ours} against {figures}{f' ({metric.why})' if metric.why else ''}")
+    if not found:
+        return f"In no column is {OURS} behind another method beyond chance."
+    return f"Where {OURS} is behind beyond chance: {'; '.join(found)}."
+
+
+def _cases(summary: Summary, names: Sequence[str], metrics: Sequence[Metric]) -> str:
+    """How many cases are behind the figures, column by column, in a few words."""
+    spans: dict[str, list[str]] = {}
+    for metric in metrics:
+        counts = [n for name in names if (n := summary["counts"][name][metric.key])]
+        if counts:
+            low, high = min(counts), max(counts)
+            spans.setdefault(str(high) if low == high else f"{low} to {high}", []).append(metric.title)
+    cases = "; ".join(f"{', '.join(titles)}: {span}" for span, titles in spans.items())
+    return f"Small print: 95 % intervals of whole {summary['unit']}s. Cases behind each figure: {cases}."
+
+
+def strata_tables(task: Task, summary: Summary) -> list[Table]:
+    """One table per stratum and label: the same columns, over some of the episodes."""
+    found = []
+    for title, labels in summary["strata"].items():
+        for label, part in labels.items():
+            view = {**summary, **part, "differences": {}}
+            metrics = shown_metrics(task, view)
+            names = [name for name in part["methods"] if not is_variant(name)]
+            rivals = list(filter(is_rival, names))
+            rows = tuple(_row(view, name, metrics, rivals) for name in names)
+            what = f"{title}: {label} ({part['episodes']} episodes)"
+            found.append(Table(what, _heads(metrics), rows, (_cases(view, names, metrics),)))
+    return found
+
+
+def variant_tables(task: Task, summary: Summary) -> list[Table]:
+    """One table per varied method and set of settings."""
+    metrics = shown_metrics(task, summary)
+
+    def varied(name: str) -> tuple[str, str]:
+        base, _, text = name.partition(":")
+        return base, ", ".join(item.partition("=")[0] for item in text.split(","))
+
+    variants = sorted(filter(is_variant, summary["methods"]), key=varied)
+    found = []
+    for (base, keys), group in groupby(variants, key=varied):
+        members = set(group)
+        names = [name for name in summary["methods"] if name == base or name in members]
+        rows = [_row(summary, name, metrics, names) for name in names]
+        rows = [Row(f"{base} (as it is)", r.cells, "ours") if r.head == base else r for r in rows]
+        notes = (
+            _cases(summary, names, metrics),
+            f"† worse, ‡ better than {base}: p < {SIGNIFICANT}, Holm's correction over all tests of all variants.",
+        )
+        found.append(Table(f"Variants of {base}: {keys}", _heads(metrics), tuple(rows), notes))
+    return found
+
+
+def csv_of(task: Task, summary: Summary) -> str:
+    """One row per stratum ("" for all), method and metric, at full precision; empty where there is no case."""
+    rows: list[list[Any]] = []
+    parts: dict[str, Any] = {"": summary}
+    for title, labels in summary["strata"].items():
+        parts |= {f"{title}: {label}": part for label, part in labels.items()}
+    for stratum, part in parts.items():
+        for method, values in part["methods"].items():
+            for metric in task.metrics:
+                key = metric.key
+                ends = part["intervals"][method][key] or (None, None)
+                line = [task.name, stratum, method, key, metric.unit, values[key], *ends, part["counts"][method][key]]
+                if found := part.get("differences", {}).get(method, {}).get(key):
+                    line += [compared_with(method, summary["reference"])]
+                    line += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]
+                rows.append(line + [None] * (len(FIELDS) - len(line)))
+    return as_csv([FIELDS, *rows])
+
+
+# --- of simulated tasks -----------------------------------------------------------------------------------------------
+
+
+def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table | None:
+    """How far the paper's ordering carries over: what its method gains over each rival, published and measured."""
+    published = PUBLISHED.get(task.name, {})
+    metrics = [metric for metric in task.metrics if metric.key in published.get(PAPERS, {})]
+    values = {
+        name: {metric.key: values_of(results.get(name, ()), metric) for metric in metrics} for name in (PAPERS, *RIVALS)
     }
-
-    def each(cell: Callable[[Sample, Column], Any], nothing: Any = None) -> dict[str, dict[str, Any]]:
-        return {
-            name: {c.key: cell(row[c.key], c) if row[c.key].values else nothing for c in columns}
-            for name, row in samples.items()
-        }
-
-    return {
-        "methods": each(lambda found, _: found.mean),
-        "intervals": each(lambda found, c: clustered(found, c.scale if c.share else None)),
-        "counts": each(lambda found, _: len(found.values), 0),
-    }, samples
-
-
-def _differences(
-    samples: dict[str, dict[str, Sample]], columns: Sequence[Column], reference: str
-) -> dict[str, dict[str, Any]]:
-    """One family of tests for the methods against the reference, one for the ablations against what they vary."""
-    tested = [column.key for column in columns if column.better is not None]
-    result: dict[str, dict[str, Any]] = {}
-    for kind in (is_rival, is_ablation):
-        gaps = {
-            (name, key): gap(row[key], samples[other][key])
-            for name, row in samples.items()
-            if kind(name) and (other := compared_with(name, reference)) in samples and other != name
-            for key in tested
-        }
-        for (name,), row in corrected(gaps).items():
-            result[name] = {key: found and asdict(found) for key, found in row.items()}
-    return result
+    gains: dict[tuple[str, ...], Difference | None] = {}
+    for rival in RIVALS:
+        for metric in metrics:
+            pair = values[rival][metric.key], values[PAPERS][metric.key]
+            gains[rival, metric.key] = difference(*(pair if metric.better == "low" else pair[::-1]))
+    if not any(gains.values()):
+        return None
+    rows, verdicts = [], []
+    for (rival,), measured in corrected(gains).items():
+        claimed, cells = [], []
+        for metric in metrics:
+            ahead = published[rival][metric.key] - published[PAPERS][metric.key]
+            margin, gain = ahead * (1 if metric.better == "low" else -1), measured[metric.key]
+            claimed.append(Cell(shown(margin, metric, True)))
+            verdicts.append(verdict(margin, gain))
+            ends = span((gain.low, gain.high), metric.digits, True) if gain else ""
+            cells.append(Cell(shown(gain and gain.difference, metric, True), ends, verdicts[-1]))
+        rows += [Row(f"over {rival}: published", tuple(claimed), "paper"), Row(f"over {rival}: measured", tuple(cells))]
+    counts = {word: verdicts.count(word) for word in ("holds", "open", "reversed")}
+    notes = (
+        f"Margins of {PAPERS} (the method as published) over the paper's rivals; positive: it is better. Of "
+        f"{sum(counts.values())} comparisons {counts['holds']} hold (the 95 % interval lies on the published side of 0 "
+        f"and p < {SIGNIFICANT}), {counts['reversed']} are reversed (on the other side), {counts['open']} are open. "
+        "Each is judged for itself, without a correction for their number.",
+        "Measured: paired over the episodes that both have. Published margins are differences of the printed figures.",
+    )
+    return Table(f"What {PAPERS} gains over the paper's rivals", _heads(metrics, "margin"), tuple(rows), notes)
 
 
-def _strata(records: Sequence[Record], columns: Sequence[Column], name: str) -> dict[str, Any]:
-    """The cells of each stratum."""
-    parts: dict[str, list[Record]] = {}
-    for record in records:
-        value = record["episode"].get("stratum", {}).get(name)
-        if value is not None:
-            parts.setdefault(_WORDS[value] if isinstance(value, bool) else str(value), []).append(record)
-    return {
-        label: {"episodes": len({record["episode"]["id"] for record in part}), **_cells(part, columns)[0]}
-        for label, part in sorted(parts.items(), reverse="yes" in parts)
-    }
+def verdict(published: float, measured: Difference | None) -> str:
+    """Whether a measured margin confirms the published one: "holds", "reversed", "open"; "" where it has no case."""
+    if measured is None:
+        return ""
+    if (measured.low > 0 or measured.high < 0) and measured.p < SIGNIFICANT:
+        return "holds" if (measured.low > 0) == (published > 0) else "reversed"
+    return "open"
 
 
-def _span(counts: Sequence[int]) -> str:
-    low, high = min(counts), max(counts)
-    return str(high) if low == high else f"{low}–{high}"
+def coverage_table(task: Task, summary: Summary, results: Mapping[str, Sequence[Result]]) -> Table | None:
+    """How often the truth lay in the 90 % region: all steps, in sight, out of sight."""
+    metric = next((metric for metric in task.metrics if metric.key == "coverage"), None)
+    if metric is None:
+        return None
+    rows = [
+        row(
+            name,
+            [
+                _cell(summary, name, metric),
+                *(_part_cell(steps.coverage(results[name], visible)) for visible in (True, False)),
+            ],
+        )
+        for name, values in summary["methods"].items()
+        if not is_variant(name) and values["coverage"] is not None
+    ]
+    note = (
+        "Share of steps, percent, at which the true direction lay in the stated 90 % region; 90 is right, less is "
+        "overconfident, more is too cautious. Methods that state no region are left out."
+    )
+    heads = ("method", "all steps, %", "target in sight, %", "target out of sight, %")
+    return Table("Coverage of the 90 % regions", heads, tuple(rows), (note,)) if rows else None
 
 
-# --- from the steps of a run's episodes -------------------------------------------------------------------------------
-
-BEFORE, AFTER = 4, 14  # steps shown about a turn
-ABOUT_SEAM = 6
-LEVELS = tuple(round(0.1 * k, 1) for k in range(1, 10))  # masses of the regions in a reliability curve
-UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
-PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
-SEEN = "after it was first seen"  # in sight or hidden again
-BASELINE = 0.1  # of the distance: by so much the camera has to have moved before a distance is asked for
-
-Events = Callable[[Record, str], Sequence[int]]
-
-
-def errors(record: Record, method: str) -> np.ndarray:
-    """Direction error at each step, degrees; NaN where there was nothing to point at."""
-    return numbers(record["methods"][method]["trace"]["error_deg"])
-
-
-def turns(record: Record, method: str) -> list[int]:
-    """The steps at which a leg but the first begins."""
-    legs = record["truth"]["leg"]
-    return [k for k in range(1, len(legs)) if legs[k] != legs[k - 1]]
-
-
-def crossings(record: Record, method: str) -> list[int]:
-    """The steps at which the true bearing crosses the seam; of the method's own way, where each goes its own."""
-    if "truth" in record:
-        return [int(k) for k in np.flatnonzero(record["truth"]["seam"])]
-    azimuth = np.radians(numbers(record["methods"][method]["trace"]["true_azimuth_deg"]))
-    return [int(k) for k in np.flatnonzero(seam_crossings(direction(azimuth, 0 * azimuth)))]
-
-
-def around(
-    records: Sequence[Record], method: str, events: Events, before: int, after: int, alone: bool = False
-) -> Curve | None:
-    """Error of `method` from `before` steps before to `after` steps after the events of each episode; None without any.
-
-    `alone` leaves out steps that belong to the neighbouring events.
-    """
-    rows, labels = [], []
-    for record in played_by(records, method):
-        found, where = errors(record, method), events(record, method)
-        windows = []
-        for index, event in enumerate(where):
-            window = np.full(before + after + 1, np.nan)
-            first = max(event - before, where[index - 1] if alone and index else 0)
-            last = min(event + after, (where[index + 1] if alone and index + 1 < len(where) else len(found)) - 1)
-            window[first - event + before : last - event + before + 1] = found[first : last + 1]
-            windows.append(window)
-        if windows:
-            rows.append(_mean(np.array(windows)))
-            labels.append(group_of(record))
-    return _curve(range(-before, after + 1), rows, labels)
-
-
-def by_step(records: Sequence[Record], method: str) -> Curve | None:
-    """Error of `method` at each step. It ends where fewer than half of the episodes go on."""
-    found = [(errors(record, method), group_of(record)) for record in played_by(records, method)]
-    longest = max((len(values) for values, _ in found), default=0)
-    rows = [np.pad(values, (0, longest - len(values)), constant_values=np.nan) for values, _ in found]
-    return _curve(range(longest), rows, [label for _, label in found])
-
-
-def reliability(records: Sequence[Record], method: str) -> Curve | None:
-    """Share of steps, percent, at which the truth lay in the region of each mass (percent); None where none is said."""
-    rows, labels = [], []
-    for record in played_by(records, method):
-        stated = numbers(record["methods"][method]["trace"].get("mass_above") or [])
-        stated = stated[np.isfinite(stated)]
-        if len(stated):
-            rows.append(np.array([100 * float((stated < level).mean()) for level in LEVELS]))
-            labels.append(group_of(record))
-    return _curve([round(100 * level) for level in LEVELS], rows, labels)
-
-
-def _mean(rows: np.ndarray) -> np.ndarray:
-    """Mean over the rows, without NaN; NaN where there is nothing else."""
-    there = np.isfinite(rows)
-    count = there.sum(axis=0)
-    return np.where(count > 0, np.where(there, rows, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
-
-
-def _curve(x: Sequence[float], rows: Sequence[np.ndarray], labels: Sequence[object]) -> Curve | None:
-    """The mean of `rows`; it has a value where at least half of them do."""
+def parts_table(results: Mapping[str, Sequence[Result]]) -> Table | None:
+    """What the errors are made of, and how far off the distance is."""
+    rows, shares = [], {}
+    for name, found in results.items():
+        if is_variant(name):
+            continue
+        parts = {part: steps.error_in(found, part) for part in steps.PARTS}
+        shares |= {part: value.share for part, value in parts.items() if value is not None and name == OURS}
+        values = (*parts.values(), steps.error_in(found, steps.SEEN), steps.distance_error(found))
+        rows.append(row(name, list(map(_part_cell, values))))
     if not rows:
         return None
-    values = np.array(rows)
-    count = np.isfinite(values).sum(axis=0)
-    kept = count >= max(1, len(rows) / 2)
-    low, high = mean_intervals(values, labels)
-    mean = _mean(values)
-    last = int(np.flatnonzero(kept)[-1]) + 1 if kept.any() else 0
-    if not last:
-        return None
-    return Curve(
-        tuple(x[:last]),
-        tuple(float(m) if k else None for m, k in zip(mean[:last], kept, strict=False)),
-        tuple(v if k else None for v, k in zip(low[:last], kept, strict=False)),
-        tuple(v if k else None for v, k in zip(high[:last], kept, strict=False)),
-        tuple(int(c) for c in count[:last]),
+    share = ", ".join(f"{100 * value:.0f} % {part}" for part, value in shares.items())
+    notes = (
+        "Mean direction error over the steps of each kind, over the episodes that have such steps. Before the target "
+        "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "
+        "an estimator that made no mistake would have the others at 0. The fourth column is the second and the third."
+        + (f" Of the steps of {OURS}: {share}." if share else ""),
+        f"Distance: mean relative error once the camera has moved by {100 * steps.BASELINE:.0f} % of it since the "
+        "first sighting, for methods that state one.",
     )
+    heads = ("method", *(f"{part} ↓, °" for part in (*steps.PARTS, steps.SEEN)), "distance ↓, %")
+    return Table("What the errors are made of", heads, tuple(rows), notes)
 
 
-@dataclass(frozen=True)
-class Part:
-    """A mean over the episodes that have such steps, its 95 % interval, their number, and their share of all steps."""
-
-    mean: float
-    low: float | None
-    high: float | None
-    episodes: int
-    share: float
+# --- of answers to published data -------------------------------------------------------------------------------------
 
 
-def error_in(records: Sequence[Record], method: str, part: str) -> Part | None:
-    """Direction error, degrees, over the steps of one part, or of `SEEN`. None where no episode has any."""
-
-    def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:
-        found = _parts(truth)
-        return numbers(trace["error_deg"]), found != UNSEEN if part == SEEN else found == part
-
-    return _over(records, method, read)
-
-
-def distance_error(records: Sequence[Record], method: str) -> Part | None:
-    """Relative error of the distance, percent, once the camera has moved by `BASELINE` of it since the first sighting.
-
-    None for methods that state no distance.
-    """
-
-    def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:
-        stated, true = numbers(trace.get("distance_m") or []), numbers(truth.get("range_m") or trace["true_range_m"])
-        if not len(stated):
-            return np.zeros(0), np.zeros(0, dtype=bool)
-        moved = _baselines(np.array(truth["pose"])[:, :3], np.array(truth["visible"], dtype=bool))
-        asked = (moved > BASELINE * true) & (true > 0) & np.isfinite(numbers(trace["error_deg"]))
-        return 100 * np.abs(stated - true) / np.where(true > 0, true, np.nan), asked
-
-    return _over(records, method, read)
+def turn_table(summary: Summary) -> Table | None:
+    """Success if the episode had ended at each turn."""
+    found = {name: part["by_turn"] for name, part in summary["answers"].items() if "by_turn" in part}
+    longest = max((len(part["success"]) for part in found.values()), default=0)
+    rows = []
+    for name, part in found.items():
+        turns = zip(*(part[key] for key in ("success", "low", "high")), strict=True)
+        cells = [Cell(number(value), span(ends, 0)) for value, *ends in turns]
+        rows.append(row(name, [*cells, *[Cell(NOTHING)] * (longest - len(cells))]))
+    note = (
+        "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
+        "submission its outcome stands. Small print: 95 % of whole clusters."
+    )
+    heads = ("agent", *(str(k + 1) for k in range(longest)))
+    return Table("Success by turn", heads, tuple(rows), (note,)) if rows else None
 
 
-def coverage(records: Sequence[Record], method: str, visible: bool) -> Part | None:
-    """Share of steps, percent, with the truth inside the 90 % region, the target in sight or out of it."""
-
-    def read(trace: dict, truth: dict) -> tuple[np.ndarray, np.ndarray]:
-        inside = 100 * numbers(trace.get("inside") or [])
-        return inside, np.array(truth["visible"], dtype=bool)[: len(inside)] == visible
-
-    return _over(records, method, read)
-
-
-def _over(
-    records: Sequence[Record], method: str, read: Callable[[dict, dict], tuple[np.ndarray, np.ndarray]]
-) -> Part | None:
-    means, groups, used, steps = [], [], 0, 0
-    for record in played_by(records, method):
-        trace = record["methods"][method]["trace"]
-        values, chosen = read(trace, record.get("truth", trace))
-        chosen = chosen & np.isfinite(values)
-        steps += int(np.isfinite(numbers(trace["error_deg"])).sum())
-        if chosen.any():
-            used += int(chosen.sum())
-            means.append(float(values[chosen].mean()))
-            groups.append(group_of(record))
-    if not means:
-        return None
-    low, high = mean_intervals(np.array(means)[:, None], groups)
-    return Part(float(np.mean(means)), low[0], high[0], len(means), used / steps)
+def views_table(summary: Summary) -> Table | None:
+    """How many views it took, and whether those that were sure were right."""
+    rows = []
+    for name, part in summary["answers"].items():
+        if "views" not in part:
+            continue
+        sure, error = part.get("sure", {}), part.get("calibration_error")
+        cells = [
+            cell(part["views"], digits=2),
+            cell(part["views_to_success"], digits=2),
+            Cell(str(sure.get("episodes", NOTHING))),
+            cell(sure.get("success"), sure.get("interval")),
+            cell(None if error is None else 100 * error),
+        ]
+        rows.append(row(name, cells))
+    heads = (
+        "agent", "views ↓", "views of successes ↓", "submitted because sure", "of those right ↑, %",
+        "calibration error ↓, %",
+    )  # fmt: skip
+    note = "Calibration error: mean gap between the stated probability of success and the share that succeeded."
+    return Table("Views, and stopping", heads, tuple(rows), (note,)) if rows else None
 
 
-def _parts(truth: dict) -> np.ndarray:
-    """Which part each step belongs to."""
-    seen = np.array(truth["visible"], dtype=bool)
-    before = np.cumsum(seen) == 0
-    return np.where(before, UNSEEN, np.where(seen, IN_SIGHT, HIDDEN))
+def tag_table(task: Task, part: Mapping[str, Any]) -> Table | None:
+    """The first layer of the failures: what was known before the run."""
+    published = PUBLISHED_TAGS.get(task.name, {})
+    rows = []
+    for tag, found in part["tags"].items():
+        cells = Cell(str(found["episodes"])), cell(found["share"]), cell(found["success"], found["interval"])
+        rows.append(Row(tag, cells))
+        if tag in published:
+            rows.append(Row("published", (Cell(NOTHING), *(Cell(f"{value:g}") for value in published[tag])), "paper"))
+    heads = ("kind", "cases", "of all, %", "success ↑, %")
+    return Table("What was asked", heads, tuple(rows), (_TAGS,)) if rows else None
 
 
-def _baselines(positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """At each step, the largest distance so far between two places from which the target was in sight, metres."""
-    apart = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
-    apart[~seen], apart[:, ~seen] = 0.0, 0.0
-    return np.maximum.accumulate(np.tril(apart).max(axis=1))
+_TAGS = (
+    "The kind of a case was known before it was played. Small print: 95 % of whole clusters. Published: the paper's, "
+    "of its own agent and model."
+)
+
+
+def cause_table(task: Task, part: Mapping[str, Any]) -> Table | None:
+    """The second layer: why cases failed, crossed with the first."""
+    causes, tags = part["causes"], part["tags"]
+    meanings, count = getattr(task, "causes", {}), sum(part["causes"].values())
+    rows = []
+    for cause, n in causes.items():
+        crossed = [Cell(str(tag["causes"].get(cause, 0))) for tag in tags.values()]
+        rows.append(Row(cause.replace("_", " "), (Cell(str(n)), cell(100 * n / count), *crossed)))
+    notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
+    return Table("Why cases failed", ("cause", "cases", "of failures, %", *tags), tuple(rows), notes) if rows else None
+
+
+def failed_lines(run: Run) -> list[str]:
+    """One line for each failure, worst first: by its score, then by how far off it is."""
+    lines = []
+    for record, cause in failures(run):
+        question, answer = record.get("words") or record.get("question") or "", record.get("answer")
+        given = ", ".join(f"{k} {v}" for k, v in answer.items()) if isinstance(answer, Mapping) else str(answer or "")
+        tags = ", ".join(record.get("tags", ()))
+        off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
+        lines.append(f"{record['case']}  {cause}  [{tags}]  {question!r}: {given or 'no answer'}{off}")
+    return lines
+
+
+def failures(run: Run) -> list[tuple[Mapping[str, Any], str]]:
+    """The records that failed and why, worst first."""
+    those = [(record, cause) for record in finished(run.records) if (cause := run.task.failure(record))]
+    return sorted(those, key=lambda item: (item[0].get("score", 0), -(item[0].get("error") or 0)))
+
+
+# --- a comparison, for a terminal -------------------------------------------------------------------------------------
+
+
+def comparison_in_words(found: Mapping[str, Any], run: Run) -> list[str]:
+    """What `eagor.lab.eval.results.compare` found; `run`: one of the two."""
+    case, unit = getattr(run.task, "case", "case"), "apartment" if run.simulated else "cluster"
+    lines = [
+        f"{found['task']}: {found['cases']} {case}s that both have "
+        f"(a only: {found['only_in_a']}, b only: {found['only_in_b']})"
+    ]
+    if "methods" in found:
+        lines.append("  method: a {}, b {}".format(*found["methods"]))
+    lines += [f"  {key}: a {words(x)}, b {words(y)}" for key, (x, y) in found["settings"].items()]
+    outcomes = any("mcnemar" in figure for figure in found["figures"].values())
+    rows = [["", "a", "b", "a - b", "95 % interval", "p", *(("only a", "only b", "McNemar p") if outcomes else ())]]
+    for metric in run.task.metrics:
+        if (figure := found["figures"].get(metric.key)) is None:
+            continue
+        ends = (figure["low"], figure["high"]) if "low" in figure else None
+        line = [f"{column_header(metric)} ({figure['n']})", shown(figure["a"], metric), shown(figure["b"], metric)]
+        line += [shown(figure["difference"], metric, True), span(ends, metric.digits, True) or "-"]
+        line.append(f"{figure['p']:.2g}" if ends else "-")
+        if outcomes:
+            test = figure.get("mcnemar")
+            line += [str(test["only_a"]), str(test["only_b"]), f"{test['p']:.2g}"] if test else ["-"] * 3
+        rows.append(line)
+    lines += in_columns(rows)
+    note = f"; McNemar takes {case}s as independent" if outcomes else ""
+    lines.append(f"p: sign flips of whole {unit}s, each figure for itself{note}.")
+    groups = max((figure.get("groups", 1) for figure in found["figures"].values()), default=1)
+    lines += small_cluster_warning(groups, unit)
+    return lines + ([f"p cannot be below {lowest_p(groups):.2g}."] if 1 < groups < FEW else [])
+
+
+def words(value: Any) -> str:
+    """A setting as text."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {words(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return " ".join(f"({words(item)})" if isinstance(item, list) else words(item) for item in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,145 +1,326 @@
-"""A simulated task: an environment with its rules, the measures of a method, and the columns of the table.
+"""One protocol for everything that can be run, scored and reported: simulated tasks and tasks with published data.
 
-Packages add theirs under the entry-point group ``eagor.tasks``; `eagor.lab.tasks.sim.checking.check_task` tests them.
+A task names its samples, makes a runner that turns a sample into a record, and says how to read figures from records.
+Running and resuming, statistics, reports, comparisons and predictions are the same for all tasks (`eagor.lab.eval`).
+Packages add theirs under the entry-point group ``eagor.tasks``: a `Task`, or a function that makes one without
+arguments. `check_task` tests it.
+
+`eagor.lab.tasks.sim.task` has what simulated tasks share, `eagor.lab.tasks.published` what tasks with data share.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import inspect
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, Literal, Protocol, get_args, get_origin, get_type_hints, runtime_checkable
 
-import numpy as np
+import msgspec
 
-from eagor import metrics, plugins
-from eagor.errors import EagorError
-
-if TYPE_CHECKING:
-    from eagor.lab.envs.episodes import Episode
-    from eagor.lab.envs.place_env import PlaceEnv
-    from eagor.lab.envs.rules import Camera
+from eagor import plugins
+from eagor._checks import shown
+from eagor.errors import EagorError, FormatError
 
 GROUP = "eagor.tasks"
 BUILT_IN = {
     "waypoint": "eagor.lab.tasks.sim.waypoint:WAYPOINT",
     "navigation": "eagor.lab.tasks.sim.navigation:NAVIGATION",
     "tracking": "eagor.lab.tasks.sim.tracking:TRACKING",
+    "hstar-hos": "eagor.lab.tasks.hstar.bench:HOS",
+    "hstar-hps": "eagor.lab.tasks.hstar.bench:HPS",
+    "osr": "eagor.lab.tasks.osr.bench:OSR",
 }
+WORK = "eagor.lab.tasks.task:work"  # for `eagor.lab.eval.runner.run`
+
+Record = Mapping[str, Any]
+Payload = Any
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column of a task's table: statistics of the records' `metric` times `scale`.
+class Sample:
+    """One unit of work: an episode, a question.
 
-    `better` is "low", "high", or None if neither. `share`: the metric is 0 or 1, so its interval is one of a share.
-    `only_if`: count only episodes whose metric of this name is above 0. `why`: why a worse method can look better here.
+    `id` depends on the world or the data alone, never on order, limit or shard. Samples of one `group` (an apartment,
+    a picture) share their luck: one worker plays them, and intervals resample them together. A record may name a finer
+    "cluster". `payload`: JSON for the runner.
+    """
+
+    id: str
+    group: str
+    payload: Payload
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A column of the task's table: the mean over all results that have it.
+
+    - `read`: what a result contributes; None where the metric does not apply. A result is ``record["methods"][name]``
+      of a record with several methods, else the record itself. None: ``result["metrics"][key]``.
+    - `scale`: from there to `unit`; `digits` of the figure in tables; `share`: each value is 0 or 1 before scaling.
+    - `better`: the better side, None if neither is. `why`: why a worse method may look better here.
+    - `over`: kinds of results; the figure is then the mean of the means of the kinds.
     """
 
     key: str
     title: str
-    unit: str
-    better: str | None
-    metric: str
     what: str
-    scale: float = 1.0
+    read: Callable[[Record], float | None] | None = None
+    unit: str = "%"
+    better: Literal["low", "high"] | None = "high"
+    scale: float = 100.0
     digits: int = 1
     share: bool = False
-    only_if: str | None = None
+    over: Callable[[Record], str] | None = None
     why: str = ""
-    over: ClassVar[None] = None
 
-    def of(self, record: Mapping[str, Any], method: str | None) -> float | None:
-        """The figure of `method` in a record, in `unit`; None where there is no case."""
-        metrics = record["methods"][method]["metrics"] if method in record["methods"] else {}
-        value = metrics.get(self.metric)
-        if value is None or (self.only_if and not metrics.get(self.only_if)):
-            return None
-        return self.scale * float(value)
+    def of(self, result: Record) -> float | None:
+        """The value of one result, in `unit`."""
+        value = result["metrics"].get(self.key) if self.read is None else self.read(result)
+        return None if value is None else self.scale * float(value)
 
 
-# Of several of the built-in tasks.
-COVERAGE = Column(
-    "coverage", "Coverage", "%", None, "coverage", "share of steps with the truth inside the 90 % region; 90 is right",
-    scale=100.0,
-)  # fmt: skip
-JUMP = "jump of the estimate from step to step that the true motion does not explain"
-CALM = "an estimate that hardly moves hardly jumps: compare the errors, too"
+def degrees(key: str, title: str, what: str, unit: str = "°", **more: Any) -> Metric:
+    """A metric of `key` in degrees, the lower the better."""
+    return Metric(key, title, what, unit=unit, better="low", scale=1.0, **more)
 
 
-@dataclass(frozen=True, eq=False)
-class Played:
-    """The results of one method in one episode of n steps, for `Task.measure`.
-
-    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, optionally leg. For a
-      walked task they are in `trace`, with the prefix true_.
-    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
-      inside, distance_m.
-    - `directions`, `estimates` ``(n, 3)``: the true ones (held while the target is away) and the method's, body frame.
-    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
-      (`eagor.metrics.ego_motion`).
-    - `info`: the environment's last one; metres `walked` and `shortest`. Only for a walked task.
-    """
-
-    truth: dict[str, list[Any]]
-    trace: dict[str, list[Any]]
-    directions: np.ndarray
-    estimates: np.ndarray
-    rotations: np.ndarray
-    translations: np.ndarray
-    rules: Any
-    camera: Camera
-    info: Mapping[str, Any] = field(default_factory=dict)
-    walked: float = 0.0
-    shortest: float = math.inf
-
-    @property
-    def coverage(self) -> float | None:
-        """The share of steps with the truth inside the stated 90 % region; None for methods without regions."""
-        inside = [value for value in self.trace["inside"] if value is not None]
-        return metrics.credible_coverage(inside) if inside else None
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """A simulated task.
+@runtime_checkable
+class Task(Protocol):
+    """What can be run, scored and reported.
 
     - `name`: for typing; `title`: for tables; `what`: one line for ``eagor bench list``.
-    - `environment`: a subclass of `PlaceEnv` that takes rules, camera, disturbances and panorama; its `plan` makes the
-      episode of a slot. `rules`: a frozen dataclass of plain values, each with a default.
-    - `measure`: the figures of one method in one episode; None where one does not apply. `columns`: of the table;
-      `headline`: the key of the most important one; `strata`: keys of `Episode.stratum` to report separately, and
-      their titles.
-    - `listed`: makes the episode of a file (`eagor.lab.envs.episodes`) of the slot, the file, the camera and the
-      rules; None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
-    - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
-      success, spl and mae are among its figures. Otherwise all methods get the same evidence.
+    - `metrics`: the columns of the table, the most important one first or named by ``headline``.
+    - `Config`: a `msgspec.Struct` of everything that decides the results, with a description of each field
+      (`msgspec.Meta`); ``--set FIELD=VALUE`` sets one, and every report prints them. One field is `task`.
+
+    A record is a JSON object with "case" (the sample's id), "cluster", and either the figures of one answer ("score" in
+    [0, 1], ...) or "methods" {name: {"metrics": {...}, ...}}.
+
+    A task may also have
+
+    - ``defaults(values)``: the values of a run with those that follow from them;
+    - ``resolve(config)``: the config completed and checked (a perception that cannot be made fails the run, no sample);
+    - ``Record``: a `msgspec.Struct` that says what its metrics read; each record is checked before it is counted;
+    - ``agents`` {name: what it does} and ``info(data)``, ``score(sample, prediction, config)``: of published data
+      (`eagor.lab.tasks.published`);
+    - ``causes`` {cause: meaning}, ``strata`` {key: title}, ``ranked_by``: keys of the metrics that rank results.
     """
 
     name: str
     title: str
     what: str
-    environment: Callable[..., PlaceEnv]
-    rules: type
-    measure: Callable[[Played], Mapping[str, Any]]
-    columns: tuple[Column, ...]
-    headline: str
-    strata: Mapping[str, str] = field(default_factory=dict)
-    walked: bool = False
-    listed: Callable[..., Episode] | None = None
+    metrics: Sequence[Metric]
+    Config: type[msgspec.Struct]
+
+    def samples(self, config: Any) -> list[Sample]:
+        """All samples, in the task's own order. Raises `EagorError` for what cannot be played."""
+        ...
+
+    def runner(self, config: Any) -> Callable[[Payload], Record]:
+        """What turns a payload into a record; made once per worker. It may raise: that is no wrong answer."""
+        ...
+
+    def failure(self, record: Record) -> str | None:
+        """Why a record is a failure; None where it is none."""
+        ...
 
 
 def known() -> dict[str, EntryPoint]:
-    """The tasks that `load` can make, by name. Imports none of them."""
+    """The tasks that `load` can make, by name, simulated ones first. Imports none of them."""
     return plugins.known(GROUP, BUILT_IN)
 
 
 def load(name: str) -> Task:
-    """The task with this name. Raises `EagorError` if it is unknown or cannot be imported."""
+    """The task with this name. Raises `EagorError` if it is unknown, cannot be imported, or is no task."""
     choices = known()
     if name not in choices:
         raise EagorError(f"there is no task {name!r}; known are {', '.join(choices)}")
-    found = plugins.bring(choices[name], "task")
-    plugins.check_named(found, choices[name], "task", Task)
-    return found
+    made: Any = plugins.bring(choices[name], "task")
+    if callable(made) and not inspect.signature(made).parameters:  # a class would pass for a task itself
+        made = made()
+    plugins.check_named(made, choices[name], "task", Task, or_maker=True)
+    return made
+
+
+def work(settings: Mapping[str, Any]) -> Callable[[Payload], Record]:
+    """The runner of the run that these settings (the JSON of ``run.json``) describe."""
+    task = load(settings["task"])
+    return task.runner(config_of(task, settings))
+
+
+def configure(task: Task, values: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> Any:
+    """The config of a run, completed and checked; arguments and errors as of `read_config`."""
+    config = read_config(task, values, changes)
+    return task.resolve(config) if hasattr(task, "resolve") else config  # type: ignore[attr-defined]
+
+
+def read_config(task: Task, values: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> Any:
+    """The config of a run, as it was given.
+
+    `values`: by field, None for the default. `changes`: text by the name of a field, or of one within a field
+    (``max_steps`` of the rules). Raises `EagorError` for unknown names and wrong values.
+    """
+    values = task.defaults(values) if hasattr(task, "defaults") else values  # type: ignore[attr-defined]
+    found = {"task": task.name, **{key: value for key, value in values.items() if value is not None}}
+    kinds = _fields(task.Config)
+    if unknown := [key for key in found if key not in kinds]:
+        raise EagorError(f"{task.name} has no {', '.join(unknown)}; it has {', '.join(kinds)}")
+    inner = {name: _fields(kind) for name, kind in kinds.items() if _fields(kind)}
+    for name in inner:  # msgspec does not complete a dataclass
+        found[name] = {**settings_of(kinds[name]()), **settings_of(found.get(name, {}))}
+    for key, value in (changes or {}).items():
+        home = next((name for name, names in inner.items() if key in names), None)
+        if home is not None:
+            found[home][key] = value
+        elif key in kinds:
+            found[key] = value
+        else:
+            can = [name for name, kind in kinds.items() if description_of(kind)]
+            can += sorted(each for names in inner.values() for each in names)
+            raise EagorError(f"{task.name} has no {key!r} to set; it has {', '.join(can)}")
+    return config_of(task, found)
+
+
+def config_of(task: Task, values: Mapping[str, Any]) -> Any:
+    """`values`, perhaps text, as the task's `Config`; unknown ones are left out. Raises `EagorError`."""
+    try:
+        return msgspec.convert(values, task.Config, strict=False)
+    except msgspec.ValidationError as error:
+        raise EagorError(_in_words(task, values, str(error))) from None
+
+
+def settings_of(config: Any) -> dict[str, Any]:
+    """A config as the JSON of ``run.json``."""
+    return msgspec.json.decode(msgspec.json.encode(config))
+
+
+def _fields(kind: Any) -> dict[str, Any]:
+    """The types of the fields of a struct or a dataclass by name; none of other types."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return {field.name: field.type for field in msgspec.structs.fields(kind)}
+    return get_type_hints(kind, include_extras=True) if isinstance(kind, type) and is_dataclass(kind) else {}
+
+
+def _in_words(task: Task, values: Mapping[str, Any], error: str) -> str:
+    """What is wrong with which value, and what that field is."""
+    why, at, path = error.partition(" - at `$.")
+    if not at:
+        return f"{task.name}: {why}"
+    kind, value = task.Config, values
+    for name in re.split(r"[.\[]", path.rstrip("`")):
+        kind = _fields(kind).get(name, kind)
+        value = value.get(name, value) if isinstance(value, Mapping) else value
+    choices, what = choices_of(kind), description_of(kind)
+    wanted = f"; wanted {', '.join(map(str, choices))}" if choices else ""
+    return f"{path.rstrip('`')} = {shown(value)}: {why}{wanted}{f' ({what})' if what else ''}"
+
+
+def choices_of(kind: Any) -> tuple[Any, ...]:
+    """What a field of this type can be, where that is a short list."""
+    inner = get_args(kind)[0] if hasattr(kind, "__metadata__") else kind
+    return get_args(inner) if get_origin(inner) is Literal else ()
+
+
+def description_of(kind: Any) -> str:
+    """What a field of this type is, in words."""
+    for meta in getattr(kind, "__metadata__", ()):
+        if isinstance(meta, msgspec.Meta) and meta.description:
+            return meta.description
+    return ""
+
+
+# --- reading records --------------------------------------------------------------------------------------------------
+
+
+def finished(records: Iterable[Record]) -> list[Record]:
+    """The records that hold a result."""
+    return [record for record in records if record["status"] == "ok"]
+
+
+def sample_of(record: Record) -> str:
+    """The sample that a record is of."""
+    return record["case"] if "case" in record else record["episode"]["id"]
+
+
+def group_of(record: Record) -> Any:
+    """Which records share their luck: those of one cluster, or of one scene, whatever its seed is."""
+    if "cluster" in record:
+        return record["cluster"]
+    episode = record["episode"]
+    # The storeys of a building have hashes of their own: the scenes of a file are told apart by their seeds.
+    return episode.get("seed" if "slot" in episode else "scene_hash", episode.get("seed", episode["id"]))
+
+
+def check_records(task: Task, records: Sequence[Record]) -> None:
+    """Raise `FormatError`, which names the record and the place, for one that does not fit the task's ``Record``."""
+    shape = getattr(task, "Record", None)
+    for record in records if shape is not None else ():
+        try:
+            if record["status"] == "ok":
+                msgspec.convert(record, shape)
+        except msgspec.ValidationError as error:
+            raise FormatError(
+                f"the record {shown(record['key'], 200)} (attempt {record['attempt']}): {error}. Restore its line, or "
+                "delete it: its unit is then done again"
+            ) from None
+
+
+# --- the contract, tested ---------------------------------------------------------------------------------------------
+
+
+def check_task(task: Task, **values: Any) -> list[Record]:
+    """Raise `AssertionError` unless `task` keeps the contract with the config of `values`; returns all its records."""
+    _require(isinstance(task, Task), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.task.Task")
+    config = configure(task, values)
+    plain = settings_of(config)
+    _require(_is_json(plain), f"has the config {plain}, which JSON cannot hold")
+    _require(configure(task, plain) == config, f"resolves {plain} to another config the second time")
+    samples = task.samples(config)
+    ids = [sample.id for sample in samples]
+    _require(bool(ids), "has no samples; wanted at least one. Is that its data?")
+    twice = sorted({name for name in ids if ids.count(name) > 1}) if len(set(ids)) < len(ids) else []
+    _require(not twice, f"gives several samples the id {', '.join(twice)}; wanted a unique id for each")
+    _require(
+        samples == task.samples(config),
+        "gives other samples the second time; wanted the same in the same order: sort lists of files, draw nothing",
+    )
+    run, records = task.runner(config), []
+    for sample in samples:
+        _require(_is_json(sample.payload), f"gives {sample.id} a payload that JSON cannot hold")
+        record = dict(run(sample.payload))
+        _require(_is_json(record), f"records {shown(record, 200)} of {sample.id}, which JSON cannot hold")
+        record = json.loads(json.dumps(record))
+        named = sample_of(record)
+        own = sample.id == named or sample.id.startswith(f"{named}/")  # an episode may have a sample for each method
+        _require(own, f"records the case {named} of the sample {sample.id}; wanted the sample's id")
+        score = record.get("score", 0)
+        _require(
+            isinstance(score, int | float) and 0 <= score <= 1,
+            f"records the score {score!r} of {sample.id}; wanted a number in [0, 1], 1 being success",
+        )
+        for result in record.get("methods", {"": record}).values():
+            for metric in task.metrics:
+                value = metric.of(result)
+                fits = value is None or abs(value) < 1e12
+                _require(
+                    fits, f"reads {value!r} from the record of {sample.id} as {metric.key}; wanted a number or None"
+                )
+        records.append(record)
+    check_records(task, [{"key": sample_of(r), "attempt": 1, "status": "ok", **r} for r in records])
+    return records
+
+
+def _is_json(value: Any) -> bool:
+    """Whether JSON can hold `value`: finite numbers, texts, lists and dicts."""
+    try:
+        return bool(json.dumps(value, allow_nan=False))
+    except (TypeError, ValueError):
+        return False
+
+
+def _require(holds: bool, text: str) -> None:
+    if not holds:
+        raise AssertionError(f"the task {text}")

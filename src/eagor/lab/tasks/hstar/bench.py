@@ -2,111 +2,116 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta
 
 from eagor._checks import shown
-from eagor.errors import EagorError, FormatError
-from eagor.lab.tasks.benchmark import Case, Figure, Option, PublishedBenchmark
+from eagor.errors import FormatError
 from eagor.lab.tasks.hstar import data as files
 from eagor.lab.tasks.hstar.data import LEVELS, Episode, Kind
 from eagor.lab.tasks.hstar.perception import open_perception
-from eagor.lab.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged
+from eagor.lab.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged, work
 from eagor.lab.tasks.hstar.prompts import WINDOW
 from eagor.lab.tasks.hstar.rules import (
     FARTHEST_ANSWER,
-    FORMS,
     MAX_TURNS,
     RESOLUTION,
-    SCORINGS,
+    Scoring,
     checked_scoring,
     parse_action,
 )
 from eagor.lab.tasks.hstar.search import SearchRules
+from eagor.lab.tasks.published import PublishedConfig, PublishedTask, score_metric
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
 
-OPTIONS = {
-    "scoring": Option("official", "what counts as success", SCORINGS),
-    "turns": Option(MAX_TURNS, "views at most; the benchmark allows ten", tuple(range(1, 51))),
-    "sure": Option(SearchRules().sure, "probability from which on eagor submits"),
-    "degree": Option(SearchRules().degree, "of eagor's harmonics", tuple(range(3, 64))),
-    "tilt": Option(SearchRules().tilt, "standard deviation of eagor's prior of the elevation, degrees; 0: even"),
-    "height": Option(SearchRules().height, "mean of that prior, degrees"),
-    "elsewhere": Option(SearchRules().elsewhere, "share of that prior that is even over the sphere"),
-    "views": Option(len(SWEEP), "views of the fixed sweep", tuple(range(1, len(SWEEP) + 1))),
-    "resolution": Option(RESOLUTION, "rows of a view; 1080 is official"),
-    "form": Option(FORMS[0], "of the model's replies", FORMS),
-    "window": Option(WINDOW, "turns of conversation that the model is shown", tuple(range(1, 51))),
-}
-MOST_ROWS = 8640  # of a view: more is taken for a mistake
+DEFAULT = SearchRules()
 
 
-@dataclass(frozen=True)
-class HStar(PublishedBenchmark):
-    """One half of H*Bench; see `eagor.lab.tasks.benchmark.Benchmark`."""
+class HStarConfig(PublishedConfig, kw_only=True):
+    """The settings of a run of H*Bench."""
 
-    kind: Kind
-    title: str
-    work = "eagor.lab.tasks.hstar.play:work"
-    agents, options, causes = AGENTS, OPTIONS, CAUSES
-    looking, truth = LOOKING, "the annotations through noise, for studies"
+    scoring: Annotated[Scoring, Meta(description="what counts as success")] = "official"
+    turns: Annotated[int, Meta(ge=1, le=50, description="views at most; the benchmark allows ten")] = MAX_TURNS
+    sure: Annotated[float, Meta(description="probability from which on eagor submits")] = DEFAULT.sure
+    degree: Annotated[int, Meta(ge=3, le=63, description="of eagor's harmonics")] = DEFAULT.degree
+    tilt: Annotated[float, Meta(description="spread of eagor's prior of the elevation, degrees; 0: even")] = (
+        DEFAULT.tilt
+    )
+    height: Annotated[float, Meta(description="mean of that prior, degrees")] = DEFAULT.height
+    elsewhere: Annotated[float, Meta(description="share of that prior that is even over the sphere")] = (
+        DEFAULT.elsewhere
+    )
+    views: Annotated[int, Meta(ge=1, le=len(SWEEP), description="views of the fixed sweep")] = len(SWEEP)
+    resolution: Annotated[int, Meta(ge=18, le=8640, description="rows of a view; 1080 is official")] = RESOLUTION
+    form: Annotated[Literal["free_think", "no_think", "grounding"], Meta(description="of the model's replies")] = (
+        "free_think"
+    )
+    window: Annotated[int, Meta(ge=1, le=50, description="turns of conversation that the model is shown")] = WINDOW
 
-    @property
-    def name(self) -> str:
-        return f"hstar-{self.kind}"
 
-    @property
-    def figures(self) -> Sequence[Figure]:
-        return (
-            Figure("overall", "Overall", "success of all episodes", lambda record: record["score"]),
+def _at(level: str) -> Callable[[Record], float | None]:
+    return lambda record: record["score"] if record.get("level") == level else None
+
+
+def _scored(way: str) -> Callable[[Record], float | None]:
+    return lambda record: record.get("scores", {}).get(way)
+
+
+def _views(record: Record) -> float | None:
+    return record.get("views")
+
+
+class HStar(PublishedTask):
+    """One half of H*Bench; see `eagor.lab.tasks.task.Task`."""
+
+    Config = HStarConfig
+    agents, causes, looking = AGENTS, CAUSES, LOOKING
+    truth: ClassVar = "the annotations through noise, for studies"
+
+    def __init__(self, kind: Kind, title: str, what: str) -> None:
+        self.kind: Kind = kind
+        self.title, self.what, self.name = title, what, f"hstar-{kind}"
+        self.metrics: tuple[Metric, ...] = (
+            score_metric("overall", "Overall", "success of all episodes", lambda record: record["score"]),
             *(
-                Figure(level, level.capitalize(), f"success of episodes of level {level}", _at(level))
-                for level in LEVELS[self.kind]
+                score_metric(level, level.capitalize(), f"success of episodes of level {level}", _at(level))
+                for level in LEVELS[kind]
             ),
-            Figure("official", "Official", "success by the published rule", _scored("official")),
-            Figure("strict", "Strict", "success with the pitch always counted", _scored("strict")),
+            score_metric("official", "Official", "success by the published rule", _scored("official")),
+            score_metric("strict", "Strict", "success with the pitch always counted", _scored("strict")),
+            Metric("views", "Views", "number of views", _views, unit="", better="low", scale=1.0, digits=2),
         )
 
     def info(self, data: Path) -> dict[str, Any]:
         return files.info(data)
 
-    def cases(self, data: Path, settings: Mapping[str, Any]) -> list[Case]:
-        entries = {scene.name: scene.items for scene in files.read_scenes(data)}
+    def samples(self, config: HStarConfig) -> list[Sample]:
+        entries = {scene.name: scene.items for scene in files.read_scenes(Path(config.data))}
         found = []
-        for episode in files.read_episodes(data, self.kind):
+        for episode in files.read_episodes(Path(config.data), self.kind):
             others = [
                 {key: item[key] for key in ("task", "yaw", "pitch") if item.get(key) is not None}
                 for index, item in enumerate(entries[episode.scene])
                 if index != episode.entry
             ]
-            payload = {"episode": episode.as_json(), "siblings": others}
-            found.append(Case(episode.id, episode.scene, episode.cluster, payload))
+            found.append(Sample(episode.id, episode.scene, {"episode": episode.as_json(), "siblings": others}))
         return found
 
-    def check(self, settings: Mapping[str, Any]) -> None:
-        SearchRules.of(settings)  # complains about what nothing can be searched with
-        if not 18 <= settings["resolution"] <= MOST_ROWS:
-            raise EagorError(f"resolution = {settings['resolution']}; wanted rows of a picture, 18 to {MOST_ROWS}")
-        if settings["perception"]:
-            open_perception(settings["perception"])
+    def check(self, config: HStarConfig) -> None:
+        SearchRules.of(settings_of(config))  # complains about what nothing can be searched with
+        if config.perception:
+            open_perception(config.perception)
 
-    def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
-        answer, reason = _submission(prediction, settings.get("form", FORMS[0]))
-        episode, scoring = Episode.from_json(case.payload["episode"]), checked_scoring(settings["scoring"])
-        return judged(episode, answer, scoring, case.payload["siblings"], [{"shown": 1.0}], reason)
+    def runner(self, config: HStarConfig) -> Callable[[Payload], Record]:
+        return work(settings_of(config))
 
-
-HOS = HStar("hos", "H*Bench: object search (HOS)")
-HPS = HStar("hps", "H*Bench: path search (HPS)")
-
-
-def _at(level: str):
-    return lambda record: record["score"] if record.get("level") == level else None
-
-
-def _scored(way: str):
-    return lambda record: record.get("scores", {}).get(way)
+    def score(self, sample: Sample, prediction: Mapping[str, Any], config: HStarConfig) -> Record:
+        answer, reason = _submission(prediction, config.form)
+        episode, scoring = Episode.from_json(sample.payload["episode"]), checked_scoring(config.scoring)
+        return judged(episode, answer, scoring, sample.payload["siblings"], [{"shown": 1.0}], reason)
 
 
 def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str | None]:
@@ -135,3 +140,7 @@ def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int
         if action is not None and action.kind == "submit":
             return {"yaw": action.yaw, "pitch": action.pitch}, None
     return None, "format" if None in read else "budget"
+
+
+HOS = HStar("hos", "H*Bench: object search (HOS)", "look around in a photograph for a thing, and name its direction")
+HPS = HStar("hps", "H*Bench: path search (HPS)", "look around in a photograph for the way to go, and name it")

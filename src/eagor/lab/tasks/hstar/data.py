@@ -25,8 +25,8 @@ from eagor._files import most_unpacked
 from eagor._values import lazy
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.lab.envs.rules import as_dict
-from eagor.lab.tasks.benchmark import picture_size
 from eagor.lab.tasks.hstar.rules import FARTHEST, View, level_of, window_of
+from eagor.lab.tasks.published import picture_size
 
 Kind = Literal["hos", "hps"]
 Box = tuple[tuple[float, float], tuple[float, float] | None]  # yaw and pitch, from and to, degrees

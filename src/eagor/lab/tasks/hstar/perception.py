@@ -20,9 +20,9 @@ from eagor.evidence.detections import resolved
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import PerspectiveGrid
 from eagor.lab.agents.models import shared
-from eagor.lab.tasks.benchmark import case_seed
 from eagor.lab.tasks.hstar.data import Episode, open_panorama
 from eagor.lab.tasks.hstar.rules import HFOV_DEG, View, box_points, inside, render_view, without_cross
+from eagor.lab.tasks.published import case_seed
 from eagor.perception import Perception
 from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Noise, Report, displaced, drawn

@@ -22,7 +22,6 @@ from eagor.evidence import Evidence
 from eagor.evidence.coverage import looked_at
 from eagor.lab.agents.models import digest, recalibrator, shared_chat
 from eagor.lab.agents.steering import Searcher
-from eagor.lab.tasks.benchmark import case_seed
 from eagor.lab.tasks.hstar.data import Episode
 from eagor.lab.tasks.hstar.perception import Eye, ViewEvidence, head_of, open_eye, open_perception, tag_of
 from eagor.lab.tasks.hstar.prompts import Talk
@@ -38,6 +37,7 @@ from eagor.lab.tasks.hstar.rules import (
     window_of,
 )
 from eagor.lab.tasks.hstar.search import Answer, Search, SearchRules
+from eagor.lab.tasks.published import case_seed
 from eagor.perception.vlm import Chat
 from eagor.sphere import angular_distance
 
@@ -300,7 +300,7 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
 def play(
     episode: Episode, agent: Agent, scoring: str = "official", turns: int = MAX_TURNS, siblings: Any = ()
 ) -> dict[str, Any]:
-    """The record of one episode; see `eagor.lab.tasks.benchmark.Benchmark` for the common keys.
+    """The record of one episode; see `eagor.lab.tasks.published.Benchmark` for the common keys.
 
     `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most; `siblings`: the scene's other
     entries of annotation.json, for causes and tags.

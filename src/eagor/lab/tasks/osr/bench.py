@@ -5,43 +5,65 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
 
 from eagor.errors import EagorError, FormatError
-from eagor.lab.tasks.benchmark import (
-    Case,
-    Figure,
-    Option,
-    PublishedBenchmark,
-    Record,
-    picture_size,
-)
 from eagor.lab.tasks.osr.data import SUFFIXES, Scene, load, load_kept
-from eagor.lab.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged
+from eagor.lab.tasks.osr.play import AGENTS, LOOKING, Reply, judged, work
 from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
 from eagor.lab.tasks.osr.sightings import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
+from eagor.lab.tasks.published import PublishedConfig, PublishedRecord, PublishedTask, picture_size, score_metric
+from eagor.lab.tasks.task import Payload, Record, Sample, settings_of
 
-OPTIONS = {
-    "labels": Option(
-        "official",
-        "left and right as published (mirrored), as they are in the room, or both side by side",
-        ("official", "corrected", "both"),
-    ),
-    "suffix": Option(SUFFIXES[0], "which of the published files", SUFFIXES),
-    "skill": Option("all", "questions of one kind only", ("all", *SKILLS)),
-    "prompt": Option(FORMS[0], "what the model is asked for: a brief answer, or its reasoning first", FORMS),
-    "range": Option("floor", "where eagor takes ranges from; unit: no ranges", ("floor", "depth", "unit")),
-    "reading": Option(
-        "auto",
-        "eagor answers with the likeliest label after rounding (cells), or from the places; auto: cells if the walls "
-        "are known",
-        ("auto", "cells", "metres"),
-    ),
-    "camera_height": Option(HEIGHT, "metres above the floor; it scales the room, and matters with depth values"),
-    "degree": Option(15, "of eagor's harmonics", tuple(range(3, 64))),
-}
-
+ALL = "all"
 Reader = Callable[[Record], float | None]
+
+
+class OsrConfig(PublishedConfig, kw_only=True):
+    """The settings of a run of OSR-Bench."""
+
+    labels: Annotated[
+        Literal["official", "corrected", "both"],
+        Meta(description="left and right as published (mirrored), as they are in the room, or both side by side"),
+    ] = "official"
+    suffix: Annotated[
+        Literal["qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap"],
+        Meta(description="which of the published files"),
+    ] = "qa_without_cogmap"
+    skill: Annotated[str, Meta(description=f"questions of one kind only: {', '.join((ALL, *SKILLS))}")] = ALL
+    prompt: Annotated[
+        Literal["vanilla", "think"],
+        Meta(description="what the model is asked for: an answer, or its reasoning first"),
+    ] = "vanilla"
+    range: Annotated[
+        Literal["floor", "depth", "unit"], Meta(description="where eagor takes ranges from; unit: no ranges")
+    ] = "floor"
+    reading: Annotated[
+        Literal["auto", "cells", "metres"],
+        Meta(
+            description="eagor answers with the likeliest label after rounding (cells), or from the places; auto: "
+            "cells if the walls are known"
+        ),
+    ] = "auto"
+    camera_height: Annotated[
+        float, Meta(gt=0, description="metres above the floor; it scales the room, and matters with depth values")
+    ] = HEIGHT
+    degree: Annotated[int, Meta(ge=3, le=63, description="of eagor's harmonics")] = 15
+
+
+class OsrRecord(PublishedRecord, kw_only=True):
+    """What the metrics of OSR-Bench read."""
+
+    skill: str
+    question: str
+    answer: str
+    tags: list[str]  # pyright: ignore[reportGeneralTypeIssues] (here it has no default)
+    scores: dict[str, float | None]  # pyright: ignore[reportGeneralTypeIssues]
+    lenient: dict[str, float | None] = msgspec.field(default_factory=dict)
+    map_range: dict[str, float | None] = msgspec.field(default_factory=dict)
 
 
 def _score(record: Record) -> float | None:
@@ -64,30 +86,29 @@ def _tagged(tag: str) -> Reader:
     return lambda record: record["score"] if tag in record["tags"] else None
 
 
-class OsrBench(PublishedBenchmark):
-    """OSR-Bench; see `eagor.lab.tasks.benchmark.Benchmark`."""
+class OsrBench(PublishedTask):
+    """OSR-Bench; see `eagor.lab.tasks.task.Task`."""
 
     name = "osr"
     title = "OSR-Bench"
-    work = "eagor.lab.tasks.osr.play:work"
-    agents, options = AGENTS, OPTIONS
-    looking, truth = LOOKING, f"the true places, for data that has a {FILE} in each scene"
-    record: ClassVar = {
-        "skill": "text", "tags": "texts", "scores": "figures", "question": "text", "answer": "text",
-        "lenient?": "figures", "map_range?": "figures",
-    }  # fmt: skip
-    figures = (
-        Figure("overall", "Overall", "mean over the kinds of questions", _score, lambda record: record["skill"]),
-        Figure("direction", "Direction", "relative direction, by the labels of the run", _of(DIRECTION)),
-        Figure("direction_official", "official", "by the published labels", _of(DIRECTION, _by("official"))),
-        Figure("direction_corrected", "corrected", "with left and right put right", _of(DIRECTION, _by("corrected"))),
-        Figure("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
-        Figure("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
-        Figure("direction_lenient", "lenient", "whatever the form of the answer", _of(DIRECTION, _lenient)),
-        Figure("distance", "Distance", "which is the closest", _of(DISTANCE)),
-        Figure("counting", "Counting", "how many, with the partial credit of the benchmark", _of(COUNTING)),
-        Figure("map", "Map F1", "the map: the least that the published code gives", _of(MAP)),
-        Figure(
+    what = "questions about what stands where around a camera"
+    Config, Record = OsrConfig, OsrRecord
+    agents, looking = AGENTS, LOOKING
+    truth: ClassVar = f"the true places, for data that has a {FILE} in each scene"
+    metrics = (
+        score_metric("overall", "Overall", "mean over the kinds of questions", _score, lambda record: record["skill"]),
+        score_metric("direction", "Direction", "relative direction, by the labels of the run", _of(DIRECTION)),
+        score_metric("direction_official", "official", "by the published labels", _of(DIRECTION, _by("official"))),
+        score_metric(
+            "direction_corrected", "corrected", "with left and right put right", _of(DIRECTION, _by("corrected"))
+        ),
+        score_metric("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
+        score_metric("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
+        score_metric("direction_lenient", "lenient", "whatever the form of the answer", _of(DIRECTION, _lenient)),
+        score_metric("distance", "Distance", "which is the closest", _of(DISTANCE)),
+        score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", _of(COUNTING)),
+        score_metric("map", "Map F1", "the map: the least that the published code gives", _of(MAP)),
+        score_metric(
             "map_most",
             "at most",
             "the most it gives: it depends on PYTHONHASHSEED",
@@ -123,28 +144,32 @@ class OsrBench(PublishedBenchmark):
             "with_depth": sum((scene.folder / DEPTH_FILE).is_file() for scene in seen.values()),
         }
 
-    def cases(self, data: Path, settings: Mapping[str, Any]) -> list[Case]:
+    def samples(self, config: OsrConfig) -> list[Sample]:
         return [
-            Case(question.id, scene.id, scene.id, {"scene": scene.id, "question": question.id})
-            for scene in load(Path(data), settings["suffix"])
+            Sample(question.id, scene.id, {"scene": scene.id, "question": question.id})
+            for scene in load(Path(config.data), config.suffix)
             for question in scene.questions
-            if settings["skill"] in ("all", question.skill)
+            if config.skill in (ALL, question.skill)
         ]
 
-    def check(self, settings: Mapping[str, Any]) -> None:
-        if settings["camera_height"] <= 0:
-            raise EagorError(f"camera_height = {settings['camera_height']}; wanted metres above the floor, above 0")
-        if settings["perception"]:
+    def check(self, config: OsrConfig) -> None:
+        if config.skill not in (ALL, *SKILLS):
+            raise EagorError(f"skill = {config.skill!r}; wanted {', '.join((ALL, *SKILLS))}")
+        if config.perception:
+            settings = settings_of(config)
             _check_files(settings)
-            open_looker(settings["perception"], settings)
+            open_looker(config.perception, settings)
 
-    def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
-        told = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
-        if not isinstance(told, str):
-            raise FormatError(f'the prediction for {case.id} has the keys {sorted(prediction)}; wanted "text": words')
-        scenes = load_kept(str(settings["data"]), settings["suffix"])
-        scene = next(scene for scene in scenes if scene.id == case.payload["scene"])
-        return judged(scene, scene.by_id[case.payload["question"]], Reply(told), settings)
+    def runner(self, config: OsrConfig) -> Callable[[Payload], Record]:
+        return work(settings_of(config))
+
+    def score(self, sample: Sample, prediction: Mapping[str, Any], config: OsrConfig) -> Record:
+        answer = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
+        if not isinstance(answer, str):
+            raise FormatError(f'the prediction for {sample.id} has the keys {sorted(prediction)}; wanted "text": words')
+        scenes = load_kept(config.data, config.suffix)
+        scene = next(scene for scene in scenes if scene.id == sample.payload["scene"])
+        return judged(scene, scene.by_id[sample.payload["question"]], Reply(answer), settings_of(config))
 
 
 OSR = OsrBench()

@@ -22,7 +22,6 @@ import numpy as np
 from eagor._values import lazy
 from eagor.errors import EagorError
 from eagor.lab.agents.models import shared_chat
-from eagor.lab.tasks.benchmark import case_seed
 from eagor.lab.tasks.osr.data import Question, Scene, load
 from eagor.lab.tasks.osr.geometry import (
     SURE,
@@ -59,6 +58,7 @@ from eagor.lab.tasks.osr.scoring import (
     swapped,
 )
 from eagor.lab.tasks.osr.sightings import Looker, Seen, open_looker
+from eagor.lab.tasks.published import case_seed
 from eagor.perception.vlm import IMAGE, Chat, Message
 
 FORMS = ("vanilla", "think")

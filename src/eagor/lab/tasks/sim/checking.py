@@ -18,7 +18,7 @@ from eagor.lab.envs.episodes import Episode, Slot
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera, Disturbances, as_dict, from_dict
 from eagor.lab.tasks.sim.play import Player
-from eagor.lab.tasks.task import Task
+from eagor.lab.tasks.sim.task import SimTask
 from eagor.queries import matching, parse_query
 from eagor.sphere import angular_distance
 
@@ -29,8 +29,8 @@ CLOSE = 1e-6
 NEAR_DEG = 20.0  # from the direction of the target's middle to the nearest of its pixels
 
 
-def check_task(
-    task: Task, world: str = APARTMENT, seed: int = 0, index: int = 0, settings: Mapping[str, Any] | None = None
+def check_simulation(
+    task: SimTask, world: str = APARTMENT, seed: int = 0, index: int = 0, settings: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Raise `AssertionError` unless `task` keeps the contract on one episode; returns the figures of a perfect method.
 
@@ -57,23 +57,23 @@ def check_task(
     return found
 
 
-def _check_description(task: Task) -> None:
-    """Check the name and the columns."""
-    _require(isinstance(task, Task), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.task.Task")
+def _check_description(task: SimTask) -> None:
+    """Check the name and the metrics."""
+    _require(isinstance(task, SimTask), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.sim.task.SimTask")
     _require(
         bool(re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", task.name)),
         f"is called {task.name!r}; wanted lower-case letters and digits with dashes between them: it is typed, and "
         "used as a folder name",
     )
-    keys = [column.key for column in task.columns]
-    _require(bool(keys) and len(set(keys)) == len(keys), f"has the columns {keys}; wanted at least one, each key once")
-    _require(task.headline in keys, f"has the headline {task.headline!r}; wanted one of its columns, {', '.join(keys)}")
-    for column in task.columns:
-        said = f"says that {column.better!r} is better in the column {column.key}; wanted 'low', 'high' or None"
-        _require(column.better in ("low", "high", None), said)
+    keys = [metric.key for metric in task.metrics]
+    _require(bool(keys) and len(set(keys)) == len(keys), f"has the metrics {keys}; wanted at least one, each key once")
+    _require(task.headline in keys, f"has the headline {task.headline!r}; wanted one of its metrics, {', '.join(keys)}")
+    for metric in task.metrics:
+        said = f"says that {metric.better!r} is better in the metric {metric.key}; wanted 'low', 'high' or None"
+        _require(metric.better in ("low", "high", None), said)
 
 
-def _check_rules(task: Task, settings: dict[str, Any]) -> Any:
+def _check_rules(task: SimTask, settings: dict[str, Any]) -> Any:
     """Check that the rules can be made without arguments, written and read."""
     kind = task.rules
     frozen = dataclasses.is_dataclass(kind) and getattr(kind, "__dataclass_params__").frozen  # noqa: B009 (for pyright)
@@ -91,7 +91,7 @@ def _check_rules(task: Task, settings: dict[str, Any]) -> Any:
     return rules
 
 
-def _check_plan(task: Task, player: Player, slot: Slot) -> Episode:
+def _check_plan(task: SimTask, player: Player, slot: Slot) -> Episode:
     """Check that a slot always gives the same episode, whatever was planned before, and other slots other ones."""
     episode, other = player.plan(slot), player.plan(dataclasses.replace(slot, index=slot.index + 1))
     _require(isinstance(episode, Episode), f"plans a {type(episode).__name__}; wanted an eagor.lab.envs.Episode")
@@ -138,7 +138,7 @@ def _check_start(episode: Episode, place: Place, player: Player) -> None:
     )
 
 
-def _check_way(task: Task, player: Player, episode: Episode) -> None:
+def _check_way(task: SimTask, player: Player, episode: Episode) -> None:
     """Check that the path ends, is reproducible and, unless walked, independent of the answers; and check the truth."""
     first = _played(player, episode, 1.0)
     _require(
@@ -216,8 +216,8 @@ class _Known:
         return None
 
 
-def _check_figures(task: Task, player: Player, episode: Episode) -> dict[str, Any]:
-    """Check that there are figures for every column, and that better answers get better figures."""
+def _check_figures(task: SimTask, player: Player, episode: Episode) -> dict[str, Any]:
+    """Check that there are figures for every metric, and that better answers get better figures."""
     if task.walked:
         found = player.play(episode.slot, [ORACLE])["methods"][ORACLE]["metrics"]
         _check_metrics(task, found)
@@ -226,31 +226,31 @@ def _check_figures(task: Task, player: Player, episode: Episode) -> dict[str, An
     right, wrong = (player.judge(recording, _Known(recording.directions, sign))["metrics"] for sign in (1.0, -1.0))
     for metrics in (right, wrong):
         _check_metrics(task, metrics)
-    for column in task.columns:
-        good, bad = right[column.metric], wrong[column.metric]
-        if column.better is None or good is None or bad is None:
+    for metric in task.metrics:
+        good, bad = metric.of({"metrics": right}), metric.of({"metrics": wrong})
+        if metric.better is None or good is None or bad is None:
             continue
         _require(
-            good <= bad if column.better == "low" else good >= bad,
-            f"gives a method that is always right {good:g} in the column {column.key}, and one that is always wrong "
-            f"{bad:g}, though {column.better} is better; wanted the reverse: change `better`, or measure()",
+            good <= bad if metric.better == "low" else good >= bad,
+            f"gives a method that is always right {good:g} in the metric {metric.key}, and one that is always wrong "
+            f"{bad:g}, though {metric.better} is better; wanted the reverse: change `better`, or measure()",
         )
     return right
 
 
-def _check_metrics(task: Task, found: dict[str, Any]) -> None:
-    """Check that every column has a plain figure."""
+def _check_metrics(task: SimTask, found: dict[str, Any]) -> None:
+    """Check that every metric has a plain figure."""
     for key, value in found.items():
         plain = value is None or (isinstance(value, int | float) and math.isfinite(value))
         _require(plain, f"measures {key} = {value!r}; wanted a finite number, or None if it does not apply")
-    wanted = [column.metric for column in task.columns] + [c.only_if for c in task.columns if c.only_if]
-    missing = sorted({*wanted, *(WALKED if task.walked else ())} - found.keys())
+    wanted = {metric.key for metric in task.metrics if metric.read is None} | set(WALKED if task.walked else ())
+    missing = sorted(wanted - found.keys())
     _require(not missing, f"measures {', '.join(found)}; wanted also {', '.join(missing)}, which its table shows")
-    for column in task.columns:
+    for metric in task.metrics:
+        value = metric.of({"metrics": found})
         _require(
-            not column.share or found[column.metric] in (0, 1, None),
-            f"measures {column.metric} = {found[column.metric]}, whose column {column.key} is a share; wanted 0 or 1 "
-            "per episode, or share=False",
+            not metric.share or value in (0, metric.scale, None),
+            f"measures {value} in the metric {metric.key}, which is a share; wanted 0 or 1 per episode, or share=False",
         )
 
 

@@ -17,7 +17,9 @@ from eagor.lab.envs.episodes import Episode, FileEpisode, Slot, choose_target, h
 from eagor.lab.envs.place_env import PlaceEnv, as_walk, walking_space
 from eagor.lab.envs.places import Place, load_place, pixels_of
 from eagor.lab.envs.rules import Camera, NavigationRules
-from eagor.lab.tasks.task import COVERAGE, Column, Played, Task
+from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.task import COVERAGE, SimTask, success_where
+from eagor.lab.tasks.task import Metric, degrees
 from eagor.sphere import azimuth_elevation, world_R_body
 
 # (visible at the start, winding path), cyclic: two thirds visible, half winding.
@@ -189,32 +191,33 @@ class MapFreeNavigationEnv(PlaceEnv):
         return self._observation(), gained + info["success"], terminated, truncated, info
 
 
-NAVIGATION = Task(
+NAVIGATION = SimTask(
     name="navigation",
     title="Map-Free Navigation",
     what="start facing away from the thing, and search and walk until it is reached",
     environment=MapFreeNavigationEnv,
     rules=NavigationRules,
     measure=measure,
-    columns=(
-        Column("sr", "SR", "%", "high", "success", "episodes that end at the target", scale=100.0, share=True),
-        Column("spl", "SPL", "%", "high", "spl", "success weighted by path length", scale=100.0),
-        Column("soft_spl", "SoftSPL", "%", "high", "soft_spl", "progress weighted by path length", scale=100.0),
-        Column("steps", "Steps", "", "low", "steps", "mean number of steps"),
-        Column("undone", "Undone", "%", "low", "undone", "steps that lead back to where the body was", scale=100.0),
-        Column("mae", "MAE", "°", "low", "mae", "mean direction error"),
-        Column(
-            "seam_success", "Seam", "%", "high", "success", "success where the true bearing crossed the seam",
-            scale=100.0, share=True, only_if="seam_crossings",
+    metrics=(
+        Metric("sr", "SR", "episodes that end at the target", lambda result: result["metrics"]["success"], share=True),
+        Metric("spl", "SPL", "success weighted by path length"),
+        Metric("soft_spl", "SoftSPL", "progress weighted by path length"),
+        Metric("steps", "Steps", "mean number of steps", unit="", better="low", scale=1.0),
+        Metric("undone", "Undone", "steps that lead back to where the body was", better="low"),
+        degrees("mae", "MAE", "mean direction error"),
+        Metric(
+            "seam_success", "Seam", "success where the true bearing crossed the seam", success_where("seam_crossings"),
+            share=True,
         ),
-        Column(
-            "seam_start", "Seam start", "%", "high", "success",
+        Metric(
+            "seam_start", "Seam start",
             "success of the episodes that begin with the thing within 5 degrees of the seam, the same for all methods",
-            scale=100.0, share=True, only_if="starts_at_seam",
+            success_where("starts_at_seam"), share=True,
         ),
         COVERAGE,
     ),
     headline="sr",
+    ranked_by=("sr", "spl", "mae"),
     strata={"visible": "Target in sight at the start", "way": "Way to the target"},
     walked=True,
     listed=plan_listed,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,11 +20,10 @@ from eagor.lab.agents.methods import BASE, ORACLE, Method, Steers, answer_at, me
 from eagor.lab.agents.models import Delay, EpisodePerception, is_privileged, shared
 from eagor.lab.agents.search_space import Chance, SteeringInput, along_floor
 from eagor.lab.agents.steering import seeking, steering_for
-from eagor.lab.envs.episodes import Episode, FileSlot, Slot, slot_of
+from eagor.lab.envs.episodes import Episode, FileSlot, Slot
 from eagor.lab.envs.places import in_view, mask_of
 from eagor.lab.envs.rules import Camera, Disturbances, from_dict
-from eagor.lab.tasks import task
-from eagor.lab.tasks.task import Played
+from eagor.lab.tasks.task import load
 from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 
@@ -33,6 +32,39 @@ if TYPE_CHECKING:
 
 STANDS = 1e-6  # metres of a step in which the body only turns: no metres at all would call stop
 MASS = 0.9  # of the credible regions whose coverage is measured
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """The results of one method in one episode of n steps, for `SimTask.measure` (`eagor.lab.tasks.sim.task`).
+
+    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, optionally leg. For a
+      walked task they are in `trace`, with the prefix true_.
+    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
+      inside, distance_m.
+    - `directions`, `estimates` ``(n, 3)``: the true ones (held while the target is away) and the method's, body frame.
+    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
+      (`eagor.metrics.ego_motion`).
+    - `info`: the environment's last one; metres `walked` and `shortest`. Only for a walked task.
+    """
+
+    truth: dict[str, list[Any]]
+    trace: dict[str, list[Any]]
+    directions: np.ndarray
+    estimates: np.ndarray
+    rotations: np.ndarray
+    translations: np.ndarray
+    rules: Any
+    camera: Camera
+    info: Mapping[str, Any] = field(default_factory=dict)
+    walked: float = 0.0
+    shortest: float = math.inf
+
+    @property
+    def coverage(self) -> float | None:
+        """The share of steps with the truth inside the stated 90 % region; None for methods without regions."""
+        inside = [value for value in self.trace["inside"] if value is not None]
+        return metrics.credible_coverage(inside) if inside else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +131,11 @@ class Player:
     optionally calibrated and episodes_file. `perception` and `kind` (the task): the objects, if they exist already.
     """
 
-    def __init__(self, config: dict[str, Any], perception: Any = None, kind: task.Task | None = None) -> None:
+    def __init__(self, config: dict[str, Any], perception: Any = None, kind: Any = None) -> None:
         if perception is None:
             perception = shared(config["perception"])
         self.config = config
-        self.task = kind or task.load(config["task"])
+        self.task: Any = kind or load(config["task"])
         self.perception = perception
         self.camera = from_dict(Camera, config["camera"])
         self.disturbances = from_dict(Disturbances, config["disturbances"])
@@ -268,12 +300,6 @@ class Player:
             self.rules, self.camera,
         )  # fmt: skip
         return {"metrics": _rounded(self.task.measure(played)), "trace": dict(trace)}
-
-
-def work(config: dict[str, Any]) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """The function with which a worker plays one unit, ``{"slot": {...}, "methods": [...]}``."""
-    player = Player(config)
-    return lambda unit: player.play(slot_of(unit["slot"]), unit["methods"])
 
 
 def _note_truth(trace: dict[str, list[Any]], info: dict, prefix: str) -> None:

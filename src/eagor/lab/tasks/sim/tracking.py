@@ -15,7 +15,9 @@ from eagor.lab.envs.episodes import Episode, Slot
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.envs.rules import Camera, TrackingRules
-from eagor.lab.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
+from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
+from eagor.lab.tasks.task import Metric, degrees
 from eagor.lab.worlds.render import PAINTS, Ball, Frame, with_ball
 from eagor.lab.worlds.walkable import follow_path, stroll
 from eagor.queries import Query
@@ -213,21 +215,18 @@ class TargetTrackingEnv(AnsweringEnv):
         return None if ball is None else ball.centre
 
 
-TRACKING = Task(
+TRACKING = SimTask(
     name="tracking",
     title="Target Direction Estimation",
     what="name the direction of a ball that moves, or is away, or that the camera walks past",
     environment=TargetTrackingEnv,
     rules=TrackingRules,
     measure=measure,
-    columns=(
-        Column("error", "Error", "°", "low", "error", "mean direction error"),
-        Column("tc", "TC", "°/step", "low", "tc", f"{JUMP} (rotation and translation)", why=CALM),
-        Column("time_lost", "Time lost", "%", "low", "time_lost", "share of steps at which the target is lost"),
-        Column(
-            "recovery", "Recovery", "s", "low", "recovery", "from the target's return until it is found again",
-            why=_HOLD,
-        ),
+    metrics=(
+        degrees("error", "Error", "mean direction error"),
+        degrees("tc", "TC", f"{JUMP} (rotation and translation)", "°/step", why=CALM),
+        Metric("time_lost", "Time lost", "share of steps at which the target is lost", better="low", scale=1.0),
+        degrees("recovery", "Recovery", "from the target's return until it is found again", "s", why=_HOLD),
         COVERAGE,
     ),
     headline="error",

@@ -18,7 +18,9 @@ from eagor.lab.envs.episodes import Episode, Slot, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import Place, load_place
 from eagor.lab.envs.rules import LEGS, Camera, WaypointRules
-from eagor.lab.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
+from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
+from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.walkable import follow_path, initial_heading
 from eagor.sphere import world_R_body
 
@@ -201,25 +203,25 @@ class WaypointFollowingEnv(AnsweringEnv):
         return {**super()._measures(), "leg": self.episode.legs[min(self.body.steps, len(self.episode.legs) - 1)]}
 
 
-WAYPOINT = Task(
+WAYPOINT = SimTask(
     name="waypoint",
     title="Waypoint Following",
     what="name the direction at every step of a given route of four legs",
     environment=WaypointFollowingEnv,
     rules=WaypointRules,
     measure=measure,
-    columns=(
-        Column("L1", "L1", "°", "low", "L1", "mean error on the first leg"),
-        Column("L2", "L2", "°", "low", "L2", "mean error on the second leg"),
-        Column("L3", "L3", "°", "low", "L3", "mean error on the third leg"),
-        Column("L4", "L4", "°", "low", "L4", "mean error on the fourth leg"),
-        Column("delta", "Δ", "°", "low", "delta", "growth of the error, L4 minus L1, mean over the episodes"),
-        Column("occ", "Occ", "°", "low", "occ", "mean error while the target is hidden"),
-        Column("seam", "Seam", "°", "low", "seam", "mean error where the true bearing crosses the seam"),
-        Column("tc", "TC", "°/step", "low", "tc", f"{JUMP} (rotation and translation)", why=CALM),
-        Column(
-            "tc_rotation", "TC, rotation", "°/step", "low", "tc_rotation",
-            f"{JUMP} (rotation alone: parallax counts as a jump, so an estimate that ignores it scores low)",
+    metrics=(
+        degrees("L1", "L1", "mean error on the first leg"),
+        degrees("L2", "L2", "mean error on the second leg"),
+        degrees("L3", "L3", "mean error on the third leg"),
+        degrees("L4", "L4", "mean error on the fourth leg"),
+        degrees("delta", "Δ", "growth of the error, L4 minus L1, mean over the episodes"),
+        degrees("occ", "Occ", "mean error while the target is hidden"),
+        degrees("seam", "Seam", "mean error where the true bearing crosses the seam"),
+        degrees("tc", "TC", f"{JUMP} (rotation and translation)", "°/step", why=CALM),
+        degrees(
+            "tc_rotation", "TC, rotation",
+            f"{JUMP} (rotation alone: parallax counts as a jump, so an estimate that ignores it scores low)", "°/step",
             why="it rewards an estimate that ignores parallax: the paper defines it so, we do not optimise it",
         ),
         COVERAGE,

@@ -1,0 +1,374 @@
+"""The report of one run, or of several runs of one task with published data: report.html, tables.md and tables.csv.
+
+Every number in them comes from the runs' records or from what the papers printed (`eagor.lab.eval.tables`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from eagor._files import written
+from eagor.errors import EagorError
+from eagor.lab.envs.places import APARTMENT
+from eagor.lab.eval import scenes, steps, tables
+from eagor.lab.eval.charts import Curve, Series, bands, line_chart, look_of
+from eagor.lab.eval.page import Facts, Fold, Link, List, Part, Pictures, Row, Section, Table, Text, cell, markdown, page
+from eagor.lab.eval.predictions import predictions_of
+from eagor.lab.eval.results import (
+    FEW,
+    LEVEL,
+    OURS,
+    PAPERS,
+    RESAMPLES,
+    RIVALS,
+    Result,
+    Run,
+    Summary,
+    is_rival,
+    labels_of,
+    read,
+    summarise,
+)
+from eagor.lab.tasks.task import finished
+
+LISTED = 200  # failed cases in a report
+Results = Mapping[str, Sequence[Result]]
+
+
+def write_report(
+    folders: Path | Sequence[Path], open_place: Any = None, out: Path | None = None, episode: str | None = None
+) -> Path:
+    """Write the report of the runs in `folders`, all of one task, into `out` (None: the first folder).
+
+    Returns the path of its page. `open_place` makes a world again from its name, its seed and the body's radius, for
+    pictures (`eagor.lab.envs.places.load_place` where it is None). `episode`: the name of a page beside it on which an
+    episode can be watched (`eagor.studio.runs`), to link to. Raises `EagorError` where there are no records, or of
+    several tasks; `FormatError` for a folder that is no run's; `StorageError`; `MissingExtraError`.
+    """
+    named = [Path(folders)] if isinstance(folders, str | Path) else [Path(folder) for folder in folders]
+    if not named:
+        raise EagorError("no run is named; wanted the folder of one or several")
+    runs = [read(folder) for folder in named]
+    if len(names := {run.task.name for run in runs}) > 1:
+        raise EagorError(f"the runs are of {', '.join(sorted(names))}; one report is about one task")
+    if len(runs) > 1 and runs[0].simulated:
+        raise EagorError("a run of a simulated task is reported alone; name one folder")
+    task, summary = runs[0].task, summarise(runs)
+    facts = [fact for run, label in zip(runs, labels_of(runs), strict=True) for fact in _facts(run, label, len(runs))]
+    sections = _simulated(runs[0], summary, open_place) if runs[0].simulated else list(_published(runs, summary))
+    sections = [Section("figures", "Figures", _figures(runs[0], summary)), *sections]
+    if summary["failed"]:
+        lines = [f"{f['key']} (attempt {f['attempt']}): {f['error']}" for f in summary["failures"]]
+        errors = Text("These are errors, not wrong answers: they are in no figure above.")
+        sections.append(Section("failed", "What could not be run", [errors, List(lines)]))
+    sections = [section for section in sections if section.parts]
+    title = f"{task.title}: {_counts(runs, summary)}"
+    lead = [*_lead(runs, summary), Fold("What was run", [Facts(facts)])]
+    if episode is not None:
+        lead.append(Link("Watch the worst episode, step by step", episode))
+    place = Path(out or named[0])
+    written(place / "report.html", page(title, lead, sections))
+    written(place / "tables.md", markdown(title, facts, list(_tables(sections))))
+    written(place / "tables.csv", tables.csv_of(task, summary))
+    if len(runs) == 1 and not runs[0].simulated:
+        written(place / "predictions.jsonl", predictions_of(runs[0].records))
+    return place / "report.html"
+
+
+def _tables(sections: Sequence[Section]) -> Iterator[Table]:
+    """The tables of the page, but for the numbers of its charts."""
+    for section in sections:
+        yield from (part for part in section.parts if isinstance(part, Table))
+
+
+# --- what was run, and the outcome in a sentence ----------------------------------------------------------------------
+
+
+def _counts(runs: Sequence[Run], summary: Summary) -> str:
+    if runs[0].simulated:
+        return f"{summary['episodes']} episodes, {len(summary['methods'])} methods"
+    counts = dict.fromkeys(_of(len(finished(run.records)), run.planned) for run in runs)
+    return f"{' and '.join(counts)} cases" + (f", {len(runs)} runs" if len(runs) > 1 else "")
+
+
+def _of(there: int, planned: int | None) -> str:
+    """How many there are, and of how many, where that is a part."""
+    return str(there) if planned is None or there >= planned else f"{there} of {planned}"
+
+
+def _facts(run: Run, label: str, count: int) -> list[tuple[str, str]]:
+    """What was run, from run.json and the records."""
+    good, failed = finished(run.records), len(run.records) - len(finished(run.records))
+    facts = [("Run", label)] if count > 1 else []
+    facts.append(("Task", run.task.title))
+    skipped = {"task", "episodes", "seed", "development", "samples"}
+    if run.simulated:
+        facts += [("Apartments", _seeds(run))] if run.settings.get("world", APARTMENT) == APARTMENT else []
+        facts.append(("Scenes played", str(len({record["episode"].get("scene") for record in good}))))
+    elif run.settings.get("seed") is not None:
+        facts.append(("Seed", str(run.settings["seed"])))
+    settings = [(key.capitalize(), tables.words(value)) for key, value in run.settings.items() if key not in skipped]
+    facts += [(name, value) for name, value in settings if value not in ("", "none")]
+    facts.append(("Records", f"{_of(len(good), run.planned)} with results, {failed} could not be run"))
+    facts += _perception(good)
+    hours = sum(float(record.get("seconds") or 0.0) for record in run.records) / 3600
+    facts.append(("Computing time", f"{hours:.2f} process hours" if hours >= 0.1 else f"{60 * hours:.1f} minutes"))
+    how = f"shares of success after Korn and Graubard, else {RESAMPLES} resamples; a mean is over what has a case"
+    return [*facts, ("Intervals", f"{100 * LEVEL:.0f} %, of whole groups; {how}")]
+
+
+def _seeds(run: Run) -> str:
+    seeds = sorted({r["episode"]["seed"] for r in finished(run.records) if r["episode"].get("seed") is not None})
+    if not seeds:
+        return "none"
+    kinds = {True: "development seeds, not results", False: "not development seeds"}
+    kind = kinds.get(run.settings.get("development", ""), "run.json does not say whether they are development seeds")
+    spread = f"{seeds[0]} to {seeds[-1]} ({len(seeds)} of them)" if len(seeds) > 1 else str(seeds[0])
+    return f"seeds {spread}; {kind}"
+
+
+def _perception(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Which model looked, how long a look took, and how many answers could not be read, where the records say so."""
+    accounts = [r["looked"] for r in records if r.get("looked")]
+    accounts += [m["looked"] for r in records for m in r.get("methods", {}).values() if m.get("looked")]
+    if not accounts:
+        return []
+    looks, unread = (sum(account[key] for account in accounts) for key in ("looks", "unread"))
+    times = [account["milliseconds"] for account in accounts if account["milliseconds"] is not None]
+    sources = [source for account in accounts if (source := account["source"])]
+    models = sorted({f"{s.get('model')} ({s.get('revision') or 'revision unknown'})" for s in sources})
+    cost = f"; {sum(times) / len(times):.0f} ms each on average" if times else ""
+    return [
+        ("Model", ", ".join(models) or "unknown"),
+        ("Looks", f"{looks}, of which {unread} with an answer that could not be read{cost}"),
+    ]
+
+
+def _lead(runs: Sequence[Run], summary: Summary) -> list[Part]:
+    """The outcome in a sentence, and warnings."""
+    task = runs[0].task
+    key = getattr(task, "headline", task.metrics[0].key)
+    metric = next(metric for metric in task.metrics if metric.key == key)
+    figures = {name: row[key] for name, row in summary["methods"].items() if is_rival(name) and row[key] is not None}
+    names = list(figures)
+    if runs[0].simulated:  # ours, the published method, the best other one
+        others = [name for name in figures if name not in (OURS, PAPERS)]
+        others.sort(key=lambda name: figures[name] * (1 if metric.better == "low" else -1))
+        names = [name for name in (OURS, PAPERS, *others[:1]) if name in figures]
+    outcomes = []
+    for name in names:
+        ends = summary["intervals"][name][key]
+        span = f" ({tables.shown(ends[0], metric)} to {tables.shown(ends[1], metric)})" if ends else ""
+        outcomes.append(f"{name}: {tables.shown(figures[name], metric)} {metric.unit}{span}")
+    text = f"{metric.title}, {metric.what}: {'; '.join(outcomes)}." if outcomes else "There are no results."
+    lead: list[Part] = [Text(text)]
+    if runs[0].settings.get("development"):
+        warning = "These are development seeds: parameters were chosen on them. The figures are no results."
+        lead.append(Text(warning, "warn"))
+    if summary["groups"] < FEW and not runs[0].simulated:
+        lead.append(Text(f"There are only {summary['groups']} groups of cases.", "note"))
+    if criterion := criterion_of(runs[0]):
+        lead.append(Text(f"{criterion[0].upper()}{criterion[1:]}.", "note"))
+    if summary["failed"]:
+        lead.append(Text(f"{summary['failed']} units could not be run and are in no figure.", "warn"))
+    return lead
+
+
+def criterion_of(run: Run) -> str:
+    """What success means in a run; "" where its task has no such thing, or its rules are not known."""
+    from eagor.lab.tasks.task import config_of
+
+    try:
+        return str(getattr(config_of(run.task, run.settings).rules, "judged", "")) if run.simulated else ""
+    except (EagorError, AttributeError):  # of another version
+        return ""
+
+
+def _figures(run: Run, summary: Summary) -> list[Part]:
+    if not summary["episodes"]:
+        return []
+    columns = [(f"{m.title}{f' ({m.unit})' if m.unit else ''}", m.what) for m in run.task.metrics]
+    return [tables.main_table(run.task, summary), Fold("What the columns are", [Facts(columns)])]
+
+
+# --- the sections of a simulated task ---------------------------------------------------------------------------------
+
+
+def _simulated(run: Run, summary: Summary, open_place: Any) -> list[Section]:
+    task, results = run.task, run.results()
+    rivals = {name: found for name, found in results.items() if is_rival(name)}
+    covered = _there(tables.coverage_table(task, summary, results))
+    return [
+        Section("ordering", "How far the paper's ordering carries over", _there(tables.ordering_table(task, results))),
+        Section("parts", "What the errors are made of", _there(tables.parts_table(results))),
+        *_curves(run, rivals),
+        Section("strata", "By kind of episode", tables.strata_tables(task, summary)),
+        Section("coverage", "How honest the stated regions are", [*covered, *_regions(rivals)] if covered else []),
+        Section("variants", "Variants", tables.variant_tables(task, summary)),
+        Section("episodes", "Three episodes to look at", scenes.three(run, results, open_place)),
+    ]
+
+
+def _there(table: Table | None) -> list[Part]:
+    return [] if table is None else [table]
+
+
+def _curves(run: Run, rivals: Results) -> list[Section]:
+    """Errors against steps, for the methods of the paper and for the others, each beside ours."""
+    walked = any("truth" not in result.record for found in rivals.values() for result in found)
+    legs = any("leg" in steps.truth_of(result) for found in rivals.values() for result in found[:1])
+    seam = partial(steps.around, events=steps.crossings, before=steps.ABOUT_SEAM, after=steps.ABOUT_SEAM)
+    crossed = _panels(rivals, seam, "Error around seam crossings", "steps from the crossing", "seam")
+    around = Section("seam", "Error around seam crossings", crossed)
+    if walked:
+        note = Text(
+            "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
+            "early leave it, so the right end of a line is about the harder episodes.",
+            "note",
+        )
+        panels = _panels(rivals, steps.by_step, "Error by step")
+        return [Section("steps", "Error by step", [*panels, note] if panels else []), around]
+    if legs:
+        turn = partial(steps.around, events=steps.turns, before=steps.BEFORE, after=steps.AFTER, alone=True)
+        panels = _panels(rivals, turn, "Error after a turn", "steps from the first step of a leg", "turn")
+        return [Section("turns", "Error after a turn", panels), around]
+    parts: list[Part] = []
+    key = next(iter(getattr(run.task, "strata", {})), "")
+    kinds = dict.fromkeys(record["episode"].get("stratum", {}).get(key) for record in finished(run.records))
+    for kind in kinds:  # each by itself, by the first of the task's strata
+        some = {
+            name: [each for each in found if each.record["episode"].get("stratum", {}).get(key) == kind]
+            for name, found in rivals.items()
+        }
+        title = "all episodes" if kind is None else str(kind)
+        parts += [Text(title, "h3"), *_panels(some, steps.by_step, f"Error by step, {title}")]
+    return [Section("steps", "Error by step", parts)]
+
+
+def _panels(
+    rivals: Results,
+    curve_of: Callable[[Sequence[Result]], Curve | None],
+    title: str,
+    x_label: str = "step",
+    event: str = "",
+) -> list[Part]:
+    """Two charts with one scale: the paper's methods and ours, the further rivals and ours; none without any case."""
+    found = {name: curve for name, each in rivals.items() if (curve := curve_of(each)) is not None}
+    if not found:
+        return []
+    top = max(v for curve in found.values() for v in (*curve.y, *curve.high) if v is not None)
+    paper = [name for name in found if name in (*RIVALS, PAPERS)]
+    further = [name for name in found if name not in (*paper, OURS)]
+    pictures, lines = [], []
+    for label, group in (("the paper's methods", paper), ("further methods", further)):
+        if not group and pictures:
+            continue
+        names = [*group, *([OURS] if OURS in found else [])]
+        series = [Series(name, found[name], look_of(name), name == OURS) for name in names]
+        if not series:
+            continue
+        whole = f"{title}: {label} and {OURS}" if group and OURS in names else title
+        chart = line_chart(series, whole, x_label, "error, degrees", (0.0, 1.03 * top), event)
+        pictures.append((chart, f"{whole}. Means over {_episodes(series)}{bands(series)}."))
+        lines += [line for line in series if line not in lines]
+    return [Pictures(pictures), Fold("The numbers", [_numbers(title, x_label, lines)])]
+
+
+def _numbers(title: str, x_label: str, series: Sequence[Series]) -> Table:
+    """A chart's numbers as a table."""
+    xs = sorted({x for line in series for x in line.curve.x})
+    rows = []
+    for line in series:
+        curve = line.curve
+        known = dict(zip(curve.x, zip(curve.y, curve.low, curve.high, strict=True), strict=True))
+        cells = (known.get(x, (None, None, None)) for x in xs)
+        rows.append(Row(line.name, tuple(cell(y, ends) for y, *ends in cells)))
+    heads = (x_label, *(f"{x:g}".replace("-", "−") for x in xs))
+    return Table(title, heads, tuple(rows), (f"Means over {_episodes(series)}.",))
+
+
+def _episodes(series: Sequence[Series]) -> str:
+    """How many episodes are behind the lines."""
+    counts = [max(line.curve.n) for line in series]
+    low, high = min(counts), max(counts)
+    return f"{high} episodes" if low == high else f"{low} to {high} episodes, by method"
+
+
+def _regions(rivals: Results) -> list[Part]:
+    """Stated against found, for regions of every mass, where the records say enough."""
+    found = {name: curve for name, each in rivals.items() if (curve := steps.reliability(each)) is not None}
+    if not found:
+        return []
+    series = [Series(name, curve, look_of(name), name == OURS) for name, curve in found.items()]
+    title = "Regions of every mass: stated, and found to hold the truth"
+    labels = "stated mass of the region, %", "steps with the truth inside, %"
+    chart = line_chart(series, title, *labels, (0.0, 100.0), diagonal=True)
+    caption = "On the dotted line statements are true; below it they are overconfident, above it too cautious."
+    return [Pictures([(chart, f"{title}. {caption}")]), Fold("The numbers", [_numbers(title, "stated, %", series)])]
+
+
+# --- the sections of answers to published data ------------------------------------------------------------------------
+
+
+def _published(runs: Sequence[Run], summary: Summary) -> Iterator[Section]:
+    task, answers = runs[0].task, summary["answers"]
+    if (turns := tables.turn_table(summary)) is not None:
+
+        def by_turn(part: Mapping[str, Any]) -> Curve | None:
+            found = part.get("by_turn")
+            if not found:
+                return None
+            x = tuple(float(k + 1) for k in range(len(found["success"])))
+            y, low, high = (tuple(found[key]) for key in ("success", "low", "high"))
+            return Curve(x, y, low, high, (summary["episodes"],) * len(x))
+
+        series = _series(answers, by_turn)
+        chart = line_chart(series, "Success by turn", "turn", "success, %", (0.0, 100.0))
+        caption = f"Success had the answer been given at this turn{bands(series)}."
+        yield Section("turns", "By turn", [Pictures([(chart, caption)]), turns])
+    if (views := tables.views_table(summary)) is not None:
+        yield Section("views", "Views, and stopping", [views, *_statements(answers)])
+    for number, (run, (name, part)) in enumerate(zip(runs, answers.items(), strict=True)):
+        layers = [tables.tag_table(task, part), tables.cause_table(task, part)]
+        parts: list[Part] = [_titled(table, name, len(runs)) for table in layers if table is not None]
+        if parts and (lines := tables.failed_lines(run)[:LISTED]):
+            parts.append(Fold(f"The cases that failed ({len(lines)} shown)", [List(lines)]))
+        yield Section(f"failures-{number}", f"Failures: {name}", parts)
+
+
+def _titled(table: Table, name: str, count: int) -> Table:
+    return Table(f"{table.title}: {name}", table.heads, table.rows, table.notes) if count > 1 else table
+
+
+def _series(answers: Mapping[str, Any], curve_of: Callable[[Mapping[str, Any]], Curve | None]) -> list[Series]:
+    """A line of a chart for each run that has one."""
+    found = ((name, curve_of(part)) for name, part in answers.items())
+    return [
+        Series(name, curve, f"x{index % 8}", name.partition(" ")[0] == OURS)
+        for index, (name, curve) in enumerate(found)
+        if curve is not None
+    ]
+
+
+def _statements(answers: Mapping[str, Any]) -> list[Part]:
+    """Stated against found: of the submissions, and of what would have been submitted at every turn."""
+    pictures = []
+    for key, title in (("reliability", "of submissions"), ("reliability_by_step", "of the answers at every turn")):
+
+        def curve(part: Mapping[str, Any], key: str = key) -> Curve | None:
+            rows = [row for row in part.get(key, ()) if row[2]]
+            none = (None,) * len(rows)
+            x, y, n = (tuple(row[k] for row in rows) for k in (3, 4, 2))
+            return Curve(x, y, none, none, n) if rows else None
+
+        series = _series(answers, curve)
+        if any(len(line.curve.x) > 1 for line in series):
+            labels = "stated probability of success", "share that succeeded"
+            chart = line_chart(series, f"Reliability {title}", *labels, (0.0, 1.0), diagonal=True)
+            counts = "; ".join(f"{line.name}: {' '.join(map(str, line.curve.n))}" for line in series)
+            caption = "on the dotted line what is stated is what happens. Cases per mark"
+            pictures.append((chart, f"Reliability {title}: {caption}, {counts}."))
+    return [Pictures(pictures)] if pictures else []

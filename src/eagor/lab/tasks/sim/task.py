@@ -1,0 +1,391 @@
+"""What simulated tasks share: an environment with rules, methods that play its episodes, the metrics of each method.
+
+Every method that `config.methods` names plays each episode. Where the answer steers the body (`SimTask.walked`) each
+goes its own way, and an episode is one sample per method; else all methods get the same evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from eagor import plugins
+from eagor._values import lazy
+from eagor._version import __version__
+from eagor.errors import EagorError
+from eagor.lab.envs.episodes import Slot, listed_slots, scene_files, slot_of, slots
+from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
+from eagor.lab.envs.rules import Camera, Disturbances
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample, known, settings_of
+
+if TYPE_CHECKING:
+    from eagor.lab.envs.episodes import Episode
+    from eagor.lab.envs.place_env import PlaceEnv
+    from eagor.lab.tasks.sim.play import Played
+
+PER_RUN = 20  # episodes of a run that names no number and no file
+OURS = "eagor"  # the method whose answer decides whether an episode is a failure, where it has played
+
+COVERAGE = Metric(
+    "coverage", "Coverage", "share of steps with the truth inside the 90 % region; 90 is right", better=None
+)  # of several of the built-in tasks
+JUMP = "jump of the estimate from step to step that the true motion does not explain"
+CALM = "an estimate that hardly moves hardly jumps: compare the errors, too"
+
+
+class SimConfig(msgspec.Struct, kw_only=True):
+    """The settings of a run; `SimTask.Config` has the rules of the task."""
+
+    task: str
+    perception: Annotated[str, Meta(description="detector on the rendered pictures")] = "scout"
+    episodes: Annotated[int | None, Meta(description="number of episodes, five in each apartment")] = None
+    seed: Annotated[int, Meta(ge=0, description="first apartment")] = 2000
+    development: Annotated[bool, Meta(description="whether parameters were chosen on these apartments")] = False
+    episodes_file: Annotated[str | None, Meta(description="ObjectNav episodes to play")] = None
+    scenes: Annotated[str | None, Meta(description="folder of the scenes of these episodes")] = None
+    methods: list[str] = []
+    fitted: dict[str, str] = {}
+    world: Annotated[str, Meta(description="apartment, an installed world, or a GLB file")] = APARTMENT
+    rows: Annotated[int | None, Meta(description="of the rendered panoramas")] = None
+    rules: Any = None
+    camera: Camera = msgspec.field(default_factory=Camera)
+    disturbances: Disturbances = msgspec.field(default_factory=Disturbances)
+    calibrated: dict[str, Any] | None = None
+    versions: dict[str, str] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class SimTask:
+    """A simulated task; see `eagor.lab.tasks.task.Task`.
+
+    - `environment`: a subclass of `PlaceEnv` that takes rules, camera, disturbances and panorama; its `plan` makes the
+      episode of a slot. `rules`: a frozen dataclass of plain values, each with a default.
+    - `measure`: the figures of one method in one episode; None where one does not apply. `headline`: the key of the
+      most important metric; `ranked_by`: those that rank episodes; `strata`: keys of `Episode.stratum` to report
+      separately, and their titles.
+    - `listed`: makes the episode of a file (`eagor.lab.envs.episodes`) of the slot, the file, the camera and the rules;
+      None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
+    - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
+      success, spl and mae are among its figures. Otherwise all methods get the same evidence.
+    """
+
+    name: str
+    title: str
+    what: str
+    environment: Callable[..., PlaceEnv]
+    rules: type
+    measure: Callable[[Played], Mapping[str, Any]]
+    metrics: tuple[Metric, ...]
+    headline: str
+    ranked_by: tuple[str, ...] = ()
+    strata: Mapping[str, str] = field(default_factory=dict)
+    walked: bool = False
+    listed: Callable[..., Episode] | None = None
+    case: ClassVar[str] = "episode"
+
+    @lazy
+    def Config(self) -> type[SimConfig]:
+        """`SimConfig` with the rules of this task."""
+        rules: Any = ("rules", self.rules, msgspec.field(default_factory=self.rules))
+        made: Any = msgspec.defstruct("Config", [rules], bases=(SimConfig,), kw_only=True)
+        return made
+
+    @property
+    def Record(self) -> type[msgspec.Struct]:
+        """The shape of its records."""
+        return WalkedRecord if self.walked else WatchedRecord
+
+    def samples(self, config: Any) -> list[Sample]:
+        found = []
+        for slot in slots_of(config):
+            payload = {"slot": asdict(slot), "methods": list(config.methods)}
+            if self.walked:  # each goes its own way
+                for name in config.methods:
+                    found.append(Sample(f"{slot.id}/{name}", str(slot.seed), payload | {"methods": [name]}))
+            else:
+                found.append(Sample(slot.id, str(slot.seed), payload))
+        return found
+
+    def runner(self, config: Any) -> Callable[[Payload], Record]:
+        from eagor.lab.tasks.sim.play import Player
+
+        player = Player(settings_of(config))
+        return lambda payload: player.play(slot_of(payload["slot"]), payload["methods"])
+
+    def failure(self, record: Record) -> str | None:
+        """Of a walked task: that the target was not reached by ours, or by the method that played alone."""
+        if not self.walked:
+            return None
+        result = record["methods"].get(OURS) or next(iter(record["methods"].values()))
+        if result["metrics"]["success"]:
+            return None
+        return "never in sight" if not any(result["trace"]["visible"]) else "not reached"
+
+    def defaults(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The settings of a run, with Habitat's rules for the episodes of a file. Raises `EagorError`."""
+        if not values.get("episodes_file"):
+            return dict(values)
+        if self.listed is None:
+            raise EagorError(f"{self.name} plays no episodes of a file; navigation does")
+        return {**values, "rules": asdict(self.rules.objectnav()) | dict(values.get("rules", {}))}
+
+    def resolve(self, config: Any) -> Any:
+        """The config with the number of its episodes, the perception's rows and what our methods were fitted with.
+
+        Raises `EagorError` for what does not exist, and for rules that nothing can be played under.
+        """
+        from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_method
+        from eagor.lab.agents.models import shared
+        from eagor.lab.worlds.apartment import VERSION
+        from eagor.perception import rows_of
+
+        names = list(config.methods) or list(default_methods(config.perception))
+        for name in names:
+            if name != ORACLE or not self.walked:
+                make_method(name, np.random.default_rng(0))  # complains about unknown ones
+        if len(set(names)) != len(names):
+            raise EagorError(f"methods {names}; wanted each once")
+        if config.episodes_file is None and config.world != APARTMENT:
+            _read_world(config.world)  # complains about one that cannot be read
+        if config.episodes_file is None and getattr(config.rules, "goal", "") == "view_points":
+            raise EagorError("goal=view_points needs episodes that have view points: --episodes-file")
+        played = slots_of(config)  # complains about a file that cannot be played
+        if config.episodes_file is not None and config.world != APARTMENT:
+            _try_world(played)
+        return msgspec.structs.replace(
+            config,
+            episodes=len(played),
+            methods=names,
+            development=_tuned_on(played),
+            fitted={name: text for name in names if (text := fitted(config.perception, name.partition(":")[0]))},
+            rows=config.rows or rows_of(shared(config.perception)),
+            versions={"eagor": __version__, "apartment": VERSION, **_plugins(config)},
+        )
+
+
+def slots_of(config: SimConfig) -> list[Slot]:
+    """The slots of a run's episodes. Raises `WorldError`."""
+    if config.episodes_file is not None:
+        scenes = None if config.scenes is None else Path(config.scenes)
+        return [*listed_slots(config.task, config.episodes_file, config.episodes, config.world, scenes)]
+    return list(slots(config.task, PER_RUN if config.episodes is None else config.episodes, config.seed, config.world))
+
+
+def variants(task: SimTask) -> tuple[str, ...]:
+    """The ablations of our tracker and of the published one, as methods; of a walked task who is told the truth."""
+    from eagor.lab.agents.methods import ORACLE
+
+    if task.walked:
+        return (ORACLE,)
+    return (
+        *(f"eagor:degree={degree}" for degree in (3, 5, 7, 11, 21, 31)),
+        *(f"eagor_paper:degree={degree}" for degree in (3, 15)),
+        "eagor_paper:decode=mode",
+        "eagor:decode=mean",
+        "eagor:shells=0",
+        "eagor:wander=0",
+        "eagor:jump=0",
+        *(f"eagor:floor={floor}" for floor in (0.05, 0.4, 0.8)),
+        *(f"eagor:temperature={beta}" for beta in (1, 3, 6)),
+        *(f"eagor:neutral={neutral}" for neutral in (0.02, 0.05, 0.2)),
+    )
+
+
+def split_methods(words: Sequence[str]) -> list[str]:
+    """The methods in `words`, which may also be joined by commas: ``eagor,vmf eagor:degree=7,decode=mean``."""
+    found: list[str] = []
+    for word in ",".join(words).split(","):
+        if "=" in word and ":" not in word and found:
+            found[-1] += f",{word}"  # a further setting of the same method
+        elif word:
+            found.append(word)
+    return found
+
+
+def success_where(condition: str) -> Callable[[Record], float | None]:
+    """Reads the success of the episodes whose metric `condition` is above 0."""
+    return lambda result: result["metrics"]["success"] if result["metrics"].get(condition) else None
+
+
+def _tuned_on(played: Sequence[Slot]) -> bool:
+    """Whether one of these is in an apartment on which parameters were chosen."""
+    return any(slot.world == APARTMENT and slot.seed in DEVELOPMENT for slot in played)
+
+
+def _try_world(played: Sequence[Slot]) -> None:
+    """Open the first scene that is there: a missing simulator is no failure of every episode. Raises `EagorError`."""
+    there = [slot for slot in played if (files := scene_files([slot])) and files[0].exists()]
+    if there:
+        _read_world(there[0].world)
+    else:
+        from eagor.lab import worlds
+
+        worlds.load(played[0].world)  # complains about one that does not exist
+
+
+@lru_cache(maxsize=1)
+def _read_world(world: str) -> None:
+    """Read a GLB file or a simulator's scene once, so that one that cannot be read is no failure of every episode.
+
+    Raises `WorldError`, `MissingExtraError`.
+    """
+    from eagor.lab import worlds
+
+    made = worlds.load(world)
+    if world not in worlds.known():  # worlds of other packages need not have a scene of seed 0
+        scene = made(0)
+        if isinstance(scene, worlds.SimulatedScene):
+            scene.close()  # the processes that play open their own
+
+
+def _plugins(config: SimConfig) -> dict[str, str]:
+    """The versions of what other packages bring to this run, by kind and name."""
+    from eagor import perception
+    from eagor.lab import worlds
+
+    used = (
+        ("perception", perception.known(), config.perception.partition(":")[0]),
+        ("world", worlds.known(), config.world.partition(":")[0]),
+        ("task", known(), config.task),
+    )
+    found = {f"{kind} {name}": plugins.version_of(points[name]) for kind, points, name in used if name in points}
+    return {name: version for name, version in found.items() if version is not None}
+
+
+# --- what reports read in a record ------------------------------------------------------------------------------------
+
+Number = Annotated[float, Meta(ge=-1e12, le=1e12)]  # what is measured is never as large, and sums stay finite
+Numbers = Annotated[list[Number], Meta(min_length=1)]
+Figures = Annotated[list[Number | bool | None], Meta(min_length=1)]
+Flags = Annotated[list[bool], Meta(min_length=1)]
+Label = str | bool | Number
+Point = tuple[Number, Number, Number]
+Pose = tuple[Number, Number, Number, Number, Number, Number, Number]  # x, y, z, and the quaternion w, x, y, z
+Poses = Annotated[list[Pose], Meta(min_length=1)]
+Count = Annotated[int, Meta(ge=0)]
+
+
+class EpisodeInRecord(msgspec.Struct, kw_only=True):
+    """Which episode a record is of."""
+
+    id: str
+    query: str
+    targets: list[Count]
+    seed: Count | None = None
+    scene: str = ""
+    scene_hash: str = ""
+    world: str = ""
+    stratum: dict[str, Label] = {}
+    balls: list[Point | None] | None = None
+    radius: Number = 0.0
+
+
+class LookedInRecord(msgspec.Struct, kw_only=True):
+    """What the perception cost."""
+
+    looks: Count
+    unread: Count
+    milliseconds: Number | None
+    source: dict[str, Any] | None
+
+
+class Truth(msgspec.Struct, kw_only=True):
+    """The truth at each step, where all methods saw the same."""
+
+    pose: Poses
+    azimuth_deg: Numbers
+    elevation_deg: Numbers
+    range_m: Numbers
+    visible: Flags
+    seam: Flags
+    present: Flags | None = None
+    leg: list[Label] | None = None
+
+
+class Trace(msgspec.Struct, kw_only=True):
+    """What a method said at each step."""
+
+    azimuth_deg: Numbers
+    elevation_deg: Numbers
+    error_deg: Figures
+    inside: Figures | None = None
+    mass_above: Figures | None = None
+    distance_m: Figures | None = None
+    searching: Flags | None = None
+
+
+class WalkedTrace(Trace, kw_only=True):
+    """The same of a method that went its own way, with the truth."""
+
+    pose: Poses
+    true_azimuth_deg: Numbers
+    true_range_m: Numbers
+    visible: Flags
+    true_elevation_deg: Numbers | None = None
+
+
+class WalkedMetrics(msgspec.Struct):
+    """The figures that rankings and searches read."""
+
+    success: Number
+    spl: Number
+    mae: Number
+
+
+class WatchedResult(msgspec.Struct, kw_only=True):
+    """One method in a `WatchedRecord`."""
+
+    metrics: dict[str, Number | bool | None]
+    trace: Trace
+    looked: LookedInRecord | None = None
+
+
+class WalkedResult(msgspec.Struct, kw_only=True):
+    """One method in a `WalkedRecord`."""
+
+    metrics: WalkedMetrics
+    trace: WalkedTrace
+    looked: LookedInRecord | None = None
+
+
+class WatchedRecord(msgspec.Struct, kw_only=True):
+    """A record of a task in which all methods saw the same."""
+
+    episode: EpisodeInRecord
+    truth: Truth
+    methods: dict[str, WatchedResult]
+    looked: LookedInRecord | None = None
+    seconds: Number | None = None
+
+    def __post_init__(self) -> None:
+        for name, result in self.methods.items():
+            _check_even(name, result.trace, self.truth)
+
+
+class WalkedRecord(msgspec.Struct, kw_only=True):
+    """A record of a task in which each method went its own way."""
+
+    episode: EpisodeInRecord
+    methods: dict[str, WalkedResult]
+    seconds: Number | None = None
+
+    def __post_init__(self) -> None:
+        for name, result in self.methods.items():
+            _check_even(name, result.trace)
+
+
+def _check_even(name: str, *parts: msgspec.Struct) -> None:
+    """Lists of one episode are of one length, and poses are rotations. Raises `ValueError`."""
+    values = {key: value for part in parts for key, value in msgspec.structs.asdict(part).items()}
+    counts = {key: len(value) for key, value in values.items() if isinstance(value, list)}
+    if len(set(counts.values())) > 1:
+        raise ValueError(f"the lists of {name} are of different lengths ({counts})")
+    if not all(any(pose[3:]) for pose in values.get("pose", ())):
+        raise ValueError(f"a pose of {name} has the quaternion 0, 0, 0, 0, which is no rotation")
