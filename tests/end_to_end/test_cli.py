@@ -207,7 +207,7 @@ def test_doctor():
         ("perceptions", "colour"),
         ("worlds", "apartment"),
         ("tasks", "waypoint"),
-        ("benchmarks", "osr"),
+        ("tasks", "osr"),
     ):
         assert found[kind][name] == "ready"
     assert found["left_out"] == []

@@ -20,7 +20,7 @@ from PIL import Image
 from eagor import __version__, perception
 from eagor.drawing.video import Movie
 from eagor.lab import worlds
-from eagor.lab.tasks import benchmark, task
+from eagor.lab.tasks import task
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media import camera_sources as cameras
 from eagor.media.panorama import turn
@@ -143,7 +143,7 @@ def test_nothing_of_this_machine_is_shipped(dist):
 
 def test_the_entry_points_are_those_that_work_without_metadata(dist):
     groups = PROJECT["project"]["entry-points"]
-    for module in (perception, worlds, task, benchmark, cameras):
+    for module in (perception, worlds, task, cameras):
         assert groups[module.GROUP] == module.BUILT_IN
     text = files_of(dist[1])[f"eagor-{__version__}.dist-info/entry_points.txt"].decode()
     for group, points in groups.items():

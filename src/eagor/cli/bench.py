@@ -37,14 +37,14 @@ class BenchRun(Common):
     """Run a simulated task or a benchmark and record each episode. Run the same command again to resume.
 
     Every method plays a simulated task: waypoint (name the direction along a route), navigation (walk to the object),
-    tracking (follow a moving ball). One agent plays a benchmark with published data (hstar-hos, hstar-hps, osr), which
-    needs --data; `eagor bench list` shows agents and options.
+    tracking (follow a moving ball). One agent plays a task with published data (hstar-hos, hstar-hps, osr, eagle360),
+    which needs --data; `eagor bench list` shows agents and options.
     """
 
     runs: ClassVar[str] = "run"
 
     task: Annotated[str, Positional, arg(metavar="TASK")]
-    """waypoint, navigation, tracking, an installed task, or a benchmark: hstar-hos, hstar-hps, osr, ..."""
+    """waypoint, navigation, tracking, an installed task, or one with data: hstar-hos, hstar-hps, osr, eagle360"""
     perception: Annotated[str | None, bare("NAME")] = None
     (
         "The detector: scout (default of simulated tasks), a small network on the rendered pictures; truth, a noisy "

@@ -32,6 +32,7 @@ BUILT_IN = {
     "hstar-hos": "eagor.lab.tasks.hstar.bench:HOS",
     "hstar-hps": "eagor.lab.tasks.hstar.bench:HPS",
     "osr": "eagor.lab.tasks.osr.bench:OSR",
+    "eagle360": "eagor.lab.tasks.eagle360:EAGLE360",
 }
 WORK = "eagor.lab.tasks.task:work"  # for `eagor.lab.eval.runner.run`
 
