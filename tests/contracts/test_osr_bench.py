@@ -16,12 +16,12 @@ import pytest
 from commands import eagor
 
 from eagor.errors import EagorError, FormatError
-from eagor.lab.tasks.benchmark import check_benchmark, load
 from eagor.lab.tasks.osr.data import SUFFIXES
 from eagor.lab.tasks.osr.data import load as load_scenes
-from eagor.lab.tasks.osr.play import Eagor, Majority, Vlm, work
+from eagor.lab.tasks.osr.play import Eagor, Majority, Vlm
 from eagor.lab.tasks.osr.scoring import DIRECTION, MAP
 from eagor.lab.tasks.osr.sightings import BeliefLooker
+from eagor.lab.tasks.task import check_task, configure, load, settings_of
 from eagor.perception.vlm import IMAGE, ChatReply, Message
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
@@ -43,25 +43,25 @@ def data(tmp_path: Path) -> Path:
     return osr_data.write(tmp_path)
 
 
-def settled(data: Path, **settings: Any) -> dict[str, Any]:
-    return load("osr").settle({"data": str(data), **settings})
+def config(data: Path, **settings: Any) -> Any:
+    return configure(load("osr"), {"data": str(data), **settings})
 
 
-def played(data: Path, **settings: Any) -> list[dict[str, Any]]:
-    found = settled(data, **settings)
-    do = work(found)
-    return [do(case.payload) for case in load("osr").cases(data, found)]
+def played(data: Path, **settings: Any) -> list[Any]:
+    found = config(data, **settings)
+    do = load("osr").runner(found)
+    return [do(sample.payload) for sample in load("osr").samples(found)]
 
 
 def figure(records: Sequence[dict[str, Any]], key: str) -> float | None:
-    read = next(figure.read for figure in load("osr").figures if figure.key == key)
+    read = next(metric.read for metric in load("osr").metrics if metric.key == key)
     values = [value for record in records if (value := read(record)) is not None]
     return float(np.mean(values)) if values else None
 
 
 @pytest.mark.parametrize("agent", ["constant", "majority", "random", "oracle"])
 def test_the_contract_holds(data: Path, agent: str) -> None:
-    records = check_benchmark(load("osr"), data, agent)
+    records = check_task(load("osr"), data=str(data), agent=agent)
     if agent == "oracle":
         assert {record["score"] for record in records} == {1.0}
 
@@ -69,7 +69,7 @@ def test_the_contract_holds(data: Path, agent: str) -> None:
 @pytest.mark.skipif(not SAMPLES.exists(), reason="the shared benchmark samples are not here")
 @pytest.mark.parametrize("agent", ["constant", "majority", "random", "oracle"])
 def test_the_contract_holds_over_the_published_samples(agent: str) -> None:
-    check_benchmark(load("osr"), SAMPLES, agent)
+    check_task(load("osr"), data=str(SAMPLES), agent=agent)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -136,8 +136,11 @@ def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: P
     (scene,) = load_scenes(data, "qa")
     question = next(question for question in scene.questions if question.skill == DIRECTION)
     reply = Reply(f"<think>hm</think><answer>{question.answer}</answer>")
-    assert judged(scene, question, reply, settled(data, agent="constant", prompt="think", suffix="qa"))["score"] == 1
-    assert judged(scene, question, reply, settled(data, agent="constant", suffix="qa"))["cause"] == "format"
+    think, plain = (
+        settings_of(config(data, agent="constant", prompt=form, suffix="qa")) for form in ("think", "vanilla")
+    )
+    assert judged(scene, question, reply, think)["score"] == 1
+    assert judged(scene, question, reply, plain)["cause"] == "format"
 
 
 def test_a_run_with_a_model_goes_through(data: Path) -> None:
@@ -146,12 +149,13 @@ def test_a_run_with_a_model_goes_through(data: Path) -> None:
 
 
 def test_predictions_from_elsewhere_are_judged(data: Path) -> None:
-    bench, settings = load("osr"), settled(data, agent="constant")
-    case = bench.cases(data, settings)[0]
+    task: Any = load("osr")
+    settings = config(data, agent="constant")
+    sample = task.samples(settings)[0]
     for key in ("text", "answer", "model_answer"):
-        assert bench.judge(case, {key: "1"}, settings)["case"] == case.id
+        assert task.score(sample, {key: "1"}, settings)["case"] == sample.id
     with pytest.raises(FormatError, match="wanted"):
-        bench.judge(case, {"score": 1}, settings)
+        task.score(sample, {"score": 1}, settings)
 
 
 def test_the_hosted_table_is_read_as_the_files_are(data: Path, tmp_path: Path) -> None:
@@ -218,17 +222,17 @@ def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
         ({"agent": "vlm"}, "asks a model"),
         ({"agent": "nobody"}, "it has eagor"),
         ({"agent": "constant", "labels": "mine"}, "wanted official, corrected, both"),
-        ({"agent": "constant", "camera_height": -1}, "above 0"),
-        ({"agent": "constant", "camera_height": "nan"}, "camera_height = 'nan'; wanted something like 1.5"),
+        ({"agent": "constant", "camera_height": -1}, "camera_height = -1: Expected `float` > 0"),
+        ({"agent": "constant", "camera_height": "nan"}, "camera_height = 'nan': Expected `float` > 0"),
         ({"agent": "constant", "camera_height": float("inf")}, "camera_height = inf"),
-        ({"agent": "random", "seed": -1}, "seed = -1; wanted a whole number, 0 or more"),
+        ({"agent": "random", "seed": -1}, "seed = -1: Expected `int` >= 0"),
         ({"agent": "eagor", "perception": "truth:blurred"}, "truth:outline"),
         ({"agent": "eagor", "perception": "colour", "range": "depth"}, r"1 of 1 scenes have no depth\.npy"),
     ],
 )
 def test_bad_settings_say_what_is_wanted(data: Path, settings: dict[str, Any], words: str) -> None:
     with pytest.raises(EagorError, match=words):
-        settled(data, **settings)
+        config(data, **settings)
 
 
 def test_what_is_no_such_data_says_so(tmp_path: Path, data: Path) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
@@ -188,9 +189,13 @@ def read_config(task: Task, values: Mapping[str, Any], changes: Mapping[str, str
 def config_of(task: Task, values: Mapping[str, Any]) -> Any:
     """`values`, perhaps text, as the task's `Config`; unknown ones are left out. Raises `EagorError`."""
     try:
-        return msgspec.convert(values, task.Config, strict=False)
+        config = msgspec.convert(values, task.Config, strict=False)
     except msgspec.ValidationError as error:
         raise EagorError(_in_words(task, values, str(error))) from None
+    for name, value in msgspec.structs.asdict(config).items():
+        if isinstance(value, float) and not math.isfinite(value):  # msgspec takes the words nan and inf
+            raise EagorError(f"{name} = {value}; wanted a finite number")
+    return config
 
 
 def settings_of(config: Any) -> dict[str, Any]:
