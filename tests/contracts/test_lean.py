@@ -88,6 +88,7 @@ OTHERS = [
     ("sim", "track frames chair --poses poses.csv --perception scout"),
     ("sim", "bench run navigation --perception truth --episodes 1 --out run"),
     ("sim", "bench run waypoint --world scene.glb --episodes 1 --out run"),
+    ("report", "bench report run-of-another"),
     ("sim", "calibrate --episodes 20 --out calibration.json"),
     ("vlm", "locate room.png chair --perception some/model"),
     ("vlm", "calibrate heads --perception some/model --out heads.json"),

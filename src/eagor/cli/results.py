@@ -67,12 +67,14 @@ class BenchFailures(Common):
 
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
+    from eagor._extras import need
     from eagor.cli.checks import checked_folder
     from eagor.lab.eval.report import write_report
     from eagor.lab.eval.results import read
 
     if not options.folders:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
+    need("a report", "report", "jinja2")  # before an episode is played for it
     if options.out is not None:
         checked_folder(options.out)
     episode, out = None, options.out or options.folders[0]
