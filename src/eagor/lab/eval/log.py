@@ -28,6 +28,7 @@ try:
 except ImportError:  # not a POSIX system: there is no lock, and two writers are the caller's to avoid
     fcntl = None
 
+LONGEST = 1 << 28  # bytes: no record is as long
 RUN, RECORDS = "run.json", "records.jsonl"
 # In run.json, for readers only: of which code and samples the first records are, and how many were asked for so far.
 INFORMATION = ("commit", "samples", "versions", "development", "episodes")
@@ -222,15 +223,10 @@ def _text(found: Mapping[str, Any]) -> str:
 def _mend(file: int) -> None:
     """Bring the end of `file` to the end of a whole line: what comes next must begin on a line of its own."""
     size = os.lseek(file, 0, os.SEEK_END)
-    tail = b""
-    while len(tail) < size and b"\n" not in tail:
-        begin = max(0, size - len(tail) - (1 << 16))
-        os.lseek(file, begin, os.SEEK_SET)
-        tail = os.read(file, size - len(tail) - begin) + tail
-    torn = tail[tail.rfind(b"\n") + 1 :]
-    if _is_json(torn):  # somebody's editor left out the last newline
+    torn = os.pread(file, LONGEST, max(0, size - LONGEST)).rpartition(b"\n")[2]
+    if _parsed(torn) is not None:  # somebody's editor left out the last newline
         append_all(file, b"\n")
-    elif torn:
+    else:
         os.ftruncate(file, size - len(torn))
 
 
@@ -253,29 +249,22 @@ def _records(path: Path) -> Iterator[dict[str, Any]]:
         return
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror or error}); restore it, or let it be read") from None
-    if not _is_json(lines[-1]):  # empty, if the last line is whole
-        lines.pop()
     for number, line in enumerate(lines, start=1):
-        yield _record(line, path, number)
+        found = _parsed(line)
+        if found is None and number == len(lines):
+            return  # empty, or left half written
+        attempt = found.get("attempt") if isinstance(found, dict) and isinstance(found.get("key"), str) else None
+        if type(attempt) is not int or attempt < 1 or found.get("status") not in ("ok", "failed"):
+            raise FormatError(
+                f"{path}, line {number}: no record; wanted a JSON object with key (text), attempt (1, 2, ...) and "
+                "status ('ok' or 'failed'). Restore the line, or delete it"
+            )
+        yield found
 
 
-def _is_json(line: bytes) -> bool:
+def _parsed(line: bytes) -> Any:
+    """The value that a line of JSON holds, None if it holds none."""
     try:
-        parsed(line)
+        return parsed(line)
     except ValueError:
-        return False
-    return True
-
-
-def _record(line: bytes, path: Path, number: int) -> dict[str, Any]:
-    try:
-        found = parsed(line)
-    except ValueError as error:
-        raise FormatError(f"{path}, line {number}: no JSON ({error}); restore the line, or delete it") from None
-    whole = isinstance(found, dict) and isinstance(found.get("key"), str) and type(found.get("attempt")) is int
-    if not whole or found["attempt"] < 1 or found.get("status") not in ("ok", "failed"):
-        raise FormatError(
-            f"{path}, line {number}: no record; wanted an object with key (text), attempt (1, 2, ...) and status "
-            "('ok' or 'failed'). Restore the line, or delete it"
-        )
-    return found
+        return None
