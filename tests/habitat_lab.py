@@ -247,3 +247,51 @@ def judged(file, walks):
             "measured": {"distance_to_goal": distance, **score(rules, episode.shortest, distance, length, stopped)},
             "shortest_m": episode.shortest,
         }  # fmt: skip
+
+
+# --- our policy inside habitat-lab ---
+
+
+def played(file, out, perception, episodes):
+    """habitat-lab's measures of episodes that our agent (`eagor.lab.agents.habitat`) played, in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # Habitat may end its process
+        pool.submit(_play_all, str(Path(file).resolve()), str(Path(out).resolve()), perception, episodes).result()
+    return json.loads(Path(out).read_text())
+
+
+def _play_all(file, out, perception, episodes):
+    warnings.simplefilter("ignore")
+    (data,) = (parent for parent in Path(file).parents if parent.name == "data")
+    os.chdir(data.parent)
+    device = [] if Path("/dev/nvidia0").exists() else ["habitat.simulator.habitat_sim_v0.gpu_device_id=-1"]
+    settings = config(f"habitat.dataset.data_path={file}", *device)
+    import habitat
+    from eagor.lab.agents.habitat import HabitatAgent, categories_of
+    from habitat.config import read_write
+    from habitat.config.default_structured_configs import (
+        HabitatSimEquirectangularDepthSensorConfig,
+        HabitatSimEquirectangularRGBSensorConfig,
+    )
+    from omegaconf import OmegaConf
+
+    from eagor.perception import load
+
+    place = {"height": 256, "width": 512, "position": [0.0, 0.88, 0.0]}
+    depth = HabitatSimEquirectangularDepthSensorConfig(**place, max_depth=20.0, normalize_depth=False)
+    with read_write(settings):
+        sensors = settings.habitat.simulator.agents.main_agent.sim_sensors
+        sensors.clear()
+        sensors["rgb"] = OmegaConf.structured(HabitatSimEquirectangularRGBSensorConfig(**place))
+        sensors["depth"] = OmegaConf.structured(depth)
+    found = []
+    with habitat.Env(settings) as env:
+        agent = HabitatAgent(load(perception), categories_of(env))
+        for _ in range(min(episodes, len(env.episodes))):
+            observations, actions = env.reset(), []
+            agent.reset()
+            while not env.episode_over:
+                actions.append(agent.act(observations)["action"])
+                observations = env.step({"action": actions[-1]})
+            metrics = {name: float(env.get_metrics()[name]) for name in NAMES}
+            found.append({"category": env.current_episode.object_category, "actions": actions, "metrics": metrics})
+    Path(out).write_text(json.dumps(found))

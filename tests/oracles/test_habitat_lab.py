@@ -78,3 +78,12 @@ def test_an_oracle_wins_our_episodes_in_its_own_simulator_and_we_judge_its_walks
                 assert ours[judge]["success"] == walk["metrics"]["success"]
                 for name in ("spl", "soft_spl", "distance_to_goal"):
                     assert ours[judge][name] == pytest.approx(walk["metrics"][name], abs=1e-3), (judge, name)
+
+
+def test_our_policy_plays_its_episodes_and_stops_by_itself(file, tmp_path):
+    played = habitat_lab.played(file, tmp_path / "played.json", "scout", 5)
+    assert len(played) == 5
+    assert all(set(episode["actions"]) <= {"stop", "move_forward", "turn_left", "turn_right"} for episode in played)
+    assert any(episode["actions"][-1] == "stop" for episode in played)
+    for episode in played:
+        assert episode["metrics"]["success"] <= (episode["actions"][-1] == "stop"), "success needs the stop action"
