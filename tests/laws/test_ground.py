@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from strategies import at_most
 
 from eagor.errors import WorldError
-from eagor.lab.worlds.ground import Ground, touched
+from eagor.lab.worlds.ground import Ground, rasterize
+from eagor.lab.worlds.navmesh import Walls
 from eagor.lab.worlds.scene import Room
-from eagor.lab.worlds.walkable import Walls
 
 CELL, RADIUS = 0.05, 0.18
 seeds = st.integers(0, 2**32 - 1)
@@ -61,7 +61,7 @@ def test_all_that_lies_in_the_slab_is_marked_and_nothing_else(seed, size):
     triangle = rng.uniform(0.3, 0.7, size=3) * (4, 4, 2) + rng.uniform(-size, size, size=(3, 3))
     if rng.random() < 0.3:
         triangle[2, :2] = triangle[0, :2]  # upright
-    mask = touched(triangle[None], 0.5, 1.0, np.zeros(2), 0.1, (40, 40))
+    mask = rasterize(triangle[None], 0.5, 1.0, np.zeros(2), 0.1, (40, 40))
     weights = rng.dirichlet((0.7, 0.7, 0.7), size=4000)
     points = weights @ triangle
     points = points[(points[:, 2] > 0.5) & (points[:, 2] < 1.0)]

@@ -15,9 +15,9 @@ import numpy as np
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.lab.worlds import SimulatedScene, View, World, ground_of, view_of
+from eagor.lab.worlds.navmesh import NavMesh
 from eagor.lab.worlds.render import Frame
 from eagor.lab.worlds.scene import STRUCTURE, Scene
-from eagor.lab.worlds.walkable import Walkable
 from eagor.media.panorama import turn
 from eagor.queries import COLOURS
 from eagor.sphere import direction
@@ -150,7 +150,7 @@ def _check_seen(scene: SimulatedScene, view: View, positions: list[tuple[float, 
         )
 
 
-def _check_floor(scene: Scene | SimulatedScene) -> Walkable:
+def _check_floor(scene: Scene | SimulatedScene) -> NavMesh:
     """Check that there is a floor at z = 0, and room to stand on it."""
     try:
         ground = ground_of(scene, RADIUS)

@@ -16,8 +16,8 @@ from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.envs.rules import Camera, TrackingRules
 from eagor.lab.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
+from eagor.lab.worlds.navmesh import follow_path, stroll
 from eagor.lab.worlds.render import PAINTS, Ball, Frame, with_ball
-from eagor.lab.worlds.walkable import follow_path, stroll
 from eagor.queries import Query
 from eagor.sphere import world_R_body
 

@@ -19,7 +19,7 @@ from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import Place, load_place
 from eagor.lab.envs.rules import LEGS, Camera, WaypointRules
 from eagor.lab.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
-from eagor.lab.worlds.walkable import follow_path, initial_heading
+from eagor.lab.worlds.navmesh import follow_path, initial_heading
 from eagor.sphere import world_R_body
 
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
