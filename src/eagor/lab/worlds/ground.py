@@ -231,15 +231,12 @@ class Ground:
 
     @property
     def points(self) -> np.ndarray:
-        """The centres ``(n, 2)`` of the free cells, in reading order."""
         return self._centres
 
     def height(self, xy: np.ndarray) -> float:
-        """Height of the ground under a point: that of the floor, which is level."""
         return self.floor
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
-        """Whether the body can stand at points ``(..., 2)``; False off the plan and for NaN."""
         _, (row, col), known = cells_of(xy, self.origin, self.cell, self.free.shape)
         return known & self.free[row, col]
 
@@ -248,7 +245,6 @@ class Ground:
         return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * self.cell
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
-        """The free point ``(2,)`` nearest to a point; None if there is none `within` this many metres, and for NaN."""
         xy = np.asarray(xy, dtype=np.float64)
         if not np.isfinite(xy).all():
             return None
@@ -262,7 +258,6 @@ class Ground:
         return nearest[best] if away[best] <= within else None
 
     def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
-        """A free point ``(2,)``, uniform over the cells of at least this `clearance` (m). `WorldError` if none."""
         cells = np.argwhere(self.free & (self.clearance >= clearance))
         if len(cells) == 0:
             raise WorldError(
@@ -274,10 +269,6 @@ class Ground:
     # --- distances ---
 
     def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> DistanceField:
-        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``, metres; each starts at its offset ``(n,)`` or 0.
-
-        Points that are not free are ignored: if none is free, every distance is inf.
-        """
         points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         points, starts = points[stand], starts[stand]
@@ -292,16 +283,13 @@ class Ground:
         return self._spread(index[usable], away[usable])
 
     def field_to_places(self, places: np.ndarray) -> DistanceField:
-        """Distances to the nearest of places ``(n, 3)`` at the feet, metres: of those on this floor that are free."""
         places = np.asarray(places, dtype=np.float64).reshape(-1, 3)
         return self.field(places[np.abs(places[:, 2] - self.floor) <= STOREY, :2])
 
     def at_points(self, way: DistanceField) -> np.ndarray:
-        """Metres ``(n,)`` of a field of this ground at all `points`."""
         return way.metres[self.free]
 
     def footprint(self, instance: Instance) -> DistanceField:
-        """Distances to the footprint of an instance, metres, via points `beside` it; inf everywhere without any."""
         seeds, away = self._beside(instance)
         return self._spread(seeds, away / self.cell)
 

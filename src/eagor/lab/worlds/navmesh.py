@@ -232,7 +232,6 @@ class DistanceField:
         return np.where(np.isfinite(here), total / np.maximum(weights, 1e-12), np.inf)
 
     def union(self, *others: DistanceField) -> DistanceField:
-        """The distance to the nearest goal of this field and the others, on the same ground."""
         return DistanceField(
             self.origin, self.cell, np.minimum.reduce([self.metres, *(other.metres for other in others)])
         )

@@ -275,7 +275,6 @@ class NavMeshDistance:
     offsets: np.ndarray
 
     def distance(self, xy: np.ndarray) -> np.ndarray:
-        """Metres ``(...)`` from points ``(..., 2)``; inf without a path, off the ground and for NaN."""
         points = np.asarray(xy, dtype=np.float64)
         flat = [self.nearest(point)[0] for point in points.reshape(-1, 2)]
         return np.array(flat).reshape(points.shape[:-1])
@@ -296,7 +295,6 @@ class NavMeshDistance:
         return best, which
 
     def union(self, *others: NavMeshDistance) -> NavMeshDistance:
-        """The distance to the nearest goal of this one and the others."""
         ways = (self, *others)
         goals, offsets = (np.concatenate([getattr(way, name) for way in ways]) for name in ("goals", "offsets"))
         return NavMeshDistance(self.surface, self.plan, goals, offsets)
@@ -356,24 +354,20 @@ class HabitatNavMesh:
         return self.surface.pathfinder
 
     def feet(self, xy: np.ndarray) -> np.ndarray:
-        """The point ``(3,)`` of Habitat's world at which a body stands at a point ``(2,)``, close to the mesh."""
         return self.surface.feet(xy)
 
     def height(self, xy: np.ndarray) -> float:
-        """Height of the ground under a point ``(2,)``: 0 on the floor of the storey, else that of the step or stair."""
         above = float(self.feet(xy)[1]) - self.surface.storey.level
         return above if abs(above) > self.level else 0.0
 
     # --- points ---
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
-        """Whether the body can stand at points ``(..., 2)``; False off the storey and for NaN."""
         points = np.asarray(xy, dtype=np.float64)
         flat = [self.surface.is_free(point) for point in points.reshape(-1, 2)]
         return np.array(flat, dtype=bool).reshape(points.shape[:-1])
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
-        """The free point ``(2,)`` nearest to a point, to a cell of the plan; None if none is `within`, and for NaN."""
         xy = np.asarray(xy, dtype=np.float64)
         if bool(self.is_free(xy)):
             return xy.copy()
@@ -384,7 +378,6 @@ class HabitatNavMesh:
         return centre.copy() if np.hypot(*(centre - xy)) <= within else None
 
     def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
-        """A free point ``(2,)``, uniform over the cells of at least this `clearance` (m). `WorldError` if none."""
         point = self.plan.sample(rng, clearance)
         for _ in range(TRIES):
             if bool(self.is_free(point)):
@@ -395,7 +388,6 @@ class HabitatNavMesh:
     # --- distances ---
 
     def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> NavMeshDistance:
-        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``; those that are not free are ignored."""
         points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         goals = np.array([self.feet(point) for point in points[stand]], dtype=np.float64).reshape(-1, 3)
@@ -410,11 +402,9 @@ class HabitatNavMesh:
         return NavMeshDistance(self.surface, self.plan, goals, np.zeros(len(goals)))
 
     def at_points(self, way: NavMeshDistance) -> np.ndarray:
-        """Metres ``(n,)`` of a way from all `points`, over the plan."""
         return self.plan.at_points(way.over_plan)
 
     def footprint(self, instance: Instance) -> NavMeshDistance:
-        """Distances to the footprint of an instance, via points `beside` it; inf everywhere without any."""
         if id(instance) not in self._ways:
             self._ways[id(instance)] = instance, self.field(*self.beside(instance))
         return self._ways[id(instance)][1]

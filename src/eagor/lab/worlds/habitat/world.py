@@ -325,11 +325,9 @@ class HabitatScene:
 
     @property
     def zero(self) -> float:
-        """Habitat's y of our z = 0."""
         return self.frames.floor
 
     def view(self) -> HabitatView:
-        """The renderer."""
         return self._view
 
     @lazy
@@ -337,11 +335,9 @@ class HabitatScene:
         return HabitatView(self.session, self.frames, self.things.labels)
 
     def close(self) -> None:
-        """Close the simulator; the next look opens it again."""
         self.session.close()
 
     def ground(self, radius: float) -> HabitatNavMesh:
-        """The navigation mesh of the storey for a body of this radius, metres. Raises `WorldError` without room."""
         return _ground(self, radius)
 
     def sees(self, xy: np.ndarray, thing: Instance, floor: float = 0.0) -> bool:
