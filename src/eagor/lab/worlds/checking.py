@@ -205,11 +205,10 @@ def _check_frame(frame: Frame, rows: int) -> None:
         ("range", (rows, 2 * rows), np.floating, "floating point (metres)"),
         ("ids", (rows, 2 * rows), np.signedinteger, "signed integers"),
     ):
-        part = getattr(frame, name)
-        fits = part is None or (part.shape == shape and np.issubdtype(part.dtype, types))
-        _require(
-            fits, f"shows {name} of shape {np.shape(part)}, {getattr(part, 'dtype', None)}; wanted {shape}, {kind}"
-        )
+        part: np.ndarray | None = getattr(frame, name)
+        if part is not None:
+            fits = part.shape == shape and np.issubdtype(part.dtype, types)
+            _require(fits, f"shows {name} of shape {part.shape}, type {part.dtype}; wanted {shape}, {kind}")
     if frame.range is not None:
         _require(
             bool((frame.range > 0).all()),
