@@ -6,7 +6,6 @@ import json
 import math
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,15 +74,6 @@ def test_an_exported_flat_is_seen_as_ours(flat, pose):
     red = [k for k, thing in enumerate(ours.instances) if thing.name == "red chair"]
     shown = mine.rgb[np.isin(mine.ids, red)].mean(axis=0)
     assert shown[0] > 2 * shown[1], "the red chair is red"
-
-
-def test_boxes_tell_the_things_apart_where_there_are_no_ids(flat, bare):
-    ours, ids = two_rooms(), worlds.load(f"habitat:{bare}")(0)
-    assert ids.facts["things"] == "nodes of flat.glb"
-    mine, truth = (view.panorama(HERE, np.eye(3), 128) for view in (ids.view(), Renderer(ours)))
-    names = np.array([*(thing.category for thing in ids.instances), "nothing"])
-    true = np.array([*(thing.category for thing in ours.instances), "nothing"])
-    assert (names[mine.ids] == true[truth.ids]).mean() > 0.95
 
 
 def test_its_ground_agrees_with_our_plan(flat):
@@ -204,11 +194,4 @@ def test_a_damaged_scene_is_told_in_one_sentence(tmp_path, content, says):
     file.write_bytes(content)
     with pytest.raises(WorldError, match=says) as raised:
         worlds.load(f"habitat:{file}")(0)
-    assert "\n" not in str(raised.value)
-
-
-@pytest.mark.skipif(Path("/dev/nvidia0").exists(), reason="there is such a card here")
-def test_a_cuda_device_that_is_not_there_does_not_end_the_process(flat):
-    with pytest.raises(WorldError, match=r"cannot draw on GPU 0 .*gpu=-1") as raised:
-        worlds.load(f"habitat:{flat}?gpu=0")(0)
     assert "\n" not in str(raised.value)
