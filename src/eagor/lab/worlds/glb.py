@@ -230,6 +230,7 @@ def import_glb(path: Path | str) -> Scene:
     """
     path = Path(path)
     blob = _read(path)
+    need("a GLB file", "sim", "trimesh")
     try:
         parts, materials = _load(path, blob)
     except Exception as error:  # trimesh may raise anything
@@ -290,7 +291,6 @@ def _read(path: Path) -> bytes:
 
 def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     """The parts of a file, and its materials. Raises what it likes."""
-    need("a GLB file", "sim", "trimesh")
     import trimesh
 
     text = path.suffix.lower() == ".gltf"
