@@ -41,8 +41,8 @@ import numpy as np
 
 from eagor.evidence import Evidence
 from eagor.lab.agents.methods import NAMES, Method, make_method
+from eagor.lab.worlds.navmesh import along, length_of
 from eagor.lab.worlds.render import Renderer
-from eagor.lab.worlds.walkable import along, length_of
 from eagor.media import Pose, bags
 from eagor.media import ros_messages as ros
 from eagor.media.bags import BagWriter

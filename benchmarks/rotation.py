@@ -136,8 +136,8 @@ def walk(seed: int, hfov: float) -> tuple[Pictures, list[np.ndarray]]:
     """One metre a second through an apartment; the head turns about the way."""
     from eagor.lab.worlds import ground_of
     from eagor.lab.worlds.apartment import generate
+    from eagor.lab.worlds.navmesh import stroll
     from eagor.lab.worlds.render import Renderer
-    from eagor.lab.worlds.walkable import stroll
 
     scene, random = generate(seed), np.random.default_rng(seed)
     ground, renderer = ground_of(scene, 0.3), Renderer(scene)

@@ -253,7 +253,7 @@ def judged(file, walks):
 
 
 def played(file, out, perception, episodes):
-    """habitat-lab's measures of episodes that our agent (`eagor.lab.agents.habitat`) played, in a process of its own."""
+    """habitat-lab's measures of episodes that our agent (`eagor.lab.agents.habitat`) played, in its own process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # Habitat may end its process
         pool.submit(_play_all, str(Path(file).resolve()), str(Path(out).resolve()), perception, episodes).result()
     return json.loads(Path(out).read_text())

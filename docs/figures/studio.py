@@ -32,7 +32,7 @@ from PIL import Image
 from eagor.errors import EagorError
 from eagor.lab.envs.places import Place, pixels_of
 from eagor.lab.tasks.sim.navigation import distance_to_box
-from eagor.lab.worlds.walkable import along, length_of
+from eagor.lab.worlds.navmesh import along, length_of
 from eagor.perception.scout import ScoutPerception
 from eagor.sphere import angular_distance
 from eagor.studio.density import density_of

@@ -84,7 +84,7 @@ def test_its_camera_sees_the_ball_where_it_is(kind):
     camera = CameraSettings(kind=kind, rows=128, latency=0.0)
     robot = SimulatedGo2(SimSettings(seed=5, target="red ball", camera=camera))
     ground, height, seen = robot.house.ground, robot.house.ball.at(0).centre[2], 0
-    for seed in range(8):
+    for seed in range(16):
         spot = ground.sample(np.random.default_rng(seed), 0.3)
         ball = Ball(np.array([*spot, height]), 0.25, "red")
         pose = Pose(0.0, world_R_body(0.7 * seed, 0.03, -0.04), np.array([*robot.truth.pose.position[:2], 0.72]))
@@ -121,7 +121,7 @@ def test_the_house_keeps_its_robot_inside_and_names_its_things():
     ("settings", "error", "said"),
     [
         ({"target": "elephant"}, QueryError, "'elephant' names nothing known here"),
-        ({"target": "pink sofa"}, QueryError, "there is no pink sofa in apartment 1 seed 7; it has .*green sofa"),
+        ({"target": "pink sofa"}, QueryError, "there is no pink sofa in apartment 2 seed 7; it has .*green sofa"),
         ({"target": "pink ball"}, QueryError, "there is no pink ball; balls are blue, green, red, yellow"),
         ({"world": "moon"}, WorldError, "there is no world 'moon'"),
         ({"seed": -1}, (WorldError, ValueError), "-1|non-negative"),

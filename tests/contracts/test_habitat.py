@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import subprocess
-import sys
-import warnings
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from rooms import two_rooms
 
-import eagor.lab.tasks
 from eagor.errors import WorldError
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
-from eagor.lab.envs.rules import WaypointRules
 from eagor.lab.tasks.sim.checking import check_simulation
 from eagor.lab.tasks.task import load as load_task
 from eagor.lab.worlds.checking import check_world
@@ -85,15 +76,6 @@ def test_an_exported_flat_is_seen_as_ours(flat, pose):
     assert shown[0] > 2 * shown[1], "the red chair is red"
 
 
-def test_boxes_tell_the_things_apart_where_there_are_no_ids(flat, bare):
-    ours, ids = two_rooms(), worlds.load(f"habitat:{bare}")(0)
-    assert ids.facts["things"] == "nodes of flat.glb"
-    mine, truth = (view.panorama(HERE, np.eye(3), 128) for view in (ids.view(), Renderer(ours)))
-    names = np.array([*(thing.category for thing in ids.instances), "nothing"])
-    true = np.array([*(thing.category for thing in ours.instances), "nothing"])
-    assert (names[mine.ids] == true[truth.ids]).mean() > 0.95
-
-
 def test_its_ground_agrees_with_our_plan(flat):
     mesh, plan = load_place(f"habitat:{flat}", 0, 0.18).ground, Ground.from_scene(two_rooms(), radius=0.18)
     rng, gaps = np.random.default_rng(4), []
@@ -114,23 +96,6 @@ def test_its_ground_agrees_with_our_plan(flat):
     area = float(mesh.free.sum()) * mesh.cell**2
     ours = float(plan.free.sum()) * plan.cell**2
     assert 0.8 * ours < area < ours, "not the roof, which is larger; radii are rounded up to voxels"
-
-
-def test_steps_stop_at_walls_or_slide(flat):
-    ground = load_place(f"habitat:{flat}", 0, 0.18).ground
-    free, stopped = ground.move(np.array([2.0, 2.9]), np.array([0.2, 0.1]), slide=False)
-    assert not stopped
-    np.testing.assert_array_equal(free, [2.2, 3.0])
-    for slide in (False, True):
-        end, stopped = ground.move(np.array([2.5, 0.5]), np.array([0.3, -0.5]), slide=slide)
-        assert stopped
-        assert ground.is_free(end)
-        assert 0.1 < end[1] < 0.3, "the outer wall"
-        assert (end[0] > 2.75) == slide
-    with pytest.raises(WorldError, match="not on the navigation mesh"):
-        ground.move(np.array([-5.0, 2.0]), np.array([0.1, 0.0]))
-    with pytest.raises(WorldError, match="no path from"):
-        ground.path(np.array([2.0, 2.9]), np.array([-5.0, 2.0]))
 
 
 def test_a_stopped_body_can_step_away_from_the_wall_where_habitats_cannot(flat):
@@ -185,26 +150,6 @@ def test_our_tasks_keep_their_contract_in_it(flat, name, settings):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [
-        ("MapFreeNavigation", {"with_range": True}),
-        ("WaypointFollowing", {"rules": WaypointRules(leg_steps=6)}),
-        ("TargetTracking", {}),
-    ],
-)
-def test_gymnasiums_checker_passes(flat, name, settings):
-    eagor.lab.tasks.register()
-    env = gymnasium.make(
-        f"Eagor/{name}-v0", disable_env_checker=True, world=f"habitat:{flat}", panorama=16, render_mode="rgb_array",
-        **settings,
-    )  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(minimum|maximum) value is .*infinity.*")
-        warnings.filterwarnings("ignore", message=".*symmetric and normalized space.*")
-        check_env(env.unwrapped, skip_render_check=False)
-
-
 def test_a_bare_glb_on_its_side_is_told_and_put_upright(flat, tmp_path):
     bare = tmp_path / "flat.glb"
     bare.write_bytes(flat.read_bytes())
@@ -220,14 +165,6 @@ def lifted(metres):
     scene, up = two_rooms(), np.array([0.0, 0.0, metres])
     instances = tuple(replace(thing, low=thing.low + up, high=thing.high + up) for thing in scene.instances)
     return replace(scene, vertices=scene.vertices + up.astype(np.float32), instances=instances)
-
-
-def test_the_floor_of_the_storey_is_at_z_0(tmp_path):
-    file = export_glb(lifted(2.8), tmp_path / "upstairs.glb")
-    world = worlds.load(f"habitat:{file}")
-    check_world(world, 1)
-    assert world(0).zero == pytest.approx(2.8, abs=0.02)
-    assert world(0).instances[-1].low[2] == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
@@ -258,46 +195,3 @@ def test_a_damaged_scene_is_told_in_one_sentence(tmp_path, content, says):
     with pytest.raises(WorldError, match=says) as raised:
         worlds.load(f"habitat:{file}")(0)
     assert "\n" not in str(raised.value)
-
-
-def test_a_damaged_navigation_mesh_is_told(flat, tmp_path):
-    (tmp_path / "broken.navmesh").write_bytes(b"nothing")
-    with pytest.raises(WorldError, match=r"broken\.navmesh is no navigation mesh"):
-        worlds.load(f"habitat:{flat}?navmesh={tmp_path / 'broken.navmesh'}")(0)
-
-
-@pytest.mark.skipif(Path("/dev/nvidia0").exists(), reason="there is such a card here")
-def test_a_cuda_device_that_is_not_there_does_not_end_the_process(flat):
-    with pytest.raises(WorldError, match=r"cannot draw on GPU 0 .*gpu=-1") as raised:
-        worlds.load(f"habitat:{flat}?gpu=0")(0)
-    assert "\n" not in str(raised.value)
-
-
-def run(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "eagor", *arguments], cwd=cwd, capture_output=True, text=True, timeout=600,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NO_COLOR": "1"},
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("task", SHORT)
-def test_a_run_in_it_ends_with_records_and_a_report(flat, tmp_path, task):
-    done = run(
-        "bench", "run", task, "--world", f"habitat:{flat}", "--perception", "truth", "--methods", "eagor",
-        "--episodes", "2", "--seed", "0", "--workers", "2", "--out", "there", *SHORT[task], cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "Renderer" not in done.stdout, "stdout is for results"
-    config = json.loads((tmp_path / "there" / "run.json").read_text())
-    assert config["world"] == f"habitat:{flat}"
-
-
-def test_what_cannot_be_opened_ends_a_run_before_it_begins(flat, tmp_path):
-    for world, says in (
-        ("habitat:nowhere.glb", "is missing"),
-        (f"habitat:{flat}?storey=9", "no storey at the height 9 m"),
-        (f"habitat:{flat}?gpu=7", "cannot draw on GPU 7"),
-    ):
-        done = run("bench", "run", "navigation", "--world", world, "--perception", "truth", "--out", "no", cwd=tmp_path)
-        assert (done.returncode, says in done.stderr) == (2, True), done.stderr
-        assert not (tmp_path / "no").exists()

@@ -75,15 +75,6 @@ def test_the_same_call_gives_the_same_bytes(folder, tmp_path):
             assert one.read_bytes() == (tmp_path / "again" / one.relative_to(path)).read_bytes(), one
 
 
-def test_the_folder_may_have_the_names_of_hm3d(tmp_path):
-    file, found = export_dataset([Source(800, "room", furnished)], tmp_path, name="hm3d", split="minival", episodes=1)
-    assert file.relative_to(tmp_path).as_posix() == "datasets/objectnav/hm3d/v1/minival/minival.json.gz"
-    (each,) = read_episodes(file)
-    assert each.episodes[0].scene == "hm3d/minival/00800-room/room.glb"
-    assert found[0]["scene"] == str(tmp_path / "scene_datasets" / each.episodes[0].scene)
-    assert each.episodes[0].dataset_config == "./data/scene_datasets/hm3d/hm3d.scene_dataset_config.json"
-
-
 # --- episodes ---
 
 
@@ -153,19 +144,3 @@ def test_categories_are_asked_for_in_our_words_or_in_habitats(asked, says):
     else:
         with pytest.raises(WorldError, match=says):
             make_goals(scene, Ground.from_scene(scene), asked)
-
-
-def test_a_scene_without_the_six_categories_says_what_it_has(tmp_path):
-    plain = scene_of([*shell(4, 4), thing("piano", (1, 1, 0), (2, 2, 1))], source="plain")
-    with pytest.raises(WorldError, match=r"plain has none of chair.*; it has piano"):
-        export_dataset([Source(0, "plain", lambda: plain)], tmp_path / "data")
-    assert not (tmp_path / "data").exists()
-    file, _ = export_dataset([Source(0, "plain", lambda: plain)], tmp_path / "data", categories=("piano",), episodes=2)
-    assert read_episodes(file)[0].episodes[0].category == "piano"
-
-
-def test_a_place_too_small_for_a_start_is_refused(tmp_path):
-    small = scene_of([*shell(1.6, 1.6), thing("chair", (0.6, 0.6, 0), (1.0, 1.0, 0.9))], source="closet")
-    with pytest.raises(WorldError, match="every place in closet is nearer than 1 m to a chair"):
-        export_dataset([Source(0, "closet", lambda: small)], tmp_path / "data")
-    assert list(tmp_path.iterdir()) == []

@@ -25,7 +25,6 @@ from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.habitat import simulator, world
 from eagor.lab.worlds.habitat.navmesh import main_storey
 from eagor.lab.worlds.habitat.simulator import (
-    Frames,
     Source,
     device_for,  # itself: the stand-in puts another one into the module
     euclidean,
@@ -112,20 +111,6 @@ def test_depth_along_the_axes_of_a_cube_becomes_range():
     assert np.isinf(euclidean(np.zeros((4, 8), dtype=np.float32))).all(), "0 is no hit"
 
 
-def test_frames_are_those_of_exported_files():
-    frames = Frames(2.8)
-    np.testing.assert_allclose(frames.to_habitat(np.array([1.0, 2.0, 3.0])), [1.0, 5.8, -2.0])
-    np.testing.assert_allclose(frames.from_habitat(np.array([1.0, 5.8, -2.0])), [1.0, 2.0, 3.0])
-    low, high = frames.box_from_habitat(np.array([0.0, 3.0, -4.0]), np.array([1.0, 4.0, -2.0]))
-    np.testing.assert_allclose([low, high], [[0, 2, 0.2], [1, 4, 1.2]])
-    # Habitat's identity looks along -z, which is our +y; a turn to the left is one about its y, too.
-    np.testing.assert_allclose(frames.quaternion(world_R_body(math.pi / 2)), [1, 0, 0, 0], atol=1e-12)
-    w, x, y, z = frames.quaternion(world_R_body(math.pi / 2 + 0.2))
-    assert (w, y) == (pytest.approx(math.cos(0.1)), pytest.approx(math.sin(0.1)))
-    assert x == pytest.approx(0, abs=1e-12)
-    assert z == pytest.approx(0, abs=1e-12)
-
-
 def test_things_are_named_by_a_file_of_boxes_or_by_nodes(flat, tmp_path):
     bare = tmp_path / "flat.glb"
     bare.write_bytes(flat.read_bytes())
@@ -176,13 +161,6 @@ def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
     assert "\n" not in str(raised.value)
 
 
-def test_options_are_read_from_the_name():
-    found = parse("/data/a b.glb?storey=2.9&gpu=-1&up=z")
-    assert (found.scene, found.storey, found.gpu, found.up) == ("/data/a b.glb", 2.9, -1, "z")
-    found = parse("a.glb?body=1.41&climb=0.1")
-    assert (found.body, found.climb, found.voxel) == (1.41, 0.1, 0.2)
-
-
 def test_the_mesh_for_a_body_is_habitat_labs(flat, monkeypatch):
     """The scene's own mesh is taken only if each setting is the wanted one; otherwise habitat-lab's is made."""
     asked = []
@@ -221,11 +199,6 @@ def test_places_beside_the_mesh_are_moved_onto_it_as_habitat_does(flat):
     assert float(above.distance(start)) == pytest.approx(0.4, abs=0.01), "heights count, and the mesh floats 5 cm up"
 
 
-def test_a_storey_that_is_not_there_is_named(flat):
-    with pytest.raises(WorldError, match=r"no storey at the height 9 m; it has some at 0\.\d m"):
-        worlds.load(f"habitat:{flat}?storey=9")(0)
-
-
 class Levels:
     """A mesh with a square island for each (side, height), metres."""
 
@@ -252,11 +225,6 @@ def test_the_storey_is_the_nearest_one(height, island):
     roof, floor, ground, closet, table = (12.0, 2.8), (9.0, 3.05), (10.0, 0.05), (1.5, 3.0), (0.8, 0.3)
     found = main_storey(Levels(roof, floor, ground, closet, table), lambda feet: 1.0, height)
     assert found.island == island
-
-
-def test_other_worlds_take_no_argument():
-    with pytest.raises(WorldError, match="takes no argument"):
-        worlds.load("apartment:17")
 
 
 def test_a_closed_simulator_opens_again(flat):
@@ -310,9 +278,3 @@ def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, devi
     with pytest.raises(EagorError, match=says) as raised:
         device_for(Source("scene.glb", gpu=device))
     assert "\n" not in str(raised.value)
-
-
-def test_the_device_comes_from_the_environment(monkeypatch):
-    monkeypatch.setenv("EAGOR_HABITAT_GPU", "first")
-    with pytest.raises(WorldError, match="wanted the number of a GPU"):
-        device_for(Source("scene.glb"))

@@ -14,15 +14,11 @@ from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
 from eagor.lab.worlds.apartment.families import FAMILIES
 from eagor.lab.worlds.apartment.placement import (
-    Furnisher,
     corners,
     distances,
-    empty_floor,
-    footprint,
     from_rectangle,
     leaf_footprint,
     overlaps,
-    tell_apart,
 )
 from eagor.lab.worlds.apartment.plans import LINING, OUTSIDE, carve, draw_plan, rooms_of
 from eagor.lab.worlds.ground import BESIDE, Ground
@@ -78,30 +74,6 @@ def parts_as_boxes(parts):
     return np.array([from_rectangle(part) for part in parts]) - [0, 0, 1e-6, 1e-6, 0]
 
 
-def test_all_families_come_up():
-    drawn = Counter(draw_plan(np.random.default_rng(seed)).family for seed in range(60))
-    assert set(drawn) == set(FAMILIES)
-    assert len(FAMILIES) >= 3
-    assert min(drawn.values()) >= 3
-
-
-@given(
-    st.lists(st.tuples(*[st.floats(-2, 2)] * 2, *[st.floats(0.05, 1)] * 2, st.floats(-4, 4)), min_size=2, max_size=2)
-)
-def test_footprints_overlap_exactly_where_they_share_a_point(two):
-    a, b = (np.array(box) for box in two)
-    line = np.linspace(-1, 1, 81)
-    local = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) * a[2:4]
-    turn = np.array([[np.cos(a[4]), np.sin(a[4])], [-np.sin(a[4]), np.cos(a[4])]])
-    nearest = distances(b, local @ turn + a[:2]).min()
-    if overlaps(a, b)[0, 0]:
-        assert nearest <= 0.04  # the grid of points may miss a sliver
-    else:
-        assert nearest > -1e-9
-        assert distances(b, corners(a, 20)[0]).min() >= -1e-9
-        assert not (distances(b - [0, 0, 1e-6, 1e-6, 0], corners(a, 20)[0]) == 0).any()
-
-
 @pytest.mark.parametrize("seed", [SEEDS[0], pytest.param(SEEDS[1], marks=pytest.mark.slow)])
 def test_the_same_seed_gives_the_same_scene(seed):
     again = generate(seed)
@@ -109,11 +81,6 @@ def test_the_same_seed_gives_the_same_scene(seed):
     assert again.source == f"apartment {VERSION} seed {seed}"
     assert again.facts["family"] in FAMILIES
     assert again.hash != scene(SEEDS[3]).hash
-
-
-def test_a_negative_seed_is_refused():
-    with pytest.raises(WorldError, match="-1"):
-        generate(-1)
 
 
 @seeds
@@ -187,6 +154,11 @@ def test_doorways_and_open_leaves_stay_clear(seed):
             assert [pieces[i].category for i in np.flatnonzero(overlaps(leaf, boxes)[0])] == []
 
 
+def test_a_negative_seed_is_refused():
+    with pytest.raises(WorldError, match="-1"):
+        generate(-1)
+
+
 @seeds
 def test_one_can_walk_into_every_room_and_up_to_every_piece(seed):
     ground = Ground.from_scene(scene(seed))
@@ -211,12 +183,6 @@ def test_whatever_can_be_a_target_has_free_ground_beside_it(seed):
         assert ground.beside(thing)[1].min() <= BESIDE, thing.name
 
 
-@seeds
-def test_what_stands_on_the_floor_is_what_can_be_a_target(seed):
-    assert {piece.category for piece in apartment(seed).pieces if piece.solid}.isdisjoint(UNTARGETED)
-    assert {piece.category for piece in apartment(seed).pieces if not piece.solid} <= set(UNTARGETED)
-
-
 def test_a_piece_out_of_reach_is_an_error_and_never_a_scene(monkeypatch):
     far = []
 
@@ -229,33 +195,6 @@ def test_a_piece_out_of_reach_is_an_error_and_never_a_scene(monkeypatch):
     with pytest.raises(WorldError, match=r"seed 3 .*walk up to the tv"):
         generate(3)
     assert len({len(each.pieces) for each in far}) > 1  # each attempt draws another one
-
-
-@seeds
-def test_fixtures_have_the_colour_of_their_room(seed):
-    kinds: dict[str | None, str] = {room.name: room.kind for room in scene(seed).rooms}
-    for thing in scene(seed).instances:
-        if thing.category == "sink":
-            assert thing.colour == {"kitchen": "grey", "bathroom": "white"}[kinds[thing.room]]
-    units = [thing for thing in scene(seed).instances if thing.category == "cabinet"]
-    assert len({(thing.room, thing.colour) for thing in units}) == len({thing.room for thing in units})
-
-
-def test_only_movable_pieces_are_recoloured_to_tell_them_apart():
-    changed = Counter()
-    home = apartment(0)
-    for seed in range(12):
-        f = Furnisher(empty_floor(home.plan, home.cells, home.rooms), np.random.default_rng(seed))
-        for category, colour, count in (("cabinet", "white", 2), ("sink", "white", 2), ("chair", "red", 5),
-                                        ("nightstand", "brown", 2), ("dresser", "brown", 2)):  # fmt: skip
-            for _ in range(count):
-                f.record(f.make(category, colour), 0, footprint(0, 0, 1, 1, 0))
-        before = list(f.pieces)
-        tell_apart(f)
-        changed += Counter(old.category for old, new in zip(before, f.pieces, strict=True) if old is not new)
-    assert changed["chair"] > 0
-    assert changed["dresser"] + changed["nightstand"] > 0
-    assert set(changed) <= {"chair", "dresser", "nightstand"}
 
 
 @seeds
@@ -313,17 +252,3 @@ def test_the_shell_is_closed_but_for_its_windows(seed):
         shell = np.array([thing.category in STRUCTURE for thing in made.instances])[owner]
         assert ((normal * ways[hits.triangle >= 0]).sum(axis=1)[shell] < 0).all()  # outsides look into the rooms
     assert seen_out > 0
-
-
-@seeds
-def test_the_sofa_looks_at_the_television(seed):
-    tv = next(piece for piece in apartment(seed).pieces if piece.category == "tv")
-    aims = []
-    for sofa in (piece for piece in apartment(seed).pieces if piece.category == "sofa"):
-        to_tv = tv.box[:2] - sofa.box[:2]
-        aims.append(np.cos(np.arctan2(to_tv[1], to_tv[0]) - sofa.box[4]))
-    assert max(aims) > np.cos(np.radians(20))
-
-
-def test_a_footprint_is_made_of_full_sizes():
-    assert footprint(1.0, 2.0, 0.4, 0.8, 0.0).tolist() == [1.0, 2.0, 0.2, 0.4, 0.0]

@@ -7,16 +7,14 @@ from hypothesis import strategies as st
 
 from eagor._srgb import to_linear
 from eagor.lab.envs.places import UNTARGETED
-from eagor.lab.worlds.apartment.canvas import TONES
 from eagor.lab.worlds.apartment.furniture import KINDS, build
-from eagor.lab.worlds.apartment.furniture.model import assembled
-from eagor.lab.worlds.apartment.mesh import Part, box, part
+from eagor.lab.worlds.apartment.mesh import Part
+from eagor.lab.worlds.apartment.pictures import TONES
 from eagor.lab.worlds.raycast import Raycaster
-from eagor.lab.worlds.scene import Lamp, Material
 from eagor.queries import COLOURS, parse_query
 
 PLACEMENTS = ("floor", "top", "hung", "ceiling")
-BUDGET = 1600  # triangles of one piece
+BUDGET = 1800  # triangles of one piece
 PIECES = [(category, colour) for category, kind in sorted(KINDS.items()) for colour in kind.colours or (None,)]
 BACKED = ["chair", "armchair", "sofa", "bed"]  # their backs are higher than their fronts
 SEEDS = st.integers(0, 2**32 - 1)
@@ -84,22 +82,6 @@ def test_every_piece_is_sound(category, colour, seed):
         assert (lamp.position >= low - 0.3).all()
         assert (lamp.position <= high + 0.3).all()
         assert (np.asarray(lamp.power) >= 0).all()
-
-
-@pytest.mark.parametrize("category", sorted(KINDS))
-@given(seed=SEEDS)
-@settings(max_examples=2)
-def test_equal_seeds_make_equal_pieces(category, seed):
-    one, two, other = model_of(category, None, seed), model_of(category, None, seed), model_of(category, None, seed + 1)
-    assert one.colour == two.colour
-    assert len(one.parts) == len(two.parts)
-    for left, right in zip(one.parts, two.parts, strict=True):
-        for name in ("vertices", "triangles", "uv"):
-            assert getattr(left, name).tobytes() == getattr(right, name).tobytes()
-        assert left.material.colour == right.material.colour
-        assert left.material.texture is right.material.texture
-    same = len(one.parts) == len(other.parts) and one.parts[0].material.colour == other.parts[0].material.colour
-    assert not (same and np.array_equal(one.size, other.size))
 
 
 def seen(model, azimuth, elevation=0.3, across=40):
@@ -193,16 +175,6 @@ def test_backs_are_at_the_rear(category, seed):
     assert vertices[top, 0].mean() < 0
 
 
-@pytest.mark.parametrize("category", ["desk", "nightstand"])
-@given(seed=SEEDS)
-@settings(max_examples=10)
-def test_handles_are_at_the_front(category, seed):
-    model = model_of(category, None, seed)
-    handles = [piece for piece in model.parts if piece.material.name.endswith("metal")]
-    assert handles
-    assert all(piece.vertices[:, 0].min() > 0.3 * model.size[0] / 2 for piece in handles)
-
-
 @given(SEEDS)
 def test_seats_are_where_one_can_sit(seed):
     for category in ("chair", "armchair", "sofa"):
@@ -211,30 +183,3 @@ def test_seats_are_where_one_can_sit(seed):
         down = np.array([[0, 0, -1]], dtype=np.float32)
         hits = Raycaster(vertices, triangles).cast(np.array([[0.07, 0.12, 3]], np.float32), down)
         assert 0.36 < 3 - hits.distance[0] < 0.62
-
-
-def test_without_a_colour_every_colour_comes_up():
-    found = {model_of("nightstand", None, seed).colour for seed in range(80)}
-    assert found == set(KINDS["nightstand"].colours)
-
-
-def test_chairs_come_in_three_designs():
-    made = {
-        tuple(sorted({piece.material.name.split()[-1] for piece in model_of("chair", "red", seed).parts}))
-        for seed in range(40)
-    }
-    kinds = {name for names in made for name in names}
-    assert {"paint", "fabric", "plastic"} <= kinds
-
-
-@pytest.mark.parametrize("placement", PLACEMENTS)
-@given(offset=st.tuples(*[st.floats(-2, 2)] * 3))
-@settings(max_examples=10)
-def test_parts_and_lamps_move_together_to_their_origin(placement, offset):
-    low = np.array(offset)
-    piece = part(box(low, low + np.array([0.2, 0.4, 0.6])), Material("plain"))
-    model = assembled("thing", None, [piece, Lamp(low + 0.1, np.ones(3))], placement)
-    want_low, want_high = model_box(model, placement)
-    assert np.allclose(model.parts[0].vertices.min(axis=0), want_low, atol=1e-5)
-    assert np.allclose(model.parts[0].vertices.max(axis=0), want_high, atol=1e-5)
-    assert np.allclose(model.lamps[0].position, want_low + 0.1, atol=1e-5)

@@ -1,11 +1,7 @@
 """What pictures of a scene must obey, whatever the scene, the pose and the grid."""
 
 import math
-import tempfile
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,16 +182,6 @@ def test_a_view_agrees_with_the_panorama(renderer, name):
     assert np.quantile(apart, 0.95) <= 6
 
 
-@pytest.mark.parametrize("pose", [world_R_body(0.4), world_R_body(0.4, 0.3, -0.2)])
-def test_a_view_through_the_panoramas_own_grid_is_the_panorama(renderer, pose):
-    panorama = renderer.panorama(EYE, pose, 64)
-    view, patches = (renderer.view(EYE, pose, grid(64, 128)) for grid in (ErpGrid, PatchGrid))
-    for name in ("rgb", "range", "ids"):
-        assert np.array_equal(getattr(view, name), getattr(panorama, name))
-    assert (patches.ids == panorama.ids).mean() > 0.999
-    assert (patches.rgb == panorama.rgb).mean() > 0.99
-
-
 def test_what_a_grid_does_not_see_is_black_endless_and_nothing(renderer):
     grid = FisheyeGrid(24, math.pi)
     frame = renderer.view(EYE, np.eye(3), grid)
@@ -205,17 +191,6 @@ def test_what_a_grid_does_not_see_is_black_endless_and_nothing(renderer):
     assert np.isinf(frame.range[blind]).all()
     assert (frame.ids[blind] == -1).all()
     assert frame.rgb[~blind].any(axis=-1).all()
-
-
-def test_a_frame_holds_what_was_asked_for_and_the_rest_does_not_change_it(renderer):
-    whole = renderer.panorama(EYE, world_R_body(0.3), 32)
-    for names in (("rgb",), ("range",), ("ids",), ("range", "ids")):
-        part = renderer.panorama(EYE, world_R_body(0.3), 32, **{n: n in names for n in ("rgb", "range", "ids")})
-        for name in ("rgb", "range", "ids"):
-            if name in names:
-                assert np.array_equal(getattr(part, name), getattr(whole, name))
-            else:
-                assert getattr(part, name) is None
 
 
 def test_out_of_the_window_there_is_nothing_to_hit_but_something_to_see(renderer):
@@ -243,29 +218,6 @@ def test_a_texture_is_the_right_way_up_and_round():
     found = rgb[8:24:15, 8:24:15].astype(int)  # one pixel in each quarter
     expected = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 0]]], dtype=bool)
     assert np.array_equal(found > 60, expected)
-
-
-def test_a_fine_texture_fades_to_its_mean_far_away():
-    noise = np.random.default_rng(0).integers(0, 2, (64, 64, 1)).repeat(3, axis=2).astype(np.uint8) * 255
-    floor = quad([-20, -20, 0], [40, 0, 0], [0, 40, 0])
-    floor = (floor[0], floor[1], 40 * floor[2])
-    scene = build([("floor", None, [floor], 0)], [Material("noise", texture=noise)])
-    renderer = Renderer(scene)
-    near = renderer.view((0, 0, 0.3), world_R_body(0, math.pi / 2), PerspectiveGrid(32, 32, 0.5)).rgb
-    far = renderer.view((0, 0, 12), world_R_body(0, math.pi / 2), PerspectiveGrid(32, 32, 0.5)).rgb
-    assert near.std(axis=(0, 1)).min() > 50
-    assert far.std(axis=(0, 1)).max() < 12
-
-
-def test_a_place_has_one_colour_from_wherever_it_is_seen(renderer):
-    target = np.array([4.1, 0.8, 0.9])  # on the red box
-    colours = []
-    for eye in ([2.2, 1.7, 1.4], [3.0, 3.5, 2.2], [4.0, 2.5, 1.7]):
-        way = target - eye
-        yaw, pitch = math.atan2(way[1], way[0]), math.atan2(-way[2], math.hypot(way[0], way[1]))
-        colours.append(renderer.view(eye, world_R_body(yaw, pitch), PerspectiveGrid(3, 3, 0.02)).rgb[1, 1].astype(int))
-    assert np.ptp(colours, axis=0).max() <= 2
-    assert colours[0][0] > 2 * colours[0][1]
 
 
 def test_a_room_is_neither_blown_out_nor_black(renderer):
@@ -298,27 +250,6 @@ def test_a_plane_under_the_open_sky_has_the_light_of_half_a_sphere():
     ways = hemisphere(4000)
     expected = SKY_GAIN * sky_radiance(ways).mean(axis=0) * scene.daylight
     assert np.allclose(found, expected, rtol=0.02)
-
-
-def test_directions_are_as_dense_as_the_cosine():
-    ways = hemisphere(512)
-    assert np.allclose(np.linalg.norm(ways, axis=1), 1)
-    assert np.allclose(ways.mean(axis=0), [0, 0, 2 / 3], atol=0.01)
-    assert np.allclose((ways[:, :, None] * ways[:, None]).mean(axis=0), np.diag([1, 1, 2]) / 4, atol=0.01)
-
-
-def test_shadow_under_the_table_and_red_light_beside_the_box(scene):
-    lattice = Lattice.of(scene)
-    found = bake(scene, lattice)
-    place = lattice.points.position[lattice.points.of_slot]
-    floor = scene.instance[lattice.slots[0]] == 0
-
-    def at(x, y):
-        return found[floor][np.linalg.norm(place[floor][:, :2] - [x, y], axis=1) < 0.25].mean(axis=0)
-
-    assert at(1.0, 3.0).sum() < 0.6 * at(2.0, 2.0).sum()
-    beside, away = at(3.45, 0.8), at(1.0, 0.8)
-    assert beside[0] / beside[1] > 1.03 * away[0] / away[1]
 
 
 def test_a_room_without_any_source_is_still_seen():
@@ -364,28 +295,6 @@ def test_a_damaged_file_is_made_anew(tmp_path, damage):
     assert np.load(file)["light"].shape == light.shape
 
 
-def test_a_folder_that_cannot_be_written_is_a_warning(tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    renderer = Renderer(bare(), cache=tmp_path / "file" / "below")
-    with pytest.warns(UserWarning, match="EAGOR_CACHE"):
-        assert renderer.panorama(EYE, np.eye(3), 4).rgb is not None
-
-
-def test_workers_that_light_the_same_scene_at_once_do_not_disturb_each_other(tmp_path):
-    together = threading.Barrier(4)
-
-    def work(_):
-        scene = bare()
-        lattice = Lattice.of(scene)
-        together.wait()
-        return [light_of(scene, lattice, cache=tmp_path) for _ in range(3)]
-
-    with ThreadPoolExecutor(4) as crew:
-        found = [light for lights in crew.map(work, range(4)) for light in lights]
-    assert all(np.array_equal(light, found[0]) for light in found)
-    assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
-
-
 def test_the_same_walls_with_other_rooms_have_a_light_of_their_own(scene, tmp_path):
     closed = replace(scene, rooms=())  # without rooms nobody knows that the window leads outdoors
     assert closed.hash == scene.hash
@@ -393,45 +302,6 @@ def test_the_same_walls_with_other_rooms_have_a_light_of_their_own(scene, tmp_pa
     assert len(list(tmp_path.iterdir())) == 2
     assert np.array_equal(light_of(scene, Lattice.of(scene), cache=tmp_path), lights[0])
     assert not np.array_equal(*lights)
-
-
-def test_light_too_bright_for_its_file_is_cut_and_kept(tmp_path, monkeypatch):
-    scene = replace(bare(), lamps=(Lamp(LAMP, np.full(3, 1e8)),))
-    first = light_of(scene, Lattice.of(scene), cache=tmp_path)
-    assert np.isfinite(first).all()
-    monkeypatch.setattr(light_module, "bake", lambda *_: pytest.fail("the light was in the cache"))
-    assert np.array_equal(light_of(scene, Lattice.of(scene), cache=tmp_path), first)
-
-
-def test_a_user_without_a_home_has_a_cache(tmp_path, monkeypatch):
-    def homeless():
-        raise RuntimeError("Could not determine home directory.")
-
-    monkeypatch.setattr(Path, "home", homeless)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.delenv("EAGOR_CACHE")
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    assert light_module.cache_folder() == tmp_path / "eagor"
-
-
-def test_the_folder_is_looked_up_when_it_is_needed(tmp_path, monkeypatch):
-    renderer = Renderer(bare())
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    monkeypatch.delenv("EAGOR_CACHE", raising=False)
-    renderer.panorama(EYE, np.eye(3), 4)
-    assert list((tmp_path / "xdg" / "eagor").glob("light-*.npz"))
-    monkeypatch.setenv("EAGOR_CACHE", str(tmp_path / "own"))
-    Renderer(bare()).panorama(EYE, np.eye(3), 4)
-    assert list((tmp_path / "own").glob("light-*.npz"))
-
-
-def test_many_more_rays_hardly_change_the_light(scene, monkeypatch):
-    lattice = Lattice.of(scene)
-    few = bake(scene, lattice)
-    monkeypatch.setattr(light_module, "DIRECTIONS", 16 * light_module.DIRECTIONS)
-    many = bake(scene, lattice)
-    apart = np.sqrt(lattice.areas @ ((few - many) ** 2).sum(axis=1) / (lattice.areas @ (many**2).sum(axis=1)))
-    assert apart < 0.03
 
 
 @pytest.mark.parametrize(

@@ -56,51 +56,6 @@ def test_barycentric_weights_give_the_point_that_was_hit():
     assert np.allclose(point, origin + hits.distance[:, None] * directions, atol=2e-5)
 
 
-def test_range_to_a_sphere():
-    radius, centre = 0.8, np.array([2.0, 0.5, -0.3])
-    sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
-    directions = random_directions(3000, 4)
-    hits = Raycaster(sphere.vertices + centre, sphere.faces).cast(
-        np.zeros((3000, 3), np.float32), directions.astype(np.float32)
-    )
-    along = directions @ centre
-    square = radius**2 - centre @ centre + along**2
-    sure = np.abs(square) > 0.02  # facets lie up to 2 mm inside the sphere: its rim is not theirs
-    assert np.array_equal(np.isfinite(hits.distance[sure]), ((square > 0) & (along > 0))[sure])
-    hit = sure & np.isfinite(hits.distance)
-    assert hit.sum() > 50
-    assert np.allclose(hits.distance[hit], along[hit] - np.sqrt(square[hit]), atol=0.015)
-
-
-def test_distances_count_in_lengths_of_the_direction():
-    caster = Raycaster(*box())
-    origin, way = np.zeros((1, 3), np.float32) + 1, np.array([[1.0, 0, 0]], np.float32)
-    assert caster.cast(origin, way).distance == pytest.approx(3)
-    assert caster.cast(origin, 2 * way).distance == pytest.approx(1.5)
-
-
-def test_a_miss_is_said_to_be_one():
-    hits = Raycaster(*box()).cast(np.full((3, 3), 9, np.float32), np.ones((3, 3), np.float32))
-    assert np.array_equal(hits.triangle, [-1, -1, -1])
-    assert np.isinf(hits.distance).all()
-    assert not hits.u.any()
-    assert not hits.v.any()
-    assert len(Raycaster(*box()).cast(np.zeros((0, 3)), np.zeros((0, 3))).distance) == 0
-
-
-def test_no_ray_slips_through_the_edges_of_a_closed_surface():
-    vertices, triangles = box()
-    rng = np.random.default_rng(5)
-    ends = vertices[triangles[rng.integers(0, 12, 2000)]]
-    share = rng.uniform(size=(2000, 1))
-    aims = share * ends[:, 0] + (1 - share) * ends[:, 1]  # on the edges
-    aims[:8] = vertices
-    origins = np.zeros((2000, 3), np.float32) + 1
-    hits = Raycaster(vertices, triangles).cast(origins, (aims - 1).astype(np.float32))
-    assert (hits.triangle >= 0).all()
-    assert np.allclose(hits.distance, 1, atol=1e-5)
-
-
 @given(st.integers(1, 100), st.integers(0, 2**32 - 1), st.floats(0.05, 2.0))
 @settings(max_examples=15)
 def test_occluded_is_what_cast_finds_within_reach(count, seed, reach):
@@ -113,23 +68,6 @@ def test_occluded_is_what_cast_finds_within_reach(count, seed, reach):
         clear = ~finite | (np.abs(np.where(finite, distance, 0) - limit) > 1e-4)
         expected = finite & (distance <= limit)
         assert np.array_equal(caster.occluded(origins, directions, limit)[clear], expected[clear])
-
-
-def test_the_quick_kind_hits_the_same_things():
-    vertices, triangles, origins, directions = soup(200, 9)
-    one, two = (Raycaster(vertices, triangles, tight).cast(origins, directions) for tight in (True, False))
-    same = one.triangle == two.triangle
-    assert same.mean() > 0.99
-    assert np.allclose(one.distance[same], two.distance[same], rtol=1e-4)
-
-
-def test_the_same_rays_give_the_same_bytes_however_they_are_grouped():
-    vertices, triangles, origins, directions = soup(200, 9)
-    whole = Raycaster(vertices, triangles).cast(origins, directions)
-    again = Raycaster(vertices, triangles)
-    parts = [again.cast(origins[i : i + 37], directions[i : i + 37]) for i in range(0, 400, 37)]
-    for name in ("distance", "triangle", "u", "v"):
-        assert np.array_equal(getattr(whole, name), np.concatenate([getattr(part, name) for part in parts]))
 
 
 def test_without_embree_the_error_says_what_does_without(monkeypatch):

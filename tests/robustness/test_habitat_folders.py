@@ -69,11 +69,6 @@ def test_what_is_there_is_left_alone(refused, tmp_path):
     assert (tmp_path / "data" / "mine").read_text() == "kept"
 
 
-def test_two_scenes_of_one_name_are_refused(refused, tmp_path):
-    one, two = (export_glb(room(), tmp_path / folder / "room.glb") for folder in "ab")
-    assert "two scenes have the name 'room'" in refused("export", "habitat", one, two, "--out", tmp_path / "data")
-
-
 def test_a_corrupt_glb_leaves_nothing(refused, tmp_path):
     path = tmp_path / "bad.glb"
     path.write_bytes(b"no GLB at all")
@@ -189,14 +184,6 @@ def test_options_that_do_not_go_with_a_file_are_refused(refused, file, tmp_path,
     assert says in refused(*bench(file, tmp_path / "run", *words))
 
 
-def test_a_world_that_does_not_exist_is_refused(refused, tmp_path):
-    file = exported(tmp_path)
-    assert "there is no world 'moon'" in refused(*bench(file, tmp_path / "run", "--world", "moon"))
-    assert "the world 'apartment' takes no argument" in refused(
-        *bench(file, tmp_path / "run", "--world", "apartment:1")
-    )
-
-
 def test_options_that_need_a_file_and_tasks_that_take_none_say_so(refused, file, tmp_path):
     words = ["bench", "run", "navigation", "--perception", "truth", "--out", tmp_path / "run"]
     assert "--scenes is the folder of the scenes of --episodes-file" in refused(*words, "--scenes", tmp_path)
@@ -248,12 +235,6 @@ def test_goals_without_a_way_to_them_cost_their_scene_alone(file, tmp_path, caps
     assert "4 episodes; 4 could not be run" in out
     assert "no way leads from (" in err
     assert "to a view point of any chair" in err
-
-
-def test_a_scene_that_is_missing_costs_its_episodes_alone(file, tmp_path, capsys):
-    (tmp_path / "data/scene_datasets/eagor/val/00001-other/other.glb").unlink()
-    assert main([str(word) for word in bench(file, tmp_path / "run")]) == 3
-    assert "4 episodes; 4 could not be run" in capsys.readouterr().out
 
 
 def test_if_no_episode_can_be_played_the_run_has_failed(file, tmp_path, capsys):

@@ -15,8 +15,8 @@ from eagor.lab.envs.episodes import PER_PLACE, Slot
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim import navigation
+from eagor.lab.worlds.navmesh import NavMesh
 from eagor.lab.worlds.scene import STRUCTURE, Instance
-from eagor.lab.worlds.walkable import Walkable
 from eagor.queries import matching, parse_query
 from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.studio.messages import LATE, SEED, rounded
@@ -51,7 +51,7 @@ class House:
     """
 
     seed: int
-    ground: Walkable
+    ground: NavMesh
     things: tuple[Instance, ...]
     names: tuple[str, ...]
     start: np.ndarray
@@ -95,7 +95,7 @@ def house_of(seed: int, place: Place) -> House:
     return replace(found, tour=Tour.to(query, np.asarray(found.things[found.targets(query)[0]].centre), way))
 
 
-def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
+def plan_of(ground: NavMesh, things: Any) -> dict[str, Any]:
     """The plan from above, metres: walls and floor as closed polylines, things as boxes."""
     origin, cell = np.asarray(ground.origin), ground.cell
     return {
@@ -109,7 +109,7 @@ def plan_of(ground: Walkable, things: Any) -> dict[str, Any]:
     }
 
 
-def walled(ground: Walkable, xy: np.ndarray, point: np.ndarray) -> bool:
+def walled(ground: NavMesh, xy: np.ndarray, point: np.ndarray) -> bool:
     """Whether a wall (or a door's or a window's frame) of the plan stands between two points ``(2,)``.
 
     The last half metre does not count: things stand against walls.
@@ -179,7 +179,7 @@ FASTEST, QUICKEST = 1.2, math.radians(150)  # of the person
 class Body:
     """A round body with a camera on the ground of a house; x, y in metres, yaw in radians."""
 
-    ground: Walkable
+    ground: NavMesh
     xy: np.ndarray
     yaw: float
     height: float = Camera().height

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from eagor.lab.envs.rules import NavigationRules
-from eagor.lab.worlds.walkable import Way
+from eagor.lab.worlds.navmesh import GeodesicDistance
 from eagor.studio.following import SOONEST, FollowingSession
 from eagor.studio.houses import Body, House, Walker, walled
 from eagor.studio.messages import rounded
@@ -136,7 +136,7 @@ class WalkSession(FollowingSession):
         self._targets = self.house.targets(self._asked.query)
         ground = self.house.ground
         ways = [ground.footprint(self.house.things[index]) for index in self._targets]
-        self._way: Way | None = ways[0].union(*ways[1:]) if ways else None
+        self._way: GeodesicDistance | None = ways[0].union(*ways[1:]) if ways else None
         self._arrived, self._hidden = False, None
         plan = dict(self.house.plan)
         names = {self.house.things[index].name for index in self._targets}

@@ -21,9 +21,9 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab import worlds
 from eagor.lab.envs.rules import Camera
 from eagor.lab.worlds import ground_of, view_of
+from eagor.lab.worlds.navmesh import GeodesicDistance, NavMesh
 from eagor.lab.worlds.render import Frame
 from eagor.lab.worlds.scene import STRUCTURE, Scene
-from eagor.lab.worlds.walkable import Walkable, Way
 from eagor.queries import COLOURS, Query
 
 APARTMENT = "apartment"
@@ -43,9 +43,11 @@ class Place:
     """Somewhere to walk and look."""
 
     scene: Scene | worlds.SimulatedScene
-    ground: Walkable
+    ground: NavMesh
     renderer: worlds.View
-    _ways: dict[Any, Way] = field(default_factory=dict, init=False, repr=False)  # they go when the place goes
+    _ways: dict[Any, GeodesicDistance] = field(
+        default_factory=dict, init=False, repr=False
+    )  # they go when the place goes
 
     def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
         """The point ``(3,)`` at this height (metres) above the ground at a point ``(2,)``: of a camera, say."""
@@ -104,14 +106,14 @@ class Place:
         taken = {thing.colour for thing in self.scene.instances if thing.category == category}
         return Query(category, str(rng.choice([colour for colour in COLOURS if colour not in taken])))
 
-    def way_to(self, targets: tuple[int, ...]) -> Way:
+    def way_to(self, targets: tuple[int, ...]) -> GeodesicDistance:
         """Geodesic distance to the nearest of the targets' footprints."""
         if targets not in self._ways:
             fields = [self.ground.footprint(self.scene.instances[target]) for target in targets]
             self._ways[targets] = fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
         return self._ways[targets]
 
-    def way_to_views(self, places: np.ndarray) -> Way:
+    def way_to_views(self, places: np.ndarray) -> GeodesicDistance:
         """Geodesic distance to the nearest of places ``(n, 3)`` at the feet, metres, world frame."""
         key = np.ascontiguousarray(places, dtype=np.float64).tobytes()
         if key not in self._ways:

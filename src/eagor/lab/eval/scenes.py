@@ -29,7 +29,7 @@ from eagor.lab.tasks.task import Record, Task, config_of
 
 if TYPE_CHECKING:
     from eagor.lab.envs.places import Place
-    from eagor.lab.worlds.walkable import Walkable
+    from eagor.lab.worlds.navmesh import NavMesh
 
 BLUE = (36, 146, 232)  # red, green, blue: one for a light and a dark page, as the greys of the plan are
 FAINT, STRONG = 0.17, 0.4  # how much it covers: floor that was seen from afar, and where looks surely find a thing
@@ -87,7 +87,7 @@ def search_of(place: Place, record: Record, camera: Camera | None) -> Search | N
     return Search(np.array(trace["searching"], dtype=bool), found)
 
 
-def _on_plan(known: FloorMap, ground: Walkable) -> np.ndarray:
+def _on_plan(known: FloorMap, ground: NavMesh) -> np.ndarray:
     """`Search.found`, for the cells of the plan ``(rows, cols)``: smaller ones, between which it goes evenly."""
     rows, cols = np.indices(ground.free.shape)
     points = ground.origin + ground.cell * (np.stack([cols, rows], axis=-1) + 0.5)

@@ -20,9 +20,9 @@ from eagor.errors import WorldError
 if TYPE_CHECKING:
     import numpy as np
 
+    from eagor.lab.worlds.navmesh import NavMesh
     from eagor.lab.worlds.render import Frame
     from eagor.lab.worlds.scene import Instance, Room, Scene
-    from eagor.lab.worlds.walkable import Walkable
 
 __all__ = ["SimulatedScene", "View", "World", "WorldOf", "ground_of", "known", "load", "view_of"]
 
@@ -94,7 +94,7 @@ class SimulatedScene(Protocol):
         """The height of our z = 0 in the scene's own files, and in episodes made for it, metres."""
         ...
 
-    def ground(self, radius: float, /) -> Walkable:
+    def ground(self, radius: float, /) -> NavMesh:
         """The ground for a body of this radius, metres. Raises `WorldError` if there is no room for it."""
         ...
 
@@ -146,7 +146,7 @@ def load(name: str) -> World:
     raise WorldError(f"there is no world {name!r}; known are {', '.join(sorted(choices))}, and GLB files (*.glb)")
 
 
-def ground_of(scene: Scene | SimulatedScene, radius: float) -> Walkable:
+def ground_of(scene: Scene | SimulatedScene, radius: float) -> NavMesh:
     """The ground of what a world made, for a body of this radius. Raises `WorldError` if there is no room to stand."""
     from eagor.lab.worlds.ground import Ground
     from eagor.lab.worlds.scene import Scene

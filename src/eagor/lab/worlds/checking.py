@@ -15,9 +15,9 @@ import numpy as np
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.lab.worlds import SimulatedScene, View, World, ground_of, view_of
+from eagor.lab.worlds.navmesh import NavMesh
 from eagor.lab.worlds.render import Frame
 from eagor.lab.worlds.scene import STRUCTURE, Scene
-from eagor.lab.worlds.walkable import Walkable
 from eagor.media.panorama import turn
 from eagor.queries import COLOURS
 from eagor.sphere import direction
@@ -33,29 +33,26 @@ SPOTS = 9  # places from which the floor is looked at
 ALIKE = 0.02  # share of pixels that may differ between two pictures that should be the same
 STEP = 0.25  # share of the range by which the camera moves to check ranges
 AZIMUTHS = np.radians([-135.0, -75.0, -45.0, 45.0, 105.0, 135.0])  # directions of these moves, mostly off the axes
+Position = tuple[float, float, float]
 
 
-def check_world(
-    world: World | View, seed: int = 0, *, position: tuple[float, float, float] = (0.0, 0.0, 0.0), rows: int = 32
-) -> None:
+def check_world(world: World | View, seed: int = 0, *, position: Position = (0.0, 0.0, 0.0), rows: int = 32) -> None:
     """Raise `AssertionError` unless `world` keeps the contract for this `seed`.
 
     A world that makes a `Scene` or a `SimulatedScene` must make the same one again. It must have a floor at z = 0 to
     stand on, names that can be asked for, at least one thing with a unique name, and bounds that fit the triangles or,
-    without triangles, what is seen. Panoramas of `rows` rows (an
-    even number) from a free place, or of a `View` (a photograph, another renderer) from `position`, metres, must have
-    the right shapes and types, be reproducible, turn and tilt with the camera, and have ranges that shrink by the
-    distance that the camera moves.
+    without triangles, what is seen. Panoramas of `rows` rows (an even number) from a free place, or of a `View` (a
+    photograph, another renderer) from `position`, metres, must have the right shapes and types, be reproducible, turn
+    and tilt with the camera, and have ranges that shrink by the distance that the camera moves.
     """
     if isinstance(world, View):
         _check_view(world, position, rows)
         return
-    scene = cast(World, world)(seed)
+    scene, again = (cast(World, world)(seed) for _ in range(2))
     _require(
         isinstance(scene, Scene | SimulatedScene),
         f"made a {type(scene).__name__} of seed {seed}; wanted a Scene (eagor.lab.worlds.scene)",
     )
-    again = cast(World, world)(seed)
     _require(
         scene.hash == again.hash,
         f"made scene {scene.hash} of seed {seed}, then {again.hash}; wanted the same each time: draw everything from "
@@ -66,12 +63,13 @@ def check_world(
         _check_bounds(scene)
     ground, view = _check_floor(scene), view_of(scene)
     rng, roomy = np.random.default_rng(seed), float(ground.clearance[ground.free].max()) / 2
-    x, y = ground.sample(rng, roomy).tolist()
-    position = (x, y, ground.height(np.array([x, y])) + EYE)
-    _check_view(view, position, rows)
+    places = []
+    for xy in (ground.sample(rng, roomy) for _ in range(1 + SPOTS)):
+        x, y = xy.tolist()
+        places.append((x, y, ground.height(xy) + EYE))
+    _check_view(view, places[0], rows)
     if not isinstance(scene, Scene):
-        spots = [ground.sample(rng, roomy) for _ in range(SPOTS)]
-        _check_seen(scene, view, [(*xy.tolist(), ground.height(xy) + EYE) for xy in spots], rows)
+        _check_pixels(scene, view, places[1:], rows)
 
 
 def _check_names(scene: Scene | SimulatedScene) -> None:
@@ -87,12 +85,11 @@ def _check_names(scene: Scene | SimulatedScene) -> None:
             f"gives instance {index} ({thing.category}) the colour {thing.colour!r}; wanted None or one of "
             f"{', '.join(COLOURS)}: choose the nearest",
         )
-    things = [thing for thing in scene.instances if thing.category not in STRUCTURE]
-    names = Counter((thing.category, thing.colour) for thing in things)
+    names = Counter((thing.category, thing.colour) for thing in scene.instances if thing.category not in STRUCTURE)
     _require(
         1 in names.values(),
-        f"has {len(things)} things besides {', '.join(STRUCTURE)}, but none with a unique category and colour; wanted "
-        "at least one: tasks have to be able to ask for something. Add a thing, or a colour",
+        f"has {names.total()} things besides {', '.join(STRUCTURE)}, but none with a unique category and colour; "
+        "wanted at least one: tasks have to be able to ask for something. Add a thing, or a colour",
     )
 
 
@@ -105,7 +102,7 @@ def _check_bounds(scene: Scene) -> None:
             f"has no triangle for instance {index} ({thing.name}); wanted at least one: leave out invisible instances",
         )
         low, high = mine.min(axis=0), mine.max(axis=0)
-        off = float(max(np.abs(low - thing.low).max(), np.abs(high - thing.high).max()))
+        off = float(np.abs([low - thing.low, high - thing.high]).max())
         _require(
             off <= NEAR,
             f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, {off:.2f} m off "
@@ -113,10 +110,10 @@ def _check_bounds(scene: Scene) -> None:
         )
 
 
-def _check_seen(scene: SimulatedScene, view: View, positions: list[tuple[float, float, float]], rows: int) -> None:
+def _check_pixels(scene: SimulatedScene, view: View, positions: list[Position], rows: int) -> None:
     """Check, in panoramas from these places, that the floor is below, and things within their bounds."""
     directions = ErpGrid(rows, 2 * rows).directions
-    below, inside = [], np.zeros((2, len(scene.instances)))  # pixels of each instance: all, and those within its bounds
+    below, pixels, inside = [], *np.zeros((2, len(scene.instances)))
     for position in positions:
         frame = view.panorama(position, np.eye(3), rows, rgb=False)
         if frame.range is None:
@@ -133,7 +130,8 @@ def _check_seen(scene: SimulatedScene, view: View, positions: list[tuple[float, 
         points, loose = np.array(position) + metres * directions[hit], LOOSE + 0.02 * metres
         low, high = (np.array([getattr(thing, end) for thing in scene.instances])[ids] for end in ("low", "high"))
         fits = ((points >= low - loose) & (points <= high + loose)).all(axis=1)
-        inside += [np.bincount(ids, minlength=inside.shape[1]), np.bincount(ids[fits], minlength=inside.shape[1])]
+        pixels += np.bincount(ids, minlength=len(pixels))
+        inside += np.bincount(ids[fits], minlength=len(pixels))
     off = float(np.median(below))
     _require(
         abs(off) <= NEAR,
@@ -141,16 +139,15 @@ def _check_seen(scene: SimulatedScene, view: View, positions: list[tuple[float, 
         "the same: z = 0 is the floor, and the ground's height is that of the surface",
     )
     for index, thing in enumerate(scene.instances):
-        seen, fits = inside[:, index]
         _require(
-            fits >= INSIDE * seen,
+            inside[index] >= INSIDE * pixels[index],
             f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, but shows "
-            f"{100 * (1 - fits / max(seen, 1)):.0f} % of its pixels outside; wanted at most {100 * (1 - INSIDE):.0f} "
-            "%: bounds are metres of the world frame, and ids are indices of the list of instances",
+            f"{100 * (1 - inside[index] / max(pixels[index], 1)):.0f} % of its pixels outside; wanted at most "
+            f"{100 * (1 - INSIDE):.0f} %: bounds are metres of the world frame, ids are indices of the instances",
         )
 
 
-def _check_floor(scene: Scene | SimulatedScene) -> Walkable:
+def _check_floor(scene: Scene | SimulatedScene) -> NavMesh:
     """Check that there is a floor at z = 0, and room to stand on it."""
     try:
         ground = ground_of(scene, RADIUS)
@@ -171,16 +168,13 @@ def _check_floor(scene: Scene | SimulatedScene) -> Walkable:
     return ground
 
 
-def _check_view(view: View, position: tuple[float, float, float], rows: int) -> None:
+def _check_view(view: View, position: Position, rows: int) -> None:
     """Check that the view from `position` is a correct panorama."""
-    ahead = np.eye(3)
-    frame = view.panorama(position, ahead, rows)
+    frame = view.panorama(position, np.eye(3), rows)
     _check_frame(frame, rows)
-    again = _image(view.panorama(position, ahead, rows))
-    here = _image(frame)
-    worst = _unlike(here, again)
+    here, again = _image(frame), _image(view.panorama(position, np.eye(3), rows))
     _require(
-        worst <= ALIKE,
+        (worst := _unlike(here, again)) <= ALIKE,
         f"shows {100 * worst:.0f} % of the pixels differently in a second look; wanted the same picture: no noise, and "
         "no state that a look changes",
     )
@@ -206,14 +200,14 @@ def _check_frame(frame: Frame, rows: int) -> None:
         frame.rgb is not None or frame.ids is not None,
         "shows neither rgb nor ids, though both were asked for; wanted at least one of them",
     )
-    for name, part, shape, kinds in (
-        ("rgb", frame.rgb, (rows, 2 * rows, 3), "u"),
-        ("range", frame.range, (rows, 2 * rows), "f"),
-        ("ids", frame.ids, (rows, 2 * rows), "i"),
+    for name, shape, types, kind in (
+        ("rgb", (rows, 2 * rows, 3), np.uint8, "uint8 (sRGB)"),
+        ("range", (rows, 2 * rows), np.floating, "floating point (metres)"),
+        ("ids", (rows, 2 * rows), np.signedinteger, "signed integers"),
     ):
+        part: np.ndarray | None = getattr(frame, name)
         if part is not None:
-            fits = part.shape == shape and part.dtype.kind in kinds and (name != "rgb" or part.dtype == np.uint8)
-            kind = {"u": "uint8 (sRGB)", "f": "floating point (metres)", "i": "signed integers"}[kinds]
+            fits = part.shape == shape and np.issubdtype(part.dtype, types)
             _require(fits, f"shows {name} of shape {part.shape}, type {part.dtype}; wanted {shape}, {kind}")
     if frame.range is not None:
         _require(
@@ -225,52 +219,46 @@ def _check_frame(frame: Frame, rows: int) -> None:
         _require(lowest >= -1, f"shows ids down to {lowest}; wanted indices of the list of instances, and -1 for none")
 
 
-def _check_tilt(view: View, position: tuple[float, float, float], rows: int, here: np.ndarray) -> None:
+def _check_tilt(view: View, position: Position, rows: int, here: np.ndarray) -> None:
     """Check that the picture tilts with the camera: it has to be closer to the true tilt than to any other."""
     pose = pose_of(0.0, math.radians(35.0), math.radians(25.0))
     tilted = _image(view.panorama(position, pose, rows)).astype(np.float64)
-    others = {
+    tilts = {
+        "": pose.T,
         "the camera does not tilt": np.eye(3),
         "it tilts the wrong way: is world_R_body taken for its transpose?": pose,
         "nose up is taken for nose down": pose_of(0.0, -math.radians(35.0), math.radians(25.0)).T,
         "it rolls the wrong way": pose_of(0.0, math.radians(35.0), -math.radians(25.0)).T,
     }
-    still = here.astype(np.float64)
-    weights = ErpGrid(rows, 2 * rows).weights
-
-    def off(new_R_old: np.ndarray) -> float:
-        gap = np.abs(turn(still, new_R_old) - tilted)
-        return float((gap.mean(axis=-1) * weights).sum() if gap.ndim == 3 else (np.minimum(gap, 1) * weights).sum())
-
-    wanted, rivals = off(pose.T), {why: off(matrix) for why, matrix in others.items()}
-    why = min(rivals, key=lambda name: rivals[name])
+    weights, off = ErpGrid(rows, 2 * rows).weights, {}
+    for why, new_R_old in tilts.items():
+        gap = np.abs(turn(here.astype(np.float64), new_R_old) - tilted)
+        off[why] = float(((gap.mean(axis=-1) if gap.ndim == 3 else np.minimum(gap, 1)) * weights).sum())
+    why = min(off, key=lambda name: off[name])
     _require(
-        wanted <= rivals[why],
+        why == "",
         f"does not show the view of a camera with its nose 35 degrees down and its right side 25 degrees down "
         f"({why}); wanted the panorama turned by world_R_body.T: direction_body = world_R_body.T @ direction_world",
     )
 
 
-def _check_ranges(view: View, position: tuple[float, float, float], rows: int, range: np.ndarray) -> None:
+def _check_ranges(view: View, position: Position, rows: int, range: np.ndarray) -> None:
     """Check that ranges shrink by the distance moved towards a thing: metres, along the ray, in the world frame."""
     grid = ErpGrid(rows, 2 * rows)
     x, y, _ = grid.project(direction(AZIMUTHS, np.full(len(AZIMUTHS), -0.1)))
-    found = []
-    for row, column in zip(y.astype(int), x.astype(int), strict=True):
-        before = float(range[row, column])
-        if not math.isfinite(before):
-            continue
-        there = np.asarray(position) + STEP * before * grid.directions[row, column]
-        after = view.panorama((float(there[0]), float(there[1]), float(there[2])), np.eye(3), rows, rgb=False).range
-        found.append(math.nan if after is None else float(after[row, column]) / before)
-    if found:
-        left = float(np.median(found))
-        _require(
-            abs(left - (1 - STEP)) <= 0.02,
-            f"shows things at {100 * left:.0f} % of their range after the camera has moved {100 * STEP:.0f} % of the "
-            f"way to them; wanted {100 * (1 - STEP):.0f} %: ranges are metres from the camera along the ray (not depth "
-            "along an axis), and position is in metres of the world frame, x and y level, z up",
-        )
+    shares = []
+    for cell in zip(y.astype(int), x.astype(int), strict=True):
+        if math.isfinite(before := float(range[cell])):
+            there = (np.asarray(position) + STEP * before * grid.directions[cell]).tolist()
+            after = view.panorama((there[0], there[1], there[2]), np.eye(3), rows, rgb=False).range
+            shares.append(math.nan if after is None else float(after[cell]) / before)
+    left = float(np.median(shares or [1 - STEP]))
+    _require(
+        abs(left - (1 - STEP)) <= 0.02,
+        f"shows things at {100 * left:.0f} % of their range after the camera has moved {100 * STEP:.0f} % of the "
+        f"way to them; wanted {100 * (1 - STEP):.0f} %: ranges are metres from the camera along the ray (not depth "
+        "along an axis), and position is in metres of the world frame, x and y level, z up",
+    )
 
 
 def _image(frame: Frame) -> np.ndarray:
@@ -281,7 +269,7 @@ def _image(frame: Frame) -> np.ndarray:
 def _unlike(a: np.ndarray, b: np.ndarray) -> float:
     """The share of pixels that differ by more than rounding."""
     gap = np.abs(a.astype(np.int64) - b.astype(np.int64))
-    return float(((gap.max(axis=-1) if gap.ndim == 3 else gap) > (2 if gap.ndim == 3 else 0)).mean())
+    return float((gap.max(axis=-1) > 2 if gap.ndim == 3 else gap > 0).mean())
 
 
 def _point(values: np.ndarray) -> str:

@@ -21,11 +21,10 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from graphlib import CycleError, TopologicalSorter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -43,6 +42,8 @@ from eagor.queries import COLOURS, SYNONYMS, singular
 
 __all__ = ["export_glb", "import_glb"]
 
+FORMAT = "eagor semantic 1"
+STRENGTH = "KHR_materials_emissive_strength"
 LAB_VOXEL = 0.2  # metres: the height of habitat-lab's voxels
 ON_MESH = 0.01  # metres of habitat-lab's mesh above the floor of an exported scene: rugs are in the same voxel
 FOOTING = LAB_VOXEL - ON_MESH  # metres below the floor at which an exported scene begins ...
@@ -78,57 +79,9 @@ def name_from_nodes(names: Iterable[str]) -> tuple[str, str | None]:
         words = [word for word in re.findall(r"[a-z]+", apart.lower()) if len(word) > 1 and word not in _EMPTY_WORDS]
         first = SYNONYMS.get(words[0], words[0]) if words else None  # "gray" is "grey"
         colour = first if len(words) > 1 and first in COLOURS else None
-        words = words[1:] if colour else words
         if words:
-            return singular(" ".join(words)), colour
+            return singular(" ".join(words[1:] if colour else words)), colour
     return "object", None
-
-
-def _names(scene: Scene) -> list[str]:
-    """The names of the materials in a file: they are all different."""
-    return [f"{index} {material.name}" for index, material in enumerate(scene.materials)]
-
-
-def _write_exactly(tree: dict[str, Any], ours: Mapping[str, Material]) -> None:
-    """Write colours and emission into the JSON of a glTF as linear numbers, which trimesh rounds to 8 bits."""
-    for entry in tree.get("materials", []):
-        material = ours[entry["name"]]
-        linear = to_linear(np.asarray(material.colour, dtype=np.float64))
-        entry["pbrMetallicRoughness"]["baseColorFactor"] = [*linear.tolist(), 1.0]
-        if material.emission > 0:
-            light = linear * material.emission
-            strength = max(1.0, float(light.max()))
-            entry["emissiveFactor"] = (light / strength).tolist()
-            if strength > 1:
-                entry["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
-                tree["extensionsUsed"] = ["KHR_materials_emissive_strength"]
-
-
-def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
-    """trimesh's material (or None) as ours, with the JSON `entries`; `pixels` caches decoded pictures by identity."""
-    if pbr is None:
-        return Material("default")
-    name = str(getattr(pbr, "name", None) or "material")
-    same = [entry for entry in entries if entry.get("name") == name]
-    entry = same[0] if len(same) == 1 else {}
-    rounded = getattr(pbr, "baseColorFactor", None)
-    linear = np.ones(3) if rounded is None else np.asarray(rounded, dtype=np.float64)[:3] / 255
-    linear = np.asarray(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", linear), dtype=np.float64)[:3]
-    image = getattr(pbr, "baseColorTexture", None)
-    if image is not None and id(image) not in pixels:
-        pixels[id(image)] = np.asarray(image.convert("RGB"))
-    texture = None if image is None else pixels[id(image)]
-    light = getattr(pbr, "emissiveFactor", None)
-    light = np.zeros(3) if light is None else np.asarray(light, dtype=np.float64)
-    extension = entry.get("extensions", {}).get("KHR_materials_emissive_strength", {})
-    light = light * float(extension.get("emissiveStrength", 1.0))
-    emission = 0.0
-    if light.max() > 0 and linear.max() < _DARK:  # a lamp of black material: its light is its colour
-        linear, emission = light / light.max(), float(light.max())
-    elif light.max() > 0:
-        emission = float(light.max() / linear.max())
-    red, green, blue = to_coded(np.clip(linear, 0, 1)).tolist()
-    return Material(name, (red, green, blue), texture, emission)
 
 
 def voxel_for(radius: float, cell: float) -> float:
@@ -156,6 +109,9 @@ def footing_of(corners: np.ndarray, floor: float) -> np.ndarray:
     return found
 
 
+# --- export -----------------------------------------------------------------------------------------------------------
+
+
 def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Path:
     """Write a scene to the file `target` (.glb), and its companions beside it; returns the path of the GLB.
 
@@ -172,12 +128,12 @@ def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Pat
         "agent_max_climb": 0.12, "agent_max_slope": 45.0,
     }  # fmt: skip
     semantic = {
-        "format": "eagor semantic 1", "glb_sha256": hashlib.sha256(blob).hexdigest(), "scene_hash": scene.hash,
+        "format": FORMAT, "glb_sha256": hashlib.sha256(blob).hexdigest(), "scene_hash": scene.hash,
         "source": scene.source,
-        "instances": [vars(thing) | {"nodes": found} for thing, found in zip(scene.instances, nodes, strict=True)],
+        "instances": [vars(thing) | {"nodes": names} for thing, names in zip(scene.instances, nodes, strict=True)],
         "materials": [
             {"gltf": name, "name": material.name, "colour": material.colour, "emission": float(material.emission)}
-            for name, material in zip(_names(scene), scene.materials, strict=True)
+            for name, material in zip(_names(scene.materials), scene.materials, strict=True)
         ],
         "rooms": [vars(room) for room in scene.rooms], "lamps": [vars(lamp) for lamp in scene.lamps],
         "daylight": scene.daylight, "facts": scene.facts,
@@ -189,6 +145,11 @@ def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Pat
     return target
 
 
+def _names(materials: Sequence[Material]) -> list[str]:
+    """The names of the materials in a file: they are all different."""
+    return [f"{index} {material.name}" for index, material in enumerate(materials)]
+
+
 def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
     """A scene as the content of a GLB, and the names of the nodes of each instance."""
     need("a GLB file", "sim", "trimesh")
@@ -198,17 +159,13 @@ def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
     from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
-    ours = dict(zip(_names(scene), scene.materials, strict=True))
+    ours = dict(zip(_names(scene.materials), scene.materials, strict=True))
     looks = []
     for name, look in ours.items():
         image = None if look.texture is None else Image.fromarray(np.ascontiguousarray(look.texture[..., :3]))
-        glow = image if look.emission > 0 else None
-        looks.append(
-            PBRMaterial(
-                name=name, baseColorTexture=image, emissiveTexture=glow, metallicFactor=0.0, roughnessFactor=1.0,
-                doubleSided=True,
-            )
-        )  # fmt: skip
+        pbr = PBRMaterial(name=name, baseColorTexture=image, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True)
+        pbr.emissiveTexture = image if look.emission > 0 else None
+        looks.append(pbr)
     parts = np.unique(np.stack([scene.instance, scene.material], axis=1), axis=0)
     several = np.bincount(parts[:, 0], minlength=len(scene.instances)) > 1
     model = trimesh.Scene()
@@ -226,13 +183,38 @@ def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
     corners = scene.vertices[scene.triangles].astype(np.float64)
     level = level_triangles(corners)
     if level[0].any():
-        below = footing_of(corners, floor_height(corners, *level))
-        mesh = trimesh.Trimesh(to_gltf(below), [[0, 1, 2]], process=False)
+        mesh = trimesh.Trimesh(to_gltf(footing_of(corners, floor_height(corners, *level))), [[0, 1, 2]], process=False)
         model.add_geometry(mesh, node_name=FOOTING_NODE, geom_name=FOOTING_NODE)
-    return to_bytes(model, include_normals=False, tree_postprocessor=lambda tree: _write_exactly(tree, ours)), nodes
+
+    def exact(tree: dict[str, Any]) -> None:
+        """Write colours and emission as linear numbers, which trimesh rounds to 8 bits."""
+        for entry in tree.get("materials", []):
+            material = ours[entry["name"]]
+            linear = to_linear(np.asarray(material.colour, dtype=np.float64))
+            entry["pbrMetallicRoughness"]["baseColorFactor"] = [*linear.tolist(), 1.0]
+            if material.emission > 0:
+                light = linear * material.emission
+                strength = max(1.0, float(light.max()))
+                entry["emissiveFactor"] = (light / strength).tolist()
+                if strength > 1:
+                    entry["extensions"] = {STRENGTH: {"emissiveStrength": strength}}
+                    tree["extensionsUsed"] = [STRENGTH]
+
+    return to_bytes(model, include_normals=False, tree_postprocessor=exact), nodes
 
 
 # --- import -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The triangles of a node, in our frame. `names`: its own, its parents', and its mesh's."""
+
+    names: tuple[str, ...]
+    vertices: np.ndarray
+    triangles: np.ndarray
+    uv: np.ndarray
+    material: int
 
 
 def import_glb(path: Path | str) -> Scene:
@@ -248,34 +230,49 @@ def import_glb(path: Path | str) -> Scene:
     """
     path = Path(path)
     blob = _read(path)
-    parts, materials = _load(path, blob)
+    need("a GLB file", "sim", "trimesh")
+    try:
+        parts, materials = _load(path, blob)
+    except Exception as error:  # trimesh may raise anything
+        if isinstance(error, WorldError):
+            raise WorldError(f"{path}: {error}") from error
+        raise WorldError(
+            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {str(error)[:300]}); is it complete? "
+            "Export it again"
+        ) from error
+    instances: list[Instance] = []
+    for part in parts:
+        corners = part.vertices[part.triangles].reshape(-1, 3)
+        instances.append(Instance(*name_from_nodes(part.names), None, corners.min(axis=0), corners.max(axis=0)))
+    owners, looks, more = list(range(len(parts))), [part.material for part in parts], {}
     companion = path.with_suffix(".semantic.json")
     if companion.is_file():
         try:
-            return _annotated(path, parts, materials, msgspec.convert(parsed(companion.read_bytes()), _Told), blob)
-        except (WorldError, ValueError, msgspec.ValidationError) as error:
+            known = read_semantics(companion.read_bytes())
+            facts = dict(known.facts)
+            if known.glb_sha256 == hashlib.sha256(blob).hexdigest():
+                facts["exported hash"] = known.scene_hash
+            parts, owners, looks = _matched(known, parts, materials)
+            textures = {material.name: material.texture for material in materials}
+            gltf = _names(known.materials)
+            materials = [replace(m, texture=textures.get(n)) for m, n in zip(known.materials, gltf, strict=True)]
+            instances, more = known.instances, {
+                "rooms": tuple(known.rooms), "lamps": tuple(known.lamps), "daylight": known.daylight, "facts": facts,
+            }  # fmt: skip
+        except (WorldError, ValueError) as error:
             raise WorldError(
                 f"{companion} cannot be used ({str(error)[:300]}); wanted what export_glb writes; export again, or "
                 "remove it to import the GLB by itself"
             ) from error
-    corners = [part.vertices[part.triangles].reshape(-1, 3) for part in parts]
-    instances = [
-        Instance(*name_from_nodes(part.names), None, where.min(axis=0), where.max(axis=0))
-        for part, where in zip(parts, corners, strict=True)
-    ]
-    looks = np.array([part.material for part in parts])
-    return _joined(path, parts, np.arange(len(parts)), looks, instances, materials)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """The triangles of a node, in our frame. `names`: its own, its parents', and its mesh's."""
-
-    names: tuple[str, ...]
-    vertices: np.ndarray
-    triangles: np.ndarray
-    uv: np.ndarray
-    material: int
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    counts = [len(part.triangles) for part in parts]
+    return Scene(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]).astype(np.int32),
+        np.repeat(owners, counts).astype(np.int32), np.repeat(looks, counts).astype(np.int32),
+        np.concatenate([part.uv for part in parts]), tuple(instances), tuple(materials), source=f"glb {path.name}",
+        **more,
+    )  # fmt: skip
 
 
 def _read(path: Path) -> bytes:
@@ -293,194 +290,152 @@ def _read(path: Path) -> bytes:
 
 
 def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
-    """The parts of a file, and its materials."""
-    need("a GLB file", "sim", "trimesh")
+    """The parts of a file, and its materials. Raises what it likes."""
     import trimesh
 
-    try:
-        text = path.suffix.lower() == ".gltf"
-        tree = parsed(blob if text else blob[20 : 20 + int.from_bytes(blob[12:16], "little")])
-        size = _size(path, tree, blob)
-        _check_tree(tree, size)
-        model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
-        looks = [getattr(getattr(mesh, "visual", None), "material", None) for mesh in model.geometry.values()]
-        _check_pictures((getattr(look, "baseColorTexture", None) for look in looks), size)
-        entries, pixels = tree.get("materials", []), {}
-        parts, materials, known = [], [], {}
-        for mesh in model.dump():  # with the transforms of their nodes
-            node, geometry = mesh.metadata["node"], mesh.metadata["name"]
-            if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING_NODE:
-                continue
-            pbr = getattr(model.geometry[geometry].visual, "material", None)
-            if id(pbr) not in known:
-                known[id(pbr)] = len(materials)
-                materials.append(from_pbr(pbr, entries, pixels))
-            names = (*model.graph.transforms.shortest_path(model.graph.base_frame, node)[:0:-1], str(geometry))
-            parts.append(_part(mesh, names, known[id(pbr)]))
-    except Exception as error:  # trimesh may raise anything
-        if isinstance(error, WorldError):
-            raise WorldError(f"{path}: {error}") from error
-        raise WorldError(
-            f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {str(error)[:300]}); is it complete? "
-            "Export it again"
-        ) from error
+    text = path.suffix.lower() == ".gltf"
+    tree = parsed(blob if text else blob[20 : 20 + int.from_bytes(blob[12:16], "little")])
+    beside = [str(part.get("uri", "")) for kind in ("buffers", "images") for part in tree.get(kind, [])]
+    files = {path.parent / name for name in beside if name and len(name) < 256 and not name.startswith("data:")}
+    size = len(blob) + sum(file.stat().st_size for file in files if file.is_file())
+    _check_tree(tree, size)
+    model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
+    looks = [getattr(getattr(mesh, "visual", None), "material", None) for mesh in model.geometry.values()]
+    _check_pictures((getattr(look, "baseColorTexture", None) for look in looks), size)
+    entries, pixels = tree.get("materials", []), {}
+    parts, materials, known = [], [], {}
+    for mesh in model.dump():  # with the transforms of their nodes
+        node, geometry = mesh.metadata["node"], mesh.metadata["name"]
+        if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING_NODE:
+            continue
+        pbr = getattr(model.geometry[geometry].visual, "material", None)
+        if id(pbr) not in known:
+            known[id(pbr)] = len(materials)
+            materials.append(from_pbr(pbr, entries, pixels))
+        names = (*model.graph.transforms.shortest_path(model.graph.base_frame, node)[:0:-1], str(geometry))
+        vertices, triangles = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+        if triangles.min() < 0 or triangles.max() >= len(vertices):
+            raise WorldError(f"triangles of node {node!r} point outside its {len(vertices)} vertices; it is corrupt")
+        uv = getattr(mesh.visual, "uv", None)
+        uv = np.zeros((len(vertices), 2)) if uv is None or np.shape(uv) != (len(vertices), 2) else np.asarray(uv)
+        corners = uv[triangles].astype(np.float32)
+        parts.append(_Part(names, from_gltf(vertices).astype(np.float32), triangles, corners, known[id(pbr)]))
     if not parts:
-        raise WorldError(f"{path} holds no triangles; wanted a GLB with at least one mesh")
+        raise WorldError("it holds no triangles; wanted a GLB with at least one mesh")
     return parts, materials
 
 
-def _size(path: Path, tree: Any, blob: bytes) -> int:
-    """Bytes of the file, including the files beside a .gltf."""
-    beside = [str(part.get("uri", "")) for kind in ("buffers", "images") for part in tree.get(kind, [])]
-    files = {path.parent / name for name in beside if name and len(name) < 256 and not name.startswith("data:")}
-    return len(blob) + sum(file.stat().st_size for file in files if file.is_file())
-
-
-def _part(mesh: Any, names: tuple[str, ...], material: int) -> _Part:
-    vertices, triangles = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise WorldError(
-            f"triangles of node {names[0]!r} point outside its {len(vertices)} vertices; the GLB is corrupt"
-        )
-    uv = getattr(mesh.visual, "uv", None)
-    uv = np.zeros((len(vertices), 2)) if uv is None or np.shape(uv) != (len(vertices), 2) else np.asarray(uv)
-    return _Part(names, from_gltf(vertices).astype(np.float32), triangles, uv[triangles].astype(np.float32), material)
-
-
-Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-Triple = tuple[Finite, Finite, Finite]
-
-
-class Thing(msgspec.Struct):
-    """An instance in a semantic JSON: `nodes` are those of its triangles."""
-
-    category: str
-    low: Triple
-    high: Triple
-    colour: str | None = None
-    room: str | None = None
-    nodes: list[str] = []
-
-    def instance(self) -> Instance:
-        return Instance(self.category, self.colour, self.room, np.array(self.low), np.array(self.high))
-
-
-class Area(msgspec.Struct):
-    """A room in a semantic JSON."""
-
-    name: str
-    kind: str
-    rectangles: list[tuple[Finite, Finite, Finite, Finite]]
-
-    def made(self) -> Room:
-        return Room(self.name, self.kind, np.array(self.rectangles).reshape(-1, 4))
-
-
-class _Look(msgspec.Struct):
-    gltf: str
-    name: str
-    colour: Triple
-    emission: Finite
-
-
-class _Light(msgspec.Struct):
-    position: Triple
-    power: Triple
-
-
-class _Told(msgspec.Struct):
-    """What `export_glb` writes beside a GLB."""
-
-    format: Literal["eagor semantic 1"]
-    glb_sha256: str
-    scene_hash: str
-    instances: list[Thing]
-    materials: list[_Look]
-    rooms: list[Area]
-    lamps: list[_Light]
-    daylight: Triple
-    facts: dict[str, Any]
-
-
-def _annotated(path: Path, parts: list[_Part], materials: list[Material], told: _Told, blob: bytes) -> Scene:
-    """The exported scene, from its parts and the semantic JSON."""
-    owner = {name: index for index, thing in enumerate(told.instances) for name in thing.nodes}
-    by_name = {part.names[0]: part for part in parts}
-    place = {look.gltf: index for index, look in enumerate(told.materials)}
-    strange = {*owner} ^ {*by_name} or {material.name for material in materials} - {*place}
-    if strange:
-        raise WorldError(
-            f"{path.name} and its semantic JSON do not have the same nodes and materials: "
-            f"{shown(', '.join(sorted(strange)[:3]), 200)} only in one of the two"
-        )
-    parts = [by_name[name] for name in owner]
-    textures = {material.name: material.texture for material in materials}
-    looks = np.array([place[materials[part.material].name] for part in parts])
-    owners = np.array([owner[part.names[0]] for part in parts])
-    exact = [Material(look.name, look.colour, textures.get(look.gltf), look.emission) for look in told.materials]
-    facts = dict(told.facts)
-    if told.glb_sha256 == hashlib.sha256(blob).hexdigest():
-        facts["exported hash"] = told.scene_hash
-    return _joined(
-        path, parts, owners, looks, [thing.instance() for thing in told.instances], exact,
-        rooms=tuple(area.made() for area in told.rooms),
-        lamps=tuple(Lamp(np.array(light.position), np.array(light.power)) for light in told.lamps),
-        daylight=told.daylight, facts=facts,
-    )  # fmt: skip
-
-
-def _joined(
-    path: Path, parts: list[_Part], owners: np.ndarray, looks: np.ndarray,
-    instances: list[Instance], materials: list[Material], **more: Any,
-) -> Scene:  # fmt: skip
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    counts = [len(part.triangles) for part in parts]
-    return Scene(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]).astype(np.int32),
-        np.repeat(owners, counts).astype(np.int32), np.repeat(looks, counts).astype(np.int32),
-        np.concatenate([part.uv for part in parts]), tuple(instances), tuple(materials), source=f"glb {path.name}",
-        **more,
-    )  # fmt: skip
+def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
+    """trimesh's material (or None) as ours, with the JSON `entries`; `pixels` caches decoded pictures by identity."""
+    if pbr is None:
+        return Material("default")
+    name = str(getattr(pbr, "name", None) or "material")
+    same = [entry for entry in entries if entry.get("name") == name]
+    entry = same[0] if len(same) == 1 else {}
+    rounded = getattr(pbr, "baseColorFactor", None)
+    linear = np.ones(3) if rounded is None else np.asarray(rounded, dtype=np.float64)[:3] / 255
+    linear = np.asarray(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", linear), dtype=np.float64)[:3]
+    image = getattr(pbr, "baseColorTexture", None)
+    if image is not None and id(image) not in pixels:
+        pixels[id(image)] = np.asarray(image.convert("RGB"))
+    light = getattr(pbr, "emissiveFactor", None)
+    light = np.zeros(3) if light is None else np.asarray(light, dtype=np.float64)
+    brightest = float((light * entry.get("extensions", {}).get(STRENGTH, {}).get("emissiveStrength", 1.0)).max())
+    emission = 0.0
+    if brightest > 0 and linear.max() < _DARK:  # a lamp of black material: its light is its colour
+        linear, emission = light / light.max(), brightest
+    elif brightest > 0:
+        emission = brightest / float(linear.max())
+    red, green, blue = to_coded(np.clip(linear, 0, 1)).tolist()
+    return Material(name, (red, green, blue), None if image is None else pixels[id(image)], emission)
 
 
 def _check_tree(tree: Any, size: int) -> None:
     """Raise `WorldError` if the JSON of a file of `size` bytes in total asks for too much."""
     counts = [int(entry["count"]) for entry in tree.get("accessors", [])]
-    meshes = [sum(_corners(part, counts) for part in mesh["primitives"]) for mesh in tree.get("meshes", [])]
-    nodes = tree.get("nodes", [])
+    nodes, meshes = tree.get("nodes", []), []
+    for mesh in tree.get("meshes", []):
+        used = [(part["attributes"].get("POSITION"), part.get("indices")) for part in mesh["primitives"]]
+        meshes.append(sum(counts[index] for pair in used for index in pair if index is not None))
     asked = sum(counts) + sum(meshes[node["mesh"]] for node in nodes if "mesh" in node)
     most = max(_FREE_ENTRIES, _ENTRIES_PER_BYTE * size)
     if min(counts, default=0) < 0 or asked > most:
         raise WorldError(f"its nodes ask for {asked} corners and indices, in {size} bytes; wanted at most {most}")
-    _check_nest(nodes)
+    below = set(range(len(nodes)))
+    for _ in range(_DEEPEST):
+        below = {child for index in below for child in nodes[index].get("children", [])}
+    if below:
+        raise WorldError(f"its nodes are nested more than {_DEEPEST} deep, or in a cycle; export it again")
 
 
 def _check_pictures(pictures: Iterable[Any], size: int) -> None:
     """Raise `WorldError` for pictures of unusual formats, or too large for a file of `size` bytes."""
-    found = {id(picture): picture for picture in pictures if picture is not None}
-    for picture in found.values():
+    distinct = {id(picture): picture for picture in pictures if picture is not None}.values()
+    for picture in distinct:
         if picture.format not in (*FORMATS, "MPO"):  # MPO: a JPEG with more in it
             raise WorldError(f"it has a texture in the format {picture.format}; wanted PNG, JPEG or WebP")
-    asked, most = sum(decoded_bytes(picture) for picture in found.values()), max(_FREE_BYTES, _BYTES_PER_BYTE * size)
+    asked, most = sum(map(decoded_bytes, distinct)), max(_FREE_BYTES, _BYTES_PER_BYTE * size)
     if asked > most:
         raise WorldError(f"its textures have {asked} bytes when decoded; wanted at most {most}")
 
 
-def _corners(primitive: Mapping[str, Any], counts: list[int]) -> int:
-    used = (primitive["attributes"].get("POSITION"), primitive.get("indices"))
-    return sum(counts[index] for index in used if index is not None)
+# --- the semantic JSON ------------------------------------------------------------------------------------------------
 
 
-def _check_nest(nodes: list[Any]) -> None:
-    children = {index: node.get("children", []) for index, node in enumerate(nodes)}
-    height: dict[int, int] = {}  # of the tree below each node, itself included
-    try:
-        for index in TopologicalSorter(children).static_order():  # children first
-            height[index] = 1 + max((height[child] for child in children[index]), default=0)
-    except CycleError as error:
+class _Nodes(msgspec.Struct):
+    nodes: list[str] = []
+
+
+@dataclass(frozen=True, eq=False)
+class Semantics:
+    """What a semantic JSON, or a file of boxes, says of a scene."""
+
+    format: Literal["eagor semantic 1", "eagor boxes 1"]
+    instances: list[Instance] = field(default_factory=list)
+    boxes: list[Instance] = field(default_factory=list)
+    rooms: list[Room] = field(default_factory=list)
+    lamps: list[Lamp] = field(default_factory=list)
+    materials: list[Material] = field(default_factory=list)
+    daylight: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    facts: dict[str, Any] = field(default_factory=dict)
+    glb_sha256: str = ""
+    scene_hash: str = ""
+    nodes: list[list[str]] = field(default_factory=list)
+
+
+def read_semantics(text: bytes) -> Semantics:
+    """The content of a file; `nodes` are those of each instance. Raises `ValueError`, msgspec's errors among them."""
+    tree = parsed(text)
+    for kind in ("instances", "boxes"):
+        if isinstance(tree, dict) and isinstance(tree.get(kind), list):
+            tree[kind] = [{"colour": None, "room": None} | e if isinstance(e, dict) else e for e in tree[kind]]
+    known = msgspec.convert(tree, Semantics, dec_hook=_array)
+    shapes = [(a, 3) for t in (*known.instances, *known.boxes) for a in (t.low, t.high)]
+    shapes += [(a, 3) for lamp in known.lamps for a in (lamp.position, lamp.power)]
+    if any(a.shape != (n,) for a, n in shapes) or any(r.rectangles.shape[1:] != (4,) for r in known.rooms):
+        raise ValueError("a corner, a lamp or a room without its three or four numbers")
+    return replace(known, nodes=[each.nodes for each in msgspec.convert(tree.get("instances", []), list[_Nodes])])
+
+
+def _array(_: type, value: Any) -> np.ndarray:
+    array = np.array(value, dtype=np.float64)
+    if not (np.abs(array) <= 1e9).all():
+        raise ValueError("a number that is not finite, or above 1e9")
+    return array
+
+
+def _matched(
+    known: Semantics, parts: list[_Part], materials: list[Material]
+) -> tuple[list[_Part], list[int], list[int]]:
+    """The parts in the order of the semantic JSON, and for each its instance and its material."""
+    owner = {name: index for index, names in enumerate(known.nodes) for name in names}
+    by_name = {part.names[0]: part for part in parts}
+    place = {name: index for index, name in enumerate(_names(known.materials))}
+    strange = {*owner} ^ {*by_name} or {material.name for material in materials} - {*place}
+    if strange or known.format != FORMAT:
         raise WorldError(
-            f"{len(error.args[1]) - 1} of its {len(nodes)} nodes are in a cycle; export it again"
-        ) from None
-    if max(height.values(), default=0) > _DEEPEST:
-        raise WorldError(f"its nodes are nested {max(height.values())} deep; wanted at most {_DEEPEST}")
+            "the GLB and its semantic JSON do not have the same nodes and materials: "
+            f"{shown(', '.join(sorted(strange)[:3]), 200)} only in one of the two"
+        )
+    parts = [by_name[name] for name in owner]
+    return parts, list(owner.values()), [place[materials[part.material].name] for part in parts]

@@ -4,7 +4,7 @@ A grid of square cells in the world frame (x along columns, y along rows, metres
 and no obstacle within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts. All
 distances are of paths over free cells.
 
-Which cells a triangle touches between two heights is exact and conservative (`touched`): it is clipped to the slab and
+Which cells a triangle touches between two heights is exact and conservative (`rasterize`): clipped to the slab and
 projected, and a cell counts if its square meets the projection (separating axes). So neither a thin wall nor a chair
 leg falls between samples. A face exactly between two cells, as walls on round numbers, counts for the one behind it.
 """
@@ -19,8 +19,8 @@ from scipy import ndimage
 
 from eagor._values import lazy
 from eagor.errors import WorldError
+from eagor.lab.worlds.navmesh import CellGraph, DistanceField, Walls, cells_of, string_pull
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Room, Scene
-from eagor.lab.worlds.walkable import CellGraph, Field, Walls, cells_of, pulled
 
 _INWARD = 1e-3  # in cells: shift of a face to its back
 _TOUCH = 1e-4  # in cells: smaller overlaps do not count, to be safe from rounding
@@ -34,7 +34,7 @@ _AROUND = np.array([(c, r) for r in (-1, 0, 1) for c in (-1, 0, 1)])
 _BESIDE_CORNER = {0: (1, 3), 2: (1, 5), 6: (3, 7), 8: (5, 7)}  # places in _AROUND: no way leads through a closed corner
 
 
-def touched(
+def rasterize(
     corners: np.ndarray, low: float, high: float, origin: np.ndarray, cell: float, shape: tuple[int, int]
 ) -> np.ndarray:
     """Cells ``(rows, cols)`` bool that the part of the triangles with low < z < high touches.
@@ -210,13 +210,13 @@ class Ground:
             )
         grid = origin, cell, (rows, cols)
         crack = math.ceil(_CRACK / cell / 2)
-        covered = np.pad(touched(floors, *slab, *grid), crack)
+        covered = np.pad(rasterize(floors, *slab, *grid), crack)
         has_floor = np.asarray(ndimage.binary_closing(covered, iterations=crack), dtype=bool)
         has_floor = has_floor[crack:-crack, crack:-crack]
         structural = np.array([thing.category in STRUCTURE for thing in scene.instances])[scene.instance]
         body = floor + climb, floor + height
-        structure = touched(corners[structural], *body, *grid)
-        blocked = structure | touched(corners[~structural], *body, *grid) | ~has_floor
+        structure = rasterize(corners[structural], *body, *grid)
+        blocked = structure | rasterize(corners[~structural], *body, *grid) | ~has_floor
         blocked[[0, -1]] = blocked[:, [0, -1]] = True
         clearance = np.asarray(ndimage.distance_transform_edt(~blocked)) * cell
         free = largest_area((clearance >= radius) & ~blocked)
@@ -231,15 +231,12 @@ class Ground:
 
     @property
     def points(self) -> np.ndarray:
-        """The centres ``(n, 2)`` of the free cells, in reading order."""
         return self._centres
 
     def height(self, xy: np.ndarray) -> float:
-        """Height of the ground under a point: that of the floor, which is level."""
         return self.floor
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
-        """Whether the body can stand at points ``(..., 2)``; False off the plan and for NaN."""
         _, (row, col), known = cells_of(xy, self.origin, self.cell, self.free.shape)
         return known & self.free[row, col]
 
@@ -248,7 +245,6 @@ class Ground:
         return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * self.cell
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
-        """The free point ``(2,)`` nearest to a point; None if there is none `within` this many metres, and for NaN."""
         xy = np.asarray(xy, dtype=np.float64)
         if not np.isfinite(xy).all():
             return None
@@ -262,7 +258,6 @@ class Ground:
         return nearest[best] if away[best] <= within else None
 
     def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
-        """A free point ``(2,)``, uniform over the cells of at least this `clearance` (m). `WorldError` if none."""
         cells = np.argwhere(self.free & (self.clearance >= clearance))
         if len(cells) == 0:
             raise WorldError(
@@ -273,11 +268,7 @@ class Ground:
 
     # --- distances ---
 
-    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> Field:
-        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``, metres; each starts at its offset ``(n,)`` or 0.
-
-        Points that are not free are ignored: if none is free, every distance is inf.
-        """
+    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> DistanceField:
         points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         points, starts = points[stand], starts[stand]
@@ -291,17 +282,14 @@ class Ground:
             usable[:, corner] &= usable[:, one] & usable[:, other]
         return self._spread(index[usable], away[usable])
 
-    def field_to_places(self, places: np.ndarray) -> Field:
-        """Distances to the nearest of places ``(n, 3)`` at the feet, metres: of those on this floor that are free."""
+    def field_to_places(self, places: np.ndarray) -> DistanceField:
         places = np.asarray(places, dtype=np.float64).reshape(-1, 3)
         return self.field(places[np.abs(places[:, 2] - self.floor) <= STOREY, :2])
 
-    def at_points(self, way: Field) -> np.ndarray:
-        """Metres ``(n,)`` of a field of this ground at all `points`."""
+    def at_points(self, way: DistanceField) -> np.ndarray:
         return way.metres[self.free]
 
-    def footprint(self, instance: Instance) -> Field:
-        """Distances to the footprint of an instance, metres, via points `beside` it; inf everywhere without any."""
+    def footprint(self, instance: Instance) -> DistanceField:
         seeds, away = self._beside(instance)
         return self._spread(seeds, away / self.cell)
 
@@ -352,8 +340,8 @@ class Ground:
         early = (1 - share) * gap[:, None] > 1.5 * self.cell
         return np.any(hit, axis=1), np.any(hit & early, axis=1)
 
-    def _spread(self, seeds: np.ndarray, offsets: np.ndarray) -> Field:
-        return Field(self.origin, self.cell, self._graph.spread(seeds, offsets) * self.cell)
+    def _spread(self, seeds: np.ndarray, offsets: np.ndarray) -> DistanceField:
+        return DistanceField(self.origin, self.cell, self._graph.spread(seeds, offsets) * self.cell)
 
     @lazy
     def _graph(self) -> CellGraph:
@@ -367,13 +355,13 @@ class Ground:
     def _walls(self) -> Walls:
         return Walls(self.free.astype(np.uint8).tobytes(), self.clearance.ravel().tolist(), self.free.shape[1])
 
-    def path(self, start: np.ndarray, goal: np.ndarray | Field) -> np.ndarray:
+    def path(self, start: np.ndarray, goal: np.ndarray | DistanceField) -> np.ndarray:
         """The shortest path ``(n, 2)`` from a free point to another, or down a field to its goal.
 
         Taut, over free cells only. With the field of a footprint it ends at the free cell beside it. Raises
         `WorldError` if the start is not free or there is no path.
         """
-        field = goal if isinstance(goal, Field) else self.field(goal)
+        field = goal if isinstance(goal, DistanceField) else self.field(goal)
         x, y = (float(value) for value in start)
         row, col = self._cell_of(x, y)
         if not math.isfinite(field.metres[row, col]):
@@ -383,9 +371,9 @@ class Ground:
         cells = self._graph.descend(field.metres / self.cell, row, col)
         ox, oy = float(self.origin[0]), float(self.origin[1])
         points = [((x - ox) / self.cell, (y - oy) / self.cell), *((c + 0.5, r + 0.5) for r, c in cells)]
-        if not isinstance(goal, Field):
+        if not isinstance(goal, DistanceField):
             points.append(((float(goal[0]) - ox) / self.cell, (float(goal[1]) - oy) / self.cell))
-        taut = pulled(points, self._walls.sees)
+        taut = string_pull(points, self._walls.sees)
         return self.origin + np.array(taut) * self.cell
 
     # --- steps ---

@@ -33,8 +33,8 @@ from eagor.conventions import (
     xyzw_from_rotation,
 )
 from eagor.errors import EagorError, FormatError, WorldError
+from eagor.lab.worlds.navmesh import NavMesh
 from eagor.lab.worlds.scene import Scene
-from eagor.lab.worlds.walkable import Walkable
 from eagor.queries import SYNONYMS
 
 HM3D_CATEGORIES = ("chair", "bed", "plant", "toilet", "tv_monitor", "sofa")  # in the order of their ids
@@ -107,7 +107,7 @@ def read_category(category: str) -> str:
     return SYNONYMS.get(words, words)
 
 
-def check_scene(episode: Episode, scene: Scene, ground: Walkable) -> None:
+def check_scene(episode: Episode, scene: Scene, ground: NavMesh) -> None:
     """Raise `WorldError` if the episode was made for another scene than this one or an import of its export.
 
     Also if it was made for a body of another radius, which takes other paths. Episodes of others are not marked.

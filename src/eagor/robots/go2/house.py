@@ -23,9 +23,9 @@ from eagor._values import lazy
 from eagor.errors import DeviceError, EagorError, QueryError, WorldError
 from eagor.lab import worlds
 from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.navmesh import stroll
 from eagor.lab.worlds.render import PAINTS, Ball, Renderer, with_ball
 from eagor.lab.worlds.scene import STRUCTURE, Scene
-from eagor.lab.worlds.walkable import stroll
 from eagor.media import Pose
 from eagor.queries import COLOURS, Query, parse_query
 from eagor.sphere import world_R_body

@@ -18,8 +18,8 @@ from eagor.lab.envs.rules import Camera, TrackingRules
 from eagor.lab.tasks.sim.play import Played
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import Metric, degrees
+from eagor.lab.worlds.navmesh import follow_path, stroll
 from eagor.lab.worlds.render import PAINTS, Ball, Frame, with_ball
-from eagor.lab.worlds.walkable import follow_path, stroll
 from eagor.queries import Query
 from eagor.sphere import world_R_body
 

@@ -21,7 +21,7 @@ from eagor.lab.envs.rules import LEGS, Camera, WaypointRules
 from eagor.lab.tasks.sim.play import Played
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import degrees
-from eagor.lab.worlds.walkable import follow_path, initial_heading
+from eagor.lab.worlds.navmesh import follow_path, initial_heading
 from eagor.sphere import world_R_body
 
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres

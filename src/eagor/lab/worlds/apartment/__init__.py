@@ -33,7 +33,7 @@ from eagor.lab.worlds.scene import STRUCTURE, Instance, Lamp, Material, Room, Sc
 __all__ = ["CATEGORIES", "REQUIRED", "VERSION", "generate"]
 
 _ATTEMPTS = 40
-VERSION = "1"
+VERSION = "2"
 CATEGORIES = (*STRUCTURE, *sorted(KINDS))  # all that an apartment can have; it always has those in REQUIRED
 
 

@@ -25,8 +25,8 @@ from eagor.lab.worlds.apartment.mesh import (
     moved,
     part,
     placed,
-    projected,
     quad_triangles,
+    solid,
     tube,
 )
 from eagor.lab.worlds.apartment.placement import GAP, Piece, from_rectangle, overlaps
@@ -234,7 +234,7 @@ def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -
     corners[:, first], corners[:, second] = a[[0, 1, 1, 0]], b[[0, 0, 1, 1]]
     if (sign < 0) != (axis == 1):  # x, z runs clockwise seen from +y
         corners = corners[::-1]
-    return projected(corners, quad_triangles(1), None)
+    return solid(corners, quad_triangles(1))
 
 
 @dataclass(frozen=True, eq=False)

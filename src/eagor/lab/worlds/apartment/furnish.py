@@ -70,53 +70,28 @@ def lounge(f: Furnisher, room: int) -> bool:
 def easy_seat(f: Furnisher, room: int) -> bool:
     """An armchair beside the coffee table, turned to it, or one at a wall."""
     chair = f.make("armchair")
-    size = chair.size
-    sites = along_walls(f.floor, room, size, f.rng, corner=0.4, side=0.1, gap=0.08)
+    sites = along_walls(f.floor, room, chair.size, f.rng, corner=0.4, side=0.1, gap=0.08)
     for low_table in f.of("coffee table", room):
-        turn = np.concatenate([f.rng.uniform(0.9, 2.2, 14), -f.rng.uniform(0.9, 2.2, 14)])
-        away = f.rng.uniform(0.25, 0.6, 28) + size[0] / 2 + low_table.box[2:4].max()
-        boxes = np.empty((28, 5))
-        boxes[:, :2], boxes[:, 2:4], boxes[:, 4] = low_table.box[:2], size[:2] / 2, low_table.box[4] + turn
-        boxes = advanced(boxes, away)
-        boxes[:, 4] = np.remainder(boxes[:, 4], 2 * math.pi) - math.pi
-        scores = 1.0 + f.rng.uniform(0, 0.5, 28) - 0.3 * np.abs(np.abs(turn) - 1.5)
-        sites = joined(sites, Sites(boxes, scores))
+        turns = f.rng.uniform(0.9, 2.2, 20) * f.rng.choice([-1, 1], 20)
+        away = f.rng.uniform(0.25, 0.6, 20) + chair.size[0] / 2 + low_table.box[2:4].max()
+        boxes = advanced(np.array([relative(low_table.box, 0, 0, chair.size, turn) for turn in turns]), away)
+        boxes = reversed_(boxes)
+        sites = joined(sites, Sites(boxes, 1.0 + f.rng.uniform(0, 0.5, 20)))
     return f.settle(chair, room, sites, front=0.2, reserve=False) is not None
-
-
-def second_sofa(f: Furnisher, room: int) -> None:
-    """Another sofa, across the corner of the coffee table from the first, or at a wall."""
-    sofa = f.make("sofa")
-    sites = along_walls(f.floor, room, sofa.size, f.rng, middle=0.3)
-    for low_table in f.of("coffee table", room):
-        across = float(low_table.box[3] + sofa.size[0] / 2) + f.rng.uniform(0.36, 0.5, 8)
-        beside = [
-            relative(low_table.box, float(f.rng.uniform(-0.3, 0.5)), side * out, sofa.size, -side * math.pi / 2)
-            for out in across
-            for side in (1, -1)
-        ]
-        sites = joined(sites, Sites(np.array(beside), 1.0 + f.rng.uniform(0, 0.5, len(beside))))
-    f.settle(sofa, room, sites, front=0.3, reserve=False)
 
 
 def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
     """A table with `least` to `most` equal chairs round it that face it."""
     table, chair = f.make("table"), f.make("chair", f.habits["chair"])
-    size = table.size
-    flat = along_walls(f.floor, room, size, f.rng, middle=0.3, gap=0.06)
-    end_on = along_walls(f.floor, room, size[[1, 0, 2]], f.rng, middle=0.3, gap=0.06)
-    end_on.boxes[:, 2:] = end_on.boxes[:, [3, 2, 4]] + [0.0, 0.0, math.pi / 2]
-    free = in_room(f.floor, room, size, f.rng)
-    sites = joined(free, Sites(flat.boxes, flat.scores - 1.6), Sites(end_on.boxes, end_on.scores - 1.6))
+    flat = along_walls(f.floor, room, table.size, f.rng, middle=0.3, gap=0.06)
+    sites = joined(in_room(f.floor, room, table.size, f.rng), Sites(flat.boxes, flat.scores - 1.6))
     good = f.floor.fits(room, sites.boxes, (0.0, table.height))
     wanted = int(f.rng.integers(least, most + 1))
-    options = []
-    for rank, place in enumerate(sites.best(good, 14)):
+    for place in sites.best(good, 14):
         seats = _round_table(f, sites.boxes[place], chair.size, wanted)
-        fits = f.floor.fits(room, seats, (0.0, chair.height))
-        options.append((min(int(fits.sum()), wanted) - 0.2 * rank, sites.boxes[place], seats[fits][:wanted]))
-    for _, place, seats in sorted(options, key=lambda option: -option[0]):
-        if len(seats) >= least and f.set_down([(table, place), *((chair, seat) for seat in seats)], room):
+        seats = seats[f.floor.fits(room, seats, (0.0, chair.height))][:wanted]
+        group = [(table, sites.boxes[place]), *((chair, seat) for seat in seats)]
+        if len(seats) >= least and f.set_down(group, room):
             return True
     return False
 
@@ -163,14 +138,11 @@ def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray, wanted: int
     """Places ``(n, 5)`` for chairs of one size round a table, the most natural first."""
     depth, width = float(chair[0]), float(chair[1])
     hx, hy = float(table[2]), float(table[3])
-    square = abs(hx - hy) < 0.1
-    count = 1 if square else max(1, int(2 * hy / (width + 0.12)))
-    slots = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
-    heads = [(1, 0.0, False), (-1, 0.0, False)]
+    count = 1 if abs(hx - hy) < 0.1 else max(1, int(2 * hy / (width + 0.12)))
+    sides = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
     places = []
-    for sign, left, long_side in slots + heads if not square and wanted > 2 else [*slots, *heads]:
-        out = float(f.rng.uniform(0.05, 0.12)) + depth / 2
-        turn = float(f.rng.uniform(-0.07, 0.07))
+    for sign, left, long_side in [*sides, (1, 0.0, False), (-1, 0.0, False)]:
+        out, turn = float(f.rng.uniform(0.05, 0.12)) + depth / 2, float(f.rng.uniform(-0.07, 0.07))
         if long_side:
             places.append(relative(table, sign * (hx + out), left, chair, (math.pi if sign > 0 else 0.0) + turn))
         else:
@@ -212,28 +184,16 @@ def _opposite(face: WallFace, other: WallFace) -> bool:
 
 def fit_kitchen(f: Furnisher, room: int) -> bool:
     """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
-    start = f.mark()
-
-    def width(model: Model) -> float:
-        return float(model.size[1])
-
-    sink = min((f.make("sink", "grey") for _ in range(2)), key=width)
-    units = {"sink": sink, "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
-    first = f.make("cabinet")
-    cabinets = sorted([first, *(f.make("cabinet", first.colour) for _ in range(2))], key=width)
+    start, first = f.mark(), f.make("cabinet")
+    units = {"sink": f.make("sink", "grey"), "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
+    cabinets = [first, *(f.make("cabinet", first.colour) for _ in range(2))]
     for row in map(str.split, _ROWS):
-        if row.count("cabinet") == 2:
-            choices = [[made, made] for made in (cabinets[1], cabinets[0])]  # both with the same worktop
-        else:
-            choices = [cabinets[i : i + 1] for i in (2, 1, 0)] if "cabinet" in row else [[]]
-        for choice in choices:
-            bases = iter(choice)
-            if not _row(f, room, [units[c] if c in units else next(bases) for c in row]):
-                continue
-            rest = [units[c] for c in units if c not in row] + ([] if "cabinet" in row else cabinets[:1])
-            if all([_at_wall(f, room, made, 0.6) for made in rest]):
-                return True
-            f.back_to(start)
+        for cabinet in sorted(cabinets, key=lambda made: -made.size[1])[0 if "cabinet" in row else 2 :]:
+            every = units | {"cabinet": cabinet}
+            if _row(f, room, [every[name] for name in row]):
+                if all([_at_wall(f, room, made, 0.6) for name, made in every.items() if name not in row]):
+                    return True
+                f.back_to(start)
     return False
 
 
@@ -335,8 +295,9 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
         if floor.rooms[room].area > 11 and f.of("bed", room)[0].box[3] < 0.65 and rng.random() < 0.5:
             sleeping(f, room)
     for room in _of(kinds, "living room"):
-        if floor.rooms[room].area > 17 and rng.random() < 0.5:
-            second_sofa(f, room)
+        if floor.rooms[room].area > 17 and rng.random() < 0.5:  # a second sofa
+            sofa = f.make("sofa")
+            f.settle(sofa, room, along_walls(floor, room, sofa.size, rng, middle=0.3), front=0.3, reserve=False)
         for _ in range(int(rng.integers(0, 3))):
             easy_seat(f, room)
     for room in rng.permutation(len(kinds)).tolist():

@@ -15,8 +15,7 @@ import numpy as np
 
 from eagor._arrays import frozen
 from eagor._srgb import to_coded, to_linear
-from eagor.lab.worlds.apartment.canvas import noise, sRGB
-from eagor.lab.worlds.apartment.pictures import PICTURES
+from eagor.lab.worlds.apartment.pictures import PICTURES, noise, sRGB
 from eagor.lab.worlds.scene import Material
 
 # Metres that one repeat covers, in u and v. Leaves, lampshades, rugs, art, screens and books are drawn from edge to

@@ -1,4 +1,4 @@
-"""The ground of a scene in Habitat: `Walkable` over one storey of its navigation mesh.
+"""The ground of a scene in Habitat: `NavMesh` over one storey of its navigation mesh.
 
 Meshes have islands on roofs, beds and tables, and islands that run over stairs through several storeys. `main_storey`
 tells which is walked on: never a roof. Steps, paths and geodesic distances are those of Habitat's PathFinder. A plan of
@@ -20,8 +20,8 @@ from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.lab.worlds.ground import BESIDE, STOREY, Ground, checked_goals, largest_area
 from eagor.lab.worlds.habitat.simulator import Frames, import_habitat
+from eagor.lab.worlds.navmesh import DistanceField
 from eagor.lab.worlds.scene import Instance, Room
-from eagor.lab.worlds.walkable import Field
 
 BAND = STOREY  # metres above and below its floor that belong to a storey
 BIN = 0.1  # metres: heights within it count as one level
@@ -111,7 +111,7 @@ def _spots(triangles: np.ndarray, level: float) -> np.ndarray:
 CELL = 0.05  # metres: side of a cell, as of our own plans
 
 
-def rasterised(triangles: np.ndarray, storey: Storey, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
+def height_map(triangles: np.ndarray, storey: Storey, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
     """Habitat's y of the mesh at the middle of each cell ``(rows, cols)``, NaN off the storey, and the plan's origin.
 
     Where two levels of the storey lie over each other, the one nearer to its floor counts.
@@ -263,7 +263,7 @@ def _off_the_edge(surface: Surface, start: np.ndarray, moved: np.ndarray) -> np.
 
 
 @dataclass(frozen=True, eq=False)
-class NavWay:
+class NavMeshDistance:
     """Geodesic distances to the nearest of goals ``(n, 3)``, each starting at its offset ``(n,)``, metres.
 
     Goals are in Habitat's world, as Habitat is asked for them. `plan`: the same storey in cells, for `over_plan`.
@@ -275,7 +275,6 @@ class NavWay:
     offsets: np.ndarray
 
     def distance(self, xy: np.ndarray) -> np.ndarray:
-        """Metres ``(...)`` from points ``(..., 2)``; inf without a path, off the ground and for NaN."""
         points = np.asarray(xy, dtype=np.float64)
         flat = [self.nearest(point)[0] for point in points.reshape(-1, 2)]
         return np.array(flat).reshape(points.shape[:-1])
@@ -295,14 +294,13 @@ class NavWay:
                 best, which = metres, int(index)
         return best, which
 
-    def union(self, *others: NavWay) -> NavWay:
-        """The distance to the nearest goal of this one and the others."""
+    def union(self, *others: NavMeshDistance) -> NavMeshDistance:
         ways = (self, *others)
         goals, offsets = (np.concatenate([getattr(way, name) for way in ways]) for name in ("goals", "offsets"))
-        return NavWay(self.surface, self.plan, goals, offsets)
+        return NavMeshDistance(self.surface, self.plan, goals, offsets)
 
     @lazy
-    def over_plan(self) -> Field:
+    def over_plan(self) -> DistanceField:
         """The same over the plan, to its accuracy."""
         points, starts = [], []
         for goal, start in zip(self.surface.frames.from_habitat(self.goals)[:, :2], self.offsets, strict=True):
@@ -323,7 +321,7 @@ TRIES = 20  # random points until one is on the mesh
 Sees = Callable[[np.ndarray, Instance], bool]  # whether a body that stands at a point (2,) sees an instance
 
 
-class NavMesh:
+class HabitatNavMesh:
     """One storey of a navigation mesh.
 
     `pathfinder`: Habitat's; `level`: metres, heights within it are the floor itself; `sees`: tells from which points
@@ -336,15 +334,15 @@ class NavMesh:
     ) -> None:  # fmt: skip
         self.radius, self.rooms, self.source, self.level = radius, rooms, source, level
         self.sees: Sees | None = None
-        self._ways: dict[int, tuple[Instance, NavWay]] = {}
-        origin, heights = rasterised(triangles_of(pathfinder, storey.island), storey, frames)
+        self._ways: dict[int, tuple[Instance, NavMeshDistance]] = {}
+        origin, heights = height_map(triangles_of(pathfinder, storey.island), storey, frames)
         free = largest_area(np.isfinite(heights))
         if not free.any():
             raise WorldError(f"nowhere in {source} can a body of radius {radius:g} m stand on this storey")
         clearance = np.asarray(ndimage.distance_transform_edt(free)) * CELL + radius * free
         self.surface = Surface(pathfinder, storey, frames, origin, np.where(free, heights, np.nan), source)
         self.plan = Ground(origin, CELL, radius, 0.0, free, clearance, np.zeros_like(free), rooms)
-        # As in `eagor.lab.worlds.walkable`.
+        # As in `eagor.lab.worlds.navmesh`.
         self.origin, self.cell, self.floor = origin, CELL, 0.0
         self.free, self.clearance, self.structure, self.points = free, clearance, self.plan.structure, self.plan.points
 
@@ -356,24 +354,20 @@ class NavMesh:
         return self.surface.pathfinder
 
     def feet(self, xy: np.ndarray) -> np.ndarray:
-        """The point ``(3,)`` of Habitat's world at which a body stands at a point ``(2,)``, close to the mesh."""
         return self.surface.feet(xy)
 
     def height(self, xy: np.ndarray) -> float:
-        """Height of the ground under a point ``(2,)``: 0 on the floor of the storey, else that of the step or stair."""
         above = float(self.feet(xy)[1]) - self.surface.storey.level
         return above if abs(above) > self.level else 0.0
 
     # --- points ---
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
-        """Whether the body can stand at points ``(..., 2)``; False off the storey and for NaN."""
         points = np.asarray(xy, dtype=np.float64)
         flat = [self.surface.is_free(point) for point in points.reshape(-1, 2)]
         return np.array(flat, dtype=bool).reshape(points.shape[:-1])
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
-        """The free point ``(2,)`` nearest to a point, to a cell of the plan; None if none is `within`, and for NaN."""
         xy = np.asarray(xy, dtype=np.float64)
         if bool(self.is_free(xy)):
             return xy.copy()
@@ -384,7 +378,6 @@ class NavMesh:
         return centre.copy() if np.hypot(*(centre - xy)) <= within else None
 
     def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
-        """A free point ``(2,)``, uniform over the cells of at least this `clearance` (m). `WorldError` if none."""
         point = self.plan.sample(rng, clearance)
         for _ in range(TRIES):
             if bool(self.is_free(point)):
@@ -394,27 +387,24 @@ class NavMesh:
 
     # --- distances ---
 
-    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> NavWay:
-        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``; those that are not free are ignored."""
+    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> NavMeshDistance:
         points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         goals = np.array([self.feet(point) for point in points[stand]], dtype=np.float64).reshape(-1, 3)
-        return NavWay(self.surface, self.plan, goals, starts[stand])
+        return NavMeshDistance(self.surface, self.plan, goals, starts[stand])
 
-    def field_to_places(self, places: np.ndarray) -> NavWay:
+    def field_to_places(self, places: np.ndarray) -> NavMeshDistance:
         """Distances to the nearest of places ``(n, 3)``, our world, as habitat-lab measures them (`Surface.between`).
 
         Places beside the mesh, or on another storey, count as well.
         """
         goals = self.surface.frames.to_habitat(np.asarray(places, dtype=np.float64).reshape(-1, 3))
-        return NavWay(self.surface, self.plan, goals, np.zeros(len(goals)))
+        return NavMeshDistance(self.surface, self.plan, goals, np.zeros(len(goals)))
 
-    def at_points(self, way: NavWay) -> np.ndarray:
-        """Metres ``(n,)`` of a way from all `points`, over the plan."""
+    def at_points(self, way: NavMeshDistance) -> np.ndarray:
         return self.plan.at_points(way.over_plan)
 
-    def footprint(self, instance: Instance) -> NavWay:
-        """Distances to the footprint of an instance, via points `beside` it; inf everywhere without any."""
+    def footprint(self, instance: Instance) -> NavMeshDistance:
         if id(instance) not in self._ways:
             self._ways[id(instance)] = instance, self.field(*self.beside(instance))
         return self._ways[id(instance)][1]
@@ -438,14 +428,14 @@ class NavMesh:
                 return points[kept], away[kept]
         return points[chosen[:1]], away[chosen[:1]]
 
-    def path(self, start: np.ndarray, goal: np.ndarray | NavWay) -> np.ndarray:
+    def path(self, start: np.ndarray, goal: np.ndarray | NavMeshDistance) -> np.ndarray:
         """The shortest path ``(n, 2)`` from a free point to another, or along a way to its goal.
 
         Raises `WorldError` if the start is not free or there is no path.
         """
         start = np.asarray(start, dtype=np.float64)
         self.surface.check_free(start)
-        if isinstance(goal, NavWay):
+        if isinstance(goal, NavMeshDistance):
             index = goal.nearest(start)[1]
             place = goal.goals[index] if index >= 0 else None
             end = None if place is None else self.surface.frames.from_habitat(place)[:2]

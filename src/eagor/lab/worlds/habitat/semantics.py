@@ -20,15 +20,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import msgspec
 import numpy as np
 
-from eagor._checks import parsed, shown
+from eagor._checks import shown
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
-from eagor.lab.worlds.glb import Area, Thing
+from eagor.lab.worlds.glb import read_semantics
 from eagor.lab.worlds.habitat.simulator import Frames, Labels, Session, euclidean
 from eagor.lab.worlds.objectnav import read_category
 from eagor.lab.worlds.scene import Instance, Room
@@ -153,20 +152,13 @@ def beside(scene_file: Path | None) -> Path | None:
     return next((place for place in places if place.is_file()), None)
 
 
-class _Boxes(msgspec.Struct):
-    format: Literal["eagor semantic 1", "eagor boxes 1"]
-    instances: list[Thing] = []
-    boxes: list[Thing] = []
-    rooms: list[Area] = []
-
-
 def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[Room, ...]]:
     """The instances and rooms in a file of boxes. Raises `WorldError` if it is missing or malformed."""
     try:
-        known = msgspec.convert(parsed(file.read_bytes()), _Boxes)
+        known = read_semantics(file.read_bytes())
         ours = known.format != BOXES
         instances = []
-        for thing in (entry.instance() for entry in (known.instances if ours else known.boxes)):
+        for thing in known.instances if ours else known.boxes:
             low, high, colour = thing.low, thing.high, thing.colour
             if bool(np.any(low > high)):
                 raise ValueError(f"a box from {low.tolist()} to {high.tolist()}")
@@ -179,12 +171,12 @@ def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[
             instances.append(replace(thing, category=read_category(thing.category), low=low, high=high))
     except OSError as error:
         raise WorldError(f"{file} cannot be read ({error.strerror}); wanted a file of boxes") from error
-    except (ValueError, msgspec.ValidationError) as error:
+    except ValueError as error:
         raise WorldError(
             f"{file} cannot be used ({str(error)[:200]}); wanted what export_glb writes, or "
             f'{{"format": "{BOXES}", "boxes": [{{"category", "low", "high"}}, ...]}}'
         ) from error
-    return tuple(instances), tuple(area.made() for area in known.rooms if ours)
+    return tuple(instances), tuple(known.rooms if ours else ())
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.lab.worlds import World, WorldOf
 from eagor.lab.worlds.glb import LAB_VOXEL, voxel_for
-from eagor.lab.worlds.habitat.navmesh import LEVEL, NavMesh, Storey, main_storey
+from eagor.lab.worlds.habitat.navmesh import LEVEL, HabitatNavMesh, Storey, main_storey
 from eagor.lab.worlds.habitat.semantics import Box, Things, beside, seen_boxes, things_of
 from eagor.lab.worlds.habitat.simulator import Frames, HabitatView, Session, Source, import_habitat
 from eagor.lab.worlds.objectnav import LAB_CLIMB, LAB_SLOPE
@@ -272,7 +272,7 @@ def roofed(view: HabitatView, feet: np.ndarray) -> float:
     return float(np.isfinite(_looks(view, feet)[:, 0]).mean()) if len(feet) else 0.0
 
 
-def true_floor(view: HabitatView, mesh: NavMesh, options: Options) -> float:
+def true_floor(view: HabitatView, mesh: HabitatNavMesh, options: Options) -> float:
     """The height of the true floor, Habitat's y: what lies below points of the mesh.
 
     Raises `WorldError` if the mesh does not lie on what is drawn, or if the scene seems to lie on its side and nothing
@@ -325,11 +325,9 @@ class HabitatScene:
 
     @property
     def zero(self) -> float:
-        """Habitat's y of our z = 0."""
         return self.frames.floor
 
     def view(self) -> HabitatView:
-        """The renderer."""
         return self._view
 
     @lazy
@@ -337,11 +335,9 @@ class HabitatScene:
         return HabitatView(self.session, self.frames, self.things.labels)
 
     def close(self) -> None:
-        """Close the simulator; the next look opens it again."""
         self.session.close()
 
-    def ground(self, radius: float) -> NavMesh:
-        """The navigation mesh of the storey for a body of this radius, metres. Raises `WorldError` without room."""
+    def ground(self, radius: float) -> HabitatNavMesh:
         return _ground(self, radius)
 
     def sees(self, xy: np.ndarray, thing: Instance, floor: float = 0.0) -> bool:
@@ -363,7 +359,7 @@ def open_scene(text: str) -> HabitatScene:
     sim = session.sim
     name = file.name if file else options.scene
     raw = HabitatView(session, Frames(), None)
-    mesh = NavMesh(*_storey(options, file, raw, RADIUS, options.storey, name), Frames(), RADIUS, source=name)
+    mesh = HabitatNavMesh(*_storey(options, file, raw, RADIUS, options.storey, name), Frames(), RADIUS, source=name)
     frames = Frames(true_floor(raw, mesh, options))
     things = things_of(sim, file, boxes, frames, lambda: _seen(session, mesh))
     files = [path for path in (file, dataset, boxes, beside(file), _stage_file(sim)) if path is not None]
@@ -386,19 +382,19 @@ def _storey(
     return pathfinder, main_storey(pathfinder, lambda feet: roofed(raw, feet), height, source)
 
 
-def _seen(session: Session, mesh: NavMesh) -> Mapping[int, Box]:
+def _seen(session: Session, mesh: HabitatNavMesh) -> Mapping[int, Box]:
     """What is seen of each semantic id from places all over a mesh, Habitat's world."""
     spots = mesh.points[:: max(1, len(mesh.points) // SPOTS)]
     return seen_boxes(session, np.array([mesh.feet(xy) for xy in spots], dtype=np.float64) + np.array([0.0, EYE, 0.0]))
 
 
 @lru_cache(maxsize=16)
-def _ground(scene: HabitatScene, radius: float) -> NavMesh:
+def _ground(scene: HabitatScene, radius: float) -> HabitatNavMesh:
     raw = HabitatView(scene.session, Frames(), None)
     on_storey = _storey(scene.options, scene.file, raw, radius, scene.storey, scene.source)
     # A body of habitat-lab stands on the mesh, and its path counts each difference of height.
     level = LEVEL if scene.options.body is None else 0.0
-    found = NavMesh(*on_storey, scene.frames, radius, scene.rooms, scene.source, level)
+    found = HabitatNavMesh(*on_storey, scene.frames, radius, scene.rooms, scene.source, level)
     found.sees = lambda xy, thing: scene.sees(xy, thing, found.height(xy))
     return found
 

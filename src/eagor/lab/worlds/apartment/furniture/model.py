@@ -130,7 +130,7 @@ def facing(mesh: Mesh, at: tuple[float, float, float]) -> Mesh:
 
 def knob(x: float, y: float, z: float, size: float = 0.015) -> Mesh:
     """A turned knob of radius `size`, on a front at `x` that faces +x."""
-    profile = [(0.4 * size, 0), (0.45 * size, 0.5 * size), (size, size), (0.8 * size, 1.6 * size), (0, 1.8 * size)]
+    profile = [(0.45 * size, 0), (size, size), (0.8 * size, 1.6 * size), (0, 1.8 * size)]
     return facing(lathe(profile, 8), (x, y, z))
 
 

@@ -1,6 +1,6 @@
 """The ground that tasks walk on, whoever holds it, and shortest paths over cells of it.
 
-`Walkable` is the part of `eagor.lab.worlds.ground.Ground` that tasks and reports use; another simulator's navigation
+`NavMesh` is the part of `eagor.lab.worlds.ground.Ground` that tasks and reports use; another simulator's navigation
 mesh has it, too. Paths over it are polylines, from which `follow_path` and `stroll` make one pose per step.
 
 In a grid of free cells, every cell is joined to 32 neighbours (steps of up to three cells that are not a multiple of a
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from eagor.lab.worlds.scene import Instance
 
 
-class Way(Protocol):
+class GeodesicDistance(Protocol):
     """Shortest distances over a ground to one goal or set of goals."""
 
     def distance(self, xy: np.ndarray, /) -> np.ndarray:
         """Metres ``(...)`` from points ``(..., 2)``; inf without a path, off the ground and for NaN."""
         ...
 
-    def union(self, *others: Any) -> Way:
+    def union(self, *others: Any) -> GeodesicDistance:
         """The distance to the nearest goal of this one and the others, on the same ground."""
         ...
 
 
-class Walkable(Protocol):
+class NavMesh(Protocol):
     """Where a round body can stand, path lengths, and steps with collisions; metres, world frame.
 
     A point is ``(2,)``: x and y. The plan is for maps and for choosing places: square cells of side `cell`, cell (0, 0)
@@ -94,15 +94,15 @@ class Walkable(Protocol):
         """A random free point of at least this `clearance` (m). Raises `WorldError` if there is none."""
         ...
 
-    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> Way:
+    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> GeodesicDistance:
         """Distances to the nearest of points ``(n, 2)`` or ``(2,)``; each starts at its offset ``(n,)`` or 0."""
         ...
 
-    def field_to_places(self, places: np.ndarray, /) -> Way:
+    def field_to_places(self, places: np.ndarray, /) -> GeodesicDistance:
         """Distances to the nearest of places ``(n, 3)`` at the feet, whatever the ground knows of other storeys."""
         ...
 
-    def footprint(self, instance: Instance, /) -> Way:
+    def footprint(self, instance: Instance, /) -> GeodesicDistance:
         """Distances to the footprint of an instance, via points `beside` it; inf everywhere without any."""
         ...
 
@@ -155,7 +155,7 @@ def follow_path(path: np.ndarray, yaw: float, step: float, turn: float) -> np.nd
     return np.array(rows)
 
 
-def stroll(ground: Walkable, start: np.ndarray, step: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
+def stroll(ground: NavMesh, start: np.ndarray, step: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """Points ``(2,)`` without end, `step` metres apart: along paths from `start` to one random goal after another."""
     last = np.asarray(start, dtype=np.float64)
     yield last
@@ -199,7 +199,7 @@ def cells_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class DistanceField:
     """Shortest distances over the ground to one goal or set of goals.
 
     `metres` ``(rows, cols)``: from the centre of each cell, inf without a path. Cell (0, 0) has its low corner at
@@ -231,9 +231,10 @@ class Field:
             weights = weights + np.where(usable, weight, 0.0)
         return np.where(np.isfinite(here), total / np.maximum(weights, 1e-12), np.inf)
 
-    def union(self, *others: Field) -> Field:
-        """The distance to the nearest goal of this field and the others, on the same ground."""
-        return Field(self.origin, self.cell, np.minimum.reduce([self.metres, *(other.metres for other in others)]))
+    def union(self, *others: DistanceField) -> DistanceField:
+        return DistanceField(
+            self.origin, self.cell, np.minimum.reduce([self.metres, *(other.metres for other in others)])
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,7 +312,7 @@ class CellGraph:
             way.append(here)
 
 
-def pulled(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
+def string_pull(points: list[tuple[float, float]], sees: Callable[[tuple, tuple], bool]) -> list[tuple[float, float]]:
     """The taut polyline: corners are left out where the straight line between others is free.
 
     It runs from both ends until the path gets no shorter; new corners half-way along the legs let outer ones move in.
