@@ -73,7 +73,7 @@ def test_occluded_is_what_cast_finds_within_reach(count, seed, reach):
 def test_without_embree_the_error_says_what_does_without(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex", None)
     monkeypatch.delitem(sys.modules, "embreex.mesh_construction", raising=False)
-    with pytest.raises(MissingExtraError, match=r"pip install .*\[sim\].*eagor\.worlds\.painted"):
+    with pytest.raises(MissingExtraError, match=r"pip install .*\[sim\].*eagor\.lab\.worlds\.painted"):
         Raycaster(*box())
 
 
