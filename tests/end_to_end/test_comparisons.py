@@ -10,9 +10,10 @@ import pytest
 import synthetic_runs
 
 from eagor.cli import main
-from eagor.lab.envs.episodes import slots
+from eagor.lab.envs.episodes import episode_specs
 from eagor.lab.eval import log, studies
-from eagor.lab.tasks.sim import play, task
+from eagor.lab.tasks import task
+from eagor.lab.tasks.sim import play
 from eagor.lab.tasks.sim.tracking import TRACKING
 
 OURS_ALONE = replace(TRACKING, name="mine", title="Mine")  # as a package would bring it
@@ -153,7 +154,7 @@ def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_p
     for record in records:
         record["episode"] |= {"world": "apartment", "index": int(record["episode"]["id"].partition("-")[2])}
     cases = answer("failures", synthetic_runs.write_run(tmp_path / "run", records))["cases"]
-    wanted = {slot.id: asdict(slot) for slot in slots("tracking", 15, 2000)}
+    wanted = {spec.id: asdict(spec) for spec in episode_specs("tracking", 15, 2000)}
     assert len(cases) == 9
     assert all(case["unit"]["slot"] == wanted[case["case"]] for case in cases)
 

@@ -321,7 +321,7 @@ def score(options: BenchScore) -> int:
 def _simulated(options: BenchRun) -> Planned:
     from eagor.cli.checks import calibrated, check_looks, checked_rows
     from eagor.lab.agents.methods import default_methods
-    from eagor.lab.envs.rules import Disturbances
+    from eagor.lab.envs.rules import NoiseModel
     from eagor.lab.eval.simulated import Run, named, variants
 
     checked_rows(options.rows)
@@ -344,7 +344,7 @@ def _simulated(options: BenchRun) -> Planned:
         methods=methods,
         world=options.world,
         rows=options.rows,
-        disturbances=(Disturbances.walking if options.walking else Disturbances)(latency=options.latency),
+        disturbances=(NoiseModel.walking if options.walking else NoiseModel)(latency=options.latency),
         calibrated=calibrated(perception, options.calibration, options.detector, options.force),
         settings=pairs_of(options.set),
         episodes_file=options.episodes_file,

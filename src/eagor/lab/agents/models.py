@@ -21,7 +21,7 @@ import numpy as np
 
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
-from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.perception import Perception, load, local_model, look, parse_options
 from eagor.perception.calibrated import from_json
 from eagor.perception.vlm import Chat, Message
@@ -29,17 +29,19 @@ from eagor.queries import Named
 
 
 class EpisodePerception:
-    """A perception in the episode of a slot: it looks once per step.
+    """A perception in the episode of a spec: it looks once per step.
 
     One that reads instance ids begins an episode among `things` (indexed by instance id). Its mistakes are the same
     each time, and others for another `purpose`.
     """
 
-    def __init__(self, perception: Any, slot: Slot, things: Sequence[Named], purpose: str = "perception") -> None:
+    def __init__(
+        self, perception: Any, spec: EpisodeSpec, things: Sequence[Named], purpose: str = "perception"
+    ) -> None:
         self._privileged = is_privileged(perception)
         self._sees: Callable[..., Evidence] = partial(look, perception)
         if self._privileged:
-            self._sees = perception.episode(things, int(slot.rng(purpose).integers(1 << 31)))
+            self._sees = perception.episode(things, int(spec.rng(purpose).integers(1 << 31)))
         self.source: dict[str, Any] = {}
         self.milliseconds: list[float] = []
         self.looks = 0

@@ -17,8 +17,7 @@ from scipy import ndimage
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, WorldError
-from eagor.lab.agents.floor_map import CELL, FLOOR, FloorMap
-from eagor.lab.agents.search_space import looked_along
+from eagor.lab.agents.search_space import CELL, FLOOR, FloorMap, looked_along
 from eagor.lab.envs.rules import Camera, from_dict
 from eagor.lab.eval import page
 from eagor.lab.eval.page import Part, blank, colour_of, finished, legend, look_of, style_of
@@ -93,7 +92,7 @@ def _on_plan(known: FloorMap, ground: Walkable) -> np.ndarray:
     at = np.moveaxis((points - known.origin) / CELL - 0.5, -1, 0)[::-1]
     floor = (known.state == FLOOR).astype(float)
     shown = ndimage.map_coordinates(floor, at, order=1, mode="constant")
-    found = ndimage.map_coordinates(floor * (1.0 - known.worth), at, order=1, mode="constant")
+    found = ndimage.map_coordinates(floor * (1.0 - known.miss_cost), at, order=1, mode="constant")
     seen = (shown >= HALF) & ~ground.structure  # cells of looks are larger than walls, and reach behind them:
     pieces = np.zeros(seen.shape, dtype=np.int32)
     ndimage.label(seen, output=pieces)

@@ -12,11 +12,18 @@ from eagor import plugins
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.lab import worlds
-from eagor.lab.agents.methods import NAMES, ORACLE, TrackerMethod, fitted, make_method
+from eagor.lab.agents.methods import NAMES, ORACLE, TrackerEstimator, fitted, make_estimator
 from eagor.lab.agents.models import shared
-from eagor.lab.envs.episodes import PER_PLACE, Slot, listed_slots, scene_files, slot_of, slots
+from eagor.lab.envs.episodes import (
+    PER_PLACE,
+    EpisodeSpec,
+    episode_specs,
+    file_episode_specs,
+    scene_files,
+    spec_from_json,
+)
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
-from eagor.lab.envs.rules import Camera, Disturbances, as_dict, from_dict
+from eagor.lab.envs.rules import Camera, NoiseModel, as_dict, from_dict
 from eagor.lab.eval import page, runner, scenes, sheets, tables
 from eagor.lab.eval.page import Part, Section, Sheet, could_not
 from eagor.lab.eval.runner import Outcome, Unit
@@ -24,7 +31,7 @@ from eagor.lab.eval.samples import LEVEL, RESAMPLES, Record, computing_time, fin
 from eagor.lab.eval.study import LoadedRun, Report, Settings, Study, Summary, Worst, table_csv, words
 from eagor.lab.eval.tables import OURS, PAPERS, is_rival, shown
 from eagor.lab.tasks import task as tasks
-from eagor.lab.tasks.sim.play import Player, Seen
+from eagor.lab.tasks.sim.play import Runner, StepInfo
 from eagor.lab.tasks.task import Task
 from eagor.perception import rows_of
 from eagor.perception.calibrated import Calibrated
@@ -51,7 +58,7 @@ class Run:
     methods: tuple[str, ...] = NAMES
     world: str = APARTMENT
     rows: int | None = None
-    disturbances: Disturbances = field(default_factory=Disturbances)
+    disturbances: NoiseModel = field(default_factory=NoiseModel)
     calibrated: Calibrated | None = None
     settings: dict[str, Any] = field(default_factory=dict)
     episodes_file: Path | None = None
@@ -69,7 +76,7 @@ class Run:
         task = tasks.load(self.task)
         for name in self.methods:
             if name != ORACLE or not task.walked:
-                make_method(name, np.random.default_rng(0))  # complains about unknown ones
+                make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(self.methods)) != len(self.methods) or not self.methods:
             raise EagorError(f"methods {list(self.methods)}; wanted at least one, each once")
         if self.episodes_file is None and self.world != APARTMENT:
@@ -77,9 +84,9 @@ class Run:
         if self.episodes_file is not None and task.listed is None:
             able = ", ".join(name for name in tasks.known() if tasks.load(name).listed is not None)
             raise EagorError(f"{self.task} plays no episodes of a file; {able} does")
-        slots = self.slots()  # complains about a file that cannot be played
+        specs = self.specs()  # complains about a file that cannot be played
         if self.episodes_file is not None and self.world != APARTMENT:
-            _try_world(slots)
+            _try_world(specs)
         begin = task.rules() if self.episodes_file is None else task.rules.objectnav()  # type: ignore[attr-defined]
         parts = {"rules": begin, "camera": Camera(), "disturbances": self.disturbances}
         values = {name: as_dict(part) for name, part in parts.items()}
@@ -96,9 +103,9 @@ class Run:
         return {
             "task": self.task,
             "perception": self.perception,
-            "episodes": len(slots),
+            "episodes": len(specs),
             "seed": self.seed,
-            "development": _tuned_on(slots),
+            "development": _tuned_on(specs),
             **self._listed(),
             "methods": list(self.methods),
             "fitted": {
@@ -111,11 +118,13 @@ class Run:
             "versions": {"eagor": __version__, "apartment": VERSION, **self._plugins()},
         }
 
-    def slots(self) -> list[Slot]:
-        """The slots of the episodes. Raises `WorldError`."""
+    def specs(self) -> list[EpisodeSpec]:
+        """The specs of the episodes. Raises `WorldError`."""
         if self.episodes_file is not None:
-            return [*listed_slots(self.task, self.episodes_file, self.episodes, self.world, self.scenes)]
-        return list(slots(self.task, PER_RUN if self.episodes is None else self.episodes, self.seed, self.world))
+            return [*file_episode_specs(self.task, self.episodes_file, self.episodes, self.world, self.scenes)]
+        return list(
+            episode_specs(self.task, PER_RUN if self.episodes is None else self.episodes, self.seed, self.world)
+        )
 
     def _listed(self) -> dict[str, Any]:
         """The settings of episodes from a file."""
@@ -138,14 +147,14 @@ class Run:
     def units(self, config: object = None) -> list[Unit]:
         """One unit per episode; where the task is walked, one per episode and method: each goes its own way there."""
         found, walked = [], tasks.load(self.task).walked
-        for slot in self.slots():
-            name = f"{self.task}/{slot.id}"
+        for spec in self.specs():
+            name = f"{self.task}/{spec.id}"
             if walked:
                 keys = [(f"{name}/{method}", [method]) for method in self.methods]
             else:
                 keys = [(name, list(self.methods))]
             for key, methods in keys:
-                found.append(Unit(key, str(slot.seed), {"slot": asdict(slot), "methods": methods}))
+                found.append(Unit(key, str(spec.seed), {"slot": asdict(spec), "methods": methods}))
         return found
 
 
@@ -159,14 +168,14 @@ def start(run: Run, folder: Path, **how: Any) -> Outcome:
     return runner.run(run.units(), WORK, config, folder, **how)
 
 
-def _tuned_on(listed: Sequence[Slot]) -> bool:
+def _tuned_on(listed: Sequence[EpisodeSpec]) -> bool:
     """Whether one of these is in an apartment on which parameters were chosen."""
-    return any(slot.world == APARTMENT and slot.seed in DEVELOPMENT for slot in listed)
+    return any(spec.world == APARTMENT and spec.seed in DEVELOPMENT for spec in listed)
 
 
-def _try_world(listed: Sequence[Slot]) -> None:
+def _try_world(listed: Sequence[EpisodeSpec]) -> None:
     """Open the first scene that is there: a missing simulator is no failure of every episode. Raises `EagorError`."""
-    there = [slot for slot in listed if (files := scene_files([slot])) and files[0].exists()]
+    there = [spec for spec in listed if (files := scene_files([spec])) and files[0].exists()]
     if there:
         _read_world(there[0].world)
     else:
@@ -326,15 +335,15 @@ def _unit(run: LoadedRun, record: Record, method: str) -> dict[str, Any] | None:
     if world is None or not all(isinstance(value, int) for value in (first, seed, index)):
         return None
     number = (seed - first) * PER_PLACE + index  # by which some tasks deal their scenarios
-    slot = {"task": run.study.name, "world": world, "seed": seed, "index": index, "number": number}
-    return {"slot": slot, "methods": [method]}
+    spec = {"task": run.study.name, "world": world, "seed": seed, "index": index, "number": number}
+    return {"slot": spec, "methods": [method]}
 
 
 def _judged(task: Task, settings: Settings) -> str:
     """What success means in this run; empty where its task has no such thing, or its rules are not known."""
     rules = settings.get("rules")
     try:
-        return str(getattr(from_dict(task.rules, dict(rules)), "judged", "")) if rules else ""
+        return str(getattr(from_dict(task.rules, dict(rules)), "success_criterion", "")) if rules else ""
     except EagorError:  # of another version
         return ""
 
@@ -435,28 +444,28 @@ def log_case(run: LoadedRun, worst: Worst, name: str | None, path: str | Path) -
     from eagor.drawing.rerun_log import RerunLog
 
     case = _named(run, worst, name)
-    player, slot = player_of(run, case)
+    runner, spec = runner_of(run, case)
     (method,) = case["unit"]["methods"]
-    if not isinstance(player.method(method, slot), TrackerMethod):
+    if not isinstance(runner.method(method, spec), TrackerEstimator):
         raise EagorError(f"{method} keeps no belief that could be logged; give --method eagor, or a variant of it")
     with RerunLog(path, f"{run.study.name} {case['case']}: {case['query']}") as log:
 
-        def add(seen: Seen) -> None:
-            assert isinstance(seen.method, TrackerMethod)
+        def add(seen: StepInfo) -> None:
+            assert isinstance(seen.method, TrackerEstimator)
             log.add(
                 seen.picture(LOGGED_ROWS), seen.method.estimate, stamp=seen.stamp, query=case["query"],
                 position=seen.position, truth=seen.truth,
             )  # fmt: skip
 
-        player.play(slot, [method], add)
+        runner.run_episode(spec, [method], add)
     return str(case["case"])
 
 
-def player_of(run: LoadedRun, case: Mapping[str, Any]) -> tuple[Player, Slot]:
+def runner_of(run: LoadedRun, case: Mapping[str, Any]) -> tuple[Runner, EpisodeSpec]:
     """What plays a case of a run again. Raises `EagorError` for a benchmark of still pictures."""
     if case.get("unit") is None:
         raise EagorError(f"only episodes of simulated tasks can be played again, and {run.study.name} has none")
-    return Player(dict(run.settings)), slot_of(case["unit"]["slot"])
+    return Runner(dict(run.settings)), spec_from_json(case["unit"]["slot"])
 
 
 def _named(run: LoadedRun, worst: Worst, name: str | None) -> Mapping[str, Any]:

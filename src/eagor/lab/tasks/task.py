@@ -69,7 +69,7 @@ CALM = "an estimate that hardly moves hardly jumps: compare the errors, too"
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
+class EpisodeResult:
     """The results of one method in one episode of n steps, for `Task.measure`.
 
     - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, optionally leg. For a
@@ -107,11 +107,11 @@ class Task:
 
     - `name`: for typing; `title`: for tables; `what`: one line for ``eagor bench list``.
     - `environment`: a subclass of `PlaceEnv` that takes rules, camera, disturbances and panorama; its `plan` makes the
-      episode of a slot. `rules`: a frozen dataclass of plain values, each with a default.
+      episode of a spec. `rules`: a frozen dataclass of plain values, each with a default.
     - `measure`: the figures of one method in one episode; None where one does not apply. `columns`: of the table;
       `headline`: the key of the most important one; `strata`: keys of `Episode.stratum` to report separately, and
       their titles.
-    - `listed`: makes the episode of a file (`eagor.lab.envs.episodes`) of the slot, the file, the camera and the
+    - `listed`: makes the episode of a file (`eagor.lab.envs.episodes`) of the spec, the file, the camera and the
       rules; None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
     - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
       success, spl and mae are among its figures. Otherwise all methods get the same evidence.
@@ -122,7 +122,7 @@ class Task:
     what: str
     environment: Callable[..., PlaceEnv]
     rules: type
-    measure: Callable[[Played], Mapping[str, Any]]
+    measure: Callable[[EpisodeResult], Mapping[str, Any]]
     columns: tuple[Column, ...]
     headline: str
     strata: Mapping[str, str] = field(default_factory=dict)

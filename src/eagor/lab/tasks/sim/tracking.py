@@ -11,15 +11,15 @@ import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
-from eagor.lab.envs.episodes import Episode, Slot
+from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.envs.rules import Camera, TrackingRules
-from eagor.lab.tasks.task import CALM, COVERAGE, JUMP, Column, Played, Task
+from eagor.lab.tasks.task import CALM, COVERAGE, JUMP, Column, EpisodeResult, Task
 from eagor.lab.worlds.render import PAINTS, Ball, Frame, with_ball
 from eagor.lab.worlds.walkable import follow_path, stroll
 from eagor.queries import Query
-from eagor.sphere import world_R_body
+from eagor.sphere import angular_distance, rotation, world_R_body
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
 RADIUS = (0.2, 0.32)  # metres, range for the balls
@@ -43,11 +43,11 @@ class TrackingEpisode(Episode):
     colour: str = "red"
 
 
-def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
-    """The episode of this slot. Raises `WorldError` if the world is too small for it."""
-    place = load_place(slot.world, slot.seed, camera.radius)
-    rng = slot.rng("plan")
-    scenario = SCENARIOS[slot.number % len(SCENARIOS)]
+def plan(spec: EpisodeSpec, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
+    """The episode of this spec. Raises `WorldError` if the world is too small for it."""
+    place = load_place(spec.world, spec.seed, camera.radius)
+    rng = spec.rng("plan")
+    scenario = SCENARIOS[spec.number % len(SCENARIOS)]
     radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
     best: tuple[float, np.ndarray, np.ndarray, list[np.ndarray | None]] | None = None
     for _ in range(TRIES):
@@ -63,7 +63,7 @@ def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
         raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
     seen, first, route, balls = best
     return TrackingEpisode(
-        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
+        spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
         targets=(len(place.scene.instances),), start=(float(route[0, 0]), float(route[0, 1])), yaw=float(route[0, 2]),
         shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
         stratum={"scenario": scenario, "in view": round(seen, 3)}, route=tuple(tuple(row) for row in route.tolist()),
@@ -142,27 +142,27 @@ def _walk(
     return None
 
 
-def measure(played: Played) -> dict[str, float | None]:
+def measure(result: EpisodeResult) -> dict[str, float | None]:
     """The columns of one episode, over the steps with the ball present; None where one does not apply.
 
     `tc`: the angle between an estimate and the previous one, moved along by the true motions. `recovery`: seconds from
     the ball's return until the error is small again, or to the end.
     """
-    present, lost_above = np.array(played.truth["present"], dtype=bool), played.rules.lost_above
-    errors = np.array([math.nan if e is None else e for e in played.trace["error_deg"]])
+    present, lost_above = np.array(result.truth["present"], dtype=bool), result.rules.lost_above
+    errors = np.array([math.nan if e is None else e for e in result.trace["error_deg"]])
     lost = errors[present] > lost_above
     recovery = None
     returns = np.flatnonzero(present[1:] & ~present[:-1]) + 1
     if len(returns):
         good = np.flatnonzero(errors[returns[0] :] <= lost_above)
         steps = int(good[0]) if len(good) else len(errors) - int(returns[0])
-        recovery = steps * played.camera.seconds
+        recovery = steps * result.camera.seconds
     return {
         "error": metrics.mean_error(errors[present]),
-        "tc": _consistency(played.directions, played.estimates, played.rotations, present),
+        "tc": _consistency(result.directions, result.estimates, result.rotations, present),
         "time_lost": 100 * float(lost.mean()),
         "recovery": recovery,
-        "coverage": played.coverage,
+        "coverage": result.coverage,
     }
 
 
@@ -179,13 +179,10 @@ def _consistency(
 
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The smallest rotation ``(3, 3)`` that takes unit vector `start` to `end`."""
-    axis, cosine = np.cross(start, end), float(start @ end)
-    if cosine < -1 + 1e-9:  # opposite: half a turn about any perpendicular axis
-        across = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
-        across /= np.linalg.norm(across)
-        return 2 * np.outer(across, across) - np.eye(3)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)
+    axis = np.cross(start, end)
+    if np.linalg.norm(axis) < 1e-9:  # the same, or opposite: any perpendicular axis
+        axis = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+    return rotation(axis, float(angular_distance(start, end)))
 
 
 class TargetTrackingEnv(AnsweringEnv):
@@ -197,8 +194,8 @@ class TargetTrackingEnv(AnsweringEnv):
         super().__init__(**settings)
         self.rules = rules or TrackingRules()
 
-    def plan(self, slot: Slot) -> Episode:
-        return plan(slot, self.camera, self.rules)
+    def plan(self, spec: EpisodeSpec) -> Episode:
+        return plan(spec, self.camera, self.rules)
 
     def _ball(self) -> Ball | None:
         place = self.episode.balls[min(self.body.steps, len(self.episode.balls) - 1)]
