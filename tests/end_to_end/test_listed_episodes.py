@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 from listed_rooms import content, exported, rewrite
 
-from eagor import metrics
 from eagor.cli import main
 from eagor.errors import WorldError
 from eagor.lab.envs.episodes import FileEpisodeSpec, file_episode_specs, plan_listed, spec_from_json
 from eagor.lab.envs.places import load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
-from eagor.lab.eval import log, studies
-from eagor.lab.tasks.sim.play import Runner
+from eagor.lab.eval import log
 from eagor.lab.worlds.glb import ON_MESH
 from eagor.lab.worlds.objectnav import read_episodes
 
@@ -88,15 +86,6 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
         assert not won or (path[-1] == path[-2]).all(), "it ends where stop was called, which moves nothing"
 
 
-def test_a_unit_played_again_is_the_same(run):
-    out, _ = run
-    told = studies.read(out)
-    record = next(each for each in told.records if each["key"].endswith("eagor"))
-    again = Runner(dict(told.settings)).run_episode(spec_from_json(record["episode"]["slot"]), ["eagor"])
-    assert again["methods"]["eagor"]["path"] == record["methods"]["eagor"]["path"]
-    assert again["methods"]["eagor"]["metrics"] == record["methods"]["eagor"]["metrics"]
-
-
 def test_other_rules_of_success_are_taken_and_said(file, tmp_path, capsys):
     words = ["bench", "run", "navigation", "--perception", "truth", "--methods", "oracle", "--out", str(tmp_path),
              "--episodes-file", str(file), "--episodes", "2", "--set", "success_distance=1.5", "goal=footprint",
@@ -138,30 +127,6 @@ def test_an_episode_looks_for_all_things_of_its_category_and_starts_as_the_file_
     json.dumps(said, allow_nan=False)
 
 
-def test_success_is_strict(file):
-    """At exactly the distance of the rule there is none: the rule is set to the distance that the body reaches."""
-    spec, _ = planned(file)
-    rules = NavigationRules.objectnav()
-    config = {
-        "task": "navigation", "perception": "truth", "rows": 64, "episodes_file": str(file),
-        "camera": vars(Camera()), "disturbances": {},
-    }  # fmt: skip
-
-    def play(distance):
-        runner = Runner(
-            config | {"rules": vars(rules) | {"success_distance": distance, "max_steps": 1, "stop": "reach"}}
-        )
-        return runner.run_episode(spec, ["oracle"])["methods"]["oracle"]
-
-    left = play(1e-3)["metrics"]["distance_to_goal"]
-    place = load_place(spec.world, spec.seed, 0.18)
-    exact = float(place.way_to_views(planned(file)[1].view_points).distance(np.array(play(1e-3)["path"][-1][:2])))
-    assert exact == pytest.approx(left, abs=1e-6)
-    assert metrics.success([exact], [True], exact)[0] == 0
-    assert play(exact - 1e-6)["metrics"]["success"] == 0
-    assert play(exact + 1e-6)["metrics"]["success"] == 1
-
-
 def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
     file = exported(tmp_path)
     spec, before = planned(file)
@@ -198,32 +163,6 @@ def test_few_episodes_are_taken_from_each_scene_in_turn(file):
     assert taken(3) == ["other-0", "other-1", "room-0"]
     assert taken(4) == ["other-0", "other-1", "room-0", "room-1"]
     assert len(taken(None)) == len(taken(99)) == 10
-
-
-def test_in_habitat_each_scene_is_a_world_with_its_dataset_and_storeys(file):
-    home = file.parents[5] / "scene_datasets"
-    worlds = [each.world for each in file_episode_specs("navigation", file, 2, "habitat", None)]
-    dataset = home / "eagor/eagor.scene_dataset_config.json"
-    assert worlds == [
-        f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&body=0.88&storey=0.01"
-        for place in ("00001-other/other", "00000-room/room")
-    ]
-
-
-def test_options_of_habitat_hold_for_all_scenes_and_another_body_replaces_the_usual_one(file):
-    home = file.parents[5] / "scene_datasets"
-    dataset = home / "eagor/eagor.scene_dataset_config.json"
-    for asked in ("habitat?body=1.41&gpu=-1", "habitat:?body=1.41&gpu=-1"):
-        worlds = [each.world for each in file_episode_specs("navigation", file, 2, asked, None)]
-        assert worlds == [
-            f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&body=1.41&gpu=-1&storey=0.01"
-            for place in ("00001-other/other", "00000-room/room")
-        ]
-    one = file.parent / "content" / "room.json.gz"
-    scene = home / "eagor/val/00000-room/room.glb"
-    for asked, wanted in (("", "body=0.88"), ("?body=1.41", "body=1.41")):
-        episode_specs = file_episode_specs("navigation", one, None, f"habitat:{scene}{asked}", None)
-        assert {each.world for each in episode_specs} == {f"habitat:{scene}?{wanted}"}
 
 
 def test_starts_on_stairs_do_not_join_the_storeys(tmp_path):
@@ -286,3 +225,16 @@ def test_random_numbers_do_not_depend_on_where_the_scenes_are(file):
     assert one.rng("plan").random() == two.rng("plan").random()
     assert one.rng("plan").random() != one.rng("method").random()
     assert one.id == two.id == "other-0"
+
+
+def test_in_habitat_each_scene_is_a_world_with_its_dataset_its_storeys_and_the_options(file):
+    home = file.parents[5] / "scene_datasets"
+    dataset = home / "eagor/eagor.scene_dataset_config.json"
+    for world, options in (("habitat", "body=0.88"), ("habitat:?body=1.41&gpu=-1", "body=1.41&gpu=-1")):
+        assert [each.world for each in file_episode_specs("navigation", file, 2, world, None)] == [
+            f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&{options}&storey=0.01"
+            for place in ("00001-other/other", "00000-room/room")
+        ]
+    one, scene = file.parent / "content" / "room.json.gz", home / "eagor/val/00000-room/room.glb"
+    specs = file_episode_specs("navigation", one, None, f"habitat:{scene}", None)
+    assert {each.world for each in specs} == {f"habitat:{scene}?body=0.88"}

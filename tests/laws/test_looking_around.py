@@ -71,24 +71,12 @@ def test_it_faces_what_tells_most_for_what_it_costs(told, facing, turn):
     assert worth[best] == pytest.approx(max(worth), abs=1e-8)
 
 
-def test_elevation_costs_as_azimuth_does():
-    space = Told(np.array([towards(40, 0), towards(0, 30)]), np.array([1.0, 1.0]))
-    assert faced(Searcher(space), towards(0)) == [0, 30]
-    assert faced(Searcher(space, turn=TURN), towards(0)) == [0, 30]
-
-
 def test_a_heading_is_kept_until_it_is_faced():
     searcher = Searcher(circle([0.1, 0.1, 1.0, 0.1]), turn=TURN)
     for degrees in (0, 30, 60, 90, 120, 150):
         assert faced(searcher, towards(degrees)) == [180, 0]
         searcher.space.told = np.array([0.1, 2.0, 0.2, 0.1])  # another look would tell more now
     assert faced(searcher, towards(180)) == [90, 0]
-
-
-def test_where_any_turn_is_one_step_the_same_look_may_be_taken_again():
-    told = [1.0, 0.1, 0.1, 0.1]
-    assert faced(Searcher(circle(told)), towards(0)) == [0, 0]
-    assert faced(Searcher(circle(told), turn=TURN), towards(0)) != [0, 0]
 
 
 def test_it_hands_over_when_it_is_sure_and_comes_back_with_a_fresh_choice():

@@ -94,14 +94,6 @@ def test_heights_are_above_the_floor_wherever_that_is():
     assert (high.state == FLOOR).sum() > 500
 
 
-def test_a_long_way_is_looked_along_in_so_many_places(rooms, monkeypatch):
-    monkeypatch.setattr(search_space, "MOST", 3)
-    way = np.array(poses())
-    known = search_space.looked_along(rooms, way, CAMERA)
-    assert [known.visit_count[cell(known, pose[:2])] > 0 for pose in way[[0, -1]]] == [True, True]
-    assert known.visit_count.max() < STEPS / 2
-
-
 def test_a_search_is_shaded_where_it_looked_and_nowhere_else(rooms):
     plain, svg = drawn(rooms, record_of()), drawn(rooms, record_of(HALF))
     before, after = pixels(plain), pixels(svg)
@@ -139,13 +131,6 @@ def test_what_is_shaded_and_dashed_is_said(rooms):
     )
 
 
-def test_without_a_search_a_map_is_as_it_was(rooms):
-    record = record_of()
-    assert scenes.search_of(rooms, record, CAMERA) is None
-    assert drawn(rooms, record) == scenes.floor_map(rooms, record, [])
-    assert "search" not in drawn(rooms, record)
-
-
 def test_what_nobody_calls_a_floor_is_shown_as_well(rooms):
     things = [thing("parquet" if t.category == "floor" else t.category, t.low, t.high) for t in shell(9.0, 6.0)]
     bare = place_of([*things, WALL, thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))])
@@ -169,9 +154,3 @@ def test_a_report_has_a_key_to_each_map_of_a_search(rooms, tmp_path, policy):
     maps = text.count("From above; numbers")
     assert maps >= 2
     assert text.count("How eagor searched.") == text.count("Key to the search") / 2 == maps * (policy == "search")
-
-
-def test_a_way_of_one_step_has_no_line_and_is_no_problem(rooms):
-    record = record_of([True])
-    record["methods"]["eagor"]["trace"]["pose"] = poses()[:1]
-    assert "searched in 1 of its steps" in drawn(rooms, record)

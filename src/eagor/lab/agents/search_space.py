@@ -144,7 +144,7 @@ class FloorMap:
     def _around(self, here: np.ndarray, reach: float) -> np.ndarray:
         """The cells ``(n, 2)`` about a place, also those off the grid."""
         low, high = self.cells(here - reach), self.cells(here + reach) + 1
-        return low + np.indices(high - low).reshape(2, -1).T
+        return low + np.indices(tuple(high - low)).reshape(2, -1).T
 
     def stand(self, here: np.ndarray, radius: float) -> None:
         """A body of this radius stands here: nothing else does."""

@@ -21,7 +21,7 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,6 @@ from eagor.lab.agents.search_space import (
     NEAR,
     FloorMap,
     SearchedGround,
-    Space,
     SteeringInput,
     Ways,
     apart,
@@ -245,7 +244,6 @@ WORTH = 0.4  # a goal is given up when it is worth less than this share of what 
 FACED = 1e-6  # radians
 STANDING = 0.25  # metres that a standing body counts for a step of a turn
 NEARER = 1e-5  # nats per degree: where every turn costs the same, the nearest of looks that tell as much
-Where = TypeVar("Where", bound=Space)
 
 
 @dataclass
@@ -351,13 +349,15 @@ def _free(known: FloorMap, now: SteeringInput) -> float:
     return float(metres[stands.argmax()]) if stands.any() else RANGE
 
 
-class Searcher(Generic[Where]):
+class Searcher:
     """Chooses looks and steps for one episode.
 
-    `space`: what can be looked at; to walk, a `SearchedGround`. `step`: metres that the body walks in a step; 0: it
-    stands, and only turns. `commit_threshold`: how sure a belief has to be to be acted on; of a body that walks, metres
-    nearer, as believed, per metre walked along the answer. `turn`: radians that it turns in a step, at most; infinite:
-    any turn takes one step, and so does another look the same way; a look from here then costs as much as a metre.
+    - `space`: what can be looked at, a `Space`; to walk, a `SearchedGround`.
+    - `step`: metres that the body walks in a step; 0: it stands, and only turns.
+    - `commit_threshold`: how sure a belief has to be to be acted on; of a body that walks, metres nearer, as believed,
+      per metre walked along the answer.
+    - `turn`: radians that it turns in a step, at most; infinite: any turn takes one step, and so does another look the
+      same way; a look from here then costs as much as a metre.
 
     A body whose camera does not see all around looks around before it walks, as long as that tells more for the time,
     and walks ahead only. `searching`: whether the last choice was made because too little is believed. `arrived`:
@@ -368,25 +368,15 @@ class Searcher(Generic[Where]):
     needs_floor_mask = True
 
     def __init__(
-        self,
-        space: Where,
-        step: float = 0.0,
-        commit_threshold: float = 0.2,
-        turn: float = math.inf,
-        near: float = 0.0,
+        self, space: Any, step: float = 0.0, commit_threshold: float = 0.2, turn: float = math.inf, near: float = 0.0
     ) -> None:
         self.space, self.step, self.commit_threshold, self.turn, self.near = space, step, commit_threshold, turn, near
         self.searching, self.arrived = True, False
         self._facing: np.ndarray | None = None  # a heading to turn to
         self._goal: np.ndarray | None = None  # a place to look from
-        self._promise = 0.0
+        self._promise = 0.0  # of the goal: nats per metre
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
         self._approach = GoToGoal()
-
-    @property
-    def known(self: Searcher[SearchedGround]) -> FloorMap:
-        """What looks have shown of the floor."""
-        return self.space.known
 
     def face(self, facing: np.ndarray, sure: float) -> np.ndarray | None:
         """The heading ``(2,)`` to turn to for the next look; None: what is believed is sure enough to act on it.
@@ -401,9 +391,9 @@ class Searcher(Generic[Where]):
             self._facing = self._best_here(facing)[0]
         return self._facing
 
-    def walk(self: Searcher[SearchedGround], now: SteeringInput) -> tuple[float, float]:
+    def walk(self, now: SteeringInput) -> tuple[float, float]:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
-        ground = self.space
+        ground: SearchedGround = self.space
         ground.look(now)
         self._approach.clock += 1
         if self._last is not None:
@@ -429,49 +419,45 @@ class Searcher(Generic[Where]):
         self._last = (now.here, metres * np.array([math.cos(aim), math.sin(aim)])) if metres else None
         return turn, metres
 
-    def _believes(self: Searcher[SearchedGround], now: SteeringInput) -> bool:
-        """Whether the body goes where the thing should be.
-
-        It begins to when the thing is likely there, and goes on while the thing would be there if it is here at all,
-        and cannot be seen from here: looks that miss it then say nothing about it.
-        """
+    def _believes(self, now: SteeringInput) -> bool:
+        """Whether the body goes where the thing should be: it is likely there, or was, and cannot be seen from here."""
         if now.progress * now.presence >= self.commit_threshold:
             return True
         return not self.searching and now.progress >= self.commit_threshold and self._approach.hides(self.space, now)
 
-    def _search(self: Searcher[SearchedGround], metres: np.ndarray, now: SteeringInput) -> tuple[int, int] | None:
+    def _search(self, metres: np.ndarray, now: SteeringInput) -> tuple[int, int] | None:
         """The cell to go to while nothing is believed: the old goal as long as it is worth it, or the best one.
 
         None: rather turn, to `_facing`.
         """
         ground, facing = self.space, np.array([now.yaw, 0.0])
+        known: FloorMap = ground.known
         if self._turning(facing):
             return None
         if self._goal is not None:
-            cell = ground.known.cells(self._goal)
+            cell = known.cells(self._goal)
             if float(np.hypot(*(self._goal - now.here))) < REACHED:
                 if ground.around:
                     ground.looked_from(self._goal, now.yaw)  # as good as there: steps end a little beside it
-            elif self._worth(cell[None], metres)[0] > WORTH * self._promise and self.known.state[tuple(cell)] <= FLOOR:
+            elif self._worth(cell[None], metres)[0] > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
                 return int(cell[0]), int(cell[1])
         self._goal = None
         cells = ground.places()
-        cells = cells[np.isfinite(metres[cells[:, 0], cells[:, 1]])]
+        cells = cells[np.isfinite(metres[tuple(cells.T)])]
         if not ground.around:
-            cells = cells[np.hypot(*(ground.known.centres(cells) - now.here).T) > REACHED]
+            cells = cells[np.hypot(*(known.centres(cells) - now.here).T) > REACHED]
         worth = self._worth(cells, metres) if self.step else np.zeros(0)
         promise = float(worth.max(initial=0.0))
         if not ground.around:
-            best, told = self._best_here(facing)
-            if told >= promise:
+            best, worth_here = self._best_here(facing)
+            if worth_here >= promise:
                 self._facing = best
                 return None
-        if not len(worth):
-            row, col = ground.known.cells(now.here + now.ahead)
-            return int(row), int(col)
-        row, col = cells[int(worth.argmax())]
-        self._goal, self._promise = ground.known.centres(np.array([row, col])), promise
-        return int(row), int(col)
+        cell = known.cells(now.here + now.ahead)
+        if len(worth):
+            cell = cells[int(worth.argmax())]
+            self._goal, self._promise = known.centres(cell), promise
+        return int(cell[0]), int(cell[1])
 
     def _turning(self, facing: np.ndarray) -> bool:
         """Whether a heading was chosen that is not faced yet."""
@@ -481,21 +467,21 @@ class Searcher(Generic[Where]):
 
     def _best_here(self, facing: np.ndarray) -> tuple[np.ndarray, float]:
         """The heading ``(2,)`` whose look from here tells most for its cost, and nats per metre, or per turn."""
-        told, angles = self.space.tells(), turned(self.space.headings, facing)
+        nats, angles = self.space.tells(), turned(self.space.headings, facing)
         if math.isinf(self.turn):  # rounded, so that rounding errors do not decide between turns to either side
-            worth = told - NEARER * np.round(np.degrees(angles), 6)
+            worth = nats - NEARER * np.round(np.degrees(angles), 6)
         else:
-            worth = told / (self._costs(angles) + NEAREST_GOAL)
+            worth = nats / (self._costs(angles) + NEAREST_GOAL)
             worth[angles <= FACED] = 0.0  # there the next look is taken anyway
         best = int(worth.argmax())
         return self.space.headings[best], float(worth[best])
 
-    def _worth(self: Searcher[SearchedGround], cells: np.ndarray, metres: np.ndarray) -> np.ndarray:
+    def _worth(self, cells: np.ndarray, metres: np.ndarray) -> np.ndarray:
         """Nats ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to tell, per metre of the way."""
-        ground = self.space
+        ground: SearchedGround = self.space
         to = ground.known.centres(cells) - ground.here  # as it arrives, it faces away from here; then it turns
         angles = apart(ground.headings[:, 0] - np.arctan2(to[:, 1], to[:, 0])[:, None])
-        cost = metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL
+        cost = metres[tuple(cells.T)] + NEAREST_GOAL
         return (ground.tells_from(cells) / (cost[:, None] + self._costs(angles))).max(axis=1)
 
     def _costs(self, angles: np.ndarray) -> np.ndarray:
@@ -512,7 +498,7 @@ def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
 
 # `searching`: whether the last step was one of a search. `needs_floor_mask`: whether it wants to know the floor of each
 # look, and what is believed; without that, `SteeringInput.progress` and `presence` are 1.
-Steering = Policy | Searcher[SearchedGround]
+Steering = Policy | Searcher
 
 
 def steering_for(rules: Any, camera: Camera) -> Steering:

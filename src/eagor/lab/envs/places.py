@@ -153,7 +153,7 @@ def cut(frame: Frame, camera: Camera) -> Frame:
     """A rendered panorama without what the camera does not show: the mean colour, no range, no thing (-1)."""
     parts: dict[str, np.ndarray] = {}
     for name, nothing in (("rgb", None), ("range", math.inf), ("ids", -1)):
-        whole = getattr(frame, name)
+        whole: Any = getattr(frame, name)
         seen = None if whole is None else in_view(camera, len(whole))
         if seen is not None:
             parts[name] = whole.copy()
