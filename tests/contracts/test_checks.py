@@ -322,10 +322,10 @@ def forgetful():
 BROKEN_TASKS = {
     "no task": ("turntable", "is a str; wanted an eagor.lab.tasks.task.Task"),
     "a name with a space": (replace(TURNTABLE, name="Turn table"), "wanted lower-case letters and digits"),
-    "no column": (replace(TURNTABLE, columns=()), "wanted at least one"),
+    "no column": (replace(TURNTABLE, columns=()), "at least one column"),
     "a column twice": (replace(TURNTABLE, columns=TURNTABLE.columns[:1] * 2), "each key once"),
     "rules that change": (replace(TURNTABLE, rules=Soft), "wanted a frozen dataclass"),
-    "rules that are no JSON": (replace(TURNTABLE, rules=Boundless), "Wanted a default for each"),
+    "rules that are no JSON": (replace(TURNTABLE, rules=Boundless), "has rules that JSON cannot write"),
     "no episode": (replace(TURNTABLE, environment=env(plan=lambda self, spec: (spec, 1))), "plans a tuple"),
     "another episode each time": (forgetful(), "draw everything from spec.rng"),
     "of another spec": (planned(spec=lambda e: replace(e.spec, number=77)), "wanted spec=spec"),

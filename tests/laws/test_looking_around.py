@@ -13,6 +13,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
 from eagor.lab.agents.steering import Searcher
+from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
 from eagor.lab.tasks.hstar.play import EagorAgent
 from eagor.lab.tasks.hstar.rules import View
@@ -108,7 +109,7 @@ def hstar_space(looked):
 
 
 def ground_space(looked, hfov):
-    ground = SearchedGround(hfov=hfov)
+    ground = SearchedGround(Camera(hfov=math.degrees(hfov)))
     ground.look(situation(chance=Chance() if looked else None, hfov=hfov))
     return ground, np.zeros(2)
 
@@ -166,7 +167,7 @@ def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_
 def test_a_robot_that_stands_turns_to_what_the_searcher_faces():
     """The steps of `walk` with the step 0 lead to the headings of `face`, by at most `turn` each."""
     hfov = math.radians(100)
-    one, other = (Searcher(SearchedGround(hfov=hfov), turn=TURN) for _ in range(2))
+    one, other = (Searcher(SearchedGround(Camera(hfov=100.0)), turn=TURN) for _ in range(2))
     yaw = 0.0
     for _ in range(30):
         now = situation(yaw, chance=Chance(), hfov=hfov)

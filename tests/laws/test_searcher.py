@@ -171,7 +171,7 @@ def test_with_a_narrow_camera_the_body_turns_first_and_then_walks():
 
 
 def test_floor_that_the_camera_does_not_show_stays_unknown():
-    world, ground = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), SearchedGround.about(NARROW)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), SearchedGround(NARROW)
     ground.look(world.situation())
     assert shown(ground.known, (3.5, 3.0)) == FLOOR
     assert shown(ground.known, (0.5, 3.0)) == UNKNOWN
@@ -190,7 +190,7 @@ FADING = Chance(0.5, 0.9, DetectorModel(kept_for=1.0).habits, elapsed=50.0)
     ids=["recall", "repeats its mistakes", "mistakes that fade", "could not be read"],
 )
 def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(chance, first, again):
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround.about(CAMERA)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround(CAMERA)
     missed = []
     for _ in range(3):
         ground.look(world.situation(chance=chance))

@@ -25,7 +25,6 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from eagor._values import lazy
 from eagor.conventions import rotation_from_wxyz
 from eagor.evidence import Evidence
 from eagor.evidence.detector import Habits
@@ -308,7 +307,7 @@ def turned(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
     return apart(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class SteeringInput:
     """What is known at a step.
 
@@ -319,6 +318,8 @@ class SteeringInput:
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
       `seen` ``(H, W)`` bool: which of them the camera shows; None: all. `chance`: to find, of that look; None if
       it could not be read.
+    - `here` ``(2,)``: where the body is on the floor; `yaw`, `bearing`: azimuths of the world, radians, of the body and
+      of the estimate; `ahead` ``(2,)``: a unit vector along the floor to the estimate. All in the world frame.
     """
 
     azimuth: float
@@ -331,45 +332,25 @@ class SteeringInput:
     seen: np.ndarray | None = None
     chance: Chance | None = field(default_factory=Chance)
 
-    @lazy
-    def here(self) -> np.ndarray:
-        """Where the body is on the floor ``(2,)``, metres, world frame."""
-        return np.array(self.position[:2], dtype=np.float64)
-
-    @lazy
-    def yaw(self) -> float:
-        """Where the body faces: an azimuth of the world, radians."""
-        return heading(self.world_R_body)
-
-    @lazy
-    def bearing(self) -> float:
-        """Where the estimate is: an azimuth of the world, radians."""
-        return self.azimuth + self.yaw
-
-    @lazy
-    def ahead(self) -> np.ndarray:
-        """A unit vector ``(2,)`` along the floor to the estimate, world frame."""
-        return np.array([math.cos(self.bearing), math.sin(self.bearing)])
+    def __post_init__(self) -> None:
+        self.here = np.array(self.position[:2], dtype=np.float64)
+        self.yaw = heading(self.world_R_body)
+        self.bearing = self.azimuth + self.yaw
+        self.ahead = np.array([math.cos(self.bearing), math.sin(self.bearing)])
 
 
 class SearchedGround:
-    """The ground of one episode; a `Space` about the body that stands on it.
+    """The ground of one episode; a `Space` about the body with this camera that stands on it.
 
-    `radius`: of the body, metres. `hfov`: what its camera sees across, straight ahead, radians; 2 pi: all around.
     `here` ``(2,)``: where the body is, metres, world frame. Cells ``(..., 2)`` are rows and columns of `known`.
     """
 
-    def __init__(self, radius: float = 0.18, hfov: float = 2 * math.pi) -> None:
-        self.radius, self.hfov, self.known, self.here = radius, hfov, FloorMap(), np.zeros(2)
-        self.around = hfov >= 2 * math.pi
+    def __init__(self, camera: Camera) -> None:
+        self.radius, self.hfov, self.around = camera.radius, math.radians(camera.hfov), camera.around
+        self.known, self.here = FloorMap(), np.zeros(2)
         self.headings = AHEAD if self.around else HEADINGS  # level ones
         self._chance = Chance()
         self._from: np.ndarray | None = None  # where the last look was taken that could be read
-
-    @classmethod
-    def about(cls, camera: Camera) -> SearchedGround:
-        """The ground about a body with this camera, before its first look."""
-        return cls(camera.radius, math.radians(camera.hfov))
 
     def look(self, now: SteeringInput) -> None:
         """Take in what a look shows of the floor, and that it had its chance to find the thing."""
@@ -472,7 +453,7 @@ def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
     quaternion w, x, y, z. They are the true ones: where odometry drifted, the body itself took the floor to be
     elsewhere.
     """
-    ground = SearchedGround.about(camera)
+    ground = SearchedGround(camera)
     if len(poses) > MOST:  # evenly spread, the first and the last among them
         poses = poses[np.linspace(0, len(poses) - 1, MOST).round().astype(np.intp)]
     for pose in poses:

@@ -507,4 +507,4 @@ def steering_for(rules: Any, camera: Camera) -> Steering:
     if getattr(rules, "policy", "follow") == "follow":
         return Policy(camera.step, getattr(rules, "detour", True), near)
     turn = math.inf if camera.around else math.radians(camera.turn)
-    return Searcher(SearchedGround.about(camera), camera.step, rules.commit_threshold, turn, near)
+    return Searcher(SearchedGround(camera), camera.step, rules.commit_threshold, turn, near)

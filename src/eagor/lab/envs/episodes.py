@@ -263,26 +263,28 @@ def _content(world: str) -> str:
     return world.replace(path, _digest(_mark(Path(path))), 1) if path and Path(path).is_file() else world
 
 
-@lru_cache(maxsize=64)
-def _digest(mark: tuple[Path, int, int]) -> str:
-    return hashlib.sha256(mark[0].read_bytes()).hexdigest()
-
-
 def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
     """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
     path = Path(file)
     return _read(tuple(_mark(each) for each in (path, *sorted((path.parent / "content").glob("*.json.gz")))))
 
 
-@lru_cache(maxsize=2)
-def _read(marks: tuple[tuple[Path, int, int], ...]) -> tuple[SceneEpisodes, ...]:
-    return read_episodes(marks[0][0])
+_Mark = tuple[Path, int, int]  # of a file: changes with it
 
 
-def _mark(path: Path) -> tuple[Path, int, int]:
-    """Changes with the file."""
+def _mark(path: Path) -> _Mark:
     found = path.stat() if path.exists() else None
     return path, found.st_mtime_ns if found else 0, found.st_size if found else 0
+
+
+@lru_cache(maxsize=64)
+def _digest(mark: _Mark) -> str:
+    return hashlib.sha256(mark[0].read_bytes()).hexdigest()
+
+
+@lru_cache(maxsize=2)
+def _read(marks: tuple[_Mark, ...]) -> tuple[SceneEpisodes, ...]:
+    return read_episodes(marks[0][0])
 
 
 @dataclass(frozen=True, eq=False)

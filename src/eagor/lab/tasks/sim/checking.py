@@ -55,16 +55,25 @@ def _require(holds: Any, text: str) -> None:
 
 def _check_description(task: Task) -> None:
     _require(isinstance(task, Task), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.task.Task")
-    _require(
-        re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", task.name),
-        f"is called {task.name!r}; wanted lower-case letters and digits with dashes between them: it is typed, and "
-        "used as a folder name",
-    )
     keys = [column.key for column in task.columns]
-    _require(keys and len(set(keys)) == len(keys), f"has the columns {keys}; wanted at least one, each key once")
-    _require(task.headline in keys, f"has the headline {task.headline!r}; wanted one of its columns, {', '.join(keys)}")
-    better = {column.key: column.better for column in task.columns}
-    _require(set(better.values()) <= {"low", "high", None}, f"has better = {better}; wanted 'low', 'high' or None")
+    named = re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", task.name)  # it is typed, and used as a folder name
+    better = {column.better for column in task.columns} <= {"low", "high", None}
+    _require(
+        named and keys and len(set(keys)) == len(keys) and task.headline in keys and better,
+        f"has the name {task.name!r}, the columns {keys} and the headline {task.headline!r}; wanted lower-case letters "
+        "and digits with dashes between them, at least one column, each key once, one of them as the headline, and "
+        "better = 'low', 'high' or None",
+    )
+
+
+def _through_json(task: Task, value: Any, name: str) -> Any:
+    try:
+        return json.loads(json.dumps(value, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise AssertionError(
+            f"the task {task.name} has {name} that JSON cannot write ({error}); wanted plain numbers, texts, booleans "
+            "and tuples of them: float(x), not NumPy's"
+        ) from error
 
 
 def _check_rules(task: Task, settings: dict[str, Any]) -> Any:
@@ -74,12 +83,11 @@ def _check_rules(task: Task, settings: dict[str, Any]) -> Any:
     _require(frozen, f"has rules of type {kind.__name__}; wanted a frozen dataclass")
     try:
         rules = kind(**settings)
-        back = from_dict(kind, json.loads(json.dumps(as_dict(rules), allow_nan=False)))
-    except (TypeError, ValueError) as error:
+    except TypeError as error:
         raise AssertionError(
-            f"the task {task.name} has rules that cannot be made, written and read again: {error}. Wanted a default "
-            "for each, and numbers, texts, booleans and tuples of them"
-        ) from error
+            f"the task {task.name} cannot make its rules ({error}); wanted a default for each"
+        ) from None
+    back = from_dict(kind, _through_json(task, dataclasses.asdict(rules), "rules"))
     _require(back == rules, f"has the rules {rules}, which JSON turns into {back}; wanted plain values and tuples")
     return rules
 
@@ -99,13 +107,7 @@ def _check_plan(task: Task, runner: Runner, spec: EpisodeSpec) -> Episode:
         f"plans the same episode for specs {spec.id} and {other.spec.id}; wanted different ones: spec.rng depends on "
         "the index",
     )
-    try:
-        json.dumps(episode.as_json(), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise AssertionError(
-            f"the task {task.name} plans an episode that JSON cannot write ({error}); wanted plain numbers, texts and "
-            "tuples in it: float(x), not NumPy's"
-        ) from error
+    _through_json(task, episode.as_json(), "an episode")
     missing = sorted(set(task.strata) - set(episode.stratum))
     _require(
         not missing,

@@ -7,6 +7,7 @@ than the straight line by more than a fifth, so that walking straight leads into
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -30,28 +31,25 @@ TRIES = 40  # starts tried per target and stratum
 
 def plan(spec: EpisodeSpec, camera: Camera, rules: NavigationRules) -> Episode:
     """The episode of this spec. Raises `WorldError` if the world has no target under these rules."""
-    place = load_place(spec.world, spec.seed, camera.radius)
-    rng = spec.rng("plan")
-    visible, winding = STRATA[spec.number % len(STRATA)]
+    place, rng = load_place(spec.world, spec.seed, camera.radius), spec.rng("plan")
+    first, way = STRATA[spec.number % len(STRATA)]
     # The wanted stratum first, then whatever the apartment offers: few have every kind of start.
-    for wanted in ((visible, winding), (visible, not winding), (not visible, winding), (not visible, not winding)):
+    for visible, winding in ((first, way), (first, not way), (not first, way), (not first, not way)):
         for target, query in choose_target(place, rng):
-            start = _start(place, target, wanted, camera, rules, rng)
-            if start is not None:
-                xy, shortest, ratio = start
+            thing = place.scene.instances[target]
+            for xy, shortest, ratio in _starts(place, target, winding, rules, rng):
+                ids = place.ids(place.eye(xy, camera.height), world_R_body(0.0))
+                if (pixels_of(ids, (target,)) >= rules.visible_pixels) != visible:
+                    continue
                 # The bearing to the target, turned so that it lies behind, within the tolerance.
                 away = math.pi + math.radians(rules.facing_away) * float(rng.uniform(-1, 1))
-                to = place.scene.instances[target].centre[:2] - xy
-                yaw = math.remainder(float(np.arctan2(to[1], to[0])) + away, 2 * math.pi)
-                kind = {
-                    "visible": wanted[0],
-                    "way": "winding" if wanted[1] else "direct",
-                    "ratio": round(ratio, 3),
-                    "category": place.scene.instances[target].category,
-                }
+                to = thing.centre[:2] - xy
+                kind = {"visible": visible, "way": "winding" if winding else "direct", "ratio": round(ratio, 3)}
                 return Episode(
                     spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,),
-                    start=(float(xy[0]), float(xy[1])), yaw=yaw, shortest=shortest, stratum=kind,
+                    start=(float(xy[0]), float(xy[1])), shortest=shortest,
+                    yaw=math.remainder(float(np.arctan2(to[1], to[0])) + away, 2 * math.pi),
+                    stratum=kind | {"category": thing.category},
                 )  # fmt: skip
     raise WorldError(
         f"{place.scene.source} has no target that is {rules.nearest} to {rules.farthest} m away; "
@@ -59,29 +57,17 @@ def plan(spec: EpisodeSpec, camera: Camera, rules: NavigationRules) -> Episode:
     )
 
 
-def _start(
-    place: Place,
-    target: int,
-    wanted: tuple[bool, bool],
-    camera: Camera,
-    rules: NavigationRules,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, float, float] | None:
-    """A start of the wanted kind for this target: its point, geodesic distance, and ratio to the straight line."""
-    thing, visible, winding = place.scene.instances[target], *wanted
-    points, way = place.ground.points, place.way_to((target,))
-    geodesic = place.ground.at_points(way)
-    straight = distance_to_box(points, thing.low[:2], thing.high[:2])
-    ratio = geodesic / np.maximum(straight, 1e-6)
+def _starts(
+    place: Place, target: int, winding: bool, rules: NavigationRules, rng: np.random.Generator
+) -> Iterator[tuple[np.ndarray, float, float]]:
+    """Some starts for this target: a point, its geodesic distance, and the ratio of that to the straight line."""
+    points, thing = place.ground.points, place.scene.instances[target]
+    geodesic = place.ground.at_points(place.way_to((target,)))
+    ratio = geodesic / np.maximum(distance_to_box(points, thing.low[:2], thing.high[:2]), 1e-6)
     fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
-    fits &= (ratio > rules.winding_above) if winding else (ratio <= rules.winding_above)
-    candidates = np.flatnonzero(fits)
-    for choice in rng.permutation(candidates)[:TRIES]:
-        position = place.eye(points[choice], camera.height)
-        seen = pixels_of(place.ids(position, world_R_body(0.0)), (target,)) >= rules.visible_pixels
-        if seen == visible:
-            return points[choice], float(geodesic[choice]), float(ratio[choice])
-    return None
+    fits &= (ratio > rules.winding_above) == winding
+    for choice in rng.permutation(np.flatnonzero(fits))[:TRIES]:
+        yield points[choice], float(geodesic[choice]), float(ratio[choice])
 
 
 def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -119,10 +105,8 @@ def measure(result: EpisodeResult) -> dict[str, Any]:
 
 def _walked(places: np.ndarray, camera: Camera) -> np.ndarray:
     """The places ``(n, 2)`` less the steps in which a body that does not see all around only turned."""
-    if camera.around or not len(places):
-        return places
     moved = np.hypot(*np.diff(places, axis=0).T) > ONLY_TURNED
-    return places[np.concatenate([[True], moved])]
+    return places if camera.around else places[np.concatenate([[True], moved])]
 
 
 def backtracking_rate(places: np.ndarray, step: float) -> float:
@@ -133,7 +117,7 @@ def backtracking_rate(places: np.ndarray, step: float) -> float:
     if len(places) < 2:
         return 0.0
     apart = np.linalg.norm(places[1:, None] - places[None, :-1], axis=-1)
-    earlier = np.arange(len(places) - 1) < np.arange(len(places) - 1)[:, None]
+    earlier = np.tri(len(places) - 1, k=-1, dtype=bool)
     return float(np.mean(np.any((apart < step / 2) & earlier, axis=1)))
 
 
