@@ -286,7 +286,7 @@ def obeying():
     def step(self, action):
         found = example.TurntableEnv.step(self, action)
         if float(action[0]) > 0:
-            self._moved(self.body.xy, self.body.yaw + 0.5)
+            self._move_to(self.body.xy, self.body.yaw + 0.5)
             return (self._observation(), *found[1:4], self._info())
         return found
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, apart, turned
+from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, angle_size, turn_angle
 from eagor.lab.agents.steering import Searcher
 from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
@@ -96,7 +96,7 @@ def situation(yaw=0.0, chance=None, hfov=2 * math.pi):
     """A level body on an endless floor, and what its camera shows of it."""
     below = np.arange(ROWS)[:, None] >= ROWS // 2
     azimuths = math.pi - (np.arange(2 * ROWS) + 0.5) * math.pi / ROWS
-    seen = np.broadcast_to(apart(azimuths) <= hfov / 2, (ROWS, 2 * ROWS))
+    seen = np.broadcast_to(angle_size(azimuths) <= hfov / 2, (ROWS, 2 * ROWS))
     position = np.array([0.0, 0.0, HEIGHT])
     return SteeringInput(0.0, UNSURE, 1.0, None, position, world_R_body(yaw), below & seen, seen, chance)
 
@@ -139,7 +139,7 @@ def test_a_space_says_in_nats_what_each_of_its_headings_tells(name):
 def test_a_look_that_was_just_taken_tells_less(name):
     make, _ = SPACES[name]
     (before, facing), (after, _) = make(looked=False), make(looked=True)
-    there = int(turned(before.headings, facing).argmin())
+    there = int(turn_angle(before.headings, facing).argmin())
     assert after.tells()[there] < 0.9 * before.tells()[there]
 
 

@@ -71,7 +71,7 @@ def cell(known, xy):
 
 
 def test_the_looks_of_a_record_show_the_floor_again(rooms):
-    known = search_space.looked_along(rooms, np.array(poses()), CAMERA)
+    known = search_space.explored_floor(rooms, np.array(poses()), CAMERA)
     for xy in [(1.0, 3.0), (4.0, 4.0), (2.0, 5.0)]:
         assert known.state[cell(known, xy)] == FLOOR
         assert known.miss_cost[cell(known, xy)] < 0.1
@@ -87,7 +87,7 @@ def test_heights_are_above_the_floor_wherever_that_is():
         lift = np.array([0, 0, up])
         things = [*shell(5.0, 6.0), thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))]
         place = place_of([thing(each.category, each.low + lift, each.high + lift) for each in things])
-        return search_space.looked_along(place, np.array(poses(CAMERA.height + up)), CAMERA)
+        return search_space.explored_floor(place, np.array(poses(CAMERA.height + up)), CAMERA)
 
     low, high = lifted(0.0), lifted(2.0)
     assert (low.state == high.state).mean() > 0.99
@@ -134,7 +134,7 @@ def test_what_is_shaded_and_dashed_is_said(rooms):
 def test_what_nobody_calls_a_floor_is_shown_as_well(rooms):
     things = [thing("parquet" if t.category == "floor" else t.category, t.low, t.high) for t in shell(9.0, 6.0)]
     bare = place_of([*things, WALL, thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))])
-    ways = [search_space.looked_along(place, np.array(poses()), CAMERA) for place in (rooms, bare)]
+    ways = [search_space.explored_floor(place, np.array(poses()), CAMERA) for place in (rooms, bare)]
     assert np.mean(ways[0].state != ways[1].state) < 0.02  # the lowest of a wall lies as high as the floor, too
 
 

@@ -17,7 +17,7 @@ from eagor.lab.agents.search_space import (
     SearchedGround,
     SteeringInput,
 )
-from eagor.lab.agents.steering import Searcher, seeking, steering_for
+from eagor.lab.agents.steering import Searcher, search_config, steering_for
 from eagor.lab.envs.places import Place, in_view
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim.navigation import backtracking_rate
@@ -216,8 +216,8 @@ def test_it_searches_both_rooms_whatever_its_looks_can_find_and_does_not_go_to_a
 
 def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
     base = TrackerConfig()
-    assert seeking(NavigationRules(birth_rate=0.2), base).target_motion.birth == 0.2
-    assert seeking(NavigationRules(policy="follow"), base) is base
+    assert search_config(NavigationRules(birth_rate=0.2), base).target_motion.birth == 0.2
+    assert search_config(NavigationRules(policy="follow"), base) is base
 
 
 def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():

@@ -130,18 +130,20 @@ class FilterEstimator(Estimator):
         return np.asarray(self.filter.direction())
 
     def mass_above(self, direction: np.ndarray) -> float | None:
-        density = getattr(self.filter, "log_density", None)
-        if density is None:
+        if self._density is None:
             return None
-        values, truth = density(GRID.directions), float(density(np.asarray(direction)[None])[0])
+        values, truth = self._density(GRID.directions), float(self._density(np.asarray(direction)[None])[0])
         return float(np.sum((np.exp(values) * GRID.weights)[values > truth]))
 
     def progress(self) -> float:
-        density = getattr(self.filter, "log_density", None)
-        if density is None:
+        if self._density is None:
             return 1.0
-        mass = np.exp(density(GRID.directions)) * GRID.weights
+        mass = np.exp(self._density(GRID.directions)) * GRID.weights
         return float(np.sum(mass * (GRID.directions @ self.direction())))
+
+    @property
+    def _density(self) -> Any:
+        return getattr(self.filter, "log_density", None)
 
 
 class TrackerEstimator(Estimator):

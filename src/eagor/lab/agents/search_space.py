@@ -297,14 +297,14 @@ class Space(Protocol):
         ...
 
 
-def apart(angles: np.ndarray) -> np.ndarray:
+def angle_size(angles: np.ndarray) -> np.ndarray:
     """The size of angles ``(...)``, the short way round, radians from 0 to pi."""
     return np.abs(wrap(angles))
 
 
-def turned(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
+def turn_angle(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
     """How far it is from `facing` ``(2,)`` to headings ``(..., 2)``, radians: in azimuth, and then in elevation."""
-    return apart(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
+    return angle_size(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
 
 
 @dataclass(eq=False)
@@ -363,9 +363,9 @@ class SearchedGround:
         moved = 0.0 if self._from is None else float(np.hypot(*(here - self._from)))
         self._chance, self._from = now.chance, here
         self.known.coverage *= now.chance.left(moved)
-        self.looked_from(here, now.yaw)
+        self.mark_scanned(here, now.yaw)
 
-    def looked_from(self, place: np.ndarray, yaw: float) -> None:
+    def mark_scanned(self, place: np.ndarray, yaw: float) -> None:
         """What can be seen from a place ``(2,)``, facing the azimuth `yaw`, has had its chance."""
         index, reached = self._reached(self.known.cells(place)[None], FINE)
         reached = reached * self._in_view(FINE, np.array(yaw))[:, None]
@@ -411,7 +411,7 @@ class SearchedGround:
     def _in_view(self, count: int, azimuths: np.ndarray) -> np.ndarray:
         """Which of `count` rays ``(..., count)`` a camera shows that faces `azimuths` ``(...)``, 1 or 0."""
         off = _angles(count) - np.asarray(azimuths)[..., None]
-        return (apart(off) <= self.hfov / 2).astype(np.float64)
+        return (angle_size(off) <= self.hfov / 2).astype(np.float64)
 
     def _finds(self) -> np.ndarray:
         """The probability ``(rows, cols)`` that a look finds a thing there, in full sight, after those that missed it.
@@ -446,7 +446,7 @@ def _rays(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.round(offsets / CELL).astype(np.intp), 2 * math.pi / count * metres * CELL
 
 
-def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
+def explored_floor(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
     """What the looks from `poses` showed of the floor of `place`, to a body that searches.
 
     `poses` ``(n, 7)``: x, y, z (metres) of the camera in the world, and its orientation ``world_R_body`` as a

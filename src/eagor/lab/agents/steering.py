@@ -35,8 +35,8 @@ from eagor.lab.agents.search_space import (
     SearchedGround,
     SteeringInput,
     Ways,
-    apart,
-    turned,
+    angle_size,
+    turn_angle,
 )
 from eagor.lab.envs.rules import Camera
 from eagor.tracking import TrackerConfig
@@ -438,7 +438,7 @@ class Searcher:
             cell = known.cells(self._goal)
             if float(np.hypot(*(self._goal - now.here))) < REACHED:
                 if ground.around:
-                    ground.looked_from(self._goal, now.yaw)  # as good as there: steps end a little beside it
+                    ground.mark_scanned(self._goal, now.yaw)  # as good as there: steps end a little beside it
             elif self._worth(cell[None], metres)[0] > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
                 return int(cell[0]), int(cell[1])
         self._goal = None
@@ -461,13 +461,13 @@ class Searcher:
 
     def _turning(self, facing: np.ndarray) -> bool:
         """Whether a heading was chosen that is not faced yet."""
-        if self._facing is not None and turned(self._facing, facing) <= FACED:
+        if self._facing is not None and turn_angle(self._facing, facing) <= FACED:
             self._facing = None
         return self._facing is not None
 
     def _best_here(self, facing: np.ndarray) -> tuple[np.ndarray, float]:
         """The heading ``(2,)`` whose look from here tells most for its cost, and nats per metre, or per turn."""
-        nats, angles = self.space.tells(), turned(self.space.headings, facing)
+        nats, angles = self.space.tells(), turn_angle(self.space.headings, facing)
         if math.isinf(self.turn):  # rounded, so that rounding errors do not decide between turns to either side
             worth = nats - NEARER * np.round(np.degrees(angles), 6)
         else:
@@ -480,7 +480,7 @@ class Searcher:
         """Nats ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to tell, per metre of the way."""
         ground: SearchedGround = self.space
         to = ground.known.centres(cells) - ground.here  # as it arrives, it faces away from here; then it turns
-        angles = apart(ground.headings[:, 0] - np.arctan2(to[:, 1], to[:, 0])[:, None])
+        angles = angle_size(ground.headings[:, 0] - np.arctan2(to[:, 1], to[:, 0])[:, None])
         cost = metres[tuple(cells.T)] + NEAREST_GOAL
         return (ground.tells_from(cells) / (cost[:, None] + self._costs(angles))).max(axis=1)
 
@@ -489,7 +489,7 @@ class Searcher:
         return np.ceil(angles / self.turn - 1e-9) * (self.step or STANDING)
 
 
-def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
+def search_config(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
     """The tracker's configuration for a body that searches: what is out of sight may come into sight at any step."""
     if getattr(rules, "policy", "follow") == "follow":
         return tracker

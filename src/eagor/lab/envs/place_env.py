@@ -288,7 +288,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         }
         return info | ({"instances": {"ids": self.ids}} if self.instances else {})
 
-    def _moved(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
+    def _move_to(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
         """Move the body to a new place and look again."""
         self._before = self.body.odometry
         self.body.move(xy, yaw, self.place.ground.height(xy))
@@ -330,5 +330,5 @@ class AnsweringEnv(PlaceEnv):
         reward = 0.0 if target is None else -self._error
         route = self.episode.route
         x, y, yaw = route[min(self.body.steps + 1, len(route) - 1)]
-        self._moved(np.array([x, y]), yaw)
+        self._move_to(np.array([x, y]), yaw)
         return self._observation(), reward, self.body.steps >= len(route) - 1, False, self._info()

@@ -154,8 +154,9 @@ def cut(frame: Frame, camera: Camera) -> Frame:
     parts: dict[str, np.ndarray] = {}
     for name, nothing in (("rgb", None), ("range", math.inf), ("ids", -1)):
         whole: Any = getattr(frame, name)
-        seen = None if whole is None else in_view(camera, len(whole))
-        if seen is not None:
-            parts[name] = whole.copy()
-            parts[name][~seen] = np.rint(whole[seen].mean(axis=0)) if nothing is None else nothing
-    return replace(frame, **parts) if parts else frame
+        if whole is None or camera.around:
+            continue
+        hidden = ~np.asarray(in_view(camera, len(whole)))
+        parts[name] = whole.copy()
+        parts[name][hidden] = np.rint(whole[~hidden].mean(axis=0)) if nothing is None else nothing
+    return replace(frame, **parts)

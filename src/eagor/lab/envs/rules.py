@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import msgspec
@@ -34,40 +33,35 @@ Degrees = Annotated[float, Meta(ge=0, le=180, description="degrees from 0 to 180
 Turn = Annotated[float, Meta(gt=0, le=AROUND, description="degrees above 0 and up to 360")]
 Count = Annotated[int, Meta(ge=1, le=int(MOST), description="a whole number from 1 on")]
 CountFromZero = Annotated[int, Meta(ge=0, le=int(MOST), description="a whole number from 0 on")]
-Shares = Annotated[tuple[Share, Share], Meta(description="two shares (from, to), from 0 to 1")]
+Shares = Annotated[tuple[Share, Share], Meta(description="two shares (from, to), from 0 to 1, ascending")]
 Turns = Annotated[
     tuple[tuple[Degrees, Degrees], ...],
-    Meta(min_length=len(LEGS), max_length=len(LEGS), description="4 pairs of degrees (from, to), from 0 to 180"),
+    Meta(
+        min_length=len(LEGS),
+        max_length=len(LEGS),
+        description="4 pairs of degrees (from, to), from 0 to 180, ascending",
+    ),
 ]
-
-
-@lru_cache
-def _types(kind: type) -> dict[str, Any]:
-    return get_type_hints(kind, include_extras=True)
 
 
 class _Rules:
     """Rejects values outside the types of the rules, and ranges (from, to) that fall."""
 
     def __post_init__(self) -> None:
-        for name, kind in _types(type(self)).items():
-            value = getattr(self, name)
+        for name, kind in get_type_hints(type(self), include_extras=True).items():
+            wanted = "true or false" if kind is bool else " or ".join(map(str, get_args(kind)))
+            wanted = next((meta.description for meta in getattr(kind, "__metadata__", ())), wanted)
             try:
-                found = msgspec.convert(value, kind)
-                ranges = (found,) if kind is Shares else found if kind is Turns else ()
-                self._require(name, all(low <= high for low, high in ranges), "ranges (from, to) that do not fall")
+                found = msgspec.convert(getattr(self, name), kind)
             except msgspec.ValidationError:
-                self._require(name, False, _wanted(kind))
+                found = None
+            ranges = () if found is None or kind not in (Shares, Turns) else (found,) if kind is Shares else found
+            fits = found is not None and all(low <= high for low, high in ranges)
+            self._require(name, fits, wanted)
 
     def _require(self, name: str, holds: bool, wanted: str) -> None:
         if not holds:
             raise WorldError(f"{type(self).__name__}: {name} = {getattr(self, name)!r}; wanted {wanted}")
-
-
-def _wanted(kind: Any) -> str:
-    if kind is bool:
-        return "true or false"
-    return next((meta.description for meta in getattr(kind, "__metadata__", ())), None) or " or ".join(get_args(kind))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, WorldError
-from eagor.lab.agents.search_space import CELL, FLOOR, FloorMap, looked_along
+from eagor.lab.agents.search_space import CELL, FLOOR, FloorMap, explored_floor
 from eagor.lab.envs.rules import Camera, from_dict
 from eagor.lab.eval import page
 from eagor.lab.eval.page import Part, blank, colour_of, finished, legend, look_of, style_of
@@ -81,7 +81,7 @@ def search_of(place: Place, record: Record, camera: Camera | None) -> Search | N
     if "searching" not in trace:
         return None
     poses = np.array(trace["pose"], dtype=float)
-    found = None if camera is None else _on_plan(looked_along(place, poses, camera), place.ground)
+    found = None if camera is None else _on_plan(explored_floor(place, poses, camera), place.ground)
     return Search(np.array(trace["searching"], dtype=bool), found)
 
 

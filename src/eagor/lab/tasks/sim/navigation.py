@@ -170,7 +170,7 @@ class MapFreeNavigationEnv(PlaceEnv):
         if length > 0:
             ahead = length * np.array([math.cos(yaw), math.sin(yaw)])
             xy, collided = self.place.ground.move(xy, ahead, slide=self.rules.sliding)
-        self._moved(xy, yaw, collided)
+        self._move_to(xy, yaw, collided)
         self._left = self._distance_to_goal()
         reached = self._left < self.rules.success_distance
         self._stopped = length == 0 if self.rules.stop == "call" else reached

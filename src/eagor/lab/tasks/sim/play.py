@@ -19,7 +19,7 @@ from eagor.evidence import Evidence
 from eagor.lab.agents.methods import BASE, ORACLE, Estimator, make_estimator
 from eagor.lab.agents.models import EpisodePerception, is_privileged, shared
 from eagor.lab.agents.search_space import Chance, SteeringInput
-from eagor.lab.agents.steering import seeking, steering_for
+from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisodeSpec, spec_from_json
 from eagor.lab.envs.places import in_view, mask_of
 from eagor.lab.envs.rules import Camera, NoiseModel, from_dict
@@ -109,7 +109,7 @@ class Runner:
         if given := config.get("calibrated"):
             found = from_json(given, "the run's calibration")
             self.ours = BASE.fitted(found.calibration, found.detector, found.forgetting)
-        self.ours = seeking(self.rules, self.ours)
+        self.ours = search_config(self.rules, self.ours)
         rows = None if is_privileged(self.perception) else int(config["rows"])
         self.env: PlaceEnv = self.task.environment(
             rules=self.rules, camera=self.camera, disturbances=self.noise, panorama=rows
