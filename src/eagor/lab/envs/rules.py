@@ -36,11 +36,7 @@ CountFromZero = Annotated[int, Meta(ge=0, le=int(MOST), description="a whole num
 Shares = Annotated[tuple[Share, Share], Meta(description="two shares (from, to), from 0 to 1, ascending")]
 Turns = Annotated[
     tuple[tuple[Degrees, Degrees], ...],
-    Meta(
-        min_length=len(LEGS),
-        max_length=len(LEGS),
-        description="4 pairs of degrees (from, to), from 0 to 180, ascending",
-    ),
+    Meta(min_length=4, max_length=4, description="4 pairs of degrees (from, to), from 0 to 180, ascending"),
 ]
 
 
@@ -53,10 +49,10 @@ class _Rules:
             wanted = next((meta.description for meta in getattr(kind, "__metadata__", ())), wanted)
             try:
                 found = msgspec.convert(getattr(self, name), kind)
+                ranges = (found,) if kind is Shares else found if kind is Turns else ()
+                fits = all(low <= high for low, high in ranges)
             except msgspec.ValidationError:
-                found = None
-            ranges = () if found is None or kind not in (Shares, Turns) else (found,) if kind is Shares else found
-            fits = found is not None and all(low <= high for low, high in ranges)
+                fits = False
             self._require(name, fits, wanted)
 
     def _require(self, name: str, holds: bool, wanted: str) -> None:
