@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -16,7 +17,7 @@ from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.envs.rules import Camera, TrackingRules
 from eagor.lab.tasks.task import CALM, COVERAGE, JUMP, Column, EpisodeResult, Task
-from eagor.lab.worlds.render import PAINTS, Ball, Frame, with_ball
+from eagor.lab.worlds.render import PAINTS, Ball, with_ball
 from eagor.lab.worlds.walkable import follow_path, stroll
 from eagor.queries import Query
 from eagor.sphere import angular_distance, rotation, world_R_body
@@ -45,33 +46,33 @@ class TrackingEpisode(Episode):
 
 def plan(spec: EpisodeSpec, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
     """The episode of this spec. Raises `WorldError` if the world is too small for it."""
-    place = load_place(spec.world, spec.seed, camera.radius)
-    rng = spec.rng("plan")
+    place, rng = load_place(spec.world, spec.seed, camera.radius), spec.rng("plan")
     scenario = SCENARIOS[spec.number % len(SCENARIOS)]
     radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
     best: tuple[float, np.ndarray, np.ndarray, list[np.ndarray | None]] | None = None
     for _ in range(TRIES):
-        if best is not None and best[0] >= rules.seen:
-            break
-        drawn = _drawn(place, scenario, radius, camera, rules, rng)
-        if drawn is None:
+        draft = _draft(place, scenario, radius, camera, rules, rng)
+        if draft is None:
             continue
-        seen = _share_in_view(place, *drawn[1:], radius, camera, rules)
-        if best is None or seen > best[0]:
-            best = seen, *drawn
+        in_view = _share_in_view(place, *draft[1:], radius, camera, rules)
+        if best is None or in_view > best[0]:
+            best = in_view, *draft
+        if in_view >= rules.seen:
+            break
     if best is None:
         raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
-    seen, first, route, balls = best
+    in_view, first, route, balls = best
+    x, y, yaw = route[0].tolist()
     return TrackingEpisode(
         spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
-        targets=(len(place.scene.instances),), start=(float(route[0, 0]), float(route[0, 1])), yaw=float(route[0, 2]),
+        targets=(len(place.scene.instances),), start=(x, y), yaw=yaw,
         shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
-        stratum={"scenario": scenario, "in view": round(seen, 3)}, route=tuple(tuple(row) for row in route.tolist()),
+        stratum={"scenario": scenario, "in view": round(in_view, 3)}, route=tuple(map(tuple, route.tolist())),
         balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls), radius=radius, colour=colour,
     )  # fmt: skip
 
 
-def _drawn(
+def _draft(
     place: Place, scenario: str, radius: float, camera: Camera, rules: TrackingRules, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray | None]] | None:
     """One plan of a scenario: the ball's first place ``(3,)``, the camera's route ``(steps, 3)``, the ball per step.
@@ -87,8 +88,14 @@ def _drawn(
         rolling = islice(stroll(place.ground, first[:2], rules.speed * camera.seconds, rng), rules.steps)
         return first, still, [place.eye(spot, radius) for spot in rolling]
     if scenario == "moving camera":
-        route = _walk(place, xy, yaw, camera, rules.steps, rng)
-        return None if route is None else (first, route, [first] * rules.steps)
+        rows = still[:1]
+        for _ in range(20):  # random goals, one after another
+            path = place.ground.path(rows[-1, :2], place.ground.sample(rng))
+            steps = follow_path(path, float(rows[-1, 2]), camera.step, math.radians(camera.turn))
+            rows = np.concatenate([rows, steps])
+            if len(rows) >= rules.steps:
+                return first, rows[: rules.steps], [first] * rules.steps
+        return None
     second = _spot(place, xy, radius, camera, rng)
     if second is None or np.linalg.norm(second - first) < 1.0:
         return None
@@ -102,44 +109,31 @@ def _share_in_view(
     place: Place, route: np.ndarray, balls: list, radius: float, camera: Camera, rules: TrackingRules
 ) -> float:
     """Of the steps with the ball present, the share that shows it; sampled at every `EVERY`-th step."""
-    shown = []
-    for (x, y, _), ball in list(zip(route, balls, strict=True))[::EVERY]:
-        if ball is not None:
-            position = place.eye(np.array([x, y]), camera.height)
-            frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
-            shown.append(_pixels(frame, position, ball, radius) >= rules.visible_pixels)
-    return float(np.mean(shown))
+    steps = [(pose[:2], ball) for pose, ball in zip(route, balls, strict=True)][::EVERY]
+    shown = [_pixels_at(place, xy, camera)(ball, radius) for xy, ball in steps if ball is not None]
+    return float(np.mean(np.array(shown) >= rules.visible_pixels))
 
 
 def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.random.Generator) -> np.ndarray | None:
     """A point ``(3,)`` on the floor, 1 to 5 m from `xy`, where the ball is in plain view."""
-    position = place.eye(xy, camera.height)
-    frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
+    pixels = _pixels_at(place, xy, camera)
     for _ in range(10):
         spot = place.eye(place.ground.sample(rng), radius)
-        near = 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0
-        if near and _pixels(frame, position, spot, radius) >= SEEN_PIXELS:
+        if 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0 and pixels(spot, radius) >= SEEN_PIXELS:
             return spot
     return None
 
 
-def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float) -> int:
-    """The number of pixels in which a frame from `position`, unturned, would show a ball at `ball` ``(3,)``."""
-    shown = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), _BALL)
-    return int(np.count_nonzero(shown.ids == _BALL))
+def _pixels_at(place: Place, xy: np.ndarray, camera: Camera) -> Callable[[np.ndarray, float], int]:
+    """The number of pixels that show a ball at a point ``(3,)``, of a radius, to a camera at `xy` ``(2,)``."""
+    position = place.eye(xy, camera.height)
+    frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
 
+    def pixels(ball: np.ndarray, radius: float) -> int:
+        shown = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), _BALL)
+        return int(np.count_nonzero(shown.ids == _BALL))
 
-def _walk(
-    place: Place, xy: np.ndarray, yaw: float, camera: Camera, steps: int, rng: np.random.Generator
-) -> np.ndarray | None:
-    """Poses ``(steps, 3)`` of a camera that walks to one random goal after another."""
-    rows = np.array([[*xy, yaw]])
-    for _ in range(20):
-        path = place.ground.path(rows[-1, :2], place.ground.sample(rng))
-        rows = np.concatenate([rows, follow_path(path, float(rows[-1, 2]), camera.step, math.radians(camera.turn))])
-        if len(rows) >= steps:
-            return rows[:steps]
-    return None
+    return pixels
 
 
 def measure(result: EpisodeResult) -> dict[str, float | None]:
