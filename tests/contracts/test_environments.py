@@ -184,7 +184,7 @@ def test_the_ball_goes_where_the_scenario_says():
 
 
 @pytest.mark.parametrize("task", ["navigation", pytest.param("waypoint", marks=pytest.mark.slow), "tracking"])
-def test_playing_the_same_slot_twice_gives_the_same_record(task):
+def test_running_the_same_spec_twice_gives_the_same_record(task):
     rules = {"waypoint": as_dict(SHORT_LEGS), "tracking": {"steps": 16}}.get(task, {})
     config = {"task": task, "perception": "truth", "camera": {}, "rules": rules, "rows": 32}
     config["disturbances"] = as_dict(NoiseModel.walking(latency=2))
