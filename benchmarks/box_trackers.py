@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from eagor.evidence import Evidence
+from eagor.lab.agents.methods import Estimator
 from eagor.sphere import FORWARD, azimuth_elevation
 
 KINDS = {"byte_track": "ByteTrackTracker", "bot_sort": "BoTSORTTracker"}
@@ -24,8 +25,8 @@ LEAST, HIGH = 0.2, 0.3  # scores of `coco`: the least that it tells, and what is
 FOREVER = 10_000  # frames until a thing that is not seen is given up
 
 
-class BoxTracker:
-    """One of `NAMES`, as `eagor.lab.agents.methods.Method`."""
+class BoxTracker(Estimator):
+    """One of `NAMES`, as `eagor.lab.agents.methods.Estimator`."""
 
     def __init__(self, name: str) -> None:
         import trackers
@@ -69,13 +70,6 @@ class BoxTracker:
         """The answer ``(3,)`` in the body frame."""
         best = self._newest[max(self._scores, key=self._scores.__getitem__)] if self._scores else self._best
         return best @ self._pose
-
-    def mass_above(self, direction: np.ndarray) -> None:
-        """Such a tracker has no distribution."""
-        del direction
-
-    def distance(self) -> None:
-        """Nor ranges."""
 
 
 def on_panorama(directions: np.ndarray, axes: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ import common
 import numpy as np
 
 from eagor.evidence import Evidence
-from eagor.lab.agents.methods import NAMES, Method, make_method
+from eagor.lab.agents.methods import NAMES, Estimator, make_estimator
 from eagor.lab.worlds.navmesh import along, length_of
 from eagor.lab.worlds.render import Renderer
 from eagor.media import Pose, bags
@@ -257,7 +257,7 @@ def arrivals(looks: Sequence[Evidence], seconds: float) -> list[tuple[float, Evi
     return found
 
 
-def play(run: Run, looks: Sequence[tuple[float, Evidence]], method: Method, late: bool) -> dict[str, np.ndarray]:
+def play(run: Run, looks: Sequence[tuple[float, Evidence]], method: Estimator, late: bool) -> dict[str, np.ndarray]:
     """The answers of a method, ten times a second: stamps, directions, mass above the truth (NaN without a belief)."""
     begin, end = run.begin, min(run.pictures[-1][0], run.balls[-1][0])
     grid = begin + STEP * np.arange(1, int((end - begin) / STEP))
@@ -356,7 +356,7 @@ def judge_run(path: str) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
     for condition, seconds, late in conditions():
         coming = arrivals(looks, seconds)
         for name in NAMES:
-            method = make_method(name, np.random.default_rng(0), "scout", calibration, detector=detector)
+            method = make_estimator(name, np.random.default_rng(0), "scout", calibration, detector=detector)
             played = play(run, coming, method, late)
             seen = in_sight(run, house, played["stamps"]) if seen is None else seen
             found[condition, name] = figures(run, seen, played, coming[0][0])

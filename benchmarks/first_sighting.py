@@ -20,11 +20,11 @@ import numpy as np
 
 from eagor.lab.agents.methods import answer_at
 from eagor.lab.agents.models import shared
-from eagor.lab.envs.episodes import Slot, slots
-from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.lab.envs.episodes import EpisodeSpec, episode_specs
+from eagor.lab.envs.rules import Camera, NavigationRules, NoiseModel, as_dict
 from eagor.lab.eval import steps as parts
 from eagor.lab.eval.results import Result
-from eagor.lab.tasks.sim.play import Player, Seen
+from eagor.lab.tasks.sim.play import Runner, StepInfo
 from eagor.metrics import angular_error_deg
 from eagor.perception import rows_of
 
@@ -32,7 +32,7 @@ OURS, FRAME = "eagor", "frame"
 SHOWN = (parts.SEEN, parts.IN_SIGHT, parts.HIDDEN)
 
 
-def frame_errors(steps: list[Seen]) -> np.ndarray:
+def frame_errors(steps: list[StepInfo]) -> np.ndarray:
     """Degrees ``(n,)`` between the truth and the highest value of each look; NaN where there is no response map."""
     found = np.full(len(steps), math.nan)
     for index, step in enumerate(steps):
@@ -42,11 +42,11 @@ def frame_errors(steps: list[Seen]) -> np.ndarray:
     return found
 
 
-def errors(player: Player, name: str, slot: Slot, steps: list[Seen]) -> np.ndarray:
+def errors(runner: Runner, name: str, spec: EpisodeSpec, steps: list[StepInfo]) -> np.ndarray:
     """Degrees ``(n,)`` of error of a method after each look."""
     if name == FRAME:
         return frame_errors(steps)
-    method = player.method(name, slot)
+    method = runner.method(name, spec)
     answers = [answer_at(method, step.stamp, step.pose, step.evidence) for step in steps]
     return np.array([float(angular_error_deg(answer, step.truth)) for answer, step in zip(answers, steps, strict=True)])
 
@@ -74,18 +74,18 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=1600)
     options.add_argument("--methods", nargs="+", default=[OURS, "vmf", "grid_filter"])
     given = options.parse_args()
-    settings = {"rules": NavigationRules(), "disturbances": Disturbances(), "camera": Camera()}
+    settings = {"rules": NavigationRules(), "disturbances": NoiseModel(), "camera": Camera()}
     config = {"task": "navigation", "perception": given.perception, "rows": rows_of(shared(given.perception))}
-    player = Player(config | {key: as_dict(value) for key, value in settings.items()})
+    runner = Runner(config | {key: as_dict(value) for key, value in settings.items()})
     names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
-    for slot in slots(config["task"], given.episodes, given.seed):
-        steps: list[Seen] = []
-        record = player.play(slot, [OURS], steps.append)
+    for spec in episode_specs(config["task"], given.episodes, given.seed):
+        steps: list[StepInfo] = []
+        record = runner.run_episode(spec, [OURS], steps.append)
         visible = record["methods"][OURS]["trace"]["visible"]
-        found = {name: errors(player, name, slot, steps) for name in names}
+        found = {name: errors(runner, name, spec, steps) for name in names}
         record["methods"] = {name: {"trace": {"error_deg": found[name], "visible": visible}} for name in names}
         rows.append([means(record, name) for name in names])
-        seeds.append(slot.seed)
+        seeds.append(spec.seed)
         if any(visible):
             pointed.append(float((found[FRAME][visible] < 15).mean()))
     table, clusters = np.array(rows), np.array(seeds)

@@ -23,7 +23,7 @@ import common
 import numpy as np
 
 from eagor.lab.eval.calibration import TASKS, Recorder, record_episodes
-from eagor.lab.tasks.sim.play import Recording
+from eagor.lab.tasks.sim.play import Rollout
 
 AIMS = {"waypoint": ("mae", "tc"), "tracking": ("error", "tc")}
 
@@ -67,19 +67,19 @@ SPACES: dict[str, Callable[[Rng], Settings]] = {
 class Judge:
     """Plays methods on recordings; each process makes its own."""
 
-    def __init__(self, recordings: Sequence[Recording], perception: str) -> None:
-        self.recordings = {task: [r for r in recordings if r.episode.slot.task == task] for task in TASKS}
-        self.players = Recorder(perception).players
+    def __init__(self, recordings: Sequence[Rollout], perception: str) -> None:
+        self.recordings = {task: [r for r in recordings if r.episode.spec.task == task] for task in TASKS}
+        self.runners = Recorder(perception).runners
 
     def aim(self, name: str, half: int) -> float:
         """What is minimised, degrees: means over the episodes in even or odd apartments that have a case."""
         found = 0.0
         for task, columns in AIMS.items():
-            player = self.players[task]
+            runner = self.runners[task]
             judged = [
-                player.judge(recording, player.method(name, recording.episode.slot), regions=False)["metrics"]
+                runner.score(recording, runner.method(name, recording.episode.spec), regions=False)["metrics"]
                 for recording in self.recordings[task]
-                if recording.episode.slot.seed % 2 == half
+                if recording.episode.spec.seed % 2 == half
             ]
             for column in columns:
                 found += float(np.mean([metrics[column] for metrics in judged if metrics[column] is not None]))
@@ -89,7 +89,7 @@ class Judge:
 _judge: Judge
 
 
-def _begin(recordings: Sequence[Recording], perception: str) -> None:
+def _begin(recordings: Sequence[Rollout], perception: str) -> None:
     global _judge
     _judge = Judge(recordings, perception)
 

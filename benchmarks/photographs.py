@@ -44,7 +44,7 @@ from eagor.evidence import DetectorModel, Evidence, parse_model
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import ErpGrid
-from eagor.lab.agents.methods import NAMES, Method, TrackerMethod, make_method
+from eagor.lab.agents.methods import NAMES, Estimator, TrackerEstimator, make_estimator
 from eagor.lab.eval.detector_fit import fitted_model
 from eagor.lab.eval.labelled_looks import LabelledLook
 from eagor.media.panorama import read_panorama, turn
@@ -280,7 +280,7 @@ class Run:
         """Share of the last ten looks with an error below 15 degrees."""
         return float(np.mean(np.array(self.errors[-10:]) < NEAR))
 
-    def answer(self, method: Method, targets: np.ndarray, sizes: np.ndarray, frame: int) -> None:
+    def answer(self, method: Estimator, targets: np.ndarray, sizes: np.ndarray, frame: int) -> None:
         """Note what a method's answer is worth in one frame."""
         angles = angular_distance(targets, method.direction())
         nearest = int(np.argmin(angles))
@@ -306,10 +306,10 @@ def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray],
     """One method on one case, told the poses `say`."""
     config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else None)
     model = told_to(name, model)
-    method: Method = (
+    method: Estimator = (
         box_trackers.BoxTracker(name)
         if name in box_trackers.NAMES
-        else make_method(name, np.random.default_rng(0), "coco", ours=config, detector=model)
+        else make_estimator(name, np.random.default_rng(0), "coco", ours=config, detector=model)
     )
     run = Run(case.photograph, case.condition, case.query, name, bool(len(case.targets)), lookalike)
     run.boxes = [any(thing.score >= BOX for thing in things) for things in case.things]
@@ -317,7 +317,7 @@ def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray],
         method.move(float(frame), say[frame], None)
         method.see(case.evidence(frame, model))
         targets = case.targets @ pose
-        if isinstance(method, TrackerMethod):
+        if isinstance(method, TrackerEstimator):
             run.believe(method.estimate, targets, frame + 1)
         if run.here:
             run.answer(method, targets, case.sizes, frame)

@@ -14,7 +14,7 @@ from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO
 
 from eagor import perception
-from eagor.lab.agents.methods import answer_at, method_for
+from eagor.lab.agents.methods import answer_at, make_estimator
 from eagor.lab.agents.models import EpisodePerception
 from eagor.lab.envs.rules import NavigationRules
 from eagor.statistics import paired_difference, wilson_interval
@@ -35,8 +35,8 @@ class Estimate(gymnasium.Wrapper):
 
     def reset(self, **settings):
         seen, info = self.env.reset(**settings)
-        self.eye = EpisodePerception(truth, self.unwrapped.episode.slot, info["instances"]["labels"])
-        self.method = method_for(options.method, truth, "truth", np.random.default_rng(0))
+        self.eye = EpisodePerception(truth, self.unwrapped.episode.spec, info["instances"]["labels"])
+        self.method = make_estimator(options.method, np.random.default_rng(0), "truth")
         return self.estimate(seen, info), info
 
     def step(self, action):

@@ -7,7 +7,8 @@ from types import ModuleType
 
 from rooms import two_rooms
 
-from eagor.lab.tasks.sim import navigation, place_env, places, tracking, waypoint
+from eagor.lab.envs import place_env, places
+from eagor.lab.tasks.sim import navigation, tracking, waypoint
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import Renderer
 

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from eagor.conventions import from_gltf, to_gltf
-from eagor.lab.envs.episodes import FileSlot, slot_of
+from eagor.lab.envs.episodes import FileEpisodeSpec, spec_from_json
 from eagor.lab.envs.places import load_place
 
 CONFIG = "benchmark/nav/objectnav/objectnav_hm3d.yaml"
@@ -100,17 +100,17 @@ def differences(settings, records, found):
         by_scene.setdefault(Path(episode.scene_id).name, []).append(episode)
     rows = {}
     for record in records:
-        slot = slot_of(record["episode"]["slot"])
-        assert isinstance(slot, FileSlot)
-        theirs = by_scene[Path(slot.scene).name][slot.episode]
-        distance = geodesic(load_place(slot.world, slot.seed, settings["camera"]["radius"]).ground)
+        spec = spec_from_json(record["episode"]["slot"])
+        assert isinstance(spec, FileEpisodeSpec)
+        theirs = by_scene[Path(spec.scene).name][spec.episode]
+        distance = geodesic(load_place(spec.world, spec.seed, settings["camera"]["radius"]).ground)
         for method, entry in record["methods"].items():
             ours = {name: entry["metrics"][name] for name in (*NAMES, "shortest_m")}
             rules = settings["rules"]
             stopped = rules["stop"] == "reach" or entry["metrics"]["steps"] < rules["max_steps"]  # or no step was left
             limit = rules["success_distance"]
             said = measured(theirs, to_gltf(np.array(entry["path"])), stopped, distance, limit)
-            rows[f"{slot.id}/{method}"] = ours, said
+            rows[f"{spec.id}/{method}"] = ours, said
     return rows
 
 
@@ -215,21 +215,21 @@ def judged(file, walks):
     where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
     stops 1 mm before it (``collisions``, how often that was).
     """
-    from eagor.lab.envs.episodes import listed_slots, plan_listed
+    from eagor.lab.envs.episodes import file_episode_specs, plan_listed
     from eagor.lab.envs.rules import Camera, NavigationRules, as_dict, from_dict
     from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv, score
     from eagor.lab.tasks.sim.play import STANDS
 
     rules = from_dict(NavigationRules, as_dict(NavigationRules.objectnav()) | {"stop": "call"})
-    slots = {(slot.scene, slot.episode): slot for slot in listed_slots("navigation", file, None, "habitat", None)}
+    specs = {(spec.scene, spec.episode): spec for spec in file_episode_specs("navigation", file, None, "habitat", None)}
     by_slot = {(walk["scene_id"], walk["episode"]): walk for walk in walks}
-    assert by_slot.keys() == slots.keys()
+    assert by_slot.keys() == specs.keys()
     env = MapFreeNavigationEnv(rules, panorama=None, instances=False, camera=Camera())
     turn = math.radians(env.camera.turn)
     ours = {STOP: (0.0, 0.0), FORWARD: (0.0, env.camera.step), 2: (turn, STANDS), 3: (-turn, STANDS)}
-    for key, slot in slots.items():
+    for key, spec in specs.items():
         walk = by_slot[key]
-        episode = plan_listed(slot, str(file), env.camera, rules)
+        episode = plan_listed(spec, str(file), env.camera, rules)
         _, info = env.reset(options={"episode": episode})
         for action in walk["actions"]:
             _, _, over, _, info = env.step(ours[action])

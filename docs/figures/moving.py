@@ -23,10 +23,10 @@ from eagor.drawing import paint_belief
 from eagor.drawing.panorama import OURS, TRUTH
 from eagor.drawing.style import INK, QUIET, far_in_words, figure, image
 from eagor.lab.agents.methods import BASE
-from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
-from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
-from eagor.lab.tasks.sim.play import Player
+from eagor.lab.envs.rules import Camera, NavigationRules, NoiseModel, as_dict
+from eagor.lab.tasks.sim.play import Runner
 from eagor.lab.worlds import View
 from eagor.perception import load
 from eagor.sphere import interpolate_rotation, unit
@@ -58,9 +58,9 @@ def search(seed: int, index: int) -> Way:
     config |= {
         "rules": as_dict(NavigationRules()),
         "camera": as_dict(camera),
-        "disturbances": as_dict(Disturbances()),
+        "disturbances": as_dict(NoiseModel()),
     }
-    record = Player(config, seeing).play(Slot("navigation", APARTMENT, seed, index, index), ["eagor"])
+    record = Runner(config, seeing).run_episode(EpisodeSpec("navigation", APARTMENT, seed, index, index), ["eagor"])
     poses = np.array(record["methods"]["eagor"]["trace"]["pose"])
     thing = load_place(APARTMENT, seed, camera.radius).scene.instances[record["episode"]["targets"][0]]
     rotations = np.array([rotation_from_wxyz(pose[3:]) for pose in poses])

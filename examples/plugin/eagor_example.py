@@ -23,10 +23,10 @@ import trimesh
 
 from eagor import ErpGrid, Evidence
 from eagor.errors import QueryError, WorldError
-from eagor.lab.envs.episodes import Episode, Slot, choose_target
+from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import load_place, pixels_of
-from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import SimTask
 from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
@@ -116,10 +116,10 @@ class TurntableEnv(AnsweringEnv):
         super().__init__(**settings)
         self.rules = rules or TurntableRules()
 
-    def plan(self, slot: Slot) -> TurntableEpisode:
-        """The episode of this slot. Everything random comes from ``slot.rng``."""
-        place = load_place(slot.world, slot.seed, self.camera.radius)
-        rng = slot.rng("plan")
+    def plan(self, spec: EpisodeSpec) -> TurntableEpisode:
+        """The episode of this spec. Everything random comes from ``spec.rng``."""
+        place = load_place(spec.world, spec.seed, self.camera.radius)
+        rng = spec.rng("plan")
         for target, query in choose_target(place, rng):
             for _ in range(20):
                 x, y = (float(value) for value in place.ground.sample(rng))
@@ -128,7 +128,7 @@ class TurntableEnv(AnsweringEnv):
                     start = float(rng.uniform(-math.pi, math.pi))
                     turns = start + 2 * math.pi * np.arange(self.rules.steps) / self.rules.steps
                     return TurntableEpisode(
-                        slot=slot,
+                        spec=spec,
                         scene=place.scene.source,
                         scene_hash=place.scene.hash,
                         query=query,
@@ -142,9 +142,9 @@ class TurntableEnv(AnsweringEnv):
         raise WorldError(f"{place.scene.source} has nothing that is in view from anywhere")
 
 
-def measure(played: Played) -> dict[str, float | None]:
+def measure(result: EpisodeResult) -> dict[str, float | None]:
     """Figures of one method in one episode: mean error and the error at the end, degrees."""
-    errors = [error for error in played.trace["error_deg"] if error is not None]
+    errors = [error for error in result.trace["error_deg"] if error is not None]
     return {"error": float(np.mean(errors)), "last": errors[-1]}
 
 

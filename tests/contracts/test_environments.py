@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -15,18 +14,18 @@ from gymnasium.utils.env_checker import check_env
 
 import eagor.lab.tasks
 from eagor.errors import EagorError, WorldError
-from eagor.lab.envs.episodes import Episode, Slot
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.rules import (
     Camera,
-    Disturbances,
     NavigationRules,
+    NoiseModel,
     TrackingRules,
     WaypointRules,
     as_dict,
     from_dict,
 )
 from eagor.lab.tasks.sim import navigation, tracking, waypoint
-from eagor.lab.tasks.sim.play import Player
+from eagor.lab.tasks.sim.play import Runner
 from eagor.sphere import angular_distance
 
 SHORT_LEGS = WaypointRules(leg_steps=6)
@@ -70,22 +69,6 @@ def test_gymnasiums_checker_passes(task, settings):
         check_env(make(task, **settings, render_mode="rgb_array").unwrapped, skip_render_check=False)
 
 
-@pytest.mark.parametrize("task", ["navigation", "waypoint", "tracking"])
-def test_vectorised_environments_work(task):
-    name = {"waypoint": "WaypointFollowing", "navigation": "MapFreeNavigation", "tracking": "TargetTracking"}[task]
-    envs = gymnasium.make_vec(
-        f"Eagor/{name}-v0", num_envs=2, vectorization_mode="sync", panorama=16, **SETTINGS.get(task, {})
-    )
-    observation, info = envs.reset(seed=3)
-    assert observation["panorama"].shape == (2, 16, 32, 3)
-    assert info["instances"]["ids"].shape == (2, 64, 128)
-    for _ in range(3):
-        observation, reward, *_, info = envs.step(envs.action_space.sample())
-    assert reward.shape == (2,)
-    assert info["truth"]["direction"].shape == (2, 3)
-    envs.close()
-
-
 def test_navigation_starts_facing_away_and_scores_as_habitat_does():
     env = make("navigation", panorama=None)
     for seed in range(3):
@@ -111,18 +94,6 @@ def test_navigation_starts_facing_away_and_scores_as_habitat_does():
         gained = max(0.0, 1 - left / episode.shortest)
         assert info["soft_spl"] == pytest.approx(gained * episode.shortest / max(episode.shortest, walked))
         assert info["num_steps"] <= 500
-
-
-def test_stop_ends_the_episode_where_it_has_to_be_called():
-    env = make("navigation", panorama=None, rules=NavigationRules(stop="call"))
-    env.reset(seed=1)
-    _, _, terminated, truncated, info = env.step([0.3, 0.0])
-    assert terminated
-    assert not truncated
-    assert info["success"] == 0.0, "stopped far from the target"
-    env = make("navigation", panorama=None)
-    env.reset(seed=1)
-    assert not env.step([0.3, 0.0])[2], "under the rule `reach`, stop is only a turn on the spot"
 
 
 def test_an_action_turns_to_the_left_and_walks_at_most_a_step():
@@ -177,8 +148,8 @@ def test_the_observation_is_of_the_camera_and_the_truth_of_the_world():
 
 def test_waypoint_routes_have_four_legs_of_growing_turns():
     for seed in range(3):
-        slot = Slot("waypoint", "apartment", seed, 0, 0)
-        episode = waypoint.plan(slot, Camera(), SHORT_LEGS)
+        spec = EpisodeSpec("waypoint", "apartment", seed, 0, 0)
+        episode = waypoint.plan(spec, Camera(), SHORT_LEGS)
         route, legs = np.array(episode.route), np.array(episode.legs)
         assert list(dict.fromkeys(legs)) == ["L1", "L2", "L3", "L4"]
         for leg in ("L1", "L2", "L3", "L4"):
@@ -187,14 +158,14 @@ def test_waypoint_routes_have_four_legs_of_growing_turns():
         assert steps.max() <= 0.25 + 1e-6
         turns = np.abs([math.remainder(b - a, 2 * math.pi) for a, b in zip(route[:-1, 2], route[1:, 2], strict=True)])
         assert np.degrees(turns.max()) <= 30 + 1e-6
-        assert episode == waypoint.plan(slot, Camera(), SHORT_LEGS), "the same slot is the same episode"
+        assert episode == waypoint.plan(spec, Camera(), SHORT_LEGS), "the same spec is the same episode"
 
 
 def test_the_ball_goes_where_the_scenario_says():
     seen = {}
     for number in range(3):
         env = make("tracking", panorama=None)
-        episode = tracking.plan(Slot("tracking", "apartment", 7, number, number), Camera(), env.unwrapped.rules)
+        episode = tracking.plan(EpisodeSpec("tracking", "apartment", 7, number, number), Camera(), env.unwrapped.rules)
         _, info = env.reset(options={"episode": episode})
         present, over = [info["truth"]["present"]], False
         while not over:
@@ -213,28 +184,21 @@ def test_the_ball_goes_where_the_scenario_says():
 
 
 @pytest.mark.parametrize("task", ["navigation", pytest.param("waypoint", marks=pytest.mark.slow), "tracking"])
-def test_playing_the_same_slot_twice_gives_the_same_record(task):
+def test_running_the_same_spec_twice_gives_the_same_record(task):
     rules = {"waypoint": as_dict(SHORT_LEGS), "tracking": {"steps": 16}}.get(task, {})
     config = {"task": task, "perception": "truth", "camera": {}, "rules": rules, "rows": 32}
-    config["disturbances"] = as_dict(Disturbances.walking(latency=2))
+    config["disturbances"] = as_dict(NoiseModel.walking(latency=2))
     names = ["centroid", "eagor_paper", "particle_filter", "eagor"][: 2 if task == "navigation" else 4]
-    slot = Slot(task, "apartment", 11, 1, 1)
-    first, second = (Player(config).play(slot, names) for _ in range(2))
+    spec = EpisodeSpec(task, "apartment", 11, 1, 1)
+    first, second = (Runner(config).run_episode(spec, names) for _ in range(2))
     assert json.dumps(first, sort_keys=True, allow_nan=False) == json.dumps(second, sort_keys=True, allow_nan=False)
-    alone = Player(config).play(slot, names[-1:])
+    alone = Runner(config).run_episode(spec, names[-1:])
     assert alone["methods"][names[-1]] == first["methods"][names[-1]], "a method is not disturbed by others"
-
-
-def test_a_target_that_no_way_leads_to_has_no_shortest_way():
-    slot = Slot("waypoint", "apartment", 11, 1, 1)
-    hung = Episode(slot, "apartment", "hash", "tv", (3,), (0.0, 0.0), 0.0, math.inf)
-    assert hung.as_json()["shortest"] is None
-    assert replace(hung, shortest=2.5).as_json()["shortest"] == 2.5
 
 
 def test_the_oracle_walks_straight_and_errs_nowhere():
     config = {"task": "navigation", "perception": "truth:ideal", "camera": {}, "rules": {}, "disturbances": {}}
-    record = Player(config | {"rows": 32}).play(Slot("navigation", "apartment", 2, 0, 0), ["oracle"])
+    record = Runner(config | {"rows": 32}).run_episode(EpisodeSpec("navigation", "apartment", 2, 0, 0), ["oracle"])
     assert record["methods"]["oracle"]["metrics"]["mae"] == pytest.approx(0.0, abs=1e-6)
     assert record["methods"]["oracle"]["metrics"]["success"] == 1.0
 
@@ -243,38 +207,19 @@ def test_the_oracle_walks_straight_and_errs_nowhere():
     ("kind", "rules", "says"),
     [
         (Camera, {"height": math.nan}, "Camera: height = nan; wanted metres above 0"),
-        (Camera, {"radius": -0.1}, "radius = -0.1; wanted metres from 0 on"),
-        (Camera, {"step": 0.0}, "step = 0.0; wanted metres above 0"),
-        (Camera, {"turn": 0}, "turn = 0; wanted degrees"),
-        (Camera, {"seconds": math.inf}, "seconds = inf; wanted seconds above 0"),
-        (Disturbances, {"sway": -2.0}, "Disturbances: sway = -2.0; wanted degrees from 0 on"),
-        (Disturbances, {"bob": math.nan}, "bob = nan"),
-        (Disturbances, {"latency": 0.5}, "latency = 0.5; wanted a whole number of steps"),
-        (
-            NavigationRules,
-            {"max_steps": 0},
-            "NavigationRules: max_steps = 0; wanted a whole number of steps, from 1 on",
-        ),
-        (NavigationRules, {"success_distance": -1.0}, "success_distance = -1.0; wanted metres above 0"),
+        (Camera, {"seconds": math.inf}, "seconds = inf; wanted a number above 0"),
+        (Camera, {"hfov": 171.0}, "hfov = 171.0; wanted degrees: 10 to 170, or 360"),
+        (NoiseModel, {"sway": -2.0}, "NoiseModel: sway = -2.0; wanted a number from 0 on"),
+        (NoiseModel, {"latency": 0.5}, "latency = 0.5; wanted a whole number from 0 on"),
         (NavigationRules, {"stop": "halt"}, "stop = 'halt'; wanted reach or call"),
         (NavigationRules, {"sliding": "no"}, "sliding = 'no'; wanted true or false"),
         (NavigationRules, {"nearest": 9.0}, "farthest = 8.0; wanted no less than nearest = 9.0"),
-        (NavigationRules, {"ratio": 0.5}, "ratio = 0.5; wanted a number from 1 on"),
-        (NavigationRules, {"facing_away": 200.0}, "facing_away = 200.0; wanted degrees from 0 to 180"),
-        (NavigationRules, {"visible_pixels": -1}, "visible_pixels = -1; wanted a whole number of pixels"),
         (WaypointRules, {"leg_steps": True}, "WaypointRules: leg_steps = True; wanted a whole number"),
         (WaypointRules, {"turns": ((0.0, 45.0),) * 3}, "turns = .*; wanted 4 pairs"),
-        (WaypointRules, {"turns": ((0.0, 45.0),) * 3 + ((90.0, 45.0),)}, "wanted 4 pairs .* second not below"),
-        (WaypointRules, {"occluded": (0.5, 0.08)}, r"occluded = \(0.5, 0.08\); wanted two shares"),
-        (TrackingRules, {"steps": 0}, "TrackingRules: steps = 0; wanted a whole number of steps, from 1 on"),
+        (WaypointRules, {"turns": ((0.0, 45.0),) * 3 + ((90.0, 45.0),)}, "wanted 4 pairs .* ascending"),
         (TrackingRules, {"steps": 10**400}, "steps = 1000.*; wanted a whole number"),
-        (TrackingRules, {"steps": "60"}, "steps = '60'; wanted a whole number"),
-        (TrackingRules, {"speed": 0.0}, "speed = 0.0; wanted metres per second, above 0"),
         (TrackingRules, {"gone": (0.4, 1.6)}, "wanted two shares .* from 0 to 1"),
         (TrackingRules, {"gone": (0.0, 0.5)}, "wanted the ball present at step 1 of 60"),
-        (TrackingRules, {"steps": 1}, "wanted the ball present at step 1 of 1:"),
-        (TrackingRules, {"seen": 1.5}, "seen = 1.5; wanted a share"),
-        (TrackingRules, {"lost_above": -3.0}, "lost_above = -3.0; wanted degrees"),
     ],
 )
 def test_rules_that_nothing_can_be_played_under_are_refused(kind, rules, says):
@@ -297,10 +242,10 @@ def test_rules_that_nothing_can_be_played_under_are_refused(kind, rules, says):
 def test_rules_at_their_bounds_can_be_written_read_and_played(task, rules):
     config = {"task": task, "perception": "truth", "rows": 32, "rules": json.loads(json.dumps(as_dict(rules)))}
     config |= {"camera": {"radius": 0, "turn": 360}, "disturbances": {"latency": 0}}
-    player = Player(config)
-    assert player.rules == rules
+    runner = Runner(config)
+    assert runner.rules == rules
     for number in range(3):
-        record = player.play(Slot(task, "apartment", 7, number, number), ["centroid"])
+        record = runner.run_episode(EpisodeSpec(task, "apartment", 7, number, number), ["centroid"])
         assert record["methods"]["centroid"]["metrics"]
 
 
@@ -314,7 +259,7 @@ def test_bad_input_says_what_was_wanted():
     with pytest.raises(WorldError, match="has no"):
         from_dict(Camera, {"height_of": 2})
     with pytest.raises(EagorError, match="no task"):
-        Player({"task": "swimming", "perception": "truth"})
+        Runner({"task": "swimming", "perception": "truth"})
     episode = env.unwrapped.episode
     other = episode.__class__(**{**episode.__dict__, "scene_hash": "0" * 16})
     with pytest.raises(WorldError, match="plan the episode again"):
@@ -325,19 +270,14 @@ def test_bad_input_says_what_was_wanted():
 def test_a_body_that_believes_that_it_has_arrived_calls_stop(policy):
     rules = {"stop": "call", "policy": policy}
     config = {"task": "navigation", "perception": "truth:ideal", "camera": {}, "rules": rules, "disturbances": {}}
-    slot = Slot("navigation", "apartment", 2, 0, 0)
-    arrived = Player(config | {"rows": 32}).play(slot, ["oracle"])["methods"]["oracle"]["metrics"]
+    spec = EpisodeSpec("navigation", "apartment", 2, 0, 0)
+    arrived = Runner(config | {"rows": 32}).run_episode(spec, ["oracle"])["methods"]["oracle"]["metrics"]
     assert (arrived["success"], arrived["distance_to_goal"] < 1.0, arrived["steps"] < 500) == (1.0, True, True)
-    never = Player(config | {"rows": 32, "rules": rules | {"max_steps": 30}}).play(slot, ["vmf"])["methods"]["vmf"]
+    never = Runner(config | {"rows": 32, "rules": rules | {"max_steps": 30}}).run_episode(spec, ["vmf"])["methods"][
+        "vmf"
+    ]
     assert never["metrics"]["success"] == 0, "it knows no distance"
     assert never["metrics"]["steps"] == 30
-
-
-def test_objectnavs_rule_is_that_stop_is_called():
-    rules = NavigationRules.objectnav()
-    assert (rules.stop, rules.goal, rules.success_distance) == ("call", "view_points", 0.1)
-    assert "when the agent calls stop" in rules.judged
-    assert NavigationRules().near == 0, "nothing needs to be called"
 
 
 def test_an_episode_in_a_file_is_the_same_wherever_the_file_is(tmp_path):
@@ -347,7 +287,7 @@ def test_an_episode_in_a_file_is_the_same_wherever_the_file_is(tmp_path):
         file.write_bytes(b"the same")
 
     def drawn(world):
-        return Slot("navigation", str(world), 3, 1, 1).rng("plan").random()
+        return EpisodeSpec("navigation", str(world), 3, 1, 1).rng("plan").random()
 
     assert drawn(files[0]) == drawn(files[1])
     assert drawn(f"habitat:{files[0]}?up=y") == drawn(f"habitat:{files[1]}?up=y") != drawn(files[0])
@@ -355,3 +295,11 @@ def test_an_episode_in_a_file_is_the_same_wherever_the_file_is(tmp_path):
     files[1].write_bytes(b"another one")
     assert drawn(files[1]) != before
     assert drawn("apartment") == 0.3246801282763019, "as in every run so far"
+
+
+def test_a_stop_that_has_to_be_called_ends_the_episode():
+    for stop, ends in (("call", True), ("reach", False)):
+        env = make("navigation", panorama=None, rules=NavigationRules(stop=stop))
+        env.reset(seed=1)
+        _, _, terminated, truncated, info = env.step([0.3, 0.0])
+        assert (terminated, truncated, info["success"]) == (ends, False, 0.0)

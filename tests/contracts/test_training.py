@@ -108,7 +108,7 @@ def test_episode_statistics_are_gymnasiums(name):
     env = RecordEpisodeStatistics(make(name, panorama=None))
     env.action_space.seed(0)
     _, info = env.reset(seed=1)
-    assert info["episode_id"] == env.unwrapped.episode.slot.id
+    assert info["episode_id"] == env.unwrapped.episode.spec.id
     total, steps, over = 0.0, 0, False
     while not over:
         _, reward, terminated, truncated, info = env.step(env.action_space.sample())

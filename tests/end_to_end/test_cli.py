@@ -786,7 +786,7 @@ def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
     assert "TrackingRules: steps = 0; wanted a whole number" in twice, "both count"
     assert "two values of steps; leave one of them out" in refused(*words, "--set", "steps=4", "--set", "steps=5")
     assert "Camera: step = nan; wanted metres above 0" in refused(*words, "--set", "seen=0.5", "step=nan")
-    assert "Disturbances: latency = -1" in refused(*words, "--latency", "-1")
+    assert "NoiseModel: latency = -1" in refused(*words, "--latency", "-1")
     assert not (tmp_path / "run").exists()
 
 

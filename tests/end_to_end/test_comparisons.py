@@ -10,9 +10,9 @@ import pytest
 import synthetic_runs
 
 from eagor.cli import main
-from eagor.lab.envs.episodes import slots
+from eagor.lab.envs.episodes import episode_specs
 from eagor.lab.eval import log
-from eagor.lab.eval.replay import player_of, slot_in
+from eagor.lab.eval.replay import runner_of, spec_in
 from eagor.lab.eval.results import read, summarise
 from eagor.lab.tasks import task
 from eagor.lab.tasks.sim.tracking import TRACKING
@@ -136,8 +136,8 @@ def test_the_worst_episodes_come_first_and_can_be_played_again(played):
         for r in run.records
         if r["episode"]["id"] == case["case"] and "vmf" in r["methods"]
     )
-    player, slot = player_of(run, case["case"])
-    again = player.play(slot, ["vmf"])
+    runner, spec = runner_of(run, case["case"])
+    again = runner.run_episode(spec, ["vmf"])
     assert again["episode"]["id"] == case["case"]
     assert again["methods"]["vmf"]["metrics"] == pytest.approx(recorded)
     lines = bench("failures", played, "--limit", 1)[1].splitlines()
@@ -152,10 +152,10 @@ def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_p
     for record in records:
         record["episode"] |= {"world": "apartment", "index": int(record["episode"]["id"].partition("-")[2])}
     run = read(synthetic_runs.write_run(tmp_path / "run", records))
-    wanted = {slot.id: slot for slot in slots("tracking", 15, 2000)}
+    wanted = {spec.id: spec for spec in episode_specs("tracking", 15, 2000)}
     names = [record["episode"]["id"] for record in records]
     assert len(names) == 9
-    assert all(slot_in(run, name) == wanted[name] for name in names)
+    assert all(spec_in(run, name) == wanted[name] for name in names)
 
 
 def test_the_worst_are_ranked_by_their_error(made_up):

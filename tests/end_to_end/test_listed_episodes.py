@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 from listed_rooms import content, exported, rewrite
 
-from eagor import metrics
 from eagor.cli import main
-from eagor.conventions import from_gltf
 from eagor.errors import WorldError
-from eagor.lab.envs.episodes import FileSlot, listed_slots, plan_listed, slot_of
+from eagor.lab.envs.episodes import FileEpisodeSpec, file_episode_specs, plan_listed, spec_from_json
 from eagor.lab.envs.places import load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.eval import log
-from eagor.lab.eval.replay import slot_in
+from eagor.lab.eval.replay import spec_in
 from eagor.lab.eval.results import read
-from eagor.lab.tasks.sim.play import Player
+from eagor.lab.tasks.sim.play import Runner
 from eagor.lab.worlds.glb import ON_MESH
 from eagor.lab.worlds.objectnav import read_episodes
 
@@ -59,7 +57,7 @@ def test_a_run_plays_some_episodes_of_each_scene_and_says_how_they_were_judged(r
         assert "less than 0.1 m along the floor from a view point of the goal" in text
     assert main(["bench", "failures", str(out), "--json"]) == 0
     shown = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert isinstance(slot_in(read(out), shown["cases"][0]["case"]), FileSlot)
+    assert isinstance(spec_in(read(out), shown["cases"][0]["case"]), FileEpisodeSpec)
 
 
 def test_each_measure_is_that_of_the_recorded_path(run, file):
@@ -67,11 +65,11 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
     out, _ = run
     by_scene = {each.episodes[0].scene: each for each in read_episodes(file)}
     for record in log.read(out):
-        slot = slot_of(record["episode"]["slot"])
-        assert isinstance(slot, FileSlot)
-        listed = by_scene[slot.scene].episodes[slot.episode]
-        ground = load_place(slot.world, slot.seed, 0.18).ground
-        views = [goal.view_positions[:, :2] for goal in by_scene[slot.scene].goals[listed.category]]
+        spec = spec_from_json(record["episode"]["slot"])
+        assert isinstance(spec, FileEpisodeSpec)
+        listed = by_scene[spec.scene].episodes[spec.episode]
+        ground = load_place(spec.world, spec.seed, 0.18).ground
+        views = [goal.view_positions[:, :2] for goal in by_scene[spec.scene].goals[listed.category]]
         way = ground.field(np.concatenate(views))
         ((method, entry),) = record["methods"].items()
         path, found = np.array(entry["path"]), entry["metrics"]
@@ -95,7 +93,7 @@ def test_a_unit_played_again_is_the_same(run):
     out, _ = run
     told = read(out)
     record = next(each for each in told.records if each["key"].endswith("eagor"))
-    again = Player(dict(told.settings)).play(slot_of(record["episode"]["slot"]), ["eagor"])
+    again = Runner(dict(told.settings)).run_episode(spec_from_json(record["episode"]["slot"]), ["eagor"])
     assert again["methods"]["eagor"]["path"] == record["methods"]["eagor"]["path"]
     assert again["methods"]["eagor"]["metrics"] == record["methods"]["eagor"]["metrics"]
 
@@ -128,16 +126,16 @@ def test_other_rules_of_success_are_taken_and_said(file, tmp_path, capsys):
 def planned(file, change=None, number=0):
     if change is not None:
         rewrite(file, change)
-    slot = listed_slots("navigation", file, None, "apartment", None)[number]
-    return slot, plan_listed(slot, str(file), Camera(), NavigationRules.objectnav())
+    spec = file_episode_specs("navigation", file, None, "apartment", None)[number]
+    return spec, plan_listed(spec, str(file), Camera(), NavigationRules.objectnav())
 
 
 def test_an_episode_looks_for_all_things_of_its_category_and_starts_as_the_file_says(file):
-    slot, episode = planned(file)
-    place = load_place(slot.world, slot.seed, 0.18)
+    spec, episode = planned(file)
+    place = load_place(spec.world, spec.seed, 0.18)
     assert episode.query == "chair"
     assert [place.scene.instances[index].category for index in episode.targets] == ["chair", "chair"]
-    (mine,) = (each for each in read_episodes(file) if each.episodes[0].scene == slot.scene)
+    (mine,) = (each for each in read_episodes(file) if each.episodes[0].scene == spec.scene)
     listed = mine.episodes[0]
     assert np.allclose(episode.start, listed.position[:2])
     assert np.cos(episode.yaw) == pytest.approx(listed.world_R_body[0, 0])
@@ -149,51 +147,10 @@ def test_an_episode_looks_for_all_things_of_its_category_and_starts_as_the_file_
     json.dumps(said, allow_nan=False)
 
 
-def test_success_is_strict(file):
-    """At exactly the distance of the rule there is none: the rule is set to the distance that the body reaches."""
-    slot, _ = planned(file)
-    rules = NavigationRules.objectnav()
-    config = {
-        "task": "navigation", "perception": "truth", "rows": 64, "episodes_file": str(file),
-        "camera": vars(Camera()), "disturbances": {},
-    }  # fmt: skip
-
-    def play(distance):
-        player = Player(
-            config | {"rules": vars(rules) | {"success_distance": distance, "max_steps": 1, "stop": "reach"}}
-        )
-        return player.play(slot, ["oracle"])["methods"]["oracle"]
-
-    left = play(1e-3)["metrics"]["distance_to_goal"]
-    place = load_place(slot.world, slot.seed, 0.18)
-    exact = float(place.way_to_views(planned(file)[1].view_points).distance(np.array(play(1e-3)["path"][-1][:2])))
-    assert exact == pytest.approx(left, abs=1e-6)
-    assert metrics.success([exact], [True], exact)[0] == 0
-    assert play(exact - 1e-6)["metrics"]["success"] == 0
-    assert play(exact + 1e-6)["metrics"]["success"] == 1
-
-
-def test_a_start_on_a_view_point_divides_nothing_by_zero(tmp_path):
-    file = exported(tmp_path)
-
-    def on_it(found):
-        (goals,) = found["goals_by_category"].values()
-        found["episodes"][0]["start_position"] = goals[0]["view_points"][3]["agent_state"]["position"]
-
-    slot, episode = planned(file, on_it)
-    assert episode.shortest < 1e-6
-    config = {
-        "task": "navigation", "perception": "truth", "rows": 64, "episodes_file": str(file), "disturbances": {},
-        "camera": vars(Camera()), "rules": vars(NavigationRules.objectnav()) | {"max_steps": 3},
-    }  # fmt: skip
-    found = Player(config).play(slot, ["oracle"])["methods"]["oracle"]["metrics"]
-    assert np.isfinite([found["spl"], found["soft_spl"]]).all()
-
-
 def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
     file = exported(tmp_path)
-    slot, before = planned(file)
-    place = load_place(slot.world, slot.seed, 0.18)
+    spec, before = planned(file)
+    place = load_place(spec.world, spec.seed, 0.18)
 
     def lifted(found):
         (goals,) = found["goals_by_category"].values()
@@ -219,72 +176,13 @@ def test_view_points_of_another_storey_are_not_reached_from_this_one(tmp_path):
 # --- files ---
 
 
-def test_random_numbers_do_not_depend_on_where_the_scenes_are(file):
-    one = listed_slots("navigation", file, None, "apartment", None)[0]
-    two = FileSlot(**{**vars(one), "world": "elsewhere", "seed": 3})
-    assert one.rng("plan").random() == two.rng("plan").random()
-    assert one.rng("plan").random() != one.rng("method").random()
-    assert one.id == two.id == "other-0"
-
-
 def test_few_episodes_are_taken_from_each_scene_in_turn(file):
     def taken(count):
-        return [each.id for each in listed_slots("navigation", file, count, "apartment", None)]
+        return [each.id for each in file_episode_specs("navigation", file, count, "apartment", None)]
 
     assert taken(3) == ["other-0", "other-1", "room-0"]
     assert taken(4) == ["other-0", "other-1", "room-0", "room-1"]
     assert len(taken(None)) == len(taken(99)) == 10
-
-
-def test_in_habitat_each_scene_is_a_world_with_its_dataset_and_storeys(file):
-    home = file.parents[5] / "scene_datasets"
-    worlds = [each.world for each in listed_slots("navigation", file, 2, "habitat", None)]
-    dataset = home / "eagor/eagor.scene_dataset_config.json"
-    assert worlds == [
-        f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&body=0.88&storey=0.01"
-        for place in ("00001-other/other", "00000-room/room")
-    ]
-
-
-def test_options_of_habitat_hold_for_all_scenes_and_another_body_replaces_the_usual_one(file):
-    home = file.parents[5] / "scene_datasets"
-    dataset = home / "eagor/eagor.scene_dataset_config.json"
-    for asked in ("habitat?body=1.41&gpu=-1", "habitat:?body=1.41&gpu=-1"):
-        worlds = [each.world for each in listed_slots("navigation", file, 2, asked, None)]
-        assert worlds == [
-            f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&body=1.41&gpu=-1&storey=0.01"
-            for place in ("00001-other/other", "00000-room/room")
-        ]
-    one = file.parent / "content" / "room.json.gz"
-    scene = home / "eagor/val/00000-room/room.glb"
-    for asked, wanted in (("", "body=0.88"), ("?body=1.41", "body=1.41")):
-        slots = listed_slots("navigation", one, None, f"habitat:{scene}{asked}", None)
-        assert {each.world for each in slots} == {f"habitat:{scene}?{wanted}"}
-
-
-def test_starts_on_two_storeys_are_played_on_their_own(tmp_path):
-    file = exported(tmp_path)
-
-    def upstairs(found):
-        for episode in found["episodes"][::2]:
-            episode["start_position"][1] += 2.9
-
-    rewrite(file, upstairs)
-    slots = listed_slots("navigation", file, None, "habitat", None)
-    assert [each.world.rpartition("&")[2] for each in slots] == ["storey=0.01"] * 2 + ["storey=2.91"] * 2
-    assert [each.episode for each in slots] == [1, 3, 0, 2]
-
-
-def test_all_starts_upstairs_are_played_upstairs(tmp_path):
-    file = exported(tmp_path)
-
-    def upstairs(found):
-        for episode in found["episodes"]:
-            episode["start_position"][1] += 2.9
-
-    rewrite(file, upstairs)
-    slots = listed_slots("navigation", file, None, "habitat", None)
-    assert [each.world.rpartition("&")[2] for each in slots] == ["storey=2.91"] * 4
 
 
 def test_starts_on_stairs_do_not_join_the_storeys(tmp_path):
@@ -295,8 +193,8 @@ def test_starts_on_stairs_do_not_join_the_storeys(tmp_path):
             episode["start_position"][1] += height
 
     rewrite(file, on_stairs)
-    slots = listed_slots("navigation", file, None, "habitat", None)
-    assert [each.world.rpartition("&")[2] for each in slots] == ["storey=0.56"] * 2 + ["storey=2.56"] * 2
+    episode_specs = file_episode_specs("navigation", file, None, "habitat", None)
+    assert [each.world.rpartition("&")[2] for each in episode_specs] == ["storey=0.56"] * 2 + ["storey=2.56"] * 2
 
 
 def test_a_start_on_another_storey_is_refused(tmp_path):
@@ -338,13 +236,25 @@ def test_one_file_may_hold_several_scenes_and_goals_in_each_episode(tmp_path):
             assert [goal.instance for goal in each.goals["chair"]] == [
                 goal.instance for goal in wanted[scene].goals["chair"]
             ]
-        assert len(listed_slots("navigation", path, None, "apartment", None)) == 8
+        assert len(file_episode_specs("navigation", path, None, "apartment", None)) == 8
 
 
-def test_positions_in_the_file_are_habitats(file):
-    """Y up: what is y for us is -z there; a mirrored axis would pass in a symmetric room, not in this one."""
-    (mine,) = (each for each in read_episodes(file) if "room" in each.episodes[0].scene)
-    raw = content(file)["episodes"][0]["start_position"]
-    assert np.allclose(from_gltf(np.array(raw)), mine.episodes[0].position)
-    assert raw[1] == ON_MESH
-    assert raw[2] < 0
+def test_random_numbers_do_not_depend_on_where_the_scenes_are(file):
+    one = file_episode_specs("navigation", file, None, "apartment", None)[0]
+    two = FileEpisodeSpec(**{**vars(one), "world": "elsewhere", "seed": 3})
+    assert one.rng("plan").random() == two.rng("plan").random()
+    assert one.rng("plan").random() != one.rng("method").random()
+    assert one.id == two.id == "other-0"
+
+
+def test_in_habitat_each_scene_is_a_world_with_its_dataset_its_storeys_and_the_options(file):
+    home = file.parents[5] / "scene_datasets"
+    dataset = home / "eagor/eagor.scene_dataset_config.json"
+    for world, options in (("habitat", "body=0.88"), ("habitat:?body=1.41&gpu=-1", "body=1.41&gpu=-1")):
+        assert [each.world for each in file_episode_specs("navigation", file, 2, world, None)] == [
+            f"habitat:{home}/eagor/val/{place}.glb?dataset={dataset}&{options}&storey=0.01"
+            for place in ("00001-other/other", "00000-room/room")
+        ]
+    one, scene = file.parent / "content" / "room.json.gz", home / "eagor/val/00000-room/room.glb"
+    specs = file_episode_specs("navigation", one, None, f"habitat:{scene}", None)
+    assert {each.world for each in specs} == {f"habitat:{scene}?body=0.88"}

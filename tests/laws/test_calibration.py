@@ -13,7 +13,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid
-from eagor.lab.envs.episodes import Episode, Slot
+from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.eval.calibration import (
     DETECTING,
     LEARNT,
@@ -21,14 +21,14 @@ from eagor.lab.eval.calibration import (
     READING,
     Recorder,
     counted,
-    development_slots,
+    development_specs,
     fit,
     habit_values,
     motion_values,
     score,
     with_habit,
 )
-from eagor.lab.tasks.sim.play import Moment, Recording
+from eagor.lab.tasks.sim.play import Rollout, Step
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -49,7 +49,7 @@ def recording(seed, steps=16, right=0.6):
             np.exp(30 * (GRID.directions @ at - 1)) * high for at, high in ((seen, 0.8), (other, 0.8 * rng.random()))
         ]
         evidence = [Evidence.from_response(look.astype(np.float32), GRID, stamp=0.5 * k) for look in looks]
-        moments.append(Moment(0.5 * k, world_R_body(0.1 * k), np.zeros(3), *evidence))
+        moments.append(Step(0.5 * k, world_R_body(0.1 * k), np.zeros(3), *evidence))
     return episode_of(seed, moments, target)
 
 
@@ -57,8 +57,8 @@ def episode_of(seed, moments, target):
     steps = len(moments)
     directions = np.array([moment.world_R_body.T @ target for moment in moments])
     truth = {"present": [True] * steps, "visible": [True] * steps}
-    episode = Episode(Slot("waypoint", "none", seed, 0, 0), "none", "", "chair", (0,), (0.0, 0.0), 0.0, 1.0)
-    return Recording(episode, truth, tuple(moments), directions, np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    episode = Episode(EpisodeSpec("waypoint", "none", seed, 0, 0), "none", "", "chair", (0,), (0.0, 0.0), 0.0, 1.0)
+    return Rollout(episode, truth, tuple(moments), directions, np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 
 def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105, height=0.0):
@@ -78,7 +78,7 @@ def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105, height=0.0):
             scores.append(rng.beta(4, 2))
         looks = ((seen, scores), (others, other_scores))
         evidence = [Evidence.from_points(np.array(at).reshape(-1, 3), None, s, stamp=0.5 * k) for at, s in looks]
-        moments.append(Moment(0.5 * k, turn, np.array([0.0, 0.0, height]), *evidence))
+        moments.append(Step(0.5 * k, turn, np.array([0.0, 0.0, height]), *evidence))
     return episode_of(seed, moments, target)
 
 
@@ -163,7 +163,7 @@ def test_posters_and_what_a_place_keeps_are_counted():
             turn = world_R_body(0.1 * k, 0.0, 0.3 * k)
             places = [target + beside + 0.03 * rng.normal(size=3), poster + 0.03 * rng.normal(size=3)]
             seen = np.array(places)[rng.random(2) < (0.8, 0.5)] @ turn
-            moments.append(Moment(0.5 * k, turn, np.zeros(3), Evidence.from_points(seen, stamp=0.5 * k)))
+            moments.append(Step(0.5 * k, turn, np.zeros(3), Evidence.from_points(seen, stamp=0.5 * k)))
         recordings.append(episode_of(seed, moments, target))
     model = counted(recordings)
     assert model.look_alikes == pytest.approx(1, abs=0.2)
@@ -193,18 +193,18 @@ def test_one_apartment_cannot_judge_itself():
 
 
 def test_episodes_alternate_and_stay_among_the_development_seeds():
-    slots = development_slots(10, 100)
-    assert [slot.task for slot in slots[:4]] == ["waypoint", "tracking"] * 2
-    assert sorted({slot.seed for slot in slots}) == [100, 101, 102]
-    assert len({(slot.task, slot.id) for slot in slots}) == 10
+    specs = development_specs(10, 100)
+    assert [spec.task for spec in specs[:4]] == ["waypoint", "tracking"] * 2
+    assert sorted({spec.seed for spec in specs}) == [100, 101, 102]
+    assert len({(spec.task, spec.id) for spec in specs}) == 10
     for count, seed in ((4, 2000), (40, 1995)):
         with pytest.raises(EagorError, match="results"):
-            development_slots(count, seed)
+            development_specs(count, seed)
 
 
 def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
-    found = Recorder("truth:ideal").record(development_slots(1, 100)[0])
-    peaks = np.array([[np.max(m.evidence.response), np.max(m.other.response)] for m in found.moments])
+    found = Recorder("truth:ideal").record(development_specs(1, 100)[0])
+    peaks = np.array([[np.max(m.evidence.response), np.max(m.other.response)] for m in found.steps])
     seen = np.array(found.truth["visible"])
     assert peaks[seen, 0].mean() > 0.9
     assert peaks[:, 1].max() == 0

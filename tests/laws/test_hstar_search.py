@@ -111,7 +111,7 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     yaw, pitch = box
     item = {"yaw": [yaw, (yaw + 8) % 360], "pitch": [pitch, pitch + 6]}
     eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
-    searcher, view = Searcher(Search.begin("hos"), handover=SearchRules().sure), View(float(start), 0.0)
+    searcher, view = Searcher(Search.begin("hos"), commit_threshold=SearchRules().sure), View(float(start), 0.0)
     beginning = searcher.space.answer().probability
     for _ in range(10):
         searcher.space = searcher.space.seen(eye.look(view), view.world_R_view, view)

@@ -16,16 +16,11 @@ from eagor.errors import EagorError, TimeError
 from eagor.evidence.detector import DetectorModel
 from eagor.lab.agents.methods import (
     EVERY,
-    FITTED,
     NAMES,
-    SETTINGS,
-    FilterMethod,
-    TrackerMethod,
-    make_method,
-    tracker_config,
+    make_estimator,
 )
 from eagor.lab.eval.charts import DARK, LIGHT, STYLES
-from eagor.sphere import FORWARD, world_R_body
+from eagor.sphere import world_R_body
 from eagor.tracking.config import TrackerConfig
 
 GRID = PatchGrid(18, 36)
@@ -48,7 +43,7 @@ def look(step, rng):
 
 def run(name, steps, latency, seed=0, filled=True):
     """The method after so many steps; responses come late, and what is still under way at the end comes then."""
-    method, rng = make_method(name, np.random.default_rng(seed)), np.random.default_rng(seed)
+    method, rng = make_estimator(name, np.random.default_rng(seed)), np.random.default_rng(seed)
     waiting = []
     for step in range(steps):
         method.move(step * 0.5, *pose(step))
@@ -71,12 +66,6 @@ def test_late_evidence_ends_where_timely_evidence_does(name, latency, seed):
         assert late.mass_above(somewhere) == pytest.approx(timely.mass_above(somewhere), abs=1e-6)
 
 
-@pytest.mark.parametrize("name", [name for name in DENSITIES if name != "grid"])
-def test_late_is_not_the_same_as_never(name):
-    late, never = run(name, 8, 3), run(name, 8, 3, filled=False)
-    assert late.mass_above(TARGET / np.linalg.norm(TARGET)) != never.mass_above(TARGET / np.linalg.norm(TARGET))
-
-
 @pytest.mark.parametrize("name", EVERY)
 def test_the_mass_above_the_answer_is_small_and_behind_it_is_large(name):
     method = run(name, 12, 0)
@@ -96,17 +85,18 @@ def test_evidence_of_no_known_step_is_refused():
 
 
 def test_names_with_settings():
-    config = tracker_config(TrackerConfig(), {"degree": "7", "decode": "mean", "shells": "0", "jump": "0.5"})
-    assert (config.degree, config.answers.decode, config.ranges, config.target_motion.jump) == (7, "mean", None, 0.5)
+    """Angles in degrees; what is not named stays."""
+    rng, motion = np.random.default_rng(0), TrackerConfig().target_motion
+    config = make_estimator("eagor:degree=7,decode=mean,shells=0,jump=0.5,wander=3+12,turn=0,drift=0.5", rng).config
+    assert (config.degree, config.answers.decode, config.ranges) == (7, "mean", None)
+    wander = math.radians(3), math.radians(12)
+    assert config.target_motion == replace(motion, jump=0.5, wander=wander, turn=())
+    assert config.drift == pytest.approx(math.radians(0.5))
     assert (config.calibration, config.detector) == (None, None)
-    assert config.target_motion.wander == TrackerConfig().target_motion.wander
-    read = tracker_config(TrackerConfig.paper(), {"floor": "0.2"}).calibration
-    assert read is not None
+    read = make_estimator("eagor_paper:floor=0.2", rng).config.calibration
     assert (read.floor, read.scale_to_max) == (0.2, False)
-    method = make_method("eagor:degree=7", np.random.default_rng(0))
-    assert isinstance(method, TrackerMethod)
-    assert method.config.degree == 7
-    assert isinstance(make_method("grid", np.random.default_rng(0)), FilterMethod)
+    varied = make_estimator("eagor:temperature=4", rng, "truth", Calibration(0.3, 0.07, 1.5))
+    assert varied.config.calibration == Calibration(0.3, 0.07, 4.0)
 
 
 @pytest.mark.parametrize(
@@ -115,23 +105,15 @@ def test_names_with_settings():
         ("wat", "no method 'wat'"),
         ("eagor:degre=7", "no setting 'degre'"),
         ("eagor:degree", "key=value"),
-        ("eagor:degree=many", "wants a number"),
-        ("eagor:decode=best", r"'eagor:decode=best': decode = 'best'; wanted mode or mean"),
-        ("eagor:degree=inf", "degree = inf; wanted a whole number, 0 or more"),
-        ("eagor:degree=7.5", r"degree = 7\.5; wanted a whole number"),
         ("eagor:degree=7,degree=9", "each key once"),
+        ("eagor:decode=best", "'eagor:decode=best'.* decode = 'best'; wanted mode or mean"),
+        ("eagor:degree=7.5", r"degree = 7\.5; wanted a whole number, 0 or more"),
         ("eagor:shells=-1", "shells = -1; wanted a whole number"),
-        ("eagor:shells=inf", "shells = inf; wanted a whole number"),
-        ("eagor:heights=2", "heights = 2; wanted a whole number from 0 to 1"),
+        ("eagor:heights=2", "heights = 2; wanted 0 or 1"),
         ("eagor:death=-3", r"'eagor:death=-3': MotionModel: death = -3\.0; wanted a rate"),
-        ("eagor:wander=3+", "'eagor:wander=3\\+': a setting wants a number"),
-        ("eagor:wander=3+0", "MotionModel: wander = .*; wanted radians per root second above 0"),
-        ("eagor:detection_probability=1.5", r"DetectorModel: detection_probability = 1\.5; wanted a probability"),
-        ("eagor:look_alikes=?", "a setting wants a number"),
-        ("eagor:habit=0.8+", "a setting wants a number"),
+        ("eagor:wander=3+", r"wander = 3\+; wanted a number"),
+        ("eagor:look_alikes=?", "wanted a number"),
         ("eagor:habit=0.8", r"DetectorModel: habit = \(0\.8,\); wanted two numbers"),
-        ("eagor:pd=0.7", "no setting 'pd'"),
-        ("eagor:keep=0.9", "no setting 'keep'"),
         ("vmf:noise=nan", "noise = nan"),
         ("vmf:degree=7", "no setting 'degree'; known for vmf: floor"),
         ("grid:floor=0.1", "known for grid: none"),
@@ -139,7 +121,7 @@ def test_names_with_settings():
 )
 def test_names_that_are_none(name, message):
     with pytest.raises(EagorError, match=message):
-        make_method(name, np.random.default_rng(0))
+        make_estimator(name, np.random.default_rng(0))
 
 
 def test_only_ours_knows_a_distance():
@@ -151,9 +133,9 @@ def test_only_ours_knows_a_distance():
 def test_fitted_settings_are_where_a_rival_starts_and_what_is_asked_for_comes_on_top():
     rng = np.random.default_rng(0)
     plain, fitted, varied = (
-        make_method("vmf", rng),
-        make_method("vmf", rng, "truth:miss=0.5"),
-        make_method("vmf:noise=3", rng, "truth"),
+        make_estimator("vmf", rng),
+        make_estimator("vmf", rng, "truth:miss=0.5"),
+        make_estimator("vmf:noise=3", rng, "truth"),
     )
     assert fitted.filter.calibration != plain.filter.calibration
     assert varied.filter.calibration == fitted.filter.calibration
@@ -161,26 +143,11 @@ def test_fitted_settings_are_where_a_rival_starts_and_what_is_asked_for_comes_on
     assert fitted.filter.noise != varied.filter.noise
 
 
-def test_every_fitted_setting_makes_a_method():
-    for perception, lines in FITTED.items():
-        for base in lines:
-            assert make_method(base, np.random.default_rng(0), perception)
-
-
-def test_how_targets_move_is_set_in_degrees_and_rates():
-    config = make_method("eagor:wander=3+12,stop=0.1,drift=0.5", np.random.default_rng(0)).config
-    assert config.target_motion == replace(
-        TrackerConfig().target_motion, wander=(math.radians(3), math.radians(12)), stop=0.1
-    )
-    assert config.drift == pytest.approx(math.radians(0.5))
-    assert make_method("eagor:wander=0", np.random.default_rng(0)).config.target_motion.wander == ()
-
-
 def test_a_variant_varies_the_detector_of_the_perception():
     own = DetectorModel(0.6, 0.3, math.radians(4), look_alikes=0.2)
 
     def varied(text):
-        return make_method(f"eagor:{text}", np.random.default_rng(0), detector=own).config.detector
+        return make_estimator(f"eagor:{text}", np.random.default_rng(0), detector=own).config.detector
 
     unknown = DetectorModel(None, 0.3, math.radians(7), look_alikes=0)
     assert varied("detection_probability=?,dspread=7,look_alikes=0") == unknown
@@ -190,26 +157,10 @@ def test_a_variant_varies_the_detector_of_the_perception():
     assert varied("kept_for=2.5,kept_within=?") == replace(own, kept_for=2.5, kept_within=None)
     habits = varied("habit=2+1.5,look_alike_habit=0.5+3")
     assert habits == replace(own, habit=(2.0, 1.5), look_alike_habit=(0.5, 3.0))
-    assert make_method("eagor:degree=7", np.random.default_rng(0), detector=own).config.detector is None
+    assert make_estimator("eagor:degree=7", np.random.default_rng(0), detector=own).config.detector is None
 
 
-def test_before_any_look_the_answer_is_forward():
-    for name in NAMES:
-        method = make_method(name, np.random.default_rng(0))
-        method.move(0.0, np.eye(3), np.array([0.0, 0.0, 1.0]))
-        if name != "particle_filter":  # which is somewhere from the start
-            assert np.array_equal(method.direction(), FORWARD)
-
-
-def test_a_variant_varies_the_calibration_of_the_perception():
-    ours = Calibration(0.3, 0.07, 1.5)
-    varied = make_method("eagor:temperature=4", np.random.default_rng(0), "truth", ours)
-    assert varied.config.calibration == Calibration(0.3, 0.07, 4.0)
-    assert make_method("eagor", np.random.default_rng(0), "truth", ours).config.calibration is None
-
-
-def test_every_method_has_settings_and_looks_of_its_own():
-    assert set(SETTINGS) == set(EVERY)
+def test_every_method_has_looks_of_its_own():
     assert set(EVERY) <= set(STYLES)
     assert set(LIGHT) == set(DARK) == set(STYLES)
     assert len({str(STYLES[name]) for name in EVERY}) == len(EVERY)

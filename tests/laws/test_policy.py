@@ -61,14 +61,6 @@ def test_where_nothing_is_in_the_way_it_goes_where_it_is_told(azimuths, yaw):
         xy = xy + STEP * np.array([math.cos(yaw), math.sin(yaw)])
 
 
-@given(st.lists(st.tuples(angles, st.floats(0, 1), st.floats(-1, 1)), min_size=1, max_size=12), angles)
-def test_without_detour_the_azimuth_is_the_heading_whatever_happens(steps, yaw):
-    policy, xy = Policy(STEP, detour=False), np.zeros(2)
-    for azimuth, share, side in steps:
-        assert policy.heading(azimuth, xy, yaw) == azimuth
-        xy = xy + STEP * share * np.array([math.cos(azimuth), side])
-
-
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10**6))
 def test_headings_are_angles_whatever_the_body_does(seed):
@@ -113,15 +105,6 @@ def test_an_unsteady_estimate_gets_there_too(ground, seed):
         return rng.uniform(-math.pi, math.pi) if rng.random() < 0.1 else math.radians(10) * rng.normal()
 
     assert arrived(walk(ground, (2.5, 3.0), (7.0, 3.0), 120, noise=noise)[0], (7.0, 3.0))
-
-
-def test_a_touch_is_remembered_within_the_episode_and_not_beyond():
-    places, headings = walk(POCKET, (3.6, 3.0), (7.0, 3.0), 80)
-    blocked = np.hypot(*np.diff(places, axis=0).T) < 0.3 * STEP
-    assert 0 < blocked.sum() < 0.4 * len(blocked), "most steps get on"
-    again, the_same = walk(POCKET, (3.6, 3.0), (7.0, 3.0), 80)
-    assert np.array_equal(places, again)
-    assert np.array_equal(headings, the_same)
 
 
 @settings(max_examples=15, deadline=None)

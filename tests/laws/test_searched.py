@@ -12,7 +12,7 @@ from PIL import Image
 
 from eagor.conventions import wxyz_from_rotation
 from eagor.lab.agents import search_space
-from eagor.lab.agents.floor_map import CONTACT, FLOOR, UNKNOWN
+from eagor.lab.agents.search_space import CONTACT, FLOOR, UNKNOWN
 from eagor.lab.envs.places import Place
 from eagor.lab.envs.rules import Camera
 from eagor.lab.eval import scenes
@@ -71,10 +71,10 @@ def cell(known, xy):
 
 
 def test_the_looks_of_a_record_show_the_floor_again(rooms):
-    known = search_space.looked_along(rooms, np.array(poses()), CAMERA)
+    known = search_space.explored_floor(rooms, np.array(poses()), CAMERA)
     for xy in [(1.0, 3.0), (4.0, 4.0), (2.0, 5.0)]:
         assert known.state[cell(known, xy)] == FLOOR
-        assert known.worth[cell(known, xy)] < 0.1
+        assert known.miss_cost[cell(known, xy)] < 0.1
     assert CONTACT in known.state
     row, col = cell(known, (7.5, 3.0))
     assert not known.inside(np.array([row, col])) or known.state[row, col] == UNKNOWN
@@ -87,19 +87,11 @@ def test_heights_are_above_the_floor_wherever_that_is():
         lift = np.array([0, 0, up])
         things = [*shell(5.0, 6.0), thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))]
         place = place_of([thing(each.category, each.low + lift, each.high + lift) for each in things])
-        return search_space.looked_along(place, np.array(poses(CAMERA.height + up)), CAMERA)
+        return search_space.explored_floor(place, np.array(poses(CAMERA.height + up)), CAMERA)
 
     low, high = lifted(0.0), lifted(2.0)
     assert (low.state == high.state).mean() > 0.99
     assert (high.state == FLOOR).sum() > 500
-
-
-def test_a_long_way_is_looked_along_in_so_many_places(rooms, monkeypatch):
-    monkeypatch.setattr(search_space, "MOST", 3)
-    way = np.array(poses())
-    known = search_space.looked_along(rooms, way, CAMERA)
-    assert [known.stood[cell(known, pose[:2])] > 0 for pose in way[[0, -1]]] == [True, True]
-    assert known.stood.max() < STEPS / 2
 
 
 def test_a_search_is_shaded_where_it_looked_and_nowhere_else(rooms):
@@ -118,28 +110,6 @@ def test_a_search_is_shaded_where_it_looked_and_nowhere_else(rooms):
     assert (after[walls] == before[walls]).all()
 
 
-def test_slivers_behind_walls_are_not_shaded(rooms, monkeypatch):
-    def with_sliver(*given):
-        known = search_space.looked_along(*given)
-        known.cover(np.array([5.0, 2.0]), np.array([6.0, 4.0]))
-        row, col = cell(known, (5.3, 3.0))
-        known.state[row : row + 5, col : col + 2] = FLOOR
-        return known
-
-    plain = pixels(drawn(rooms, record_of(HALF)))
-    monkeypatch.setattr(scenes, "looked_along", with_sliver)
-    assert (pixels(drawn(rooms, record_of(HALF))) == plain).all()
-
-
-def test_where_looks_find_a_thing_more_surely_the_shade_is_stronger(rooms):
-    found = np.full(rooms.ground.free.shape, np.nan)
-    found[10], found[11], found[12] = 0.0, 0.5, 1.0
-    blank = np.zeros((*found.shape, 4), dtype=np.uint8)
-    covers = scenes.shaded(blank, found)[9:14, 5, 3].astype(int)
-    assert covers[0] == covers[-1] == 0
-    assert 0 < covers[1] < covers[2] < covers[3] < 128
-
-
 def test_the_way_is_dashed_where_the_body_searched(rooms):
     plain, svg = drawn(rooms, record_of()), drawn(rooms, record_of(HALF))
     assert "dasharray" not in plain
@@ -147,12 +117,6 @@ def test_the_way_is_dashed_where_the_body_searched(rooms):
     assert drawn(rooms, record_of([False] * STEPS)).count("dasharray") == 0
     to_and_fro = drawn(rooms, record_of([True, False] * (STEPS // 2)))
     assert to_and_fro.count("dasharray") == STEPS // 2
-
-
-def test_a_way_of_one_step_has_no_line_and_is_no_problem(rooms):
-    record = record_of([True])
-    record["methods"]["eagor"]["trace"]["pose"] = poses()[:1]
-    assert "searched in 1 of its steps" in drawn(rooms, record)
 
 
 def test_what_is_shaded_and_dashed_is_said(rooms):
@@ -167,32 +131,10 @@ def test_what_is_shaded_and_dashed_is_said(rooms):
     )
 
 
-def test_moments_have_a_label_each_unless_they_are_at_one_place():
-    way = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.2, 0.0], [2.2, 0.2], [4.0, 0.0]])
-    labels, places = zip(*scenes._stops(way, range(6)), strict=True)
-    assert labels == ("1", "2", "3–5", "6")
-    assert np.array(places) == pytest.approx(way[[0, 1, 2, 5]])
-
-
-def test_without_a_search_a_map_is_as_it_was(rooms):
-    record = record_of()
-    assert scenes.search_of(rooms, record, CAMERA) is None
-    assert drawn(rooms, record) == scenes.floor_map(rooms, record, [])
-    assert "search" not in drawn(rooms, record)
-
-
-def test_where_nobody_can_say_what_was_looked_at_nothing_is_shaded(rooms):
-    search = scenes.search_of(rooms, record_of(HALF), None)
-    svg = scenes.floor_map(rooms, record_of(HALF), [], search)
-    assert (pixels(svg) == pixels(drawn(rooms, record_of()))).all()
-    assert "dasharray" in svg
-    assert "looks showed" not in svg + scenes.key_to_search(search, "it") + search.caption
-
-
 def test_what_nobody_calls_a_floor_is_shown_as_well(rooms):
     things = [thing("parquet" if t.category == "floor" else t.category, t.low, t.high) for t in shell(9.0, 6.0)]
     bare = place_of([*things, WALL, thing("chair", (1.0, 1.0, 0), (1.5, 1.5, 0.9))])
-    ways = [search_space.looked_along(place, np.array(poses()), CAMERA) for place in (rooms, bare)]
+    ways = [search_space.explored_floor(place, np.array(poses()), CAMERA) for place in (rooms, bare)]
     assert np.mean(ways[0].state != ways[1].state) < 0.02  # the lowest of a wall lies as high as the floor, too
 
 

@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from box_scenes import scene_of, shell, thing
 
-from eagor.errors import WorldError
 from eagor.evidence.detector import DetectorModel
-from eagor.lab.agents.floor_map import CELL, CONTACT, FLOOR, UNKNOWN, FloorMap
-from eagor.lab.agents.search_space import LEAST, Chance, SearchedGround, SteeringInput
-from eagor.lab.agents.steering import Approach, Policy, Searcher, seeking, steering_for
+from eagor.lab.agents.search_space import (
+    CONTACT,
+    FLOOR,
+    LEAST,
+    UNKNOWN,
+    Chance,
+    FloorMap,
+    SearchedGround,
+    SteeringInput,
+)
+from eagor.lab.agents.steering import Searcher, search_config, steering_for
 from eagor.lab.envs.places import Place, in_view
 from eagor.lab.envs.rules import Camera, NavigationRules
-from eagor.lab.tasks.sim.navigation import undone
+from eagor.lab.tasks.sim.navigation import backtracking_rate
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import Renderer
 from eagor.sphere import world_R_body
@@ -96,48 +103,6 @@ def test_a_look_shows_floor_walls_and_what_is_hidden(yaw, tilt):
     assert off.max() < 0.45  # at a wall, or one thickness of a thing behind it
 
 
-def test_the_grid_grows_and_keeps_what_it_knows():
-    known = FloorMap()
-    known.cover(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
-    known.walked(np.array([0.5, 0.5]), 0.18)
-    before = shown(known, (0.5, 0.5))
-    known.cover(np.array([-3.0, -7.0]), np.array([5.0, 2.0]))
-    assert before == shown(known, (0.5, 0.5)) == FLOOR
-    assert known.state.shape == known.worth.shape == known.held.shape == known.nearest.shape
-    assert (known.state == FLOOR).sum() <= math.ceil(0.6 / CELL) ** 2
-
-
-def test_a_search_sees_both_rooms_and_does_not_go_to_and_fro():
-    world, searcher = World(TWO_ROOMS, (1.0, 1.0), 0.3), searching()
-    places = [world.xy]
-    for _ in range(60):
-        world.step(searcher.walk(world.situation()))
-        places.append(world.xy)
-    places = np.array(places)
-    assert places[:, 0].max() > 4.5  # it went through the door
-    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
-    assert shown(searcher.known, (7.5, 3.0)) == FLOOR
-    early = places[: int((places[:, 0] > 4.5).argmax())]
-    gone = np.hypot(*np.diff(early, axis=0).T).sum()
-    assert gone < 2.0 * np.hypot(*(early[-1] - early[0])) + 2.0
-
-
-def test_what_is_believed_is_walked_to_through_the_door():
-    """The thing is behind the wall, the distance is known, and the door was seen before."""
-    goal = np.array([6.0, 1.0])
-    world, searcher = World(TWO_ROOMS, (3.2, 3.0)), searching()
-    collisions = 0
-    for _ in range(60):
-        to = goal - world.xy
-        if np.hypot(*to) < 0.5:
-            break
-        azimuth = math.remainder(math.atan2(to[1], to[0]) - world.yaw, 2 * math.pi)
-        collisions += world.step(searcher.walk(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
-        assert not searcher.searching
-    assert np.hypot(*(goal - world.xy)) < 0.5
-    assert collisions <= 12  # of some forty steps: it brushes along the jamb and the wardrobe
-
-
 @pytest.mark.parametrize(("goal", "goes_on"), [((6.0, 1.0), True), ((1.0, 5.5), False)])
 def test_looks_that_miss_a_thing_count_where_it_would_be_in_sight(goal, goes_on):
     """One place is behind the wall, the other in the same room. The body walks there; then the presence sinks."""
@@ -150,12 +115,6 @@ def test_looks_that_miss_a_thing_count_where_it_would_be_in_sight(goal, goes_on)
         assert searcher.searching == (step == 3 and not goes_on)
 
 
-def test_a_thing_that_was_never_likely_is_not_walked_to():
-    world, searcher = World(TWO_ROOMS, (3.2, 1.0)), searching()
-    searcher.walk(world.situation(0.0, 1.0, 3.0, presence=0.05))
-    assert searcher.searching
-
-
 def test_a_thing_is_come_to_from_another_side():
     """It is right behind the wall: the nearest place is on this side, and standing there is not enough."""
     goal = np.array([4.5, 1.0])
@@ -166,7 +125,7 @@ def test_a_thing_is_come_to_from_another_side():
         world.step(searcher.walk(world.towards(goal)))
         places.append(world.xy)
     assert np.hypot(*(goal - world.xy)) < 0.5
-    assert undone(np.array(places), STEP) < 0.25
+    assert backtracking_rate(np.array(places), STEP) < 0.25
 
 
 def test_what_cannot_be_reached_is_given_up_for_a_while():
@@ -182,29 +141,6 @@ def test_what_cannot_be_reached_is_given_up_for_a_while():
     assert not searched[-1]
 
 
-class Nearest:
-    """Ways on which the body already stands as near to its goal as it comes, but for another place."""
-
-    def __init__(self, here, other):
-        self.here, self.other = here, other
-
-    def nearest(self, goal, but=()):
-        return self.other if len(but) else self.here
-
-
-@pytest.mark.parametrize(("away", "goes_on"), [(1.6, True), (0.6, False)])
-def test_a_place_is_given_up_only_from_close_by(away, goes_on):
-    """With nothing between: from 1.6 m the thing may stand beyond reach, from 0.6 m it is not there."""
-    world, ground, approach = World(TWO_ROOMS, (2.0, 2.0)), SearchedGround.about(CAMERA), Approach()
-    target = np.array([2.0 + away, 2.0])
-    now = world.towards(target)
-    ground.look(now)
-    here, other = (tuple(int(k) for k in ground.known.cells(np.array(xy))) for xy in ((2.0, 2.0), (2.0, 3.0)))
-    assert ground.sight(target) > 0.5
-    assert approach.beside(ground, now, Nearest(here, other), target) == (other if goes_on else None)
-    assert bool(approach.given_up) != goes_on
-
-
 def test_a_robot_that_stands_turns_until_it_has_seen_all_around():
     world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), searching(0.0, NARROW)
     seen = np.zeros(360, dtype=bool)
@@ -216,17 +152,7 @@ def test_a_robot_that_stands_turns_until_it_has_seen_all_around():
         assert abs(turn) <= TURN + 1e-9
         world.step((turn, metres))
     assert seen.all()
-    assert all(shown(searcher.known, xy) == FLOOR for xy in [(1.0, 1.0), (1.0, 4.0), (3.0, 1.0), (3.0, 4.0)])
-
-
-def test_a_robot_that_stands_turns_to_what_it_believes():
-    world, searcher = World(TWO_ROOMS, (2.0, 2.0), 0.3, camera=NARROW), searching(0.0, NARROW)
-    for _ in range(7):
-        turn, metres = searcher.walk(world.towards((0.5, 1.0)))
-        assert metres == 0
-        assert not searcher.searching
-        world.step((turn, metres))
-    assert math.remainder(world.yaw - math.atan2(-1.0, -1.5), 2 * math.pi) == pytest.approx(0, abs=1e-6)
+    assert all(shown(searcher.space.known, xy) == FLOOR for xy in [(1.0, 1.0), (1.0, 4.0), (3.0, 1.0), (3.0, 4.0)])
 
 
 def test_with_a_narrow_camera_the_body_turns_first_and_then_walks():
@@ -241,62 +167,57 @@ def test_with_a_narrow_camera_the_body_turns_first_and_then_walks():
     assert set(metres) == {0.0, STEP}
     assert metres[:3].sum() == 0  # it looks around before it walks
     assert np.array(places)[:, 0].max() > 4.5
-    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
+    assert shown(searcher.space.known, (6.0, 3.0)) == FLOOR
 
 
 def test_floor_that_the_camera_does_not_show_stays_unknown():
-    world, ground = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), SearchedGround.about(NARROW)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0), 0.0, camera=NARROW), SearchedGround(NARROW)
     ground.look(world.situation())
     assert shown(ground.known, (3.5, 3.0)) == FLOOR
     assert shown(ground.known, (0.5, 3.0)) == UNKNOWN
     row, col = ground.known.cells(np.array([1.0, 3.0]))
-    assert ground.known.worth[row, col] == 1.0
+    assert ground.known.miss_cost[row, col] == 1.0
     row, col = ground.known.cells(np.array([3.0, 3.0]))
-    assert ground.known.worth[row, col] < 1.0
+    assert ground.known.miss_cost[row, col] < 1.0
 
 
-@pytest.mark.parametrize(("recall", "repeats"), [(0.5, 0.0), (0.4, 0.75), (0.9, 0.5)])
-def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(recall, repeats):
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround.about(CAMERA)
+FADING = Chance(0.5, 0.9, DetectorModel(kept_for=1.0).habits, elapsed=50.0)
+
+
+@pytest.mark.parametrize(
+    ("chance", "first", "again"),
+    [(Chance(0.5), 0.5, 0.5), (Chance(0.4, 0.75), 0.6, 0.6**0.25), (FADING, 0.5, 0.5), (None, 1.0, 1.0)],
+    ids=["recall", "repeats its mistakes", "mistakes that fade", "could not be read"],
+)
+def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(chance, first, again):
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround(CAMERA)
     missed = []
     for _ in range(3):
-        ground.look(world.situation(chance=Chance(recall, repeats)))
+        ground.look(world.situation(chance=chance))
         row, col = ground.known.cells(np.array([2.6, 3.0]))
-        missed.append(ground.known.worth[row, col])
-    again = (1 - recall) ** (1 - repeats)
-    assert missed == pytest.approx([1 - recall, (1 - recall) * again, (1 - recall) * again**2])
-
-
-def test_a_look_that_could_not_be_read_had_no_chance():
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround.about(CAMERA)
-    ground.look(world.situation(chance=None))
-    assert (ground.known.worth == 1).all()
+        missed.append(ground.known.miss_cost[row, col])
+    assert missed == pytest.approx([first, first * again, first * again**2])
     assert shown(ground.known, (2.6, 3.0)) == FLOOR
 
 
-@pytest.mark.parametrize("chance", [None, Chance(LEAST), Chance(1.0)])
-def test_it_searches_both_rooms_whatever_its_looks_can_find(chance):
+@pytest.mark.parametrize(("chance", "steps"), [(CHANCE, 60), (None, 100), (Chance(LEAST), 100), (Chance(1.0), 100)])
+def test_it_searches_both_rooms_whatever_its_looks_can_find_and_does_not_go_to_and_fro(chance, steps):
     world, searcher, places = World(TWO_ROOMS, (1.0, 1.0), 0.3), searching(), []
-    for _ in range(100):
+    for _ in range(steps):
         world.step(searcher.walk(world.situation(chance=chance)))
         places.append(world.xy)
     assert np.array(places)[:, 0].max() > 4.5
-    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
-
-
-def test_mistakes_that_fade_are_not_repeated_later():
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround.about(CAMERA)
-    for _ in range(2):
-        fading = DetectorModel(kept_for=1.0).habits
-        ground.look(world.situation(chance=Chance(0.5, 0.9, fading, elapsed=50.0)))
-    row, col = ground.known.cells(np.array([2.6, 3.0]))
-    assert ground.known.worth[row, col] == pytest.approx(0.25)
+    assert shown(searcher.space.known, (6.0, 3.0)) == FLOOR
+    if chance is CHANCE:
+        early = np.array(places)[: int((np.array(places)[:, 0] > 4.5).argmax())]
+        gone = np.hypot(*np.diff(early, axis=0).T).sum()
+        assert gone < 2.0 * np.hypot(*(early[-1] - early[0])) + 2.0
 
 
 def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
     base = TrackerConfig()
-    assert seeking(NavigationRules(appears=0.2), base).target_motion.birth == 0.2
-    assert seeking(NavigationRules(policy="follow"), base) is base
+    assert search_config(NavigationRules(birth_rate=0.2), base).target_motion.birth == 0.2
+    assert search_config(NavigationRules(policy="follow"), base) is base
 
 
 def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
@@ -309,21 +230,11 @@ def test_a_place_where_the_thing_is_not_is_not_walked_to_for_ever():
         world.step(searcher.walk(world.situation(azimuth, 1.0, float(np.hypot(*to)))))
         searched += searcher.searching
     assert searched > 20
-    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
+    assert shown(searcher.space.known, (6.0, 3.0)) == FLOOR
 
 
-def test_the_rule_chooses():
-    assert isinstance(steering_for(NavigationRules(), Camera()), Searcher)
-    assert isinstance(steering_for(NavigationRules(policy="follow"), Camera()), Policy)
-    with pytest.raises(WorldError, match="follow or search"):
-        NavigationRules(policy="wander")
-
-
-def test_steps_that_lead_back_are_undone():
+def test_steps_that_lead_back_count():
     straight = np.column_stack([0.25 * np.arange(11), np.zeros(11)])
-    assert undone(straight, 0.25) == 0.0
     there_and_back = np.concatenate([straight, straight[-2::-1]])
-    assert undone(there_and_back, 0.25) == pytest.approx(0.5)
-    assert undone(straight[:1], 0.25) == 0.0
-    held_up = np.concatenate([straight, np.repeat(straight[-1:], 10, axis=0)])
-    assert undone(held_up, 0.25) == pytest.approx(0.5, abs=0.06)
+    rates = [backtracking_rate(way, 0.25) for way in (straight, there_and_back, straight[:1])]
+    assert rates == pytest.approx([0.0, 0.5, 0.0])

@@ -337,7 +337,7 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
             values["calibrated"] = made.as_json() if made else None
         return values
     from eagor.lab.agents.methods import default_methods
-    from eagor.lab.envs.rules import Disturbances
+    from eagor.lab.envs.rules import NoiseModel
     from eagor.lab.tasks.sim.task import split_methods, variants
 
     checked_rows(options.rows)
@@ -356,7 +356,7 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     return values | {
         "perception": perception,
         "methods": methods,
-        "disturbances": (Disturbances.walking if options.walking else Disturbances)(latency=options.latency),
+        "disturbances": (NoiseModel.walking if options.walking else NoiseModel)(latency=options.latency),
         "calibrated": made.as_json() if made else None,
     }
 

@@ -89,7 +89,7 @@ def _refuse(options: Calibrate, names: Sequence[str], why: str) -> None:
 
 def responses(options: Calibrate) -> int:
     """``eagor calibrate``."""
-    from eagor.lab.eval.calibration import DRAWS, PER_PLACE, TASKS, development_slots, fit, record_episodes
+    from eagor.lab.eval.calibration import DRAWS, PER_PLACE, TASKS, development_specs, fit, record_episodes
     from eagor.perception import short_name
 
     if min(options.workers, options.trials, options.episodes) < 1:
@@ -98,7 +98,7 @@ def responses(options: Calibrate) -> int:
         )
     perception = options.perception or "scout"
     check_looks(perception)
-    if len({slot.seed for slot in development_slots(options.episodes, options.seed)}) < 2:
+    if len({spec.seed for spec in development_specs(options.episodes, options.seed)}) < 2:
         raise terminal.UsageError(
             f"--episodes {options.episodes} are all in one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
             "half of the apartments fits, the other half judges"

@@ -20,14 +20,14 @@ from eagor.cli import terminal
 from eagor.cli.checks import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
-from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerMethod, answer_at
-from eagor.lab.envs.episodes import Slot
+from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimator, answer_at
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, Place, load_place
-from eagor.lab.envs.rules import Camera, Disturbances, NavigationRules, as_dict
+from eagor.lab.envs.rules import Camera, NavigationRules, NoiseModel, as_dict
 from eagor.lab.eval import steps as parts
 from eagor.lab.eval.page import Cell, Fold, Pictures, Row, Section, Table, Text, page
 from eagor.lab.eval.results import OURS
-from eagor.lab.tasks.sim.play import Player, Seen
+from eagor.lab.tasks.sim.play import Runner, StepInfo
 from eagor.metrics import angular_error_deg
 from eagor.perception import load, rows_of
 from eagor.sphere import direction
@@ -68,7 +68,7 @@ class Search:
     `answers`: per method ``(n, 3)``, in the body frame; `errors`: per method degrees ``(n,)``.
     """
 
-    slot: Slot
+    spec: EpisodeSpec
     rules: NavigationRules
     record: dict[str, Any]
     estimates: list[Estimate]
@@ -122,32 +122,32 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
         "perception": perception,
         "rules": as_dict(rules),
         "camera": as_dict(Camera()),
-        "disturbances": as_dict(Disturbances()),
+        "disturbances": as_dict(NoiseModel()),
         "rows": rows_of(seeing),
     }
-    slot = Slot("navigation", APARTMENT, seed, index, index)
-    player, steps, estimates = Player(config, seeing), list[Seen](), list[Estimate]()
+    spec = EpisodeSpec("navigation", APARTMENT, seed, index, index)
+    runner, steps, estimates = Runner(config, seeing), list[StepInfo](), list[Estimate]()
     if say:
         print(f"Building {APARTMENT} {seed}, and walking in search of something ...", flush=True)
 
-    def keep(seen: Seen) -> None:
+    def keep(seen: StepInfo) -> None:
         steps.append(seen)
-        if isinstance(seen.method, TrackerMethod):
+        if isinstance(seen.method, TrackerEstimator):
             estimates.append(seen.method.estimate)
 
     with terminal.progress("searching", len(EVERY), shown=say) as advance:
-        record = player.play(slot, [OURS], keep)
+        record = runner.run_episode(spec, [OURS], keep)
         advance()
         trace, truths = record["methods"][OURS]["trace"], np.array([seen.truth for seen in steps])
         azimuth, elevation = (np.radians(trace[f"{part}_deg"]) for part in ("azimuth", "elevation"))
         answers = {OURS: direction(azimuth, elevation)}
         for name in EVERY:
             if name != OURS:
-                method = player.method(name, slot)
+                method = runner.method(name, spec)
                 answers[name] = np.array([answer_at(method, seen.stamp, seen.pose, seen.evidence) for seen in steps])
                 advance()
     errors = {name: np.asarray(angular_error_deg(found, truths)) for name, found in answers.items()}
-    return Search(slot, rules, record, estimates, answers, errors, perception)
+    return Search(spec, rules, record, estimates, answers, errors, perception)
 
 
 # --- in words and numbers ---------------------------------------------------------------------------------------------
@@ -170,8 +170,8 @@ def as_json(search: Search) -> dict[str, Any]:
     return {
         "query": search.thing,
         "scene": search.episode["scene"],
-        "seed": search.slot.seed,
-        "episode": search.slot.index,
+        "seed": search.spec.seed,
+        "episode": search.spec.index,
         "perception": search.perception,
         "walk": search.walk["metrics"],
         "visible": search.visible,
@@ -215,7 +215,7 @@ def _interval(cell: tuple[float, float, float]) -> str:
 
 def write_report(search: Search, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
-    place = load_place(search.slot.world, search.slot.seed, Camera().radius)
+    place = load_place(search.spec.world, search.spec.seed, Camera().radius)
     pictures = {"beliefs": _strip(search, place), "errors": _errors(search), "map": _map(search, place)}
     for name, picture in pictures.items():
         keep_picture(picture, folder / f"{name}.png")
@@ -234,7 +234,7 @@ def write_report(search: Search, folder: Path) -> Path:
         for name, cells in STUDY.items()
     ]
     lead = Text(
-        f"A camera walks through {APARTMENT} {search.slot.seed} and looks for it. Heat is what our tracker believes, "
+        f"A camera walks through {APARTMENT} {search.spec.seed} and looks for it. Heat is what our tracker believes, "
         f"and the white line holds 90 % of that. {' '.join(summary(search))}"
     )
     way = Text(

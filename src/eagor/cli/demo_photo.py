@@ -18,7 +18,7 @@ from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.style import in_words
-from eagor.lab.agents.methods import NAMES, TrackerMethod, make_method
+from eagor.lab.agents.methods import NAMES, TrackerEstimator, make_estimator
 from eagor.lab.eval.results import OURS
 from eagor.lab.worlds.render import Photograph
 from eagor.media.panorama import cut
@@ -233,7 +233,7 @@ def play(
     """Look `LOOKS` times for `query`, and let every method follow. Raises `RunError` if nothing was ever seen."""
     rows = rows_for(perception, image)
     small = Photograph(_seen(Photograph(image), np.eye(3), rows))  # shrunk once
-    methods = {name: make_method(name, np.random.default_rng(0), spec) for name in NAMES}
+    methods = {name: make_estimator(name, np.random.default_rng(0), spec) for name in NAMES}
     directions: dict[str, list[np.ndarray]] = {name: [] for name in NAMES}
     found: list[int | None] = []
     estimates: list[Estimate] = []
@@ -245,7 +245,7 @@ def play(
             method.move(stamp, pose, None)
             method.see(replace(evidence, stamp=stamp))
             directions[name].append(pose @ method.direction())
-            if name == OURS and isinstance(method, TrackerMethod):
+            if name == OURS and isinstance(method, TrackerEstimator):
                 estimates.append(method.estimate)
         advance()
     if all(count == 0 for count in found):

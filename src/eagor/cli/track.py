@@ -138,9 +138,9 @@ def _rivals(perception: str) -> dict[str, Method]:
     """Every other method by name, with its settings for `perception`."""
     import numpy as np
 
-    from eagor.lab.agents.methods import make_method
+    from eagor.lab.agents.methods import make_estimator
 
-    return {name: make_method(name, np.random.default_rng(0), perception) for name in _rival_names()}
+    return {name: make_estimator(name, np.random.default_rng(0), perception) for name in _rival_names()}
 
 
 # --- where frames and poses come from -------------------------------------------------------------------------------

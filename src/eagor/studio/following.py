@@ -15,7 +15,7 @@ import numpy as np
 from eagor.errors import EagorError, PoseError, TimeError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
-from eagor.lab.agents.methods import BASE, DESCRIPTIONS, NAMES, Method, make_method
+from eagor.lab.agents.methods import BASE, DESCRIPTIONS, NAMES, Estimator, make_estimator
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.session import Loaded, Opening, Outbox, Question, Refused
 from eagor.studio.steps import (
@@ -98,7 +98,7 @@ class Rivals:
     """The chosen methods, with settings for `perception`. A method that is chosen late begins with the next look."""
 
     perception: str
-    _methods: dict[str, Method] = field(default_factory=dict)
+    _methods: dict[str, Estimator] = field(default_factory=dict)
     _answers: dict[str, np.ndarray] = field(default_factory=dict)  # world frame
     _last: float = -np.inf
 
@@ -107,7 +107,7 @@ class Rivals:
         wanted = [name for name in NAMES if name in names and name != OURS]
         made = {}
         for name in wanted:
-            made[name] = self._methods.get(name) or make_method(name, np.random.default_rng(0), self.perception)
+            made[name] = self._methods.get(name) or make_estimator(name, np.random.default_rng(0), self.perception)
         self._methods = made
         self._answers = {name: each for name, each in self._answers.items() if name in made}
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from eagor.errors import QueryError
 from eagor.lab.agents.steering import Policy
-from eagor.lab.envs.episodes import PER_PLACE, Slot
+from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim import navigation
@@ -77,7 +77,7 @@ def place_of(seed: int) -> Place:
 def house_of(seed: int, place: Place) -> House:
     """The apartment `place`, of this seed, for a session. Raises `WorldError` if nobody can walk to anything in it."""
     number = seed % PER_PLACE
-    episode = navigation.plan(Slot("navigation", APARTMENT, seed, number, number), Camera(), NavigationRules())
+    episode = navigation.plan(EpisodeSpec("navigation", APARTMENT, seed, number, number), Camera(), NavigationRules())
     found = House(
         seed,
         replace(place.ground),  # type: ignore[type-var]  # without what it keeps for itself, so that it can be pickled

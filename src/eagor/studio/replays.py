@@ -20,12 +20,12 @@ from eagor._checks import parsed
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, FormatError
-from eagor.lab.agents.methods import DESCRIPTIONS, TrackerMethod
+from eagor.lab.agents.methods import DESCRIPTIONS, TrackerEstimator
 from eagor.lab.envs.episodes import Episode
 from eagor.lab.envs.places import Place, load_place
-from eagor.lab.eval.replay import player_of
+from eagor.lab.eval.replay import runner_of
 from eagor.lab.eval.results import OURS, Run
-from eagor.lab.tasks.sim.play import Seen
+from eagor.lab.tasks.sim.play import StepInfo
 from eagor.lab.tasks.task import finished, sample_of
 from eagor.live.core import LiveCore
 from eagor.live.events import Answer, FrameCame, PoseCame
@@ -80,21 +80,21 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> Redrawn:
     for record in records:
         methods |= {name: entry | {"record": record} for name, entry in record.get("methods", {}).items()}
     shown = _believer(run, case, methods)
-    player, slot = player_of(run, case)
-    episode = player.plan(slot)
-    place = load_place(slot.world, slot.seed, player.camera.radius)
-    made = player.method(shown, slot)
-    assert isinstance(made, TrackerMethod)
+    runner, spec = runner_of(run, case)
+    episode = runner.plan(spec)
+    place = load_place(spec.world, spec.seed, runner.camera.radius)
+    made = runner.method(shown, spec)
+    assert isinstance(made, TrackerEstimator)
     config = made.config
-    found = Redrawn(_scene(run, episode, place, methods, shown, calibration_of(player.perception, config)))
-    seen: list[Seen] = []
+    found = Redrawn(_scene(run, episode, place, methods, shown, calibration_of(runner.perception, config)))
+    seen: list[StepInfo] = []
 
-    def watch(each: Seen) -> None:
+    def watch(each: StepInfo) -> None:
         advance(len(seen))
         seen.append(each)
         found.steps.append(_step(each, config.degree))
 
-    player.play(slot, [shown], watch)
+    runner.run_episode(spec, [shown], watch)
     for done, number in enumerate(_spread(len(seen)), len(seen)):
         advance(done)
         picture = seen[number].picture(ROWS)
@@ -126,7 +126,7 @@ def _scene(
     plan["things"] = [thing | {"target": thing["name"] in names} for thing in plan["things"]]
     listed = [shown, *(name for name in methods if name != shown)]
     return scene_of(
-        "run", f"{run.task.name} {episode.slot.id}: {episode.query}", str(episode.query), plan=plan, method=shown,
+        "run", f"{run.task.name} {episode.spec.id}: {episode.query}", str(episode.query), plan=plan, method=shown,
         calibration=calibrated, perception=str(run.settings.get("perception", "")),
         methods=[{"name": name, "words": DESCRIPTIONS.get(name.partition(":")[0], name)} for name in listed],
         paths={name: path for name in listed if (path := _path(methods[name]))},
@@ -143,9 +143,9 @@ def _path(entry: Mapping[str, Any]) -> list[list[float]]:
     return [rounded(pose[:2], 3) for pose in _trace(entry)["pose"]]
 
 
-def _step(seen: Seen, degree: int) -> dict[str, Any]:
+def _step(seen: StepInfo, degree: int) -> dict[str, Any]:
     """One step of the method whose belief is shown."""
-    assert isinstance(seen.method, TrackerMethod)
+    assert isinstance(seen.method, TrackerEstimator)
     estimate = seen.method.estimate
     step = believed(estimate, seen.stamp, seen.position, seen.truth)
     return step | {"belief": belief_in_json(estimate, seen.stamp, degree)}

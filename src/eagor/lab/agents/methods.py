@@ -1,7 +1,7 @@
-"""All methods behind one interface: `move` to a pose of the odometry, `see` evidence, read the `direction`.
+"""All estimators behind one interface: `move` to a pose of the odometry, `see` evidence, read the `direction`.
 
-A method is named by text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. Late evidence counts
-for the time of its panorama: our tracker handles that itself, filters are rewound and replayed.
+An estimator is named by text: ``eagor``, ``vmf``, or a variant such as ``eagor:degree=7,decode=mean``. Late evidence
+counts for the time of its panorama: our tracker handles that itself, filters are rewound and replayed.
 """
 
 from __future__ import annotations
@@ -13,19 +13,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from eagor.baselines import (
-    GRID,
-    BestDetection,
-    Centroid,
-    CircularCentroid,
-    DirectionFilter,
-    GridFilter,
-    HistogramFilter,
-    LastDetection,
-    ParticleFilter,
-    Plain,
-    VonMisesFisherFilter,
-)
+from eagor import baselines
+from eagor.baselines import GRID, DirectionFilter
 from eagor.belief.ranged import log_ranges
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, TimeError
@@ -38,7 +27,7 @@ from eagor.tracking import Estimate, TrackerConfig
 from eagor.tracking.follower import Follower
 
 PARTICLES = 2000
-SURE_DISTANCE = 0.6  # standard deviation of the logarithm of a distance that one can walk by
+MAX_DISTANCE_SPREAD = 0.6  # standard deviation of the logarithm of a distance that one can walk by
 REWIND = 64  # steps by which a filter can be rewound
 FLOOR = 0.0  # metres: z of the floor in the worlds' odometry
 BASE = TrackerConfig(floor_height=FLOOR)  # default of our tracker
@@ -62,8 +51,8 @@ EVERY = (PLAIN, *NAMES)
 ORACLE = "oracle"  # knows the true direction: the upper bound for geometry and policy
 
 
-class Method(Protocol):
-    """An estimator of the target's direction."""
+class Estimator(Protocol):
+    """An estimator of the target's direction; a subclass without a belief inherits what that means for a search."""
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
         """Set the pose at `stamp`, from the odometry; once for every step, before its evidence."""
@@ -78,135 +67,102 @@ class Method(Protocol):
         ...
 
     def mass_above(self, direction: np.ndarray) -> float | None:
-        """Mass of the smallest credible region that contains `direction`; None for methods without a distribution."""
-        ...
+        """Mass of the smallest credible region that contains `direction`; None without a distribution."""
+        return None
 
     def distance(self) -> float | None:
-        """Metres to the target; None for methods without ranges."""
-        ...
-
-
-class Steers(Method, Protocol):
-    """A method that says what a search needs to know of its belief."""
+        """Metres to the target; None without ranges."""
+        return None
 
     def sure_distance(self) -> float | None:
-        """`distance`, but None unless its logarithm is known to within `SURE_DISTANCE`."""
-        ...
+        """`distance`, but None unless its logarithm is known to within `MAX_DISTANCE_SPREAD`."""
+        return None
 
     def progress(self) -> float:
         """Metres nearer to the target, if it is here, per metre walked along `direction`; 1 without a belief."""
-        ...
+        return 1.0
 
     def presence(self) -> float:
-        """Probability that the target is here; 1 for methods that take that for granted."""
-        ...
+        """Probability that the target is here; 1 for estimators that take that for granted."""
+        return 1.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass
 class _Step:
     """One step of a filter: its pose, the filter before the evidence of that step, and that evidence."""
 
     stamp: float
     world_R_body: np.ndarray
-    position: np.ndarray | None
     before: DirectionFilter
-    looks: tuple[Evidence, ...] = ()
+    evidence: list[Evidence] = field(default_factory=list)
 
     def after(self) -> DirectionFilter:
-        """The filter after this step's evidence."""
         state = self.before
-        for look in self.looks:
-            state = state.update(look)
+        for evidence in self.evidence:
+            state = state.update(evidence)
         return state
 
 
-@dataclass
-class FilterMethod:
+class FilterEstimator(Estimator):
     """A filter of `eagor.baselines`, with a bounded history of its steps for rewinding."""
 
-    filter: DirectionFilter
-    steps: list[_Step] = field(default_factory=list)
+    def __init__(self, filter: DirectionFilter) -> None:
+        self.filter = filter
+        self._steps: list[_Step] = []
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        if self.steps:
-            self.filter = _carried(self.filter, self.steps[-1], world_R_body, position)
-        self.steps.append(_Step(stamp, world_R_body, position, self.filter))
-        del self.steps[:-REWIND]
+        if self._steps:
+            self.filter = self.filter.predict(world_R_body.T @ self._steps[-1].world_R_body)
+        self._steps = [*self._steps, _Step(stamp, world_R_body, self.filter)][-REWIND:]
 
     def see(self, evidence: Evidence) -> None:
-        place = next((i for i in reversed(range(len(self.steps))) if self.steps[i].stamp == evidence.stamp), None)
-        if place is None:
-            raise TimeError(f"evidence of t = {evidence.stamp} s fits none of the last {len(self.steps)} steps")
-        self.steps[place] = replace(self.steps[place], looks=(*self.steps[place].looks, evidence))
-        if place == len(self.steps) - 1:
-            self.filter = self.filter.update(evidence)
-            return
-        state = self.steps[place].after()
-        for index in range(place + 1, len(self.steps)):
-            step = self.steps[index]
-            self.steps[index] = step = replace(
-                step, before=_carried(state, self.steps[index - 1], step.world_R_body, step.position)
-            )
-            state = step.after()
-        self.filter = state
+        index = next((i for i, step in enumerate(self._steps) if step.stamp == evidence.stamp), None)
+        if index is None:
+            raise TimeError(f"evidence of t = {evidence.stamp} s fits none of the last {len(self._steps)} steps")
+        last = self._steps[index]
+        last.evidence.append(evidence)
+        self.filter = last.after()
+        for step in self._steps[index + 1 :]:
+            step.before = self.filter.predict(step.world_R_body.T @ last.world_R_body)
+            self.filter, last = step.after(), step
 
     def direction(self) -> np.ndarray:
         return np.asarray(self.filter.direction())
 
     def mass_above(self, direction: np.ndarray) -> float | None:
-        density = getattr(self.filter, "log_density", None)
-        if density is None:
+        if self._density is None:
             return None
-        values, truth = density(GRID.directions), float(density(np.asarray(direction)[None])[0])
+        values, truth = self._density(GRID.directions), float(self._density(np.asarray(direction)[None])[0])
         return float(np.sum((np.exp(values) * GRID.weights)[values > truth]))
 
-    def distance(self) -> float | None:
-        return None
-
-    def sure_distance(self) -> float | None:
-        return None
-
     def progress(self) -> float:
-        density = getattr(self.filter, "log_density", None)
-        if density is None:
+        if self._density is None:
             return 1.0
-        mass = np.exp(density(GRID.directions)) * GRID.weights
+        mass = np.exp(self._density(GRID.directions)) * GRID.weights
         return float(np.sum(mass * (GRID.directions @ self.direction())))
 
-    def presence(self) -> float:
-        return 1.0
+    @property
+    def _density(self) -> Any:
+        return getattr(self.filter, "log_density", None)
 
 
-def _carried(state: DirectionFilter, last: _Step, world_R_body: np.ndarray, position: np.ndarray | None) -> Any:
-    """`state` after the motion from `last` to here."""
-    known = position is not None and last.position is not None
-    moved = world_R_body.T @ (position - last.position) if known else None  # type: ignore[operator]
-    return state.predict(world_R_body.T @ last.world_R_body, moved)
-
-
-@dataclass
-class TrackerMethod:
+class TrackerEstimator(Estimator):
     """Our tracker, or a variant of it."""
 
-    follower: Follower
-    now: float = 0.0
+    def __init__(self, config: TrackerConfig) -> None:
+        self.config, self._follower, self._now = config, Follower(config), 0.0
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        self.follower.move(stamp, world_R_body, position)
-        self.now = stamp
+        self._follower.move(stamp, world_R_body, position)
+        self._now = stamp
 
     def see(self, evidence: Evidence) -> None:
-        self.follower.look(evidence)
-
-    @property
-    def config(self) -> TrackerConfig:
-        """The tracker's configuration."""
-        return self.follower.tracker.config
+        self._follower.look(evidence)
 
     @property
     def estimate(self) -> Estimate:
         """The tracker's answer at the last pose, computed once."""
-        return self.follower.estimate(self.now)
+        return self._follower.estimate(self._now)
 
     def direction(self) -> np.ndarray:
         found = self.estimate.direction
@@ -220,7 +176,7 @@ class TrackerMethod:
 
     def sure_distance(self) -> float | None:
         spread = self.estimate.distance_spread
-        return None if spread is None or spread > SURE_DISTANCE else self.estimate.distance
+        return None if spread is None or spread > MAX_DISTANCE_SPREAD else self.estimate.distance
 
     def progress(self) -> float:
         return self.estimate.progress
@@ -230,19 +186,19 @@ class TrackerMethod:
 
 
 def default_methods(perception: str) -> tuple[str, ...]:
-    """The methods that are compared by default; with vision-language models also the plain model."""
+    """The estimators that are compared by default; with vision-language models also the plain model."""
     return EVERY if is_model(perception) else NAMES
 
 
-def make_method(
+def make_estimator(
     name: str,
     rng: np.random.Generator,
     perception: str = "",
     calibration: Calibration | None = None,
     ours: TrackerConfig | None = None,
     detector: DetectorModel | None = None,
-) -> Steers:
-    """The method with this name; `rng` is for those that draw. Raises `EagorError` for an unknown name.
+) -> Estimator:
+    """The estimator with this name; `rng` is for those that draw. Raises `EagorError` for an unknown name.
 
     A baseline starts from the settings fitted for `perception`, ours from `ours`, with its `calibration` or `detector`.
     """
@@ -251,106 +207,110 @@ def make_method(
         raise EagorError(
             f"there is no method {base!r}; known are {', '.join(EVERY)}, and variants such as eagor:degree=7"
         )
-    settings = _settings(name, fitted(perception, base)) | _settings(name, text)
     try:
+        settings = _settings(fitted(perception, base)) | _settings(text)
+        known = _FILTERS[base][1] if base in _FILTERS else tuple(_OURS)
+        if unknown := [key for key in settings if key not in known]:
+            raise EagorError(f"there is no setting {unknown[0]!r}; known for {base}: {', '.join(known) or 'none'}")
         if base in _FILTERS:
-            return _filter(base, settings, rng)
+            return FilterEstimator(_set(_FILTERS[base][0](rng), settings))
         config = TrackerConfig.paper() if base == "eagor_paper" else ours or TrackerConfig()
-        return TrackerMethod(Follower(tracker_config(config, settings, calibration, detector)))
-    except KeyError as error:
-        known = ", ".join(SETTINGS[base]) or "none"
-        raise EagorError(f"method {name!r}: there is no setting {error}; known for {base}: {known}") from None
+        return TrackerEstimator(tracker_config(config, settings, calibration, detector))
     except EagorError as error:
         raise EagorError(f"method {name!r}: {error}") from None
-    except ValueError as error:
-        raise EagorError(f"method {name!r}: a setting wants a number ({error})") from None
 
 
-def method_for(name: str, perception: Any, called: str, rng: np.random.Generator, ours: TrackerConfig = BASE) -> Steers:
-    """A new method of this name, configured for a perception and the text it was `called` by."""
-    calibration, detector = (getattr(perception, part, None) for part in ("calibration", "detector"))
-    return make_method(name, rng, called, calibration, ours, detector)
-
-
-def answer_at(method: Method, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
-    """The method's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
+def answer_at(method: Estimator, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
+    """The estimator's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
     method.move(stamp, rotation_from_wxyz(pose[3:]), pose[:3])
     if evidence is not None:
         method.see(evidence)
     return method.direction()
 
 
-def _settings(name: str, text: str) -> dict[str, str]:
+def _settings(text: str) -> dict[str, str]:
     pairs = [item.partition("=") for item in text.split(",") if item]
     found = {key: value for key, _, value in pairs}
     if any(not (key and equals and value) for key, equals, value in pairs) or len(found) < len(pairs):
-        raise EagorError(
-            f"method {name!r}: wanted name:key=value,key=value, each key once, such as eagor:degree=7,decode=mean"
-        )
+        raise EagorError("wanted name:key=value,key=value, each key once, such as eagor:degree=7,decode=mean")
     return found
 
 
-def _number(key: str, text: str) -> float:
-    """A number from text, an angle in radians. Raises ValueError for anything else."""
-    found = math.radians(float(text)) if key in _ANGLES else float(text)
-    if math.isnan(found):
-        raise ValueError(f"{key} = nan")
+# --- the values of settings: each function reads a text, or raises ValueError ---------------------------------------
+
+Read = Callable[[str], Any]
+_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "offset", "drift")
+
+
+def _number(text: str) -> float:
+    if math.isnan(found := float(text)):
+        raise ValueError(text)
     return found
 
 
-def _whole(key: str, text: str, most: float = math.inf) -> int:
-    """A whole number from 0 to `most`. Raises `EagorError`."""
-    found = _number(key, text)
-    if not (found.is_integer() and 0 <= found <= most):
-        wanted = "a whole number, 0 or more" if most == math.inf else f"a whole number from 0 to {most:g}"
-        raise EagorError(f"{key} = {found:g}; wanted {wanted}")
-    return int(found)
+def _count(text: str) -> int:
+    if (found := int(text)) < 0:
+        raise ValueError(text)
+    return found
 
 
-def _decode(key: str, text: str) -> str:
-    if text not in ("mode", "mean"):
-        raise EagorError(f"{key} = {text!r}; wanted mode or mean")
-    return text
+def _shells(text: str) -> tuple[float, ...] | None:
+    return tuple(log_ranges(count=count).tolist()) if (count := _count(text)) else None
 
 
-def _shells(key: str, text: str) -> tuple[float, ...] | None:
-    return tuple(log_ranges(count=count).tolist()) if (count := _whole(key, text)) else None
+def _heights(text: str) -> float | None:
+    return (None, FLOOR)[_count(text)]
 
 
-def _heights(key: str, text: str) -> float | None:
-    return FLOOR if _whole(key, text, 1) else None
+def _rate(text: str) -> float | None:
+    return None if text == "?" else _number(text)
 
 
-def _rate(key: str, text: str) -> float | None:
-    return None if text == "?" else _number(key, text)
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(_number(each) for each in text.split("+"))
 
 
-def _beta(key: str, text: str) -> tuple[float, ...]:
-    return tuple(_number(key, each) for each in text.split("+"))
+def _kinds(text: str) -> tuple[float, ...]:
+    return () if _numbers(text) == (0.0,) else _numbers(text)
 
 
-def _kinds(key: str, text: str) -> tuple[float, ...]:
-    found = _beta(key, text)
-    return () if found == (0.0,) else found
+def _value(read: Read, key: str, text: str) -> Any:
+    """The value of a setting, an angle in radians. Raises `EagorError`."""
+    try:
+        found = read(text)
+    except (ValueError, IndexError):
+        wanted = {_count: "a whole number, 0 or more", _shells: "a whole number, 0 or more", _heights: "0 or 1"}
+        raise EagorError(f"{key} = {text}; wanted {wanted.get(read, 'a number')}") from None
+    if key not in _ANGLES or found is None:
+        return found
+    return tuple(math.radians(angle) for angle in found) if isinstance(found, tuple) else math.radians(found)
 
 
 _READING = ("floor", "neutral", "temperature")
-# In degrees.
-_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "offset", "drift")
-# The settings of our tracker: the part of its configuration that each belongs to, its field, and its parser.
-_OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
-    "degree": ("", "degree", _whole),
-    "decode": ("answers", "decode", _decode),
+_FILTERS: dict[str, tuple[Callable[[np.random.Generator], Any], tuple[str, ...]]] = {  # and their settings
+    "plain": (lambda rng: baselines.Plain(), ()),
+    "centroid": (lambda rng: baselines.Centroid(), ()),
+    "cent_circ": (lambda rng: baselines.CircularCentroid(), ()),
+    "grid": (lambda rng: baselines.GridFilter(), ()),
+    "best_detection": (lambda rng: baselines.BestDetection(), ()),
+    "last_detection": (lambda rng: baselines.LastDetection(), ()),
+    "vmf": (lambda rng: baselines.VonMisesFisherFilter(), (*_READING, "noise")),
+    "grid_filter": (lambda rng: baselines.HistogramFilter(), (*_READING, "diffusion", "mixing")),
+    "particle_filter": (
+        lambda rng: baselines.ParticleFilter.uniform(PARTICLES, rng),
+        (*_READING, "roughening", "reborn", "kernel"),
+    ),
+}
+# The settings of our tracker: the part of its configuration that each belongs to, its field there, and its reader.
+_OURS: dict[str, tuple[str, str, Read]] = {
+    "degree": ("", "degree", _count),
+    "decode": ("answers", "decode", str),
     **{key: ("calibration", key, _number) for key in (*_READING, "persistence", "spread")},
-    **{
-        key: ("detector", key, _rate)
-        for key in ("detection_probability", "false_alarms_per_look", "kept_for", "kept_within")
-    },
-    **{key: ("detector", key, _beta) for key in ("habit", "look_alike_habit")},
-    **{
-        key: ("detector", key, _number)
-        for key in ("look_alikes", "offset", "spread_of_size", "offset_of_size", "parts")
-    },
+    **{key: ("detector", key, _rate) for key in ("detection_probability", "false_alarms_per_look")},
+    **{key: ("detector", key, _rate) for key in ("kept_for", "kept_within")},
+    **{key: ("detector", key, _numbers) for key in ("habit", "look_alike_habit")},
+    **{key: ("detector", key, _number) for key in ("look_alikes", "offset", "spread_of_size", "offset_of_size")},
+    "parts": ("detector", "parts", _number),
     "dspread": ("detector", "spread", _number),
     "shells": ("", "ranges", _shells),
     "heights": ("", "floor_height", _heights),
@@ -358,19 +318,15 @@ _OURS: dict[str, tuple[str, str, Callable[[str, str], Any]]] = {
     **{key: ("target_motion", key, _number) for key in ("start", "stop", "jump", "birth", "death")},
     "drift": ("", "drift", _rate),
 }
-SETTINGS: dict[str, tuple[str, ...]] = {
-    "plain": (),
-    "centroid": (),
-    "cent_circ": (),
-    "grid": (),
-    "eagor_paper": tuple(_OURS),
-    "best_detection": (),
-    "last_detection": (),
-    "vmf": (*_READING, "noise"),
-    "grid_filter": (*_READING, "diffusion", "mixing"),
-    "particle_filter": (*_READING, "roughening", "reborn", "kernel"),
-    "eagor": tuple(_OURS),
-}
+
+
+def _set(state: Any, settings: dict[str, str]) -> Any:
+    """A filter with these settings."""
+    changes = {key: _value(_number, key, text) for key, text in settings.items()}
+    reading = {key: changes.pop(key) for key in _READING if key in changes}
+    if reading:
+        changes["calibration"] = replace(state.calibration, **reading)
+    return replace(state, **changes)
 
 
 def tracker_config(
@@ -379,7 +335,7 @@ def tracker_config(
     calibration: Calibration | None = None,
     detector: DetectorModel | None = None,
 ) -> TrackerConfig:
-    """`config` with settings from text; raises KeyError for an unknown setting, ValueError for a wrong number.
+    """`config` with settings from text. Raises `EagorError` for a wrong value.
 
     - degree, decode; shells (0: directions only), heights (0: unknown floor height);
     - target motion: wander (degrees per root second) and turn (degrees per second; several kinds are joined by +,
@@ -391,43 +347,19 @@ def tracker_config(
       the boxes), look_alikes, habit and look_alike_habit (two numbers joined by +), kept_for (seconds), kept_within
       (metres). They change `detector` if the config has none of its own.
     """
-    found: dict[str, dict[str, Any]] = {
-        part: {} for part in ("", "calibration", "detector", "target_motion", "answers")
-    }
-    for key, (part, name, read) in ((key, _OURS[key]) for key in settings):
-        found[part][name] = read(key, settings[key])
-    changes = found[""]
-    if found["calibration"]:
-        read_by = config.calibration or calibration or Calibration()
-        changes["calibration"] = replace(read_by, scale_to_max=False, **found["calibration"])
-    if found["detector"]:
-        changes["detector"] = replace(config.detector or detector or DetectorModel(), **found["detector"])
-    for part in ("target_motion", "answers"):
-        changes[part] = replace(getattr(config, part), **found[part])
+    found: dict[str, dict[str, Any]] = {}
+    for key, text in settings.items():
+        part, name, read = _OURS[key]
+        found.setdefault(part, {})[name] = _value(read, key, text)
+    changes = found.pop("", {})
+    for part, values in found.items():
+        own: Any = getattr(config, part)
+        if part == "calibration":
+            own, values["scale_to_max"] = own or calibration or Calibration(), False
+        elif part == "detector":
+            own = own or detector or DetectorModel()
+        changes[part] = replace(own, **values)
     return replace(config, **changes)
-
-
-def _filter(base: str, settings: dict[str, str], rng: np.random.Generator) -> Steers:
-    if unknown := [key for key in settings if key not in SETTINGS[base]]:
-        raise KeyError(unknown[0])
-    state: Any = _FILTERS[base](rng)
-    changes: dict[str, Any] = {key: _number(key, text) for key, text in settings.items()}
-    if reading := {key: changes.pop(key) for key in _READING if key in changes}:
-        changes["calibration"] = replace(state.calibration, **reading)
-    return FilterMethod(replace(state, **changes) if changes else state)
-
-
-_FILTERS: dict[str, Callable[[np.random.Generator], DirectionFilter]] = {
-    "plain": lambda rng: Plain(),
-    "centroid": lambda rng: Centroid(),
-    "cent_circ": lambda rng: CircularCentroid(),
-    "grid": lambda rng: GridFilter(),
-    "best_detection": lambda rng: BestDetection(),
-    "last_detection": lambda rng: LastDetection(),
-    "vmf": lambda rng: VonMisesFisherFilter(),
-    "grid_filter": lambda rng: HistogramFilter(),
-    "particle_filter": lambda rng: ParticleFilter.uniform(PARTICLES, rng),
-}
 
 
 FITTED: dict[str, dict[str, str]] = {
@@ -444,5 +376,5 @@ FITTED: dict[str, dict[str, str]] = {
 
 
 def fitted(perception: str, base: str) -> str:
-    """The fitted settings of a method for a perception, "" if there are none."""
+    """The fitted settings of an estimator for a perception, "" if there are none."""
     return FITTED.get(perception.partition(":")[0], {}).get(base, "")

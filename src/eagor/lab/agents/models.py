@@ -8,38 +8,40 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import importlib
 import inspect
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
 
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
-from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.perception import Perception, load, local_model, look, parse_options
 from eagor.perception.calibrated import from_json
 from eagor.perception.vlm import Chat, Message
+from eagor.plugins import bring
 from eagor.queries import Named
 
 
 class EpisodePerception:
-    """A perception in the episode of a slot: it looks once per step.
+    """A perception in the episode of a spec: it looks once per step.
 
     One that reads instance ids begins an episode among `things` (indexed by instance id). Its mistakes are the same
     each time, and others for another `purpose`.
     """
 
-    def __init__(self, perception: Any, slot: Slot, things: Sequence[Named], purpose: str = "perception") -> None:
+    def __init__(
+        self, perception: Any, spec: EpisodeSpec, things: Sequence[Named], purpose: str = "perception"
+    ) -> None:
         self._privileged = is_privileged(perception)
         self._sees: Callable[..., Evidence] = partial(look, perception)
         if self._privileged:
-            self._sees = perception.episode(things, int(slot.rng(purpose).integers(1 << 31)))
+            self._sees = perception.episode(things, int(spec.rng(purpose).integers(1 << 31)))
         self.source: dict[str, Any] = {}
         self.milliseconds: list[float] = []
         self.looks = 0
@@ -79,19 +81,6 @@ class EpisodePerception:
             return {}
         mean = round(float(np.mean(self.milliseconds)), 1) if self.milliseconds else None
         return {"looks": self.looks, "unread": len(self.unread), "milliseconds": mean, "source": self.source}
-
-
-@dataclass
-class Delay:
-    """Evidence that arrives `steps` steps after its look; `waiting` is still on its way."""
-
-    steps: int
-    waiting: list[Evidence | None] = field(default_factory=list)
-
-    def due(self, look: Evidence | None) -> Evidence | None:
-        """What arrives at the step of this look: an earlier one, this one without a delay, or nothing."""
-        self.waiting.append(look)
-        return self.waiting.pop(0) if len(self.waiting) > self.steps else None
 
 
 @lru_cache(maxsize=1)
@@ -141,22 +130,18 @@ def load_chat(spec: str) -> Chat:
     - ``package.module:function``: the `Chat` that ``function()`` returns.
     """
     module, colon, name = spec.partition(":")
-    named = module.replace(".", "").isidentifier() and name.isidentifier()
-    if colon and named and not {"@", "/"} & set(spec):
+    if colon and module.replace(".", "").isidentifier() and name.isidentifier():
         try:
-            make = getattr(importlib.import_module(module), name)
-        except Exception as error:  # a broken module may raise anything
-            raise EagorError(
-                f"the model {spec!r} cannot be imported ({type(error).__name__}: {error}); wanted "
-                f"package.module:function, or {spec}@http://localhost:11434 for a model on a server"
-            ) from error
+            make = bring(EntryPoint(spec, spec, ""), "model")
+        except EagorError as error:
+            raise EagorError(f"{error}, or {spec}@http://localhost:11434 for a model on a server") from None
         return _made(spec, make)
-    place, _, written = spec.partition("?")
+    place, _, options = spec.partition("?")
     here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
     if here or ("/" in place and "@" not in place and "://" not in place):
         from eagor.perception.transformers import LocalChat
 
-        return local_model(LocalChat, place, parse_options(written))
+        return local_model(LocalChat, place, parse_options(options))
     from eagor.perception.endpoint.server import chat_from_text
 
     return chat_from_text(spec)

@@ -4,26 +4,52 @@ The thing is in one of many cells: directions around a camera that only turns (`
 patches of the ground about a body (`SearchedGround`). Either is a `Space`. A look is worth taking for what it shows:
 cells that no look has shown, and cells that were looked at but where the perception may have missed the thing. A search
 takes the look that tells most for what it costs (`eagor.lab.agents.steering`).
+
+The ground is a `FloorMap`, with `Ways` over it. No map is given and no depth is read. A look shows which pixels are
+floor. A pixel of the floor lies where its ray meets the floor's plane, so it tells that this place is free. Where the
+floor ends, something stands: its *contact*. What is hidden behind it stays unknown until it is seen from elsewhere.
+Things that hang over the floor (a table's top) have no contact; the body learns of them by touch. Ways may lead over
+what is unknown, dearer, and hardly through what stands.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
-from eagor._values import lazy
 from eagor.conventions import rotation_from_wxyz
 from eagor.evidence import Evidence
 from eagor.evidence.detector import Habits
-from eagor.lab.agents.floor_map import CELL, FLOOR, THICK, UNKNOWN, FloorMap
+from eagor.grids import ErpGrid
 from eagor.lab.envs.places import Place, in_view
 from eagor.lab.envs.rules import Camera
 from eagor.sphere import heading, wrap
 from eagor.tracking.looking import information
+
+CELL = 0.15  # metres
+FARTHEST = 6.0  # metres: beyond, a row of pixels covers more floor than a body
+THICK = 0.3  # metres behind its contact that a thing reaches at least
+MARGIN = 1.5  # metres of unknown ground around all that is known
+BLOCK = 12  # cells by which the grid grows
+UNKNOWN, FLOOR, CONTACT = range(3)
+# What a metre costs on what is unknown, on the floor, and where something stands, in metres of floor: a contact may be
+# seen a cell off, so it is no wall.
+COSTS = np.array([2.0, 1.0, 15.0])
+BLOCKED = 20.0  # ... and more for each time that the body was blocked there
+VISITED = 1.0  # ... and for each time that it stood there: a way that led to and fro is not the way (Korf, 1990)
+TIGHT, CLOSE = 4.0, 1.5  # ... times more within the body's radius of what stands, and within `SPARE` metres more
+SPARE = 0.15
+BESIDE = 1.2  # metres from a thing: close enough to have come to it
+NEAR = 0.5  # metres between two places that are one
+LOOK = 1.5  # metres: longest straight stretch of a way
 
 LEAST = 0.05  # recall: nobody looks with what finds less, whatever its calibration says
 RAYS, SIGHT = 24, 3.0  # rays about a place from which it may look, and how far they go, metres
@@ -35,6 +61,193 @@ EVERY = 3  # cells between the places that are weighed
 AHEAD = np.zeros((1, 2))  # the heading of a camera that sees all around: it need not turn
 HEADINGS = np.column_stack([np.arange(RAYS) * 2 * math.pi / RAYS, np.zeros(RAYS)])  # those of any other camera
 MOST = 1000  # looks that are made again, some 3 ms each; of a longer way, so many of its poses
+
+# --- the floor -------------------------------------------------------------------------------------------------------
+
+
+class FloorMap:
+    """A growing grid of square cells: x along columns, low corner at `origin` ``(2,)``.
+
+    Its layers, all ``(rows, cols)``:
+
+    - `state`: unknown, floor or contact. `nearest`: metres from which a cell was seen best.
+    - `miss_cost`: probability that all looks so far would have missed a thing that stands there. `coverage`: how well
+      they saw it, from 0 to 1, as far as the next look repeats their mistakes.
+    - `blocked_count`: how often the body was blocked on its way there. `visit_count`: how often it stood there.
+    """
+
+    def __init__(self) -> None:
+        self.origin = np.zeros(2)
+        self.state = np.zeros((0, 0), dtype=np.int8)
+        self.nearest, self.miss_cost, self.coverage = (np.zeros((0, 0)) for _ in range(3))
+        self.blocked_count, self.visit_count = (np.zeros((0, 0), dtype=np.int32) for _ in range(2))
+
+    def cells(self, points: np.ndarray) -> np.ndarray:
+        """Rows and columns ``(..., 2)`` of points ``(..., 2)``."""
+        return np.floor((np.asarray(points) - self.origin) / CELL).astype(np.intp)[..., ::-1]
+
+    def centres(self, cells: np.ndarray) -> np.ndarray:
+        """The middles ``(..., 2)`` of cells ``(..., 2)``."""
+        return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * CELL
+
+    def inside(self, cells: np.ndarray) -> np.ndarray:
+        """Which cells ``(..., 2)`` lie on the grid."""
+        return np.all((cells >= 0) & (cells < self.state.shape), axis=-1)
+
+    def cover(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Grow the grid to these corners ``(2,)``."""
+        first = np.floor(low / CELL / BLOCK).astype(int) * BLOCK
+        last = np.ceil(high / CELL / BLOCK).astype(int) * BLOCK
+        begin = np.round(self.origin / CELL).astype(int) if self.state.size else first
+        end = begin + self.state.shape[::-1]
+        if self.state.size:
+            first, last = np.minimum(first, begin), np.maximum(last, end)
+        pads = [(begin[axis] - first[axis], last[axis] - end[axis]) for axis in (1, 0)]
+        beyond = {"nearest": math.inf, "miss_cost": 1.0}
+        for name in ("state", "nearest", "miss_cost", "coverage", "blocked_count", "visit_count"):
+            setattr(self, name, np.pad(getattr(self, name), pads, constant_values=beyond.get(name, 0)))
+        self.origin = first * CELL
+
+    def look(
+        self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray, seen: np.ndarray | None = None
+    ) -> None:
+        """Take in a look from `position` ``(3,)``, metres above the floor's plane z = 0.
+
+        `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor. `seen` ``(H, W)`` bool:
+        which of them the camera shows at all; None: all.
+        """
+        here, height = position[:2], position[2]
+        reach = _reach(floor, height)
+        places = self.centres(self._around(here, reach))
+        away = places - here
+        metres = np.hypot(*away.T)
+        near = (metres < min(reach, FARTHEST)) & (metres > 0.05)
+        places, away, metres = places[near], away[near], metres[near]
+        row = math.pi / len(floor)
+        # A thing stands where the floor has just ended: nearer by this much (at least a row of pixels) there is floor.
+        back = np.maximum(THICK, 1.2 * row * (height + metres**2 / height))
+        is_floor = _shows(floor, world_R_body, away, height)
+        before = away * np.maximum(1 - back / metres, 0.0)[:, None]
+        contact = ~is_floor & _shows(floor, world_R_body, before, height)
+        if seen is not None:
+            contact &= _shows(seen, world_R_body, away, height)
+        shown = np.concatenate([places[is_floor | contact], here[None]])
+        self.cover(shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN)
+        for which, state in ((is_floor, FLOOR), (contact, CONTACT)):
+            rows, cols = self.cells(places[which]).T
+            better = metres[which] <= self.nearest[rows, cols] + 0.2
+            rows, cols = rows[better], cols[better]
+            self.state[rows, cols] = state
+            self.nearest[rows, cols] = np.minimum(self.nearest[rows, cols], metres[which][better])
+
+    def _around(self, here: np.ndarray, reach: float) -> np.ndarray:
+        """The cells ``(n, 2)`` about a place, also those off the grid."""
+        low, high = self.cells(here - reach), self.cells(here + reach) + 1
+        return low + np.indices(tuple(high - low)).reshape(2, -1).T
+
+    def stand(self, here: np.ndarray, radius: float) -> None:
+        """A body of this radius stands here: nothing else does."""
+        self.cover(here - radius, here + radius)
+        cells = self._around(here, radius)
+        rows, cols = cells[np.hypot(*(self.centres(cells) - here).T) <= radius].T
+        self.visit_count[rows, cols] += 1
+        self.state[rows, cols], self.nearest[rows, cols] = FLOOR, 0.0
+        row, col = self.cells(here)
+        self.state[row, col], self.nearest[row, col], self.blocked_count[row, col] = FLOOR, 0.0, 0
+
+    def block(self, points: np.ndarray) -> None:
+        """The body was blocked on its way to `points` ``(n, 2)``."""
+        cells = np.unique(self.cells(points), axis=0)
+        rows, cols = cells[self.inside(cells)].T
+        self.blocked_count[rows, cols] += 1
+
+
+def _reach(floor: np.ndarray, height: float) -> float:
+    """Metres to the farthest floor that a look from this height shows, and a little more; `FARTHEST` at most."""
+    rows = np.flatnonzero(floor.any(axis=1))
+    if not len(rows):
+        return 1.0
+    depression = (rows[0] + 0.5) / floor.shape[0] * math.pi - math.pi / 2
+    far = height / math.tan(depression) if depression > 0.02 else FARTHEST
+    return min(max(far + THICK, 1.0), FARTHEST)
+
+
+def _shows(floor: np.ndarray, world_R_body: np.ndarray, away: np.ndarray, height: float) -> np.ndarray:
+    """Whether the pixels of points ``(n, 2)`` of the floor's plane, from below the camera, show the floor."""
+    rays = np.column_stack([away, np.full(len(away), -height)]) @ world_R_body
+    grid = ErpGrid(*floor.shape)
+    x, y, _ = grid.project(rays)
+    return floor[np.minimum(y.astype(np.intp), grid.height - 1), x.astype(np.intp) % grid.width]
+
+
+class Ways:
+    """The cheapest ways of a body of this `radius` (metres) from `here` ``(2,)`` to all cells.
+
+    `costs` ``(rows, cols)`` of a metre in each cell; `metres` ``(rows, cols)``: cost of the way there.
+    """
+
+    def __init__(self, known: FloorMap, radius: float, here: np.ndarray) -> None:
+        self.known, self.here = known, here
+        stands = known.state == CONTACT
+        away = np.asarray(ndimage.distance_transform_edt(~stands)) * CELL
+        costs = COSTS[known.state]
+        costs[~stands & (away < radius + SPARE)] *= CLOSE
+        costs[~stands & (away < radius)] *= TIGHT
+        costs += BLOCKED * known.blocked_count + VISITED * known.visit_count
+        flat, (one, other, lengths) = costs.reshape(-1), _lattice(costs.shape)
+        graph = csr_array(((flat[one] + flat[other]) * lengths, (one, other)), shape=(flat.size, flat.size))
+        start = np.ravel_multi_index(tuple(known.cells(here)), costs.shape)
+        metres, self._before = dijkstra(graph, indices=start, return_predecessors=True)
+        self.costs, self.metres = costs, metres.reshape(costs.shape)
+
+    def nearest(self, goal: np.ndarray, but: Sequence[np.ndarray] = ()) -> tuple[int, int] | None:
+        """The cell to go to for a goal ``(2,)`` in which something may stand.
+
+        If the body has been at places `but` ``(2,)`` for it: another one beside it, None if there is none.
+        """
+        places = self.known.centres(np.moveaxis(np.indices(self.metres.shape), 0, -1))
+        away = np.hypot(*np.moveaxis(places - goal, -1, 0))
+        cost = 3 * away + 0.2 * self.metres
+        if len(but):
+            cost[away > BESIDE] = math.inf
+        for place in but:
+            cost[np.hypot(*np.moveaxis(places - place, -1, 0)) < NEAR] = math.inf
+        best = int(cost.argmin())
+        return divmod(best, self.metres.shape[1]) if math.isfinite(cost.flat[best]) else None
+
+    def first(self, end: tuple[int, int]) -> np.ndarray:
+        """The direction ``(2,)``, of any length, in which the way to a cell begins: to its farthest point in a line."""
+        width = self.metres.shape[1]
+        path = [end[0] * width + end[1]]
+        while self._before[path[-1]] >= 0:
+            path.append(int(self._before[path[-1]]))
+        path.reverse()
+        points = self.known.centres(np.stack(np.divmod(path, width), axis=-1))
+        target = points[min(1, len(points) - 1)]
+        for flat, point in zip(path[1:], points[1:], strict=True):
+            away = point - self.here
+            length = float(np.hypot(*away))
+            at = np.linspace(0, 1, max(2, math.ceil(length / CELL * 2)))[:, None]
+            rows, cols = self.known.cells(self.here + at * away).T
+            line = float(self.costs[rows, cols].mean()) * length
+            if length > LOOK or line > 1.05 * float(self.metres.flat[flat]) + 0.1:
+                break
+            target = point
+        found = target - self.here
+        return found if np.hypot(*found) > 1e-6 else np.array([1.0, 0.0])
+
+
+@lru_cache(maxsize=8)
+def _lattice(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The edges of a grid of cells: both ends (flat), and half their lengths (metres)."""
+    steps = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
+    ends = np.indices(shape).reshape(2, -1).T[:, None] + steps
+    inside = np.all((ends >= 0) & (ends < shape), axis=-1)
+    lengths = np.broadcast_to(np.hypot(*steps.T) * CELL / 2, inside.shape)
+    return np.nonzero(inside)[0], (ends @ [shape[1], 1])[inside], lengths[inside]
+
+
+# --- looks -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -84,17 +297,17 @@ class Space(Protocol):
         ...
 
 
-def apart(angles: np.ndarray) -> np.ndarray:
+def angle_size(angles: np.ndarray) -> np.ndarray:
     """The size of angles ``(...)``, the short way round, radians from 0 to pi."""
     return np.abs(wrap(angles))
 
 
-def turned(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
+def turn_angle(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
     """How far it is from `facing` ``(2,)`` to headings ``(..., 2)``, radians: in azimuth, and then in elevation."""
-    return apart(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
+    return angle_size(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class SteeringInput:
     """What is known at a step.
 
@@ -105,6 +318,8 @@ class SteeringInput:
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
       `seen` ``(H, W)`` bool: which of them the camera shows; None: all. `chance`: to find, of that look; None if
       it could not be read.
+    - `here` ``(2,)``: where the body is on the floor; `yaw`, `bearing`: azimuths of the world, radians, of the body and
+      of the estimate; `ahead` ``(2,)``: a unit vector along the floor to the estimate. All in the world frame.
     """
 
     azimuth: float
@@ -117,85 +332,48 @@ class SteeringInput:
     seen: np.ndarray | None = None
     chance: Chance | None = field(default_factory=Chance)
 
-    @lazy
-    def here(self) -> np.ndarray:
-        """Where the body is on the floor ``(2,)``, metres, world frame."""
-        return np.array(self.position[:2], dtype=np.float64)
-
-    @lazy
-    def yaw(self) -> float:
-        """Where the body faces: an azimuth of the world, radians."""
-        return heading(self.world_R_body)
-
-    @lazy
-    def bearing(self) -> float:
-        """Where the estimate is: an azimuth of the world, radians."""
-        return self.azimuth + self.yaw
-
-    @lazy
-    def ahead(self) -> np.ndarray:
-        """A unit vector ``(2,)`` along the floor to the estimate, world frame."""
-        return np.array([math.cos(self.bearing), math.sin(self.bearing)])
+    def __post_init__(self) -> None:
+        self.here = np.array(self.position[:2], dtype=np.float64)
+        self.yaw = heading(self.world_R_body)
+        self.bearing = self.azimuth + self.yaw
+        self.ahead = np.array([math.cos(self.bearing), math.sin(self.bearing)])
 
 
-def along_floor(distance: float | None, direction: np.ndarray) -> float | None:
-    """Metres along the floor to what is `distance` metres away in a direction ``(3,)`` of a level frame."""
-    return None if distance is None else distance * math.hypot(float(direction[0]), float(direction[1]))
-
-
-@dataclass
 class SearchedGround:
-    """The ground of one episode; a `Space` about the body that stands on it.
+    """The ground of one episode; a `Space` about the body with this camera that stands on it.
 
-    `radius`: of the body, metres. `hfov`: what its camera sees across, straight ahead, radians; 2 pi: all around.
     `here` ``(2,)``: where the body is, metres, world frame. Cells ``(..., 2)`` are rows and columns of `known`.
     """
 
-    radius: float = 0.18
-    hfov: float = 2 * math.pi
-    known: FloorMap = field(default_factory=FloorMap)
-    here: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    _chance: Chance = field(default_factory=Chance)
-    _from: np.ndarray | None = None  # where the last look was taken that could be read
-
-    @classmethod
-    def about(cls, camera: Camera) -> SearchedGround:
-        """The ground about a body with this camera, before its first look."""
-        return cls(camera.radius, 2 * math.pi if camera.around else math.radians(camera.hfov))
-
-    @property
-    def around(self) -> bool:
-        """Whether the camera sees all around."""
-        return self.hfov >= 2 * math.pi
-
-    @property
-    def headings(self) -> np.ndarray:
-        """The headings ``(n, 2)`` that the camera may face, radians, world frame: level ones."""
-        return AHEAD if self.around else HEADINGS
+    def __init__(self, camera: Camera) -> None:
+        self.radius, self.hfov, self.around = camera.radius, math.radians(camera.hfov), camera.around
+        self.known, self.here = FloorMap(), np.zeros(2)
+        self.headings = AHEAD if self.around else HEADINGS  # level ones
+        self._chance = Chance()
+        self._from: np.ndarray | None = None  # where the last look was taken that could be read
 
     def look(self, now: SteeringInput) -> None:
         """Take in what a look shows of the floor, and that it had its chance to find the thing."""
         here = self.here = now.here
         assert now.floor is not None
         self.known.look(now.floor, now.world_R_body, now.position, now.seen)
-        self.known.walked(here, self.radius)
+        self.known.stand(here, self.radius)
         if now.chance is None:
             return
         moved = 0.0 if self._from is None else float(np.hypot(*(here - self._from)))
         self._chance, self._from = now.chance, here
-        self.known.looked *= now.chance.left(moved)
-        self.looked_from(here, now.yaw)
+        self.known.coverage *= now.chance.left(moved)
+        self.mark_scanned(here, now.yaw)
 
-    def looked_from(self, place: np.ndarray, yaw: float) -> None:
+    def mark_scanned(self, place: np.ndarray, yaw: float) -> None:
         """What can be seen from a place ``(2,)``, facing the azimuth `yaw`, has had its chance."""
         index, reached = self._reached(self.known.cells(place)[None], FINE)
         reached = reached * self._in_view(FINE, np.array(yaw))[:, None]
-        rows, cols = self.known.state.shape
-        seen = np.zeros((rows + 2 * PAD, cols + 2 * PAD))
+        seen = np.pad(np.zeros(self.known.state.shape), PAD)
         np.maximum.at(seen.reshape(-1), index.reshape(-1), reached.reshape(-1))
         seen = seen[PAD:-PAD, PAD:-PAD]
-        self.known.worth *= 1 - self._finds() * seen
-        np.maximum(self.known.looked, seen, out=self.known.looked)
+        self.known.miss_cost *= 1 - self._finds() * seen
+        np.maximum(self.known.coverage, seen, out=self.known.coverage)
 
     def tells(self) -> np.ndarray:
         """What looks from here at each of the headings ``(n,)`` are expected to tell, nats."""
@@ -207,8 +385,9 @@ class SearchedGround:
         For a camera that does not see all around: what single rays tell, added up, as each is likely to find nothing.
         """
         index, reached = self._reached(cells, RAYS)
-        here = _padded(self.known.worth, 1.0).take(index) * (_rays(RAYS)[1] / (self.known.worth.sum() * CELL**2))
-        share = _padded(self._finds(), self._chance.recall).take(index) * reached
+        miss_cost = self.known.miss_cost
+        here = np.pad(miss_cost, PAD, constant_values=1.0).take(index) * (_rays(RAYS)[1] / (miss_cost.sum() * CELL**2))
+        share = np.pad(self._finds(), PAD, constant_values=self._chance.recall).take(index) * reached
         if self.around:
             return information(here.reshape(len(cells), -1), share.reshape(len(cells), -1))[:, None]
         length = here.shape[-1]
@@ -217,9 +396,8 @@ class SearchedGround:
 
     def places(self) -> np.ndarray:
         """Cells ``(m, 2)`` of the known floor from which one may look: not all of them, but evenly spread."""
-        rows, cols = np.nonzero(self.known.state == FLOOR)
-        kept = (rows % EVERY == 0) & (cols % EVERY == 0)
-        return np.stack([rows[kept], cols[kept]], axis=-1)
+        cells = np.argwhere(self.known.state == FLOOR)
+        return cells[(cells % EVERY == 0).all(axis=1)]
 
     def sight(self, there: np.ndarray) -> float:
         """The probability that nothing hides a place ``(2,)`` from here, by the floor that is known."""
@@ -233,32 +411,25 @@ class SearchedGround:
     def _in_view(self, count: int, azimuths: np.ndarray) -> np.ndarray:
         """Which of `count` rays ``(..., count)`` a camera shows that faces `azimuths` ``(...)``, 1 or 0."""
         off = _angles(count) - np.asarray(azimuths)[..., None]
-        return (apart(off) <= self.hfov / 2).astype(np.float64)
+        return (angle_size(off) <= self.hfov / 2).astype(np.float64)
 
     def _finds(self) -> np.ndarray:
         """The probability ``(rows, cols)`` that a look finds a thing there, in full sight, after those that missed it.
 
         Of what repeats the mistakes of earlier looks only the share 1 - repeats tells something, as in a belief.
         """
-        return 1 - (1 - self._chance.recall) ** (1 - self._chance.repeats * self.known.looked)
+        return 1 - (1 - self._chance.recall) ** (1 - self._chance.repeats * self.known.coverage)
 
     def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Along `count` rays from cells ``(n, 2)``: padded cells (flat), and how likely one sees them.
 
         Both ``(n, count, k)``.
         """
-        known, (rays, _) = self.known, _rays(count)
-        veil = VEIL[np.pad(known.state, PAD)]
-        width = veil.shape[1]
-        flat = np.array([width, 1])
-        index = ((cells + PAD) @ flat)[:, None, None] + rays @ flat
+        veil = VEIL[np.pad(self.known.state, PAD)]
+        flat = np.array([veil.shape[1], 1])
+        index = ((cells + PAD) @ flat)[:, None, None] + _rays(count)[0] @ flat
         dimmed = veil.take(index)
-        reached = np.exp(dimmed - np.cumsum(dimmed, axis=2))
-        return index, reached
-
-
-def _padded(cells: np.ndarray, around: float) -> np.ndarray:
-    return np.pad(cells, PAD, constant_values=around)
+        return index, np.exp(dimmed - np.cumsum(dimmed, axis=2))
 
 
 def _angles(count: int) -> np.ndarray:
@@ -275,31 +446,21 @@ def _rays(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.round(offsets / CELL).astype(np.intp), 2 * math.pi / count * metres * CELL
 
 
-def looked_along(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
+def explored_floor(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
     """What the looks from `poses` showed of the floor of `place`, to a body that searches.
 
     `poses` ``(n, 7)``: x, y, z (metres) of the camera in the world, and its orientation ``world_R_body`` as a
     quaternion w, x, y, z. They are the true ones: where odometry drifted, the body itself took the floor to be
     elsewhere.
     """
-    ground = SearchedGround.about(camera)
+    ground = SearchedGround(camera)
     if len(poses) > MOST:  # evenly spread, the first and the last among them
         poses = poses[np.linspace(0, len(poses) - 1, MOST).round().astype(np.intp)]
-    for x, y, z, *quaternion in poses:
-        world_R_body = rotation_from_wxyz(np.array(quaternion) / np.linalg.norm(quaternion))
-        eye = np.array([x, y, z])
+    for pose in poses:
+        eye, world_R_body = pose[:3], rotation_from_wxyz(pose[3:] / np.linalg.norm(pose[3:]))
         floor = place.floor_in(place.ids(eye, world_R_body), eye, world_R_body)
         seen = in_view(camera, len(floor))
-        ground.look(
-            SteeringInput(
-                azimuth=0.0,  # nothing is believed here: only what a look shows is taken in
-                progress=0.0,
-                presence=0.0,
-                distance=None,
-                position=eye - [0.0, 0.0, place.ground.height(eye[:2])],
-                world_R_body=world_R_body,
-                floor=floor if seen is None else floor & seen,
-                seen=seen,
-            )
-        )
+        floor = floor if seen is None else floor & seen
+        position = eye - [0.0, 0.0, place.ground.height(eye[:2])]
+        ground.look(SteeringInput(0.0, 0.0, 0.0, None, position, world_R_body, floor, seen))  # nothing is believed
     return ground.known

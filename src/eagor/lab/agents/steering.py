@@ -11,9 +11,9 @@ with expected information as in Bourgault et al., 2002).
 
 The body begins to walk to the thing when that is likely to bring it nearer. It goes on although looks miss the thing,
 as long as that may be hidden from here, by the floor that is known. It comes to the place from another side where it
-stood beside it in vain: a wall may be between. A place around which it has tried all sides is given up. Where it was
-held up too often on the way, nothing is learnt of the place: it searches for as many steps as it has tried, and then,
-if the thing is still believed to be there, it tries again (`Approach`).
+stood beside it and did not meet it: a wall may be between. A place around which it has tried all sides is given up.
+Where it was blocked too often on the way, nothing is learnt of the place: it searches for as many steps as it has
+tried, and then, if the thing is still believed to be there, it tries again (`GoToGoal`).
 """
 
 from __future__ import annotations
@@ -21,12 +21,23 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
-from eagor.lab.agents.floor_map import BESIDE, CELL, CONTACT, FLOOR, NEAR, FloorMap, Ways
-from eagor.lab.agents.search_space import SearchedGround, Space, SteeringInput, apart, turned
+from eagor.lab.agents.search_space import (
+    BESIDE,
+    CELL,
+    CONTACT,
+    FLOOR,
+    NEAR,
+    FloorMap,
+    SearchedGround,
+    SteeringInput,
+    Ways,
+    angle_size,
+    turn_angle,
+)
 from eagor.lab.envs.rules import Camera
 from eagor.tracking import TrackerConfig
 
@@ -36,7 +47,7 @@ STANDOFF, HALF = 0.1, 0.3  # metres from the colliding body to the noted wall, a
 WALL, HIGHEST = 5.0, 20.0  # metres that one collision adds to an edge, and that all of them add at most
 VISIT, AROUND = 0.2, 2  # metres that planning at a node adds to paths through it and this many nodes around
 KEPT = 0.9  # share of that after the next plan
-ARRIVED = 0.8  # how sure a belief has to be to stop for it, as `handover`: a stop ends the search
+ARRIVED = 0.8  # how sure a belief has to be to stop for it, as `commit_threshold`: a stop ends the search
 RANGE = 5.0  # metres along the estimate to the assumed goal, where the distance to the target is unknown
 LOOK, WINDOW = 1.5, 10.0  # metres: longest straight stretch of a path, and farthest that paths stray from the body
 _NEIGHBOURS = [(i, j, math.hypot(i, j) * SPACING) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
@@ -45,7 +56,6 @@ _EDGES = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # every edge of the lattic
 Node = tuple[int, int]
 
 
-@dataclass
 class Policy:
     """Walks along the estimate, whatever it is worth, for one episode.
 
@@ -53,18 +63,16 @@ class Policy:
     `arrived`: as of a `Searcher`.
     """
 
-    step: float
-    detour: bool = True
-    near: float = 0.0
-    searching: bool = False
-    arrived: bool = False
-    looks_down: bool = False
-    # The plan's frame has its origin where the episode began, and its x axis along the body's heading there.
-    _start: tuple[np.ndarray, float] | None = None
-    _last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
-    _walls: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # both ends of each noted wall
-    _extra: dict[tuple[Node, Node], float] = field(default_factory=dict)  # metres that walls add to edges
-    _visits: dict[Node, float] = field(default_factory=dict)
+    searching, needs_floor_mask = False, False
+
+    def __init__(self, step: float, detour: bool = True, near: float = 0.0) -> None:
+        self.step, self.detour, self.near, self.arrived = step, detour, near, False
+        # The plan's frame has its origin where the episode began, and its x axis along the body's heading there.
+        self._start: tuple[np.ndarray, float] | None = None
+        self._last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
+        self._walls = np.zeros((0, 2, 2))  # both ends of each noted wall
+        self._extra: dict[tuple[Node, Node], float] = {}  # metres that walls add to edges
+        self._visits: dict[Node, float] = {}
 
     def walk(self, now: SteeringInput) -> tuple[float, float]:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
@@ -86,29 +94,28 @@ class Policy:
         here = np.round(np.array([[cos, sin], [-sin, cos]]) @ (np.asarray(xy, dtype=np.float64) - begin), 6)
         bearing = round(math.remainder(azimuth + yaw - turn, 2 * math.pi), 6)
         if self._last is not None:
-            self._feel(*self._last, here)
-        ahead = np.array([math.cos(bearing), math.sin(bearing)])
-        way = self._way(here, here + RANGE * ahead)
+            self._learn(*self._last, here)
+        way = self._way(here, here + RANGE * np.array([math.cos(bearing), math.sin(bearing)]))
         self._last = here, way * (self.step / np.hypot(*way))
         heading = math.remainder(math.atan2(way[1], way[0]) + turn - yaw, 2 * math.pi)
         return heading if heading > -math.pi else math.pi
 
-    def _feel(self, before: np.ndarray, meant: np.ndarray, here: np.ndarray) -> None:
-        """Learn from a step: a wall where the body was held up, no wall where it passed."""
+    def _learn(self, before: np.ndarray, intended: np.ndarray, here: np.ndarray) -> None:
+        """Learn from a step: a wall where the body was blocked, no wall where it passed."""
         moved = here - before
-        crossed = _cross(before, here, self._walls[:, 0], self._walls[:, 1])
+        crossed = self._crosses(before, here)
         if crossed.any():
             self._walls, self._extra = self._walls[~crossed], {}
             for wall in self._walls:
                 self._note(wall)
-        lost = held_back(before, meant, here, self.step)
+        lost = _lost(before, intended, here, self.step)
         if lost is None:
             return
-        size, into = float(np.hypot(*lost)), float(lost @ meant)
+        size, into = float(np.hypot(*lost)), float(lost @ intended)
         # The body goes straight, then slides along the wall, which removes the component of each step normal to it.
         normal, slid = lost / size, min(size * size / into, 1.0)
         along = np.array([-normal[1], normal[0]])
-        first = here - (moved - (1 - slid) * meant)
+        first = here - (moved - (1 - slid) * intended)
         if (here - first) @ along < 0:
             along = -along
         wall = np.array([first - HALF * along, here + HALF * along]) + STANDOFF * normal
@@ -117,35 +124,33 @@ class Policy:
 
     def _note(self, wall: np.ndarray) -> None:
         """Lengthen the edges of the lattice that cross a wall ``(2, 2)``."""
-        low, high = np.floor(wall.min(axis=0) / SPACING) - 1, np.ceil(wall.max(axis=0) / SPACING) + 1
-        cols, rows = (np.arange(a, b + 1, dtype=int) for a, b in zip(low, high, strict=True))
-        ends = np.stack(np.meshgrid(cols, rows, indexing="ij"), axis=-1).reshape(-1, 1, 2) + np.zeros_like(_EDGES)
-        hit = _cross(ends * SPACING, (ends + _EDGES) * SPACING, wall[0], wall[1])
-        for (a, b), (c, d) in zip(ends[hit].tolist(), (ends + _EDGES)[hit].tolist(), strict=True):
-            longer = min(self._extra.get(((a, b), (c, d)), 0.0) + WALL, HIGHEST)
-            self._extra[(a, b), (c, d)] = self._extra[(c, d), (a, b)] = longer
+        low = np.floor(wall.min(axis=0) / SPACING).astype(int) - 1
+        size = np.ceil(wall.max(axis=0) / SPACING).astype(int) + 2 - low
+        ones = low + np.indices(size).reshape(2, -1).T[:, None] + np.zeros_like(_EDGES)
+        hit = _cross(ones * SPACING, (ones + _EDGES) * SPACING, wall[0], wall[1])
+        for one, other in zip(ones[hit].tolist(), (ones + _EDGES)[hit].tolist(), strict=True):
+            a, b = (one[0], one[1]), (other[0], other[1])
+            self._extra[a, b] = self._extra[b, a] = min(self._extra.get((a, b), 0.0) + WALL, HIGHEST)
 
-    def _in_the_way(self, here: np.ndarray, there: np.ndarray) -> int:
-        """The number of walls between two points."""
-        return int(_cross(here, there, self._walls[:, 0], self._walls[:, 1]).sum())
+    def _crosses(self, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """Which walls ``(n,)`` are between two points."""
+        return _cross(here, there, self._walls[:, 0], self._walls[:, 1])
 
-    def _step_costs(self, here: np.ndarray, there: np.ndarray) -> float:
+    def _step_cost(self, here: np.ndarray, there: np.ndarray) -> float:
         """The cost of walls on the line to a point, extended to a whole step: steps cannot be shortened."""
         share = max(1.0, self.step / float(np.hypot(*(there - here))))
-        return WALL * self._in_the_way(here, here + share * (there - here))
+        return WALL * int(self._crosses(here, here + share * (there - here)).sum())
 
     def _way(self, here: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """The direction ``(2,)`` (of any length) in which the cheapest path to the goal begins."""
-        if not self._in_the_way(here, goal):
-            return goal - here
         target = None
-        for node in self._plan(here, goal):
+        for node in self._plan(here, goal) if self._crosses(here, goal).any() else ():
             point = np.array(node) * SPACING
-            seen = np.hypot(*(point - here)) < LOOK and not self._step_costs(here, point)
-            if target is not None and not seen:
+            in_line = np.hypot(*(point - here)) < LOOK and not self._step_cost(here, point)
+            if target is not None and not in_line:
                 break
             target = point
-        return target - here if target is not None else goal - here
+        return (goal if target is None else target) - here
 
     def _plan(self, here: np.ndarray, goal: np.ndarray) -> list[Node]:
         """The cheapest path over the lattice (A*), from about a step away from the body to the goal."""
@@ -153,15 +158,14 @@ class Policy:
         reach = max(self.step, SPACING / 0.6)
         # Visited places cost more for a while, not for good: the body's own trail would wall it in.
         self._visits = {node: KEPT * metres for node, metres in self._visits.items() if metres > 0.01}
-        for node in ((x + i, y + j) for i in range(-AROUND, AROUND + 1) for j in range(-AROUND, AROUND + 1)):
+        for node in _square((x, y), AROUND):
             self._visits[node] = self._visits.get(node, 0.0) + VISIT
-        near = range(-math.ceil(1.3 * reach / SPACING) - 1, math.ceil(1.3 * reach / SPACING) + 2)
         costs: dict[Node, float] = {}
-        for node in ((x + i, y + j) for i in near for j in near):
+        for node in _square((x, y), math.ceil(1.3 * reach / SPACING) + 1):
             point = np.array(node) * SPACING
             away = float(np.hypot(*(point - here)))
             if 0.4 * reach < away <= 1.3 * reach:
-                costs[node] = away + self._step_costs(here, point) + self._visits.get(node, 0.0)
+                costs[node] = away + self._step_cost(here, point) + self._visits.get(node, 0.0)
         least = min(costs.values())  # subtracted, as otherwise a walled-in body would search everywhere
         costs = {node: cost - least for node, cost in costs.items()}
         came: dict[Node, Node] = {}
@@ -193,18 +197,23 @@ def _arrived(now: SteeringInput, near: float, stands: bool = False) -> bool:
     return stands or now.distance < near
 
 
-def held_back(before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
-    """The part ``(2,)`` of the movement `meant` that a body could not make on its way to `here`; None: no collision.
+def _lost(before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
+    """The part ``(2,)`` of an intended movement that a body could not make on its way to `here`; None: no collision.
 
     Metres; `step`: the length of a whole step.
     """
-    lost = meant - (here - before)
-    collided = float(np.hypot(*lost)) > TOUCH * step and float(lost @ meant) > 0
-    return lost if collided else None
+    lost = intended - (here - before)
+    return lost if float(np.hypot(*lost)) > TOUCH * step and float(lost @ intended) > 0 else None
 
 
 def _node(point: np.ndarray) -> Node:
     return round(float(point[0]) / SPACING), round(float(point[1]) / SPACING)
+
+
+def _square(middle: Node, reach: int) -> list[Node]:
+    """The nodes at most so many away from the middle, along each axis."""
+    sides = range(-reach, reach + 1)
+    return [(middle[0] + i, middle[1] + j) for i in sides for j in sides]
 
 
 def _octile(one: Node, other: Node) -> float:
@@ -225,9 +234,9 @@ def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.nda
 
 # --- a search --------------------------------------------------------------------------------------------------------
 
-TOUCHED = 0.1  # metres to each side of the way on which it was held up: there it would be, too
+TOUCHED = 0.1  # metres to each side of the way on which it was blocked: there it would be, too
 OPEN_SIGHT = 0.5  # of sight that is left: looks that miss the thing then count
-PATIENCE = 30  # times that the body is held up on its way to a place before it gives it up
+PATIENCE = 30  # times that the body is blocked on its way to a place before it gives it up
 REACHED = 0.3  # metres from a goal
 ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distance: its logarithm) means the same place
 NEAREST_GOAL = 0.8  # metres added to the way to a goal: a goal next to the body is not worth everything
@@ -235,22 +244,21 @@ WORTH = 0.4  # a goal is given up when it is worth less than this share of what 
 FACED = 1e-6  # radians
 STANDING = 0.25  # metres that a standing body counts for a step of a turn
 NEARER = 1e-5  # nats per degree: where every turn costs the same, the nearest of looks that tell as much
-Where = TypeVar("Where", bound=Space)
 
 
 @dataclass
-class Approach:
+class GoToGoal:
     """Where the thing should be, and what became of going there. For one episode.
 
-    `kept` ``(2,)``: the place, metres, world frame. `tried`: where the body stood beside it, and was not there. `held`:
-    how often the body was held up on its way; `steps`: of the way so far. `given_up`: places ``(2,)`` where the thing
-    should have been, and was not, each with the step from which it is tried again; `clock`: the steps so far. `stands`:
-    whether the body stands beside the place, as near as it comes.
+    `place` ``(2,)``, metres, world frame. `tried`: where the body stood beside it, and did not meet it.
+    `blocked_count`: how often the body was blocked on its way; `steps`: of the way so far.
+    `given_up`: places ``(2,)`` where the thing should have been, and was not, each with the step from which it is tried
+    again; `clock`: the steps so far. `stands`: whether the body stands beside the place, as near as it comes.
     """
 
-    kept: np.ndarray | None = None
+    place: np.ndarray | None = None
     tried: list[np.ndarray] = field(default_factory=list)
-    held: int = 0
+    blocked_count: int = 0
     steps: int = 0
     given_up: list[tuple[np.ndarray, float]] = field(default_factory=list)
     clock: int = 0
@@ -258,23 +266,21 @@ class Approach:
 
     def hides(self, ground: SearchedGround, now: SteeringInput) -> bool:
         """Whether the thing, if it is where it should be, cannot be seen from here: looks that miss it say nothing."""
-        if self.kept is None or not _agrees(now, self.kept):
-            return False
-        return ground.sight(self.kept) < OPEN_SIGHT
+        return self.place is not None and _agrees(now, self.place) and ground.sight(self.place) < OPEN_SIGHT
 
     def target(self, ground: SearchedGround, now: SteeringInput) -> np.ndarray | None:
-        """Where the thing should be ``(2,)``, as believed; None if the body has been there in vain.
+        """Where the thing should be ``(2,)``, as believed; None if the body has been there, and it was not.
 
         The way to it is kept until the belief moves away from it.
         """
-        kept = self.kept if self.kept is not None and _agrees(now, self.kept) else None
-        if kept is None:
+        place = self.place if self.place is not None and _agrees(now, self.place) else None
+        if place is None:
             self._begin()
-            kept = now.here + (now.distance if now.distance is not None else _free(ground.known, now)) * now.ahead
-        if self._in_vain(kept) and now.distance is None:
-            kept = now.here + RANGE * now.ahead  # not in front of the next obstacle: behind it
-        self.kept = kept
-        return None if self._in_vain(kept) else kept
+            place = now.here + (now.distance if now.distance is not None else _free(ground.known, now)) * now.ahead
+        if self.goal_falsified(place) and now.distance is None:
+            place = now.here + RANGE * now.ahead  # not in front of the next obstacle: behind it
+        self.place = place
+        return None if self.goal_falsified(place) else place
 
     def beside(
         self, ground: SearchedGround, now: SteeringInput, ways: Ways, target: np.ndarray
@@ -294,7 +300,7 @@ class Approach:
             end = ways.nearest(target, self.tried) if there else None
         if end is None:
             self.given_up.append((target, math.inf))
-        elif self.held > PATIENCE:
+        elif self.blocked_count > PATIENCE:
             self.given_up.append((target, self.clock + self.steps))
             self._begin()
             return None
@@ -302,25 +308,26 @@ class Approach:
 
     def _begin(self) -> None:
         """The way to a place begins, for the first time or anew."""
-        self.tried, self.held, self.steps = [], 0, 0
+        self.tried, self.blocked_count, self.steps = [], 0, 0
 
-    def feel(self, known: FloorMap, before: np.ndarray, meant: np.ndarray, here: np.ndarray, step: float) -> None:
-        """Learn from a step of a body that meant to move by `meant` ``(2,)``: something stands where it was held up.
+    def learn(self, known: FloorMap, before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float) -> None:
+        """Learn from a step ``(2,)`` of the body: something stands where it was blocked.
 
         All in metres, world frame; `step`: the length of a whole step.
         """
-        lost = held_back(before, meant, here, step)
+        lost = _lost(before, intended, here, step)
         if lost is None:
             return
-        self.held += 1
+        self.blocked_count += 1
         normal = lost / float(np.hypot(*lost))
         along = np.array([-normal[1], normal[0]])
         ahead = np.linspace(0.5, 1.2, 3)[:, None, None] * step * normal
-        beside = np.linspace(-TOUCHED, TOUCHED, 3)[None, :, None] * along
-        points = (here + ahead + beside).reshape(-1, 2)
-        known.held_up(points[np.any(known.cells(points) != known.cells(here), axis=1)])
+        aside = np.linspace(-TOUCHED, TOUCHED, 3)[None, :, None] * along
+        points = (here + ahead + aside).reshape(-1, 2)
+        known.block(points[np.any(known.cells(points) != known.cells(here), axis=1)])
 
-    def _in_vain(self, place: np.ndarray) -> bool:
+    def goal_falsified(self, place: np.ndarray) -> bool:
+        """Whether a place ``(2,)`` is given up, at this step."""
         return any(self.clock < until and float(np.hypot(*(place - at))) < NEAR for at, until in self.given_up)
 
 
@@ -337,20 +344,20 @@ def _free(known: FloorMap, now: SteeringInput) -> float:
     """Metres to where something stands first towards the estimate, as far as is known; `RANGE` if nothing does."""
     metres = np.arange(0.3, RANGE, CELL / 2)
     cells = known.cells(now.here + metres[:, None] * now.ahead)
-    inside = known.inside(cells)
-    cells = np.where(inside[:, None], cells, 0)
-    stands = inside & (known.state[cells[:, 0], cells[:, 1]] == CONTACT)
+    metres, cells = metres[known.inside(cells)], cells[known.inside(cells)]
+    stands = known.state[tuple(cells.T)] == CONTACT
     return float(metres[stands.argmax()]) if stands.any() else RANGE
 
 
-@dataclass
-class Searcher(Generic[Where]):
+class Searcher:
     """Chooses looks and steps for one episode.
 
-    `space`: what can be looked at; to walk, a `SearchedGround`. `step`: metres that the body walks in a step; 0: it
-    stands, and only turns. `handover`: how sure a belief has to be to be acted on; of a body that walks, metres nearer,
-    as believed, per metre walked along the answer. `turn`: radians that it turns in a step, at most; infinite: any turn
-    takes one step, and so does another look the same way; a look from here then costs as much as a metre.
+    - `space`: what can be looked at, a `Space`; to walk, a `SearchedGround`.
+    - `step`: metres that the body walks in a step; 0: it stands, and only turns.
+    - `commit_threshold`: how sure a belief has to be to be acted on; of a body that walks, metres nearer, as believed,
+      per metre walked along the answer.
+    - `turn`: radians that it turns in a step, at most; infinite: any turn takes one step, and so does another look the
+      same way; a look from here then costs as much as a metre.
 
     A body whose camera does not see all around looks around before it walks, as long as that tells more for the time,
     and walks ahead only. `searching`: whether the last choice was made because too little is believed. `arrived`:
@@ -358,51 +365,45 @@ class Searcher(Generic[Where]):
     comes to where the thing should be. With `near` 0 it never does.
     """
 
-    space: Where
-    step: float = 0.0
-    handover: float = 0.2
-    turn: float = math.inf
-    near: float = 0.0
-    searching: bool = True
-    arrived: bool = False
-    looks_down: bool = True
-    _facing: np.ndarray | None = None  # a heading to turn to
-    _goal: np.ndarray | None = None  # a place to look from
-    _promise: float = 0.0
-    _last: tuple[np.ndarray, np.ndarray] | None = None  # where the last step began, and what it was meant to be
-    _approach: Approach = field(default_factory=Approach)
+    needs_floor_mask = True
 
-    @property
-    def known(self: Searcher[SearchedGround]) -> FloorMap:
-        """What looks have shown of the floor."""
-        return self.space.known
+    def __init__(
+        self, space: Any, step: float = 0.0, commit_threshold: float = 0.2, turn: float = math.inf, near: float = 0.0
+    ) -> None:
+        self.space, self.step, self.commit_threshold, self.turn, self.near = space, step, commit_threshold, turn, near
+        self.searching, self.arrived = True, False
+        self._facing: np.ndarray | None = None  # a heading to turn to
+        self._goal: np.ndarray | None = None  # a place to look from
+        self._promise = 0.0  # of the goal: nats per metre
+        self._last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
+        self._approach = GoToGoal()
 
     def face(self, facing: np.ndarray, sure: float) -> np.ndarray | None:
         """The heading ``(2,)`` to turn to for the next look; None: what is believed is sure enough to act on it.
 
         `facing` ``(2,)``: the present one; azimuth and elevation, radians, world frame. `sure`: of what is believed, as
-        `handover`. A heading is kept until it is faced; where any turn takes one step, it is chosen anew after each.
+        `commit_threshold`. A heading is kept until it is faced; where any turn takes one step, it is chosen anew.
         """
-        self.searching = sure < self.handover
+        self.searching = sure < self.commit_threshold
         if not self.searching:
             self._facing = None
         elif math.isinf(self.turn) or not self._turning(facing):
             self._facing = self._best_here(facing)[0]
         return self._facing
 
-    def walk(self: Searcher[SearchedGround], now: SteeringInput) -> tuple[float, float]:
+    def walk(self, now: SteeringInput) -> tuple[float, float]:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
-        ground = self.space
+        ground: SearchedGround = self.space
         ground.look(now)
         self._approach.clock += 1
         if self._last is not None:
-            self._approach.feel(ground.known, *self._last, now.here, self.step)
+            self._approach.learn(ground.known, *self._last, now.here, self.step)
         target = self._approach.target(ground, now) if self._believes(now) else None
         self.searching = target is None
         if target is not None:
             self._goal = self._facing = None
             ground.known.cover(np.minimum(now.here, target) - 1.0, np.maximum(now.here, target) + 1.0)
-        ways = Ways.over(ground.known, ground.radius, now.here)
+        ways = Ways(ground.known, ground.radius, now.here)
         end = None if target is None else self._approach.beside(ground, now, ways, target)
         self.arrived = target is not None and _arrived(now, self.near, self._approach.stands)
         if end is None:
@@ -418,73 +419,69 @@ class Searcher(Generic[Where]):
         self._last = (now.here, metres * np.array([math.cos(aim), math.sin(aim)])) if metres else None
         return turn, metres
 
-    def _believes(self: Searcher[SearchedGround], now: SteeringInput) -> bool:
-        """Whether the body goes where the thing should be.
-
-        It begins to when the thing is likely there, and goes on while the thing would be there if it is here at all,
-        and cannot be seen from here: looks that miss it then say nothing about it.
-        """
-        if now.progress * now.presence >= self.handover:
+    def _believes(self, now: SteeringInput) -> bool:
+        """Whether the body goes where the thing should be: it is likely there, or was, and cannot be seen from here."""
+        if now.progress * now.presence >= self.commit_threshold:
             return True
-        return not self.searching and now.progress >= self.handover and self._approach.hides(self.space, now)
+        return not self.searching and now.progress >= self.commit_threshold and self._approach.hides(self.space, now)
 
-    def _search(self: Searcher[SearchedGround], metres: np.ndarray, now: SteeringInput) -> tuple[int, int] | None:
+    def _search(self, metres: np.ndarray, now: SteeringInput) -> tuple[int, int] | None:
         """The cell to go to while nothing is believed: the old goal as long as it is worth it, or the best one.
 
         None: rather turn, to `_facing`.
         """
         ground, facing = self.space, np.array([now.yaw, 0.0])
+        known: FloorMap = ground.known
         if self._turning(facing):
             return None
         if self._goal is not None:
-            cell = ground.known.cells(self._goal)
+            cell = known.cells(self._goal)
             if float(np.hypot(*(self._goal - now.here))) < REACHED:
                 if ground.around:
-                    ground.looked_from(self._goal, now.yaw)  # as good as there: steps end a little beside it
-            elif self._worth(cell[None], metres)[0] > WORTH * self._promise and self.known.state[tuple(cell)] <= FLOOR:
+                    ground.mark_scanned(self._goal, now.yaw)  # as good as there: steps end a little beside it
+            elif self._worth(cell[None], metres)[0] > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
                 return int(cell[0]), int(cell[1])
         self._goal = None
         cells = ground.places()
-        cells = cells[np.isfinite(metres[cells[:, 0], cells[:, 1]])]
+        cells = cells[np.isfinite(metres[tuple(cells.T)])]
         if not ground.around:
-            cells = cells[np.hypot(*(ground.known.centres(cells) - now.here).T) > REACHED]
+            cells = cells[np.hypot(*(known.centres(cells) - now.here).T) > REACHED]
         worth = self._worth(cells, metres) if self.step else np.zeros(0)
         promise = float(worth.max(initial=0.0))
         if not ground.around:
-            best, told = self._best_here(facing)
-            if told >= promise:
+            best, worth_here = self._best_here(facing)
+            if worth_here >= promise:
                 self._facing = best
                 return None
-        if not len(worth):
-            row, col = ground.known.cells(now.here + now.ahead)
-            return int(row), int(col)
-        row, col = cells[int(worth.argmax())]
-        self._goal, self._promise = ground.known.centres(np.array([row, col])), promise
-        return int(row), int(col)
+        cell = known.cells(now.here + now.ahead)
+        if len(worth):
+            cell = cells[int(worth.argmax())]
+            self._goal, self._promise = known.centres(cell), promise
+        return int(cell[0]), int(cell[1])
 
     def _turning(self, facing: np.ndarray) -> bool:
         """Whether a heading was chosen that is not faced yet."""
-        if self._facing is not None and turned(self._facing, facing) <= FACED:
+        if self._facing is not None and turn_angle(self._facing, facing) <= FACED:
             self._facing = None
         return self._facing is not None
 
     def _best_here(self, facing: np.ndarray) -> tuple[np.ndarray, float]:
         """The heading ``(2,)`` whose look from here tells most for its cost, and nats per metre, or per turn."""
-        told, angles = self.space.tells(), turned(self.space.headings, facing)
+        nats, angles = self.space.tells(), turn_angle(self.space.headings, facing)
         if math.isinf(self.turn):  # rounded, so that rounding errors do not decide between turns to either side
-            worth = told - NEARER * np.round(np.degrees(angles), 6)
+            worth = nats - NEARER * np.round(np.degrees(angles), 6)
         else:
-            worth = told / (self._costs(angles) + NEAREST_GOAL)
+            worth = nats / (self._costs(angles) + NEAREST_GOAL)
             worth[angles <= FACED] = 0.0  # there the next look is taken anyway
         best = int(worth.argmax())
         return self.space.headings[best], float(worth[best])
 
-    def _worth(self: Searcher[SearchedGround], cells: np.ndarray, metres: np.ndarray) -> np.ndarray:
+    def _worth(self, cells: np.ndarray, metres: np.ndarray) -> np.ndarray:
         """Nats ``(n,)`` that a look from each of the cells ``(n, 2)`` is expected to tell, per metre of the way."""
-        ground = self.space
+        ground: SearchedGround = self.space
         to = ground.known.centres(cells) - ground.here  # as it arrives, it faces away from here; then it turns
-        angles = apart(ground.headings[:, 0] - np.arctan2(to[:, 1], to[:, 0])[:, None])
-        cost = metres[cells[:, 0], cells[:, 1]] + NEAREST_GOAL
+        angles = angle_size(ground.headings[:, 0] - np.arctan2(to[:, 1], to[:, 0])[:, None])
+        cost = metres[tuple(cells.T)] + NEAREST_GOAL
         return (ground.tells_from(cells) / (cost[:, None] + self._costs(angles))).max(axis=1)
 
     def _costs(self, angles: np.ndarray) -> np.ndarray:
@@ -492,16 +489,16 @@ class Searcher(Generic[Where]):
         return np.ceil(angles / self.turn - 1e-9) * (self.step or STANDING)
 
 
-def seeking(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
+def search_config(rules: Any, tracker: TrackerConfig) -> TrackerConfig:
     """The tracker's configuration for a body that searches: what is out of sight may come into sight at any step."""
     if getattr(rules, "policy", "follow") == "follow":
         return tracker
-    return replace(tracker, target_motion=replace(tracker.target_motion, birth=rules.appears))
+    return replace(tracker, target_motion=replace(tracker.target_motion, birth=rules.birth_rate))
 
 
-# `searching`: whether the last step was one of a search. `looks_down`: whether it wants to know the floor of each look,
-# and what is believed; without that, `SteeringInput.progress` and `presence` are 1.
-Steering = Policy | Searcher[SearchedGround]
+# `searching`: whether the last step was one of a search. `needs_floor_mask`: whether it wants to know the floor of each
+# look, and what is believed; without that, `SteeringInput.progress` and `presence` are 1.
+Steering = Policy | Searcher
 
 
 def steering_for(rules: Any, camera: Camera) -> Steering:
@@ -510,4 +507,4 @@ def steering_for(rules: Any, camera: Camera) -> Steering:
     if getattr(rules, "policy", "follow") == "follow":
         return Policy(camera.step, getattr(rules, "detour", True), near)
     turn = math.inf if camera.around else math.radians(camera.turn)
-    return Searcher(SearchedGround.about(camera), camera.step, rules.handover, turn, near)
+    return Searcher(SearchedGround(camera), camera.step, rules.commit_threshold, turn, near)

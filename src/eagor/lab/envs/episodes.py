@@ -5,8 +5,7 @@ identity, so any part of a run can be played alone.
 
 Files list episodes of ObjectNav of HM3D or MP3D, or what ``eagor export habitat`` writes. They are played in Habitat
 (``--world habitat``), in the scene that the file names below the folder of scenes. In our own world only episodes of
-ours can be played: they say which apartment or exported GLB they were made for. `plan_listed` makes one ready to be
-played: where it starts, what counts as reached, how long the shortest way is.
+ours can be played: they say which apartment or exported GLB they were made for.
 """
 
 from __future__ import annotations
@@ -34,11 +33,11 @@ from eagor.lab.worlds.scene import Scene
 from eagor.sphere import heading, world_R_body
 
 PER_PLACE = 5
-UNRECORDED = ("slot", "route", "view_points", "goals")  # long parts of an episode, which its slot brings back
+UNRECORDED = ("spec", "route", "view_points", "goals")  # long parts of an episode, which its spec brings back
 
 
 @dataclass(frozen=True)
-class Slot:
+class EpisodeSpec:
     """A place in a run: the `number`-th episode of the run, the `index`-th in the world of this `seed`."""
 
     task: str
@@ -67,7 +66,7 @@ class Episode:
     leads there (things on walls can be targets, too).
     """
 
-    slot: Slot
+    spec: EpisodeSpec
     scene: str
     scene_hash: str
     query: str
@@ -79,13 +78,13 @@ class Episode:
 
     def as_json(self) -> dict[str, Any]:
         """For records and reports."""
-        known = {"id": self.slot.id, "seed": self.slot.seed, "world": self.slot.world, "index": self.slot.index}
+        known = {"id": self.spec.id, "seed": self.spec.seed, "world": self.spec.world, "index": self.spec.index}
         rest = {key: value for key, value in asdict(self).items() if key not in UNRECORDED}
         return known | rest | {"shortest": self.shortest if math.isfinite(self.shortest) else None}
 
 
-def slots(task: str, count: int, seed: int, world: str = APARTMENT) -> Iterator[Slot]:
-    """The slots of a run. Raises `WorldError` if there are not enough apartments."""
+def episode_specs(task: str, count: int, seed: int, world: str = APARTMENT) -> Iterator[EpisodeSpec]:
+    """The specs of a run. Raises `WorldError` if there are not enough apartments."""
     if count < 1:
         raise WorldError(f"{count} episodes; wanted 1 or more")
     places = (count + PER_PLACE - 1) // PER_PLACE
@@ -95,12 +94,7 @@ def slots(task: str, count: int, seed: int, world: str = APARTMENT) -> Iterator[
             f"there are 0 to {SEEDS - 1}"
         )
     for number in range(count):
-        yield Slot(task, world, seed + number // PER_PLACE, number % PER_PLACE, number)
-
-
-def heading_to(start: np.ndarray, goal: np.ndarray) -> float:
-    """Yaw (radians) from one point ``(2,)`` of the floor to another."""
-    return float(np.arctan2(goal[1] - start[1], goal[0] - start[0]))
+        yield EpisodeSpec(task, world, seed + number // PER_PLACE, number % PER_PLACE, number)
 
 
 def choose_target(place: Place, rng: np.random.Generator) -> Iterator[tuple[int, str]]:
@@ -118,13 +112,12 @@ def choose_target(place: Place, rng: np.random.Generator) -> Iterator[tuple[int,
 
 HABITAT = "habitat"  # the world in which scenes of others can be played
 BODY = f"body={LAB_BODY:g}"  # the option that asks for the mesh on which habitat-lab judges such episodes
-_APARTMENT = re.compile(r"apartment (\S+) seed (\d+)")
 _PREFIX = "data/scene_datasets/"  # of some scene_ids; habitat-lab takes it off, too
 OFF = 0.5  # metres that a start may lie above or below the ground: meshes float by the height of a voxel, or two
 
 
 @dataclass(frozen=True)
-class FileSlot(Slot):
+class FileEpisodeSpec(EpisodeSpec):
     """An episode of a file: the `episode`-th of its `scene` (the scene_id there)."""
 
     scene: str = ""
@@ -141,13 +134,15 @@ class FileSlot(Slot):
         return np.random.default_rng([zlib.crc32(name.encode()), self.episode])
 
 
-def slot_of(values: dict[str, Any]) -> Slot:
-    """The slot of a unit of work, from JSON."""
-    return FileSlot(**values) if "scene" in values else Slot(**values)
+def spec_from_json(values: dict[str, Any]) -> EpisodeSpec:
+    """The spec of a unit of work."""
+    return FileEpisodeSpec(**values) if "scene" in values else EpisodeSpec(**values)
 
 
-def listed_slots(task: str, file: Path | str, count: int | None, world: str, scenes: Path | None) -> list[FileSlot]:
-    """The slots of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
+def file_episode_specs(
+    task: str, file: Path | str, count: int | None, world: str, scenes: Path | None
+) -> list[FileEpisodeSpec]:
+    """The specs of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
 
     `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). Options may follow
     "habitat:?"; without another ``body``, Habitat's scenes have the mesh that habitat-lab uses for ObjectNav on HM3D.
@@ -159,9 +154,8 @@ def listed_slots(task: str, file: Path | str, count: int | None, world: str, sce
         raise WorldError(f"{count} episodes; wanted 1 or more")
     by_scene = {each.episodes[0].scene: each for each in read_file(file)}
     name, _, options = world.partition("?")
-    there = name.partition(":")[0] == HABITAT
-    whole = HABITAT if there else APARTMENT
-    if there:
+    whole = HABITAT if name.partition(":")[0] == HABITAT else APARTMENT
+    if whole == HABITAT:
         options = "&".join(filter(None, (options, BODY * ("body=" not in options))))
         world = HABITAT if name in (HABITAT, f"{HABITAT}:") else f"{name}?{options}"
     if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
@@ -170,97 +164,91 @@ def listed_slots(task: str, file: Path | str, count: int | None, world: str, sce
             f"{whole} alone, and their folder with --scenes"
         )
     homes = {
-        scene: _homes(scene, each, world, options, number, Path(file), scenes)
+        scene: _homes(scene, each, world, options, SEEDS + number, Path(file), scenes)
         for number, (scene, each) in enumerate(by_scene.items())
     }
-    _check_files({scene: home[0][0] for scene, home in homes.items()}, file)
+    paths = [_file(worlds[0][0]) for worlds in homes.values()]
+    if all(paths) and not any(Path(path).exists() for path in paths):  # a part of them is what many people have
+        raise WorldError(
+            f"none of the {len(paths)} scenes of {file} is there, such as {paths[0]}; --scenes names the folder that "
+            f"holds {next(iter(homes)).removeprefix(_PREFIX)}"
+        )
+    order = list(by_scene)
     turns = [(index, scene) for scene, each in by_scene.items() for index in range(len(each.episodes))]
-    places = {scene: number for number, scene in enumerate(by_scene)}
     chosen = sorted(turns, key=lambda turn: turn[0])[:count]
     # One scene after the other, and of a scene one storey after the other: opening one takes seconds.
-    chosen.sort(key=lambda turn: (places[turn[1]], homes[turn[1]][turn[0]][0], turn[0]))
+    chosen.sort(key=lambda turn: (order.index(turn[1]), homes[turn[1]][turn[0]][0], turn[0]))
     return [
-        FileSlot(task, *homes[scene][index], index, number, scene, index)
+        FileEpisodeSpec(task, *homes[scene][index], index, number, scene, index)
         for number, (index, scene) in enumerate(chosen)
     ]
 
 
-def scene_files(slots: Sequence[Slot]) -> list[Path]:
+def scene_files(specs: Sequence[EpisodeSpec]) -> list[Path]:
     """The files of the scenes in which these are played; none of apartments."""
-    return [Path(path) for path in dict.fromkeys(_file(slot.world) for slot in slots) if path]
+    return [Path(path) for path in dict.fromkeys(_file(spec.world) for spec in specs) if path]
 
 
 def _homes(
-    scene: str, episodes: SceneEpisodes, world: str, options: str, number: int, file: Path, scenes: Path | None
+    scene: str, listed: SceneEpisodes, world: str, options: str, seed: int, file: Path, scenes: Path | None
 ) -> list[tuple[str, int]]:
-    """World and seed of each episode of this scene; seeds of what is no apartment begin at 10 000."""
-    seed, count = SEEDS + number, len(episodes.episodes)
+    """World and seed of each episode of a scene; `seed` is for what is no apartment."""
     if world == HABITAT:
-        return [(place, seed) for place in _storeys(_in_habitat(scene, episodes, options, file, scenes), episodes)]
-    if world != APARTMENT:
-        return [(world, seed)] * count
-    origins = {episode.origin.version if episode.origin is not None else None for episode in episodes.episodes}
-    (version,) = origins if len(origins) == 1 else (None,)
-    if version is None:
+        path = _below(scene, file, scenes)
+        _, found, rest = listed.episodes[0].dataset_config.rpartition("scene_datasets/")
+        config = _below(rest, file, scenes) if found else None
+        dataset = f"dataset={config}&" if config is not None and config.is_file() else ""
+        world = f"{HABITAT}:{path}?{dataset}{options}"
+        heights = np.array([float(episode.position[2]) for episode in listed.episodes])
+        return [(f"{world}&storey={height:.2f}", seed) for height in _storeys(heights)]
+    if world == APARTMENT:
+        world, seed = _home_of_ours(scene, listed, seed, file, scenes)
+    return [(world, seed)] * len(listed.episodes)
+
+
+def _home_of_ours(scene: str, listed: SceneEpisodes, seed: int, file: Path, scenes: Path | None) -> tuple[str, int]:
+    """World and seed of the apartment, or of the exported file, that a scene's episodes were made for."""
+    (version, *others) = {each.origin.version if each.origin is not None else None for each in listed.episodes}
+    if version is None or others:
         raise WorldError(
             f"{file}: the episodes in {scene} do not say which of our scenes they were made for, so they can only be "
             f"played in Habitat: --world {HABITAT} --scenes DIR"
         )
-    if match := _APARTMENT.fullmatch(version):
-        from eagor.lab.worlds.apartment import VERSION
+    match = re.fullmatch(r"apartment (\S+) seed (\d+)", version)
+    if match is None:
+        return str(_below(scene, file, scenes)), seed
+    from eagor.lab.worlds.apartment import VERSION
 
-        if match[1] != VERSION or int(match[2]) >= SEEDS:
-            raise WorldError(
-                f"{file}: the episodes in {scene} were made for {version}; this version makes apartments {VERSION} "
-                f"with seeds below {SEEDS}. Export them anew"
-            )
-        return [(APARTMENT, int(match[2]))] * count
-    return [(str(_below(scene, file, scenes)), seed)] * count
-
-
-def _in_habitat(scene: str, episodes: SceneEpisodes, options: str, file: Path, scenes: Path | None) -> str:
-    """``habitat:FILE?options``, with the scene dataset's configuration that the episodes name, if it is there."""
-    path = _below(scene, file, scenes)
-    _, found, rest = episodes.episodes[0].dataset_config.rpartition("scene_datasets/")
-    config = _below(rest, file, scenes) if found else None
-    dataset = f"dataset={config}&" if config is not None and config.is_file() else ""
-    return f"{HABITAT}:{path}?{dataset}{options}"
+    if match[1] != VERSION or int(match[2]) >= SEEDS:
+        raise WorldError(
+            f"{file}: the episodes in {scene} were made for {version}; this version makes apartments {VERSION} "
+            f"with seeds below {SEEDS}. Export them anew"
+        )
+    return APARTMENT, int(match[2])
 
 
-def _storeys(world: str, episodes: SceneEpisodes) -> list[str]:
-    """The world of each episode, on the storey of its start: opening one takes seconds, so near heights share one."""
-    heights = [float(episode.position[2]) for episode in episodes.episodes]
+def _storeys(heights: np.ndarray) -> np.ndarray:
+    """The height of the storey ``(n,)`` of each start: near ones share it, as to open a storey takes seconds."""
     lowest: list[float] = []
-    for height in sorted(heights):
+    for height in np.sort(heights):
         if not lowest or height - lowest[-1] > STOREY:  # starts on stairs must not join the storeys that these join
             lowest.append(height)
-    group = np.searchsorted(lowest, heights, side="right") - 1
-    levels = [float(np.median(np.array(heights)[group == each])) for each in range(len(lowest))]
-    return [f"{world}&storey={levels[each]:.2f}" for each in group]
+    group = np.searchsorted(lowest, heights, side="right")
+    return np.array([np.median(heights[group == each]) for each in group])
 
 
 def _below(scene: str, file: Path, scenes: Path | None) -> Path:
     """The file of a scene below the folder of scenes."""
+    scene = scene.removeprefix(_PREFIX)
     if scenes is None:
         above = [parent / "scene_datasets" for parent in file.absolute().parents]
         scenes = next((folder for folder in above if folder.is_dir()), None)
     if scenes is None:
         raise WorldError(
             f"no folder scene_datasets is above {file}; say where the scenes are with --scenes DIR, the folder that "
-            f"holds {scene.removeprefix(_PREFIX)}"
+            f"holds {scene}"
         )
-    return Path(scenes) / scene.removeprefix(_PREFIX)
-
-
-def _check_files(worlds: dict[str, str], file: Path | str) -> None:
-    """Raise `WorldError` if not one of the scenes is there; a part of them is what many people have."""
-    paths = {scene: Path(path) for scene, world in worlds.items() if (path := _file(world))}
-    if paths and len(paths) == len(worlds) and not any(path.exists() for path in paths.values()):
-        scene, path = next(iter(paths.items()))
-        raise WorldError(
-            f"none of the {len(paths)} scenes of {file} is there, such as {path}; --scenes names the folder that holds "
-            f"{scene.removeprefix(_PREFIX)}"
-        )
+    return Path(scenes) / scene
 
 
 def _file(world: str) -> str:
@@ -272,32 +260,31 @@ def _file(world: str) -> str:
 def _content(world: str) -> str:
     """A world with the digest of the scene's file in place of its path."""
     path = _file(world)
-    return world.replace(path, _digest(*_mark(Path(path))), 1) if path and Path(path).is_file() else world
-
-
-@lru_cache(maxsize=64)
-def _digest(path: str, *_: int) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return world.replace(path, _digest(_mark(Path(path))), 1) if path and Path(path).is_file() else world
 
 
 def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
     """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
     path = Path(file)
-    return _read(path, tuple(_mark(each) for each in (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+    return _read(tuple(_mark(each) for each in (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+
+
+_Mark = tuple[Path, int, int]  # of a file: changes with it
+
+
+def _mark(path: Path) -> _Mark:
+    found = path.stat() if path.exists() else None
+    return path, found.st_mtime_ns if found else 0, found.st_size if found else 0
+
+
+@lru_cache(maxsize=64)
+def _digest(mark: _Mark) -> str:
+    return hashlib.sha256(mark[0].read_bytes()).hexdigest()
 
 
 @lru_cache(maxsize=2)
-def _read(file: Path, _: tuple[tuple[str, int, int], ...]) -> tuple[SceneEpisodes, ...]:
-    return read_episodes(file)
-
-
-def _mark(path: Path) -> tuple[str, int, int]:
-    """Changes with the file."""
-    try:
-        found = path.stat()
-    except OSError:
-        return str(path), 0, 0
-    return str(path), found.st_mtime_ns, found.st_size
+def _read(marks: tuple[_Mark, ...]) -> tuple[SceneEpisodes, ...]:
+    return read_episodes(marks[0][0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,60 +300,61 @@ class FileEpisode(Episode):
     listed: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        return super().as_json() | {"slot": asdict(self.slot)}
+        return super().as_json() | {"slot": asdict(self.spec)}
 
 
-def plan_listed(slot: FileSlot, file: str, camera: Camera, rules: NavigationRules) -> FileEpisode:
-    """The episode of this slot, ready to be played.
+def plan_listed(spec: FileEpisodeSpec, file: str, camera: Camera, rules: NavigationRules) -> FileEpisode:
+    """The episode of this spec: where it starts, what counts as reached, how long the shortest way is.
 
     Raises `WorldError` if the scene is another one than the episode was made for, the start is not on free ground, or
     no way leads from there to a goal.
     """
-    found = next((each for each in read_file(file) if each.episodes[0].scene == slot.scene), None)
-    if found is None or slot.episode >= len(found.episodes):
-        raise WorldError(f"{file} has no episode {slot.episode} in {slot.scene}; it has changed: start the run anew")
-    episode = found.episodes[slot.episode]
-    name = f"episode {slot.episode} of {slot.scene}"
-    place = load_place(slot.world, slot.seed, camera.radius)
+    found = next((each for each in read_file(file) if each.episodes[0].scene == spec.scene), None)
+    if found is None or spec.episode >= len(found.episodes):
+        raise WorldError(f"{file} has no episode {spec.episode} in {spec.scene}; it has changed: start the run anew")
+    episode = found.episodes[spec.episode]
+    name, category = f"episode {spec.episode} of {spec.scene}", episode.category
+    place = load_place(spec.world, spec.seed, camera.radius)
     if isinstance(place.scene, Scene):
         check_scene(episode, place.scene, place.ground)
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     start = _start(place, episode, name, zero)
-    things = found.goals[episode.category]
+    things = found.goals[category]
     storey = float(episode.position[2])
     near = [thing for thing in things if (np.abs(thing.view_positions[:, 2] - storey) <= STOREY).any()]
-    views = np.concatenate([thing.view_positions for thing in things])
-    targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == episode.category)
-    if rules.goal == "view_points" and not near:
-        raise WorldError(
-            f"{name} has no view points on the storey of its start; --set goal=footprint measures to the thing itself"
-        )
-    if rules.goal == "footprint" and not targets:
-        raise WorldError(f"{name}: {place.scene.source} names no {episode.category}; leave goal at view_points")
-    planned = FileEpisode(
-        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=episode.category, targets=targets,
-        start=(float(start[0]), float(start[1])), yaw=heading(episode.world_R_body), shortest=math.inf,
-        goals=np.array([thing.position for thing in near or things]) - [0.0, 0.0, zero],
-        view_points=views - [0.0, 0.0, zero],
-        listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
-    )  # fmt: skip
-    way = place.way_to_views(planned.view_points) if rules.goal == "view_points" else place.way_to(targets)
+    views = np.concatenate([thing.view_positions for thing in things]) - [0.0, 0.0, zero]
+    goals = np.array([thing.position for thing in near or things]) - [0.0, 0.0, zero]
+    targets = tuple(i for i, thing in enumerate(place.scene.instances) if thing.category == category)
+    if rules.goal == "view_points":
+        if not near:
+            raise WorldError(
+                f"{name} has no view points on the storey of its start; --set goal=footprint measures to the thing "
+                "itself"
+            )
+        way, ends, to = place.way_to_views(views), views, "a view point of any"
+    else:
+        if not targets:
+            raise WorldError(f"{name}: {place.scene.source} names no {category}; leave goal at view_points")
+        way, ends, to = place.way_to(targets), goals, "any"
     shortest = float(way.distance(start))
     if not math.isfinite(shortest):
         raise WorldError(
-            f"{name}: no way leads from ({start[0]:.2f}, {start[1]:.2f}) to "
-            f"{'a view point of ' * (rules.goal == 'view_points')}any {episode.category}; leave it out, or use the "
+            f"{name}: no way leads from ({start[0]:.2f}, {start[1]:.2f}) to {to} {category}; leave it out, or use the "
             "body that it was made for"
         )
-    ends = views[:, :2] if rules.goal == "view_points" else planned.goals[:, :2]
-    straight = float(np.hypot(*(ends - start).T).min())
+    straight = float(np.hypot(*(ends[:, :2] - start).T).min())
     shown = pixels_of(place.ids(place.eye(start, camera.height), world_R_body(0.0)), targets)
-    kind = {
-        "visible": shown >= rules.visible_pixels,
-        "way": "winding" if shortest > rules.winding_above * straight else "direct",
-        "category": episode.category,
-    }
-    return FileEpisode(**{**vars(planned), "shortest": shortest, "stratum": kind})
+    return FileEpisode(
+        spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=category, targets=targets,
+        start=(float(start[0]), float(start[1])), yaw=heading(episode.world_R_body), shortest=shortest,
+        stratum={
+            "visible": shown >= rules.visible_pixels,
+            "way": "winding" if shortest > rules.winding_above * straight else "direct",
+            "category": category,
+        },
+        goals=goals, view_points=views,
+        listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
+    )  # fmt: skip
 
 
 def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> np.ndarray:
@@ -374,21 +362,21 @@ def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> n
 
     `zero`: the height of our z = 0 in the file.
     """
-    xy = episode.position[:2]
-    found = place.ground.snap(xy, within=place.ground.cell)
+    xy, ground = episode.position[:2], place.ground
+    found = ground.snap(xy, within=ground.cell)
     if found is None:
-        near = place.ground.snap(xy)
-        away = (
-            "nothing is free there" if near is None else f"the nearest free place is {np.hypot(*(near - xy)):.2f} m off"
-        )
+        near = ground.snap(xy)
+        away = "nothing is free there"
+        if near is not None:
+            away = f"the nearest free place is {np.hypot(*(near - xy)):.2f} m off"
         raise WorldError(
             f"{name} starts at ({xy[0]:.2f}, {xy[1]:.2f}), which is not on free ground for a body of radius "
-            f"{place.ground.radius:g} m in {place.scene.source}: {away}. Use the scene and the radius it was made for"
+            f"{ground.radius:g} m in {place.scene.source}: {away}. Use the scene and the radius it was made for"
         )
-    ground = zero + place.ground.height(found)
-    if abs(ground - episode.position[2]) > OFF:
+    height = zero + ground.height(found)
+    if abs(height - episode.position[2]) > OFF:
         raise WorldError(
-            f"{name} starts at the height {episode.position[2]:.2f} m, but the ground there is at {ground:.2f} m in "
+            f"{name} starts at the height {episode.position[2]:.2f} m, but the ground there is at {height:.2f} m in "
             f"{place.scene.source}: it is on another storey. Choose the world that holds its storey: --world habitat "
             "does so by itself, habitat:SCENE?storey=HEIGHT by hand"
         )

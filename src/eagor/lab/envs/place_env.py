@@ -5,7 +5,7 @@ Observations (Dict):
 - ``panorama`` ``(H, 2H, 3)`` uint8, equirectangular, in the layout of `eagor.sphere`; absent with ``panorama=None``.
 - ``range`` ``(H, 2H)`` float32, Euclidean metres, 0 without a hit; only with ``with_range=True``.
 - ``pose`` ``(7,)`` float64: x, y, z of the camera in metres (within 10 km of the origin) and its orientation
-  ``world_R_body`` as a quaternion w, x, y, z; from the odometry, which may drift (`Disturbances`).
+  ``world_R_body`` as a quaternion w, x, y, z; from the odometry, which may drift (`NoiseModel`).
 - ``rotation`` ``(3, 3)`` float64: new_R_old since the last step, from the same odometry.
 
 ``info`` holds Habitat's measures under their names (`distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`,
@@ -19,8 +19,8 @@ An action is a Box: where the agent walks, heading (radians, left) and metres; w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,9 @@ import numpy as np
 from eagor import conventions
 from eagor._extras import how_to_install
 from eagor.errors import MissingExtraError, WorldError
-from eagor.lab.envs.episodes import PER_PLACE, Episode, Slot
+from eagor.lab.envs.episodes import PER_PLACE, Episode, EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, cut, load_place, pixels_of
-from eagor.lab.envs.rules import Camera, Disturbances
+from eagor.lab.envs.rules import Camera, NoiseModel
 from eagor.lab.worlds.render import Ball, Frame, with_ball
 from eagor.sphere import world_R_body
 
@@ -49,26 +49,6 @@ POSE_BOUNDS = np.array([EXTENT] * 3 + [1.0] * 4)
 VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, if the rules do not say
 
 
-def answer_space() -> spaces.Box:
-    """A direction ``(3,)`` in the body frame, of any length."""
-    return spaces.Box(-1.0, 1.0, (3,), np.float32)
-
-
-def walking_space(camera: Camera) -> spaces.Box:
-    """(heading, distance): radians to the left, and metres up to one step."""
-    low, high = np.array([-math.pi, 0.0], np.float32), np.array([math.pi, camera.step], np.float32)
-    return spaces.Box(low, high, dtype=np.float32)
-
-
-def as_walk(action: Any, camera: Camera) -> tuple[float, float, bool]:
-    """An action of `walking_space` as (turn in radians, metres, stop). (heading, 0) means stop."""
-    heading, distance = (float(value) for value in np.asarray(action, dtype=np.float64).reshape(2))
-    if not (math.isfinite(heading) and math.isfinite(distance)):
-        raise WorldError(f"action {action!r}; wanted a finite heading (radians) and distance (metres)")
-    distance = min(max(distance, 0.0), camera.step)
-    return heading, distance, distance == 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class Pose:
     """Camera pose: `position` ``(3,)`` metres, `world_R_body` ``(3, 3)``."""
@@ -84,28 +64,24 @@ class Pose:
 
 
 @dataclass
-class Carrier:
+class MobileBase:
     """Moves on the floor along its heading, with bobbing and swaying; `rng` draws the odometry's drift.
 
     `floor`: the height of the ground under it, metres, which the odometry measures.
     """
 
     camera: Camera
-    disturbances: Disturbances
+    noise: NoiseModel
     rng: np.random.Generator
     xy: np.ndarray
     yaw: float
     floor: float = 0.0
     steps: int = 0
     walked: float = 0.0
-    _believed_xy: np.ndarray = field(init=False)
-    _believed_yaw: float = field(init=False)
-    _scale: float = field(init=False)
-    _phase: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self._believed_xy, self._believed_yaw = self.xy.copy(), self.yaw
-        self._scale = 1.0 + self.disturbances.scale_drift * float(self.rng.standard_normal())
+        self._odometry_xy, self._odometry_yaw = self.xy.copy(), self.yaw
+        self._scale = 1.0 + self.noise.scale_drift * float(self.rng.standard_normal())
         self._phase = float(self.rng.uniform(0, 2 * math.pi))
 
     @property
@@ -115,16 +91,16 @@ class Carrier:
 
     def move(self, xy: np.ndarray, yaw: float, floor: float = 0.0) -> None:
         """One step, to the given place and heading; `floor`: the height of the ground there."""
-        step, turned = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
+        step, turn = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
         length = float(np.hypot(*step))
-        slip = math.radians(self.disturbances.yaw_drift) * math.sqrt(length) * float(self.rng.standard_normal())
-        # The odometry's measurement: the step in the body frame, with errors in scale and heading.
-        off = self._believed_yaw - self.yaw
+        slip = math.radians(self.noise.yaw_drift) * math.sqrt(length) * float(self.rng.standard_normal())
+        # The odometry measures the step in the body frame, with errors in scale and heading.
+        off = self._odometry_yaw - self.yaw
         c, s = math.cos(off), math.sin(off)
-        self._believed_xy = self._believed_xy + self._scale * np.array(
+        self._odometry_xy = self._odometry_xy + self._scale * np.array(
             [c * step[0] - s * step[1], s * step[0] + c * step[1]]
         )
-        self._believed_yaw += turned + slip
+        self._odometry_yaw += turn + slip
         self.walked += math.hypot(length, floor - self.floor)
         self.xy, self.yaw, self.floor = np.asarray(xy, dtype=np.float64), yaw, floor
         self.steps += 1
@@ -137,12 +113,12 @@ class Carrier:
     @property
     def odometry(self) -> Pose:
         """The camera pose according to the odometry."""
-        return self._pose(self._believed_xy, self._believed_yaw)
+        return self._pose(self._odometry_xy, self._odometry_yaw)
 
     def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
         phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * self.stamp * 0.93  # 0.93: not in step with panoramas
-        height = self.floor + self.camera.height + self.disturbances.bob * math.sin(phase)
-        sway = math.radians(self.disturbances.sway)
+        height = self.floor + self.camera.height + self.noise.bob * math.sin(phase)
+        sway = math.radians(self.noise.sway)
         turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
         return Pose(np.array([xy[0], xy[1], height]), turned)
 
@@ -166,7 +142,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         with_range: bool = False,
         instances: bool = True,
         camera: Camera | None = None,
-        disturbances: Disturbances | None = None,
+        disturbances: NoiseModel | None = None,
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -175,7 +151,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
             raise WorldError(f"panorama = {panorama} rows; wanted at least 8, or None for no image")
         self.world, self.seeds, self.rows, self.with_range = world, seeds, panorama, with_range
         self.instances, self.render_mode = instances, render_mode
-        self.camera, self.disturbances = camera or Camera(), disturbances or Disturbances()
+        self.camera, self.disturbances = camera or Camera(), disturbances or NoiseModel()
         space: dict[str, spaces.Space[Any]] = {
             "pose": spaces.Box(-POSE_BOUNDS, POSE_BOUNDS, dtype=np.float64),
             "rotation": spaces.Box(-1.0, 1.0, (3, 3), np.float64),
@@ -191,12 +167,15 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     # Implemented by each task.
     rules: Any = None
 
-    def plan(self, slot: Slot) -> Episode:
-        """The episode of this slot: the same one each time. Raises `WorldError` if the world has none."""
+    def plan(self, spec: EpisodeSpec) -> Episode:
+        """The episode of this spec: the same one each time. Raises `WorldError` if the world has none."""
         raise NotImplementedError
 
     def _measures(self) -> dict[str, Any]:
         raise NotImplementedError
+
+    def _start(self) -> None:
+        """Task-specific start of an episode."""
 
     def _ball(self) -> Ball | None:
         """The ball in the place at this step, if any."""
@@ -204,35 +183,37 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
 
     def _target(self) -> np.ndarray | None:
         """The point ``(3,)`` in the world frame that the true direction leads to; None while the target is away."""
-        centres = [self.place.scene.instances[i].centre for i in self.episode.targets]
-        return min(centres, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
+        return self._nearest([self.place.scene.instances[i].centre for i in self.episode.targets])
+
+    def _nearest(self, points: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+        """The one of points ``(n, 3)`` that is nearest to the camera."""
+        return min(points, key=lambda point: float(np.linalg.norm(point - self.body.pose.position)))
+
+    @property
+    def labels(self) -> tuple[Any, ...]:
+        """The things of the place, in the order of their ids; a ball comes last."""
+        return self.place.scene.instances
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
         super().reset(seed=seed)
         chosen = (options or {}).get("episode")
         if chosen is None:
-            slot = Slot(
-                self.task,
-                self.world,
-                int(self.np_random.choice(self.seeds)),
-                int(self.np_random.integers(PER_PLACE)),
-                int(self.np_random.integers(6)),
-            )
-            chosen = self.plan(slot)
-        self.episode = chosen
-        self.place: Place = load_place(chosen.slot.world, chosen.slot.seed, self.camera.radius)
+            rng = self.np_random
+            draws = int(rng.choice(self.seeds)), int(rng.integers(PER_PLACE)), int(rng.integers(6))
+            chosen = self.plan(EpisodeSpec(self.task, self.world, *draws))
+        self.episode, spec = chosen, chosen.spec
+        self.place: Place = load_place(spec.world, spec.seed, self.camera.radius)
         if chosen.scene_hash != self.place.scene.hash:
             raise WorldError(
-                f"episode {chosen.slot.id} was made for scene {chosen.scene_hash}, but this version of the world makes "
+                f"episode {spec.id} was made for scene {chosen.scene_hash}, but this version of the world makes "
                 f"{self.place.scene.hash} of {chosen.scene}; plan the episode again"
             )
-        rng = chosen.slot.rng("odometry")
         start = np.array(chosen.start)
         floor = self.place.ground.height(start)
-        self.body = Carrier(self.camera, self.disturbances, rng, start, chosen.yaw, floor)
+        self.body = MobileBase(self.camera, self.disturbances, spec.rng("odometry"), start, chosen.yaw, floor)
         if np.abs(self.body.pose.position).max() > EXTENT:
             raise WorldError(
-                f"episode {chosen.slot.id} starts at {self.body.pose.position} m; wanted a scene within "
+                f"episode {spec.id} starts at {self.body.pose.position} m; wanted a scene within "
                 f"{EXTENT / 1000:g} km of the origin of its coordinates: move it there"
             )
         self._start()
@@ -244,31 +225,31 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
             info["instances"]["labels"] = self.labels
         return self._observation(), info
 
-    def _start(self) -> None:
-        """Task-specific start of an episode."""
-
-    @property
-    def labels(self) -> tuple[Any, ...]:
-        """The things of the place, in the order of their ids; a ball comes last."""
-        return self.place.scene.instances
-
     def _frame(self) -> None:
         """Render from the current camera pose."""
-        near = self._seen(LOOK_ROWS, rgb=False, ids=True)
-        assert near.ids is not None
-        self.ids: np.ndarray = near.ids
-        self._picture: Any = None  # a Frame, rendered on demand
+        look = self._camera_view()
+        self.ids = np.asarray(look(LOOK_ROWS, rgb=False, ids=True).ids)
+        self._picture: Any = None
         if self.rows is not None or self.with_range:
-            self._picture = self._seen(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
+            self._picture = look(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
 
-    def _seen(self, rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
-        """The place from the current camera pose, with the ball, if any, as far as the camera shows it."""
-        return _seen(self.place, self.camera, self.body.pose, self._ball(), rows, rgb, range, ids)
+    def _camera_view(self) -> Callable[..., Frame]:
+        """Renders what the camera shows at this step, with the ball, if any; also after later steps."""
+        place, camera, pose, ball = self.place, self.camera, self.body.pose, self._ball()
+
+        def look(rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
+            range = range or ball is not None  # needed to draw the ball
+            frame = place.renderer.panorama(pose.position, pose.world_R_body, rows, rgb=rgb, range=range, ids=ids)
+            if ball is not None:
+                frame = with_ball(frame, pose.position, pose.world_R_body, ball, len(place.scene.instances))
+            return cut(frame, camera)
+
+        return look
 
     def picture(self) -> Picture:
         """The panorama at this step, for whoever watches: rendered when it is asked for, also after later steps."""
-        place, camera, pose, ball = self.place, self.camera, self.body.pose, self._ball()
-        return lambda rows: _seen(place, camera, pose, ball, rows).rgb
+        look = self._camera_view()
+        return lambda rows: look(rows).rgb
 
     def _observation(self) -> dict[str, np.ndarray]:
         odometry = self.body.odometry
@@ -287,9 +268,10 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     def _info(self) -> dict[str, Any]:
         pose, target = self.body.pose, self._target()
         direction, distance = pose.towards(target) if target is not None else (np.zeros(3), 0.0)
+        visible = pixels_of(self.ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
         info: dict[str, Any] = {
             "query": self.episode.query,
-            "episode_id": self.episode.slot.id,
+            "episode_id": self.episode.spec.id,
             "scene": self.place.scene.source,
             "scene_hash": self.place.scene.hash,
             "num_steps": self.body.steps,
@@ -300,18 +282,13 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
                 "direction": direction,
                 "distance": distance,
                 "present": target is not None,
-                "visible": self._visible(),
+                "visible": visible,
             },
             **self._measures(),
         }
-        if self.instances:
-            info["instances"] = {"ids": self.ids}
-        return info
+        return info | ({"instances": {"ids": self.ids}} if self.instances else {})
 
-    def _visible(self) -> bool:
-        return pixels_of(self.ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
-
-    def _moved(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
+    def _move_to(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
         """Move the body to a new place and look again."""
         self._before = self.body.odometry
         self.body.move(xy, yaw, self.place.ground.height(xy))
@@ -319,32 +296,9 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self._collisions += collided
         self._frame()
 
-    def _walk(self, turn: float, length: float, slide: bool) -> None:
-        """Turn by `turn` (radians, left) and go `length` metres ahead, sliding along walls or stopping at them."""
-        yaw = math.remainder(self.body.yaw + turn, 2 * math.pi)
-        xy, collided = self.body.xy, False
-        if length > 0:
-            ahead = length * np.array([math.cos(yaw), math.sin(yaw)])
-            xy, collided = self.place.ground.move(self.body.xy, ahead, slide=slide)
-        self._moved(xy, yaw, collided)
-
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The panorama at this step, at least 128 rows, uint8."""
-        if self.render_mode != "rgb_array":
-            return None
-        return self._seen(max(self.rows or 0, 128), range=True).rgb
-
-
-def _seen(
-    place: Place, camera: Camera, pose: Any, ball: Ball | None, rows: int, rgb: bool = True, range: bool = False,
-    ids: bool = False,
-) -> Frame:  # fmt: skip
-    """The place from a pose, with the ball, if any, as far as the camera shows it."""
-    range = range or ball is not None  # needed to draw the ball
-    frame = place.renderer.panorama(pose.position, pose.world_R_body, rows, rgb=rgb, range=range, ids=ids)
-    if ball is not None:
-        frame = with_ball(frame, pose.position, pose.world_R_body, ball, len(place.scene.instances))
-    return cut(frame, camera)
+        return self.picture()(max(self.rows or 0, 128)) if self.render_mode == "rgb_array" else None
 
 
 class AnsweringEnv(PlaceEnv):
@@ -356,32 +310,25 @@ class AnsweringEnv(PlaceEnv):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.action_space: spaces.Space[Any] = answer_space()
+        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (3,), np.float32)
 
     def _start(self) -> None:
-        self._error_deg: float | None = None
+        self._error = math.nan
 
     def _measures(self) -> dict[str, Any]:
-        return {"error_deg": math.nan if self._error_deg is None else self._error_deg}
-
-    def _judge(self, answer: Any) -> float:
-        """The reward of an answer about the previous step; 0 while the target is away."""
-        target = self._target()
-        direction = np.asarray(answer, dtype=np.float64).reshape(3)
-        length = float(np.linalg.norm(direction))
-        if not math.isfinite(length):
-            raise WorldError(f"action {answer!r}; wanted a finite direction (x, y, z) in the body frame")
-        if target is None:
-            self._error_deg = None
-            return 0.0
-        true = self.body.pose.towards(target)[0]
-        cosine = float(direction @ true) / length if length > 0 else -1.0
-        error = math.acos(min(1.0, max(-1.0, cosine)))
-        self._error_deg = math.degrees(error)
-        return -error
+        return {"error_deg": math.degrees(self._error)}
 
     def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        reward, route = self._judge(action), self.episode.route
+        target, direction = self._target(), np.asarray(action, dtype=np.float64).reshape(3)
+        length = float(np.linalg.norm(direction))
+        if not math.isfinite(length):
+            raise WorldError(f"action {action!r}; wanted a finite direction (x, y, z) in the body frame")
+        self._error = math.nan
+        if target is not None:
+            cosine = float(direction @ self.body.pose.towards(target)[0]) / length if length > 0 else -1.0
+            self._error = math.acos(min(1.0, max(-1.0, cosine)))
+        reward = 0.0 if target is None else -self._error
+        route = self.episode.route
         x, y, yaw = route[min(self.body.steps + 1, len(route) - 1)]
-        self._moved(np.array([x, y]), yaw)
+        self._move_to(np.array([x, y]), yaw)
         return self._observation(), reward, self.body.steps >= len(route) - 1, False, self._info()

@@ -81,17 +81,17 @@ class Place:
 
     def nameable(self) -> dict[int, Query]:
         """The things with a unique query, "[colour] category", by their index in the scene."""
-        found: dict[Query, list[int]] = {}
-        for index, thing in enumerate(self.scene.instances):
-            if thing.category not in UNTARGETED:
-                found.setdefault(Query(thing.category, thing.colour), []).append(index)
-        count = Counter(thing.category for thing in self.scene.instances)
+        things = self.scene.instances
+        count = Counter(thing.category for thing in things)
+        twins = Counter((thing.category, thing.colour) for thing in things)
         names = {}
-        for query, members in found.items():
-            if count[query.category] == 1:
-                names[members[0]] = Query(query.category)  # the only sofa is called "sofa",
-            elif len(members) == 1 and query.colour:
-                names[members[0]] = query  # one of several chairs is named with its colour
+        for index, thing in enumerate(things):
+            if thing.category in UNTARGETED:
+                continue
+            if count[thing.category] == 1:
+                names[index] = Query(thing.category)  # the only sofa is called "sofa",
+            elif thing.colour and twins[thing.category, thing.colour] == 1:
+                names[index] = Query(thing.category, thing.colour)  # one of several chairs is named with its colour
         return names
 
     def missing(self, rng: np.random.Generator, known: bool = False) -> Query:
@@ -109,8 +109,8 @@ class Place:
     def way_to(self, targets: tuple[int, ...]) -> GeodesicDistance:
         """Geodesic distance to the nearest of the targets' footprints."""
         if targets not in self._ways:
-            fields = [self.ground.footprint(self.scene.instances[target]) for target in targets]
-            self._ways[targets] = fields[0].union(*fields[1:]) if len(fields) > 1 else fields[0]
+            first, *others = (self.ground.footprint(self.scene.instances[target]) for target in targets)
+            self._ways[targets] = first.union(*others) if others else first
         return self._ways[targets]
 
     def way_to_views(self, places: np.ndarray) -> GeodesicDistance:
@@ -136,36 +136,29 @@ def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:
     return int(sum(np.count_nonzero(ids == target) for target in targets))
 
 
+@lru_cache(maxsize=8)
 def in_view(camera: Camera, rows: int) -> np.ndarray | None:
     """The pixels ``(rows, 2 rows)`` of a panorama in the body frame that the camera shows, bool; None: all of them."""
-    return None if camera.around else _in_view(camera.hfov, rows)
+    if camera.around:
+        return None
+    return PerspectiveGrid(*SHAPE, math.radians(camera.hfov)).project(ErpGrid(rows, 2 * rows).directions)[2]
 
 
+@lru_cache(maxsize=4)
 def mask_of(camera: Camera) -> BodyMask | None:
     """What the camera can see, as evidence is covered with it; None: everything."""
-    return None if camera.around else _mask(camera.hfov)
+    shown = in_view(camera, MASK_ROWS)
+    return None if shown is None else BodyMask(shown)
 
 
 def cut(frame: Frame, camera: Camera) -> Frame:
     """A rendered panorama without what the camera does not show: the mean colour, no range, no thing (-1)."""
-    if camera.around:
-        return frame
     parts: dict[str, np.ndarray] = {}
     for name, nothing in (("rgb", None), ("range", math.inf), ("ids", -1)):
-        whole = getattr(frame, name)
-        if whole is None:
+        whole: Any = getattr(frame, name)
+        if whole is None or camera.around:
             continue
-        seen = _in_view(camera.hfov, len(whole))
+        hidden = ~np.asarray(in_view(camera, len(whole)))
         parts[name] = whole.copy()
-        parts[name][~seen] = np.rint(whole[seen].mean(axis=0)) if nothing is None else nothing
+        parts[name][hidden] = np.rint(whole[~hidden].mean(axis=0)) if nothing is None else nothing
     return replace(frame, **parts)
-
-
-@lru_cache(maxsize=8)
-def _in_view(hfov: float, rows: int) -> np.ndarray:
-    return PerspectiveGrid(*SHAPE, math.radians(hfov)).project(ErpGrid(rows, 2 * rows).directions)[2]
-
-
-@lru_cache(maxsize=4)
-def _mask(hfov: float) -> BodyMask:
-    return BodyMask(_in_view(hfov, MASK_ROWS))

@@ -9,62 +9,55 @@ Rules that make the task impossible raise a `WorldError` that names the rule.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, TypeVar, get_args
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
-from eagor._checks import above, require, stretch, whole, within
+import msgspec
+from msgspec import Meta
+
 from eagor.errors import WorldError
 
-Stop = Literal["reach", "call"]
-Goal = Literal["footprint", "view_points"]
-PolicyName = Literal["follow", "search"]
 AROUND = 360.0  # degrees
 SURROUNDS = 0.75  # metres from a thing to its view points, at most
 LEGS = ("L1", "L2", "L3", "L4")  # of a route
 
-Fits = Callable[[Any], bool]
-Wanted = tuple[Fits, str]
-
-
-def _from(low: float, what: str, high: float | None = None) -> Wanted:
-    return (lambda value: within(value, low) if high is None else within(value, low, high)), what
-
-
-def _above(low: float, what: str) -> Wanted:
-    return (lambda value: above(value, low)), what
-
-
-def _count(least: int, what: str) -> Wanted:
-    return (lambda value: whole(value, least)), what
-
-
-def _is_turns(value: Any) -> bool:
-    pairs = value if isinstance(value, tuple | list) else ()
-    return len(pairs) == len(LEGS) and all(stretch(pair, 0, 180) for pair in pairs)
-
-
-_METRES = _above(0, "metres above 0")
-_STEPS = _count(1, "a whole number of steps, from 1 on")
-_PIXELS = _count(1, "a whole number of pixels, from 1 on")  # no pixel means not in sight
-_SHARES = (lambda value: stretch(value, 0, 1)), "two shares (from, to), from 0 to 1, the second not below the first"
-_STOP = get_args(Stop).__contains__, " or ".join(get_args(Stop))
-_GOAL = get_args(Goal).__contains__, " or ".join(get_args(Goal))
-_POLICY = get_args(PolicyName).__contains__, " or ".join(get_args(PolicyName))
-_BOOL = (lambda value: isinstance(value, bool)), "true or false"
-
-
-def _rule(default: Any, wanted: Wanted) -> Any:
-    """A rule: its default, and its valid values."""
-    return field(default=default, metadata={"wanted": wanted})
+# The types of the rules: their bounds, and the words of the error text. Every number has an upper bound: no infinity.
+MOST = 1e9
+Positive = Annotated[float, Meta(gt=0, le=MOST, description="a number above 0")]
+FromZero = Annotated[float, Meta(ge=0, le=MOST, description="a number from 0 on")]
+FromOne = Annotated[float, Meta(ge=1, le=MOST, description="a number from 1 on")]
+Share = Annotated[float, Meta(ge=0, le=1, description="a share from 0 to 1")]
+PositiveShare = Annotated[float, Meta(gt=0, le=1, description="a number above 0 and up to 1")]
+Metres = Annotated[float, Meta(gt=0, le=MOST, description="metres above 0")]
+Degrees = Annotated[float, Meta(ge=0, le=180, description="degrees from 0 to 180")]
+Turn = Annotated[float, Meta(gt=0, le=AROUND, description="degrees above 0 and up to 360")]
+Count = Annotated[int, Meta(ge=1, le=int(MOST), description="a whole number from 1 on")]
+CountFromZero = Annotated[int, Meta(ge=0, le=int(MOST), description="a whole number from 0 on")]
+Shares = Annotated[tuple[Share, Share], Meta(description="two shares (from, to), from 0 to 1, ascending")]
+Turns = Annotated[
+    tuple[tuple[Degrees, Degrees], ...],
+    Meta(min_length=4, max_length=4, description="4 pairs of degrees (from, to), from 0 to 180, ascending"),
+]
 
 
 class _Rules:
-    """Rejects rules that make the task impossible."""
+    """Rejects values outside the types of the rules, and ranges (from, to) that fall."""
 
     def __post_init__(self) -> None:
-        asked = [(rule.name, rule.metadata["wanted"]) for rule in fields(self)]  # type: ignore[arg-type]
-        require(self, {name: (fits(getattr(self, name)), text) for name, (fits, text) in asked}, WorldError)
+        for name, kind in get_type_hints(type(self), include_extras=True).items():
+            wanted = "true or false" if kind is bool else " or ".join(map(str, get_args(kind)))
+            wanted = next((meta.description for meta in getattr(kind, "__metadata__", ())), wanted)
+            try:
+                found = msgspec.convert(getattr(self, name), kind)
+                ranges = (found,) if kind is Shares else found if kind is Turns else ()
+                fits = all(low <= high for low, high in ranges)
+            except msgspec.ValidationError:
+                fits = False
+            self._require(name, fits, wanted)
+
+    def _require(self, name: str, holds: bool, wanted: str) -> None:
+        if not holds:
+            raise WorldError(f"{type(self).__name__}: {name} = {getattr(self, name)!r}; wanted {wanted}")
 
 
 @dataclass(frozen=True)
@@ -77,14 +70,16 @@ class Camera(_Rules):
     - `hfov`: degrees that it sees across. 360: all around; less: straight ahead, in a picture of 4:3.
     """
 
-    height: float = _rule(1.25, _METRES)
-    radius: float = _rule(0.18, _from(0, "metres from 0 on"))
-    step: float = _rule(0.25, _METRES)
-    turn: float = _rule(30.0, ((lambda value: above(value, 0, 360)), "degrees above 0 and up to 360"))
-    seconds: float = _rule(0.5, _above(0, "seconds above 0"))
-    hfov: float = _rule(
-        AROUND, ((lambda value: value == AROUND or within(value, 10, 170)), "degrees: 10 to 170, or 360")
-    )
+    height: Metres = 1.25
+    radius: FromZero = 0.18
+    step: Metres = 0.25
+    turn: Turn = 30.0
+    seconds: Positive = 0.5
+    hfov: Turn = AROUND
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require("hfov", self.around or 10 <= self.hfov <= 170, "degrees: 10 to 170, or 360")
 
     @property
     def around(self) -> bool:
@@ -93,24 +88,24 @@ class Camera(_Rules):
 
 
 @dataclass(frozen=True)
-class Disturbances(_Rules):
-    """Disturbances from a real body; all off by default.
+class NoiseModel(_Rules):
+    """NoiseModel from a real body; all off by default.
 
     - `bob`: amplitude, metres, of the camera's rise and fall, twice per second, and
     - `sway`: amplitude, degrees, of its roll and pitch. The odometry measures both.
     - `yaw_drift`: degrees per square root of a metre walked, and `scale_drift`: relative error of the odometry's
-      lengths (one standard deviation, drawn per episode). The methods do not know either.
+      lengths (one standard deviation, drawn per episode). The estimators do not know either.
     - `latency`: a response arrives this many steps after its panorama was taken.
     """
 
-    bob: float = _rule(0.0, _from(0, "metres from 0 on"))
-    sway: float = _rule(0.0, _from(0, "degrees from 0 on"))
-    yaw_drift: float = _rule(0.0, _from(0, "degrees per root metre, from 0 on"))
-    scale_drift: float = _rule(0.0, _from(0, "a relative error from 0 on"))
-    latency: int = _rule(0, _count(0, "a whole number of steps, from 0 on"))
+    bob: FromZero = 0.0
+    sway: FromZero = 0.0
+    yaw_drift: FromZero = 0.0
+    scale_drift: FromZero = 0.0
+    latency: CountFromZero = 0
 
     @classmethod
-    def walking(cls, latency: int = 0) -> Disturbances:
+    def walking(cls, latency: int = 0) -> NoiseModel:
         """A walking robot: 3 cm and 2 degrees of bobbing, 2 degrees per root metre and 3 % of drift."""
         return cls(bob=0.03, sway=2.0, yaw_drift=2.0, scale_drift=0.03, latency=latency)
 
@@ -123,16 +118,16 @@ class NavigationRules(_Rules):
     - `success_distance`: geodesic metres to the goal, strict as in Habitat.
     - `goal`: the target's "footprint", or the nearest of the "view_points" that the episodes of a file have.
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
-      "call": the agent has to call stop there (Habitat's rule). It does when its method believes that it has
+      "call": the agent has to call stop there (Habitat's rule). It does when its estimator believes that it has
       arrived; one that knows no distances never does.
     - `sliding`: along walls (Habitat's default); otherwise a step ends at the contact.
-    - `detour`: a blocked body feels its way around (`eagor.lab.agents.steering`), for every method alike; otherwise it
-      pushes on along the estimate, as published.
+    - `detour`: a blocked body feels its way around (`eagor.lab.agents.steering`), for every estimator alike; otherwise
+      it pushes on along the estimate, as published.
     - `policy`: "search" while too little is believed, and walk by the floor that looks show
-      (`eagor.lab.agents.steering`), or "follow" the estimate always, as published; for every method alike.
-      `handover`: a search ends while each metre along the estimate brings the body this many metres nearer, as the
-      method believes. `appears`: with "search", the rate (per second) at which a thing that is hidden comes into
-      sight, for a method that doubts that it is here.
+      (`eagor.lab.agents.steering`), or "follow" the estimate always, as published; for every estimator alike.
+      `commit_threshold`: a search ends while each metre along the estimate brings the body this many metres nearer, as
+      the estimator believes. `birth_rate`: with "search", the rate (per second) at which a thing that is hidden comes
+      into sight, for an estimator that doubts that it is here.
     - `nearest`, `farthest`: geodesic metres from the start to the target's footprint.
     - `ratio`: largest ratio of geodesic to straight distance at the start; `winding` starts have more than
       `winding_above`.
@@ -140,26 +135,25 @@ class NavigationRules(_Rules):
     - `visible_pixels`: pixels of a 64 x 128 panorama that make a target visible.
     """
 
-    max_steps: int = _rule(500, _STEPS)
-    success_distance: float = _rule(1.0, _METRES)
-    goal: Goal = _rule("footprint", _GOAL)  # noqa: RUF009 (it is a field)
-    stop: Stop = _rule("reach", _STOP)  # noqa: RUF009 (it is a field)
-    sliding: bool = _rule(True, _BOOL)
-    detour: bool = _rule(True, _BOOL)
-    policy: PolicyName = _rule("search", _POLICY)  # noqa: RUF009 (it is a field)
-    handover: float = _rule(0.2, ((lambda value: above(value, 0, 1)), "a number above 0 and up to 1"))
-    appears: float = _rule(0.1, _from(0, "a rate per second, from 0 on"))
-    nearest: float = _rule(2.0, _from(0, "metres from 0 on"))
-    farthest: float = _rule(8.0, _METRES)
-    ratio: float = _rule(1.5, _from(1, "a number from 1 on: no path is shorter than the straight line"))
-    winding_above: float = _rule(1.2, _from(0, "a number from 0 on"))
-    facing_away: float = _rule(20.0, _from(0, "degrees from 0 to 180", 180))
-    visible_pixels: int = _rule(2, _PIXELS)
+    max_steps: Count = 500
+    success_distance: Metres = 1.0
+    goal: Literal["footprint", "view_points"] = "footprint"
+    stop: Literal["reach", "call"] = "reach"
+    sliding: bool = True
+    detour: bool = True
+    policy: Literal["follow", "search"] = "search"
+    commit_threshold: PositiveShare = 0.2
+    birth_rate: FromZero = 0.1
+    nearest: FromZero = 2.0
+    farthest: Metres = 8.0
+    ratio: FromOne = 1.5
+    winding_above: FromZero = 1.2
+    facing_away: Degrees = 20.0
+    visible_pixels: Count = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        order = (self.farthest >= self.nearest, f"no less than nearest = {self.nearest!r}")
-        require(self, {"farthest": order}, WorldError)
+        self._require("farthest", self.farthest >= self.nearest, f"no less than nearest = {self.nearest!r}")
 
     @classmethod
     def objectnav(cls) -> NavigationRules:
@@ -177,7 +171,7 @@ class NavigationRules(_Rules):
         return SURROUNDS if self.goal == "view_points" else self.success_distance
 
     @property
-    def judged(self) -> str:
+    def success_criterion(self) -> str:
         """What success means, in words."""
         where = "a view point of the goal" if self.goal == "view_points" else "the target's footprint"
         ended = "on arrival, without a call" if self.stop == "reach" else "when the agent calls stop"
@@ -198,13 +192,10 @@ class WaypointRules(_Rules):
     - `visible_pixels`: as for navigation.
     """
 
-    turns: tuple[tuple[float, float], ...] = _rule(
-        ((0.0, 45.0), (45.0, 90.0), (90.0, 135.0), (135.0, 180.0)),
-        (_is_turns, f"{len(LEGS)} pairs of degrees (from, to), from 0 to 180, the second not below the first"),
-    )
-    leg_steps: int = _rule(15, _STEPS)
-    occluded: tuple[float, float] = _rule((0.08, 0.5), _SHARES)
-    visible_pixels: int = _rule(2, _PIXELS)
+    turns: Turns = ((0.0, 45.0), (45.0, 90.0), (90.0, 135.0), (135.0, 180.0))
+    leg_steps: Count = 15
+    occluded: Shares = (0.08, 0.5)
+    visible_pixels: Count = 2
 
 
 @dataclass(frozen=True)
@@ -214,22 +205,22 @@ class TrackingRules(_Rules):
     - `steps`: of an episode. `speed`: metres per second of a moving ball.
     - `gone`: in the third scenario the ball is away for this part of the episode (from, to), then elsewhere.
     - `seen`: plans are drawn until one shows the ball at this share of the steps (an invisible ball tells nothing
-      about any method).
+      about any estimator).
     - `lost_above`: degrees of error beyond which the target counts as lost. `visible_pixels`: as for navigation.
     """
 
-    steps: int = _rule(60, _STEPS)
-    speed: float = _rule(0.4, _above(0, "metres per second, above 0"))
-    gone: tuple[float, float] = _rule((0.4, 0.6), _SHARES)
-    seen: float = _rule(0.7, _from(0, "a share from 0 to 1", 1))
-    lost_above: float = _rule(30.0, _from(0, "degrees from 0 to 180", 180))
-    visible_pixels: int = _rule(2, _PIXELS)
+    steps: Count = 60
+    speed: Positive = 0.4
+    gone: Shares = (0.4, 0.6)
+    seen: Share = 0.7
+    lost_above: Degrees = 30.0
+    visible_pixels: Count = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
         away, back = self.away
-        shown = (away > 0 or back == 0, f"the ball present at step 1 of {self.steps}: begin later, or take more steps")
-        require(self, {"gone": shown}, WorldError)
+        wanted = f"the ball present at step 1 of {self.steps}: begin later, or take more steps"
+        self._require("gone", away > 0 or back == 0, wanted)
 
     @property
     def away(self) -> tuple[int, int]:

@@ -30,13 +30,13 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.lab.agents.methods import BASE
 from eagor.lab.agents.models import is_privileged
-from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, load_place
-from eagor.lab.envs.rules import Camera, Disturbances, as_dict
+from eagor.lab.envs.rules import Camera, NoiseModel, as_dict
 from eagor.lab.eval.assignments import expected_look_alikes
 from eagor.lab.eval.detector_fit import fitted_model, short
 from eagor.lab.eval.labelled_looks import LabelledLook
-from eagor.lab.tasks.sim.play import MASS, Player, Recording
+from eagor.lab.tasks.sim.play import MASS, Player
 from eagor.lab.tasks.sim.tracking import TrackingEpisode
 from eagor.lab.tasks.task import load as load_task
 from eagor.lab.worlds.render import PAINTS
@@ -132,21 +132,21 @@ def with_habit(share: float, strength: float) -> dict[str, Any]:
     return {"detection_probability": None, "habit": (short(share * strength), short((1 - share) * strength))}
 
 
-def counted(recordings: Sequence[Recording]) -> DetectorModel | None:
+def counted(recordings: Sequence[Rollout]) -> DetectorModel | None:
     """The detector's model as `fit_detector` finds it on the recordings; None where they hold no detections."""
     looks = [look for number, recording in enumerate(recordings) for look in _labelled(recording, str(number))]
     return fitted_model(looks, looks[0].detections.model) if looks else None
 
 
-def _labelled(recording: Recording, group: str) -> list[LabelledLook]:
+def _labelled(recording: Rollout, group: str) -> list[LabelledLook]:
     """The looks of a recording that gave detections; the target counts where it is in sight."""
-    place: dict[float | None, int] = {moment.stamp: index for index, moment in enumerate(recording.moments)}
+    place: dict[float | None, int] = {moment.stamp: index for index, moment in enumerate(recording.steps)}
     found = []
-    for moment in recording.moments:
+    for moment in recording.steps:
         if moment.evidence is None or moment.evidence.detections is None:
             continue
         index = place.get(moment.evidence.stamp, place[moment.stamp])
-        then, target = recording.moments[index], recording.directions[index][None]
+        then, target = recording.steps[index], recording.directions[index][None]
         at = target[: int(recording.truth["visible"][index])]
         found.append(LabelledLook(moment.evidence, at, then.stamp, group, then.world_R_body, then.position))
     return found
@@ -181,25 +181,25 @@ class Recorder:
     def __init__(self, perception: str, rows: int | None = None) -> None:
         seeing = load(perception)
         config = {"perception": perception, "rows": rows or rows_of(seeing)}
-        config |= {"camera": as_dict(Camera()), "disturbances": as_dict(Disturbances())}
+        config |= {"camera": as_dict(Camera()), "disturbances": as_dict(NoiseModel())}
         self.players = {
             task: Player(config | {"task": task, "rules": as_dict(load_task(task).rules())}, seeing)
             for task in TASKS  # type: ignore[attr-defined]
         }
 
-    def record(self, slot: Slot) -> Recording:
+    def record(self, spec: EpisodeSpec) -> Rollout:
         """An episode with responses to its query and to one that nothing there answers.
 
-        Raises `WorldError` for a slot that cannot be planned, `QueryError` if the perception does not know the words.
+        Raises `WorldError` for a spec that cannot be planned, `QueryError` if the perception does not know the words.
         """
-        player, rng = self.players[slot.task], slot.rng("absent")
-        episode = player.plan(slot)
+        runner, rng = self.runners[spec.task], spec.rng("absent")
+        episode = runner.plan(spec)
         if isinstance(episode, TrackingEpisode):
             other = f"{rng.choice(sorted({*PAINTS} - {episode.colour}))} ball"
         else:
-            place = load_place(slot.world, slot.seed, player.camera.radius)
-            other = str(place.missing(rng, is_privileged(player.perception)))
-        return player.record(episode, other)
+            place = load_place(spec.world, spec.seed, runner.camera.radius)
+            other = str(place.missing(rng, is_privileged(runner.perception)))
+        return runner.record(episode, other)
 
 
 def record_episodes(
@@ -209,31 +209,31 @@ def record_episodes(
     rows: int | None = None,
     advance: Callable[[], object] = lambda: None,
     left_out: Callable[[str], object] = lambda why: None,
-) -> list[Recording]:
-    """The recordings of `development_slots`; `left_out` is told of what cannot be planned, and of unknown words.
+) -> list[Rollout]:
+    """The recordings of `development_specs`; `left_out` is told of what cannot be planned, and of unknown words.
 
     A task whose words the perception does not know is left out whole. Raises `EagorError` if nothing is left.
     """
-    recorder, slots = Recorder(perception, rows), development_slots(count, seed)
-    found: list[Recording] = []
+    recorder, specs = Recorder(perception, rows), development_specs(count, seed)
+    found: list[Rollout] = []
     strange: set[str] = set()
-    for slot in slots:
+    for spec in specs:
         try:
-            if slot.task not in strange:
-                found.append(recorder.record(slot))
+            if spec.task not in strange:
+                found.append(recorder.record(spec))
         except WorldError as error:
-            left_out(f"{slot.task} {slot.id} is left out: {error}")
+            left_out(f"{spec.task} {spec.id} is left out: {error}")
         except QueryError as error:
-            strange.add(slot.task)
-            left_out(f"{slot.task} is left out: {error}")
+            strange.add(spec.task)
+            left_out(f"{spec.task} is left out: {error}")
         advance()
     if not found:
         raise EagorError(f"{perception} could be asked in none of {count} episodes; calibrate it where it knows words")
     return found
 
 
-def development_slots(count: int, seed: int) -> list[Slot]:
-    """`count` slots, `PER_PLACE` of each task in an apartment. Raises `EagorError` where results are taken from."""
+def development_specs(count: int, seed: int) -> list[EpisodeSpec]:
+    """`count` specs, `PER_PLACE` of each task in an apartment. Raises `EagorError` where results are taken from."""
     last = seed + (count - 1) // (PER_PLACE * len(TASKS))
     if seed not in DEVELOPMENT or last not in DEVELOPMENT:
         raise EagorError(
@@ -243,16 +243,16 @@ def development_slots(count: int, seed: int) -> list[Slot]:
     found = []
     for number in range(count):
         place, index = divmod(number // len(TASKS), PER_PLACE)
-        found.append(Slot(TASKS[number % len(TASKS)], APARTMENT, seed + place, index, number // len(TASKS)))
+        found.append(EpisodeSpec(TASKS[number % len(TASKS)], APARTMENT, seed + place, index, number // len(TASKS)))
     return found
 
 
-def score(recording: Recording, config: TrackerConfig, regions: bool = False) -> Score:
+def score(recording: Rollout, config: TrackerConfig, regions: bool = False) -> Score:
     """A tracker with this configuration on one recording; with `regions`, coverage is read as well."""
     follower, absent = Follower(config), Follower(config)
     direction, error, inside = [], [], []
     presence: tuple[list[float], list[float]] = ([], [])
-    for index, moment in enumerate(recording.moments):
+    for index, moment in enumerate(recording.steps):
         for each, evidence in ((follower, moment.evidence), (absent, moment.other)):
             each.move(moment.stamp, moment.world_R_body, moment.position)
             if evidence is not None:
@@ -270,12 +270,12 @@ def score(recording: Recording, config: TrackerConfig, regions: bool = False) ->
             if regions:
                 inside.append(estimate.mass_above(true) < MASS)
     told = (np.array(presence[0]), np.array(presence[1] or [0.0]))
-    return Score(recording.episode.slot.seed, np.array(direction), told, np.array(error), np.array(inside))
+    return Score(recording.episode.spec.seed, np.array(direction), told, np.array(error), np.array(inside))
 
 
 def fit(
     perception: str,
-    recordings: Sequence[Recording],
+    recordings: Sequence[Rollout],
     trials: int = 96,
     workers: int = 1,
     on_trial: Callable[[], object] = lambda: None,
@@ -285,8 +285,8 @@ def fit(
 
     `on_trial` is called after each trial, `on_round` with the best so far. Raises `EagorError` if there are too few.
     """
-    seeds = sorted({recording.episode.slot.seed for recording in recordings})
-    halves = [[r for r in recordings if seeds.index(r.episode.slot.seed) % 2 == half] for half in (0, 1)]
+    seeds = sorted({recording.episode.spec.seed for recording in recordings})
+    halves = [[r for r in recordings if seeds.index(r.episode.spec.seed) % 2 == half] for half in (0, 1)]
     if not all(halves):
         raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
     space = _Space.of(perception, halves[0])
@@ -300,7 +300,7 @@ def fit(
         "apartments": seeds,
         "episodes": len(recordings),
         "trials": trials,
-        "judged by": sorted({recording.episode.slot.seed for recording in halves[1]}),
+        "judged by": sorted({recording.episode.spec.seed for recording in halves[1]}),
         "before": judged[0],
         "after": judged[1],
         "version": __version__,
@@ -317,12 +317,12 @@ class _Space:
     read: Calibration | DetectorModel
 
     @classmethod
-    def of(cls, perception: str, recordings: Sequence[Recording]) -> _Space:
+    def of(cls, perception: str, recordings: Sequence[Rollout]) -> _Space:
         """The space of a perception that gave these recordings."""
         found = counted(recordings)
         if found is not None:
             return cls(perception, DETECTING + MOVING, found)
-        seen = (moment.evidence for recording in recordings for moment in recording.moments)
+        seen = (moment.evidence for recording in recordings for moment in recording.steps)
         now = next(evidence.calibration for evidence in seen if evidence is not None)
         return cls(perception, READING + MOVING, replace(now, scale_to_max=False))
 
@@ -373,7 +373,7 @@ def _trial(space: _Space, places: np.ndarray) -> float:
     return float(np.mean([score(recording, config).total for recording in _halves[0]]))
 
 
-def _judged(space: _Space, half: Sequence[Recording], places: np.ndarray, run: Map) -> dict[str, Any]:
+def _judged(space: _Space, half: Sequence[Rollout], places: np.ndarray, run: Map) -> dict[str, Any]:
     """Scores on the other half of the apartments, with 95 % intervals over apartments."""
     scores: list[Score] = list(run(partial(_one, space, places), range(len(half))))
     groups = [found.seed for found in scores]
@@ -403,15 +403,15 @@ def _config(space: _Space, places: np.ndarray) -> TrackerConfig:
     return BASE.fitted(found.calibration, found.detector, found.forgetting)
 
 
-_halves: list[list[Recording]] = []  # of this process: each is given them once
+_halves: list[list[Rollout]] = []  # of this process: each is given them once
 
 
-def _begin(halves: list[list[Recording]]) -> None:
+def _begin(halves: list[list[Rollout]]) -> None:
     _halves[:] = halves
 
 
 @contextmanager
-def _mapping(workers: int, halves: list[list[Recording]]) -> Iterator[Map]:
+def _mapping(workers: int, halves: list[list[Rollout]]) -> Iterator[Map]:
     """What maps a function over jobs, in this process or in several, where `_halves` are these."""
     if workers == 1:
         _begin(halves)

@@ -17,7 +17,7 @@ from eagor.errors import DirectionError, EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections
 from eagor.grids import ErpGrid
-from eagor.lab.envs.episodes import Slot
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, Place, load_place
 from eagor.lab.envs.rules import Camera
 from eagor.perception.calibrated import Labelled, cap_radius
@@ -122,7 +122,7 @@ def _labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
     for number in range(count):
         apartment, index = divmod(number, PER_PLACE)
         place = load_place(APARTMENT, seed + apartment, camera.radius)
-        rng = Slot("labels", APARTMENT, seed + apartment, index, number).rng("labels")
+        rng = EpisodeSpec("labels", APARTMENT, seed + apartment, index, number).rng("labels")
         found = _one(place, grid, camera.height, rows, rng)
         if found is not None:
             yield found

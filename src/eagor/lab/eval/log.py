@@ -250,10 +250,11 @@ def _records(path: Path) -> Iterator[dict[str, Any]]:
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror or error}); restore it, or let it be read") from None
     for number, line in enumerate(lines, start=1):
-        found = _parsed(line)
-        if found is None and number == len(lines):
+        record = _parsed(line)
+        if record is None and number == len(lines):
             return  # empty, or left half written
-        attempt = found.get("attempt") if isinstance(found, dict) and isinstance(found.get("key"), str) else None
+        found: dict[str, Any] = record if isinstance(record, dict) else {}
+        attempt = found.get("attempt") if isinstance(found.get("key"), str) else None
         if type(attempt) is not int or attempt < 1 or found.get("status") not in ("ok", "failed"):
             raise FormatError(
                 f"{path}, line {number}: no record; wanted a JSON object with key (text), attempt (1, 2, ...) and "

@@ -182,7 +182,7 @@ def criterion_of(run: Run) -> str:
     from eagor.lab.tasks.task import config_of
 
     try:
-        return str(getattr(config_of(run.task, run.settings).rules, "judged", "")) if run.simulated else ""
+        return str(getattr(config_of(run.task, run.settings).rules, "success_criterion", "")) if run.simulated else ""
     except (EagorError, AttributeError):  # of another version
         return ""
 

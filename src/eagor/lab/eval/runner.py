@@ -136,9 +136,9 @@ def run_task(task: str | Task, folder: Path, values: Mapping[str, Any], **how: A
 
     Raises as `eagor.lab.tasks.task.configure` and `run`.
     """
-    task = load_task(task) if isinstance(task, str) else task
-    config = configure(task, values)
-    return run(units_of(task, config), WORK, settings_of(config), folder, **how)
+    loaded: Task = load_task(task) if isinstance(task, str) else task
+    config = configure(loaded, values)
+    return run(units_of(loaded, config), WORK, settings_of(config), folder, **how)
 
 
 def _samples(units: Sequence[Unit]) -> dict[str, Any]:

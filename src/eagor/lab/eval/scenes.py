@@ -17,8 +17,7 @@ from scipy import ndimage
 
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, WorldError
-from eagor.lab.agents.floor_map import CELL, FLOOR, FloorMap
-from eagor.lab.agents.search_space import looked_along
+from eagor.lab.agents.search_space import CELL, FLOOR, FloorMap, explored_floor
 from eagor.lab.envs.rules import Camera
 from eagor.lab.eval.charts import blank, colour_of, legend, look_of, style_of, svg_of
 from eagor.lab.eval.page import Part, Pictures, Text
@@ -83,7 +82,7 @@ def search_of(place: Place, record: Record, camera: Camera | None) -> Search | N
     if "searching" not in trace:
         return None
     poses = np.array(trace["pose"], dtype=float)
-    found = None if camera is None else _on_plan(looked_along(place, poses, camera), place.ground)
+    found = None if camera is None else _on_plan(explored_floor(place, poses, camera), place.ground)
     return Search(np.array(trace["searching"], dtype=bool), found)
 
 
@@ -94,7 +93,7 @@ def _on_plan(known: FloorMap, ground: NavMesh) -> np.ndarray:
     at = np.moveaxis((points - known.origin) / CELL - 0.5, -1, 0)[::-1]
     floor = (known.state == FLOOR).astype(float)
     shown = ndimage.map_coordinates(floor, at, order=1, mode="constant")
-    found = ndimage.map_coordinates(floor * (1.0 - known.worth), at, order=1, mode="constant")
+    found = ndimage.map_coordinates(floor * (1.0 - known.miss_cost), at, order=1, mode="constant")
     seen = (shown >= HALF) & ~ground.structure  # cells of looks are larger than walls, and reach behind them:
     pieces = np.zeros(seen.shape, dtype=np.int32)
     ndimage.label(seen, output=pieces)

@@ -135,8 +135,8 @@ def known() -> dict[str, EntryPoint]:
     return plugins.known(GROUP, BUILT_IN)
 
 
-def load(name: str) -> Task:
-    """The task with this name. Raises `EagorError` if it is unknown, cannot be imported, or is no task."""
+def load(name: str) -> Any:
+    """The `Task` with this name. Raises `EagorError` if it is unknown, cannot be imported, or is no task."""
     choices = known()
     if name not in choices:
         raise EagorError(f"there is no task {name!r}; known are {', '.join(choices)}")

@@ -101,7 +101,7 @@ class EagorAgent:
 
     def __init__(self, episode: Episode, eye: Eye, rules: SearchRules) -> None:
         self._eye = eye
-        self.searcher = Searcher(Search.begin(episode.kind, rules), handover=rules.sure)
+        self.searcher = Searcher(Search.begin(episode.kind, rules), commit_threshold=rules.sure)
 
     def __call__(self, view: View, last: bool) -> Turn:
         look = self._eye(view)

@@ -7,17 +7,18 @@ than the straight line by more than a fifth, so that walking straight leads into
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
-from eagor.lab.envs.episodes import Episode, FileEpisode, Slot, choose_target, heading_to, plan_listed
-from eagor.lab.envs.place_env import PlaceEnv, as_walk, walking_space
+from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisode, choose_target, plan_listed
+from eagor.lab.envs.place_env import PlaceEnv, gymnasium
 from eagor.lab.envs.places import Place, load_place, pixels_of
 from eagor.lab.envs.rules import Camera, NavigationRules
-from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import COVERAGE, SimTask, success_where
 from eagor.lab.tasks.task import Metric, degrees
 from eagor.sphere import azimuth_elevation, world_R_body
@@ -30,29 +31,27 @@ ONLY_TURNED = 1e-4  # metres, as poses are rounded
 TRIES = 40  # starts tried per target and stratum
 
 
-def plan(slot: Slot, camera: Camera, rules: NavigationRules) -> Episode:
-    """The episode of this slot. Raises `WorldError` if the world has no target under these rules."""
-    place = load_place(slot.world, slot.seed, camera.radius)
-    rng = slot.rng("plan")
-    visible, winding = STRATA[slot.number % len(STRATA)]
+def plan(spec: EpisodeSpec, camera: Camera, rules: NavigationRules) -> Episode:
+    """The episode of this spec. Raises `WorldError` if the world has no target under these rules."""
+    place, rng = load_place(spec.world, spec.seed, camera.radius), spec.rng("plan")
+    first, way = STRATA[spec.number % len(STRATA)]
     # The wanted stratum first, then whatever the apartment offers: few have every kind of start.
-    for wanted in ((visible, winding), (visible, not winding), (not visible, winding), (not visible, not winding)):
+    for visible, winding in ((first, way), (first, not way), (not first, way), (not first, not way)):
         for target, query in choose_target(place, rng):
-            start = _start(place, target, wanted, camera, rules, rng)
-            if start is not None:
-                xy, shortest, ratio = start
+            thing = place.scene.instances[target]
+            for xy, shortest, ratio in _starts(place, target, winding, rules, rng):
+                ids = place.ids(place.eye(xy, camera.height), world_R_body(0.0))
+                if (pixels_of(ids, (target,)) >= rules.visible_pixels) != visible:
+                    continue
                 # The bearing to the target, turned so that it lies behind, within the tolerance.
                 away = math.pi + math.radians(rules.facing_away) * float(rng.uniform(-1, 1))
-                yaw = math.remainder(heading_to(xy, place.scene.instances[target].centre[:2]) + away, 2 * math.pi)
-                kind = {
-                    "visible": wanted[0],
-                    "way": "winding" if wanted[1] else "direct",
-                    "ratio": round(ratio, 3),
-                    "category": place.scene.instances[target].category,
-                }
+                to = thing.centre[:2] - xy
+                kind = {"visible": visible, "way": "winding" if winding else "direct", "ratio": round(ratio, 3)}
                 return Episode(
-                    slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,),
-                    start=(float(xy[0]), float(xy[1])), yaw=yaw, shortest=shortest, stratum=kind,
+                    spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,),
+                    start=(float(xy[0]), float(xy[1])), shortest=shortest,
+                    yaw=math.remainder(float(np.arctan2(to[1], to[0])) + away, 2 * math.pi),
+                    stratum=kind | {"category": thing.category},
                 )  # fmt: skip
     raise WorldError(
         f"{place.scene.source} has no target that is {rules.nearest} to {rules.farthest} m away; "
@@ -60,29 +59,17 @@ def plan(slot: Slot, camera: Camera, rules: NavigationRules) -> Episode:
     )
 
 
-def _start(
-    place: Place,
-    target: int,
-    wanted: tuple[bool, bool],
-    camera: Camera,
-    rules: NavigationRules,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, float, float] | None:
-    """A start of the wanted kind for this target: its point, geodesic distance, and ratio to the straight line."""
-    thing, visible, winding = place.scene.instances[target], *wanted
-    points, way = place.ground.points, place.way_to((target,))
-    geodesic = place.ground.at_points(way)
-    straight = distance_to_box(points, thing.low[:2], thing.high[:2])
-    ratio = geodesic / np.maximum(straight, 1e-6)
+def _starts(
+    place: Place, target: int, winding: bool, rules: NavigationRules, rng: np.random.Generator
+) -> Iterator[tuple[np.ndarray, float, float]]:
+    """Some starts for this target: a point, its geodesic distance, and the ratio of that to the straight line."""
+    points, thing = place.ground.points, place.scene.instances[target]
+    geodesic = place.ground.at_points(place.way_to((target,)))
+    ratio = geodesic / np.maximum(distance_to_box(points, thing.low[:2], thing.high[:2]), 1e-6)
     fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
-    fits &= (ratio > rules.winding_above) if winding else (ratio <= rules.winding_above)
-    candidates = np.flatnonzero(fits)
-    for choice in rng.permutation(candidates)[:TRIES]:
-        position = place.eye(points[choice], camera.height)
-        seen = pixels_of(place.ids(position, world_R_body(0.0)), (target,)) >= rules.visible_pixels
-        if seen == visible:
-            return points[choice], float(geodesic[choice]), float(ratio[choice])
-    return None
+    fits &= (ratio > rules.winding_above) == winding
+    for choice in rng.permutation(np.flatnonzero(fits))[:TRIES]:
+        yield points[choice], float(geodesic[choice]), float(ratio[choice])
 
 
 def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -100,33 +87,31 @@ def score(rules: NavigationRules, shortest: float, distance: float, path: float,
     }
 
 
-def measure(played: Played) -> dict[str, Any]:
+def measure(result: EpisodeResult) -> dict[str, Any]:
     """The errors of the estimate in one episode, and Habitat's measures of the path."""
-    info = played.info
+    info = result.info
     return {
-        "mae": metrics.mean_error(played.trace["error_deg"]),
-        "seam_crossings": int(metrics.seam_crossings(played.directions).sum()),
-        "starts_at_seam": float(abs(azimuth_elevation(played.directions[0])[0]) > math.pi - AT_SEAM),
-        "coverage": played.coverage,
+        "mae": metrics.mean_error(result.trace["error_deg"]),
+        "seam_crossings": int(metrics.seam_crossings(result.directions).sum()),
+        "starts_at_seam": float(abs(azimuth_elevation(result.directions[0])[0]) > math.pi - AT_SEAM),
+        "coverage": result.coverage,
         **{key: info[key] for key in ("success", "spl", "soft_spl")},
         "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
         "steps": info["num_steps"],
-        "path_m": played.walked,
-        "shortest_m": played.shortest,
+        "path_m": result.walked,
+        "shortest_m": result.shortest,
         "collisions": info["collisions"]["count"],
-        "undone": undone(_walked(np.array(played.trace["pose"])[:, :2], played.camera), played.camera.step),
+        "undone": backtracking_rate(_walked(np.array(result.trace["pose"])[:, :2], result.camera), result.camera.step),
     }
 
 
 def _walked(places: np.ndarray, camera: Camera) -> np.ndarray:
     """The places ``(n, 2)`` less the steps in which a body that does not see all around only turned."""
-    if camera.around or not len(places):
-        return places
     moved = np.hypot(*np.diff(places, axis=0).T) > ONLY_TURNED
-    return places[np.concatenate([[True], moved])]
+    return places if camera.around else places[np.concatenate([[True], moved])]
 
 
-def undone(places: np.ndarray, step: float) -> float:
+def backtracking_rate(places: np.ndarray, step: float) -> float:
     """The share of steps that lead back: they end less than half a step from where the body was before.
 
     `places` ``(n, 2)``: before each step and after the last.
@@ -134,15 +119,15 @@ def undone(places: np.ndarray, step: float) -> float:
     if len(places) < 2:
         return 0.0
     apart = np.linalg.norm(places[1:, None] - places[None, :-1], axis=-1)
-    earlier = np.arange(len(places) - 1) < np.arange(len(places) - 1)[:, None]
+    earlier = np.tri(len(places) - 1, k=-1, dtype=bool)
     return float(np.mean(np.any((apart < step / 2) & earlier, axis=1)))
 
 
 class MapFreeNavigationEnv(PlaceEnv):
     """Reach the target: `rules` set the distance, the number of steps, and whether stop has to be called.
 
-    An action (heading, distance) turns the body to the heading and walks; a distance of 0 calls stop. The reward is the
-    geodesic progress of the step in metres, plus 1 on success.
+    An action (heading, distance), radians to the left and metres up to one step, turns the body to the heading and
+    walks; a distance of 0 calls stop. The reward is the geodesic progress of the step in metres, plus 1 on success.
     """
 
     task = "navigation"
@@ -150,10 +135,11 @@ class MapFreeNavigationEnv(PlaceEnv):
     def __init__(self, rules: NavigationRules | None = None, **settings: Any) -> None:
         super().__init__(**settings)
         self.rules = rules or NavigationRules()
-        self.action_space = walking_space(self.camera)
+        low, high = np.array([-math.pi, 0.0], np.float32), np.array([math.pi, self.camera.step], np.float32)
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
 
-    def plan(self, slot: Slot) -> Episode:
-        return plan(slot, self.camera, self.rules)
+    def plan(self, spec: EpisodeSpec) -> Episode:
+        return plan(spec, self.camera, self.rules)
 
     def _start(self) -> None:
         self._stopped = False
@@ -170,25 +156,30 @@ class MapFreeNavigationEnv(PlaceEnv):
         return self._left
 
     def _target(self) -> np.ndarray | None:
-        if not isinstance(self.episode, FileEpisode):
-            return super()._target()
-        return min(self.episode.goals, key=lambda centre: float(np.linalg.norm(centre - self.body.pose.position)))
+        return self._nearest(self.episode.goals) if isinstance(self.episode, FileEpisode) else super()._target()
 
     def _measures(self) -> dict[str, Any]:
         scores = score(self.rules, self.episode.shortest, self._left, self.body.walked, self._stopped)
         return {"distance_to_goal": self._left, **scores}
 
     def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        turn, length, stop = as_walk(action, self.camera)
-        before = self._left
-        self._walk(turn, length, self.rules.sliding)
+        turn, length = (float(value) for value in np.asarray(action, dtype=np.float64).reshape(2))
+        if not (math.isfinite(turn) and math.isfinite(length)):
+            raise WorldError(f"action {action!r}; wanted a finite heading (radians) and distance (metres)")
+        length = min(max(length, 0.0), self.camera.step)
+        yaw = math.remainder(self.body.yaw + turn, 2 * math.pi)
+        xy, collided, before = self.body.xy, False, self._left
+        if length > 0:
+            ahead = length * np.array([math.cos(yaw), math.sin(yaw)])
+            xy, collided = self.place.ground.move(xy, ahead, slide=self.rules.sliding)
+        self._move_to(xy, yaw, collided)
         self._left = self._distance_to_goal()
         reached = self._left < self.rules.success_distance
-        self._stopped = (stop and self.rules.stop == "call") or (reached and self.rules.stop == "reach")
-        terminated, truncated = self._stopped, self.body.steps >= self.rules.max_steps and not self._stopped
+        self._stopped = length == 0 if self.rules.stop == "call" else reached
+        truncated = self.body.steps >= self.rules.max_steps and not self._stopped
         info = self._info()
         gained = before - self._left if math.isfinite(before) and math.isfinite(self._left) else 0.0
-        return self._observation(), gained + info["success"], terminated, truncated, info
+        return self._observation(), gained + info["success"], self._stopped, truncated, info
 
 
 NAVIGATION = SimTask(

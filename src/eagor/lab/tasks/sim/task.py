@@ -20,15 +20,15 @@ from eagor import plugins
 from eagor._values import lazy
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.lab.envs.episodes import Slot, listed_slots, scene_files, slot_of, slots
+from eagor.lab.envs.episodes import EpisodeSpec, episode_specs, file_episode_specs, scene_files, spec_from_json
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
-from eagor.lab.envs.rules import Camera, Disturbances
+from eagor.lab.envs.rules import Camera, NoiseModel
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample, known, settings_of
 
 if TYPE_CHECKING:
     from eagor.lab.envs.episodes import Episode
     from eagor.lab.envs.place_env import PlaceEnv
-    from eagor.lab.tasks.sim.play import Played
+    from eagor.lab.tasks.sim.play import EpisodeResult
 
 PER_RUN = 20  # episodes of a run that names no number and no file
 OURS = "eagor"  # the method whose answer decides whether an episode is a failure, where it has played
@@ -56,7 +56,7 @@ class SimConfig(msgspec.Struct, kw_only=True):
     rows: Annotated[int | None, Meta(description="of the rendered panoramas")] = None
     rules: Any = None
     camera: Camera = msgspec.field(default_factory=Camera)
-    disturbances: Disturbances = msgspec.field(default_factory=Disturbances)
+    disturbances: NoiseModel = msgspec.field(default_factory=NoiseModel)
     calibrated: dict[str, Any] | None = None
     versions: dict[str, str] = {}
 
@@ -66,11 +66,11 @@ class SimTask:
     """A simulated task; see `eagor.lab.tasks.task.Task`.
 
     - `environment`: a subclass of `PlaceEnv` that takes rules, camera, disturbances and panorama; its `plan` makes the
-      episode of a slot. `rules`: a frozen dataclass of plain values, each with a default.
+      episode of a spec. `rules`: a frozen dataclass of plain values, each with a default.
     - `measure`: the figures of one method in one episode; None where one does not apply. `headline`: the key of the
       most important metric; `ranked_by`: those that rank episodes; `strata`: keys of `Episode.stratum` to report
       separately, and their titles.
-    - `listed`: makes the episode of a file (`eagor.lab.envs.episodes`) of the slot, the file, the camera and the rules;
+    - `listed`: makes the episode of a file (`eagor.lab.envs.episodes`) of the spec, the file, the camera and the rules;
       None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
     - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
       success, spl and mae are among its figures. Otherwise all methods get the same evidence.
@@ -81,7 +81,7 @@ class SimTask:
     what: str
     environment: Callable[..., PlaceEnv]
     rules: type
-    measure: Callable[[Played], Mapping[str, Any]]
+    measure: Callable[[EpisodeResult], Mapping[str, Any]]
     metrics: tuple[Metric, ...]
     headline: str
     ranked_by: tuple[str, ...] = ()
@@ -104,20 +104,20 @@ class SimTask:
 
     def samples(self, config: Any) -> list[Sample]:
         found = []
-        for slot in slots_of(config):
-            payload = {"slot": asdict(slot), "methods": list(config.methods)}
+        for spec in specs_of(config):
+            payload = {"slot": asdict(spec), "methods": list(config.methods)}
             if self.walked:  # each goes its own way
                 for name in config.methods:
-                    found.append(Sample(f"{slot.id}/{name}", str(slot.seed), payload | {"methods": [name]}))
+                    found.append(Sample(f"{spec.id}/{name}", str(spec.seed), payload | {"methods": [name]}))
             else:
-                found.append(Sample(slot.id, str(slot.seed), payload))
+                found.append(Sample(spec.id, str(spec.seed), payload))
         return found
 
     def runner(self, config: Any) -> Callable[[Payload], Record]:
-        from eagor.lab.tasks.sim.play import Player
+        from eagor.lab.tasks.sim.play import Runner
 
-        player = Player(settings_of(config))
-        return lambda payload: player.play(slot_of(payload["slot"]), payload["methods"])
+        runner = Runner(settings_of(config))
+        return lambda payload: runner.run_episode(spec_from_json(payload["slot"]), payload["methods"])
 
     def failure(self, record: Record) -> str | None:
         """Of a walked task: that the target was not reached by ours, or by the method that played alone."""
@@ -141,7 +141,7 @@ class SimTask:
 
         Raises `EagorError` for what does not exist, and for rules that nothing can be played under.
         """
-        from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_method
+        from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_estimator
         from eagor.lab.agents.models import shared
         from eagor.lab.worlds.apartment import VERSION
         from eagor.perception import rows_of
@@ -149,14 +149,14 @@ class SimTask:
         names = list(config.methods) or list(default_methods(config.perception))
         for name in names:
             if name != ORACLE or not self.walked:
-                make_method(name, np.random.default_rng(0))  # complains about unknown ones
+                make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(names)) != len(names):
             raise EagorError(f"methods {names}; wanted each once")
         if config.episodes_file is None and config.world != APARTMENT:
             _read_world(config.world)  # complains about one that cannot be read
         if config.episodes_file is None and getattr(config.rules, "goal", "") == "view_points":
             raise EagorError("goal=view_points needs episodes that have view points: --episodes-file")
-        played = slots_of(config)  # complains about a file that cannot be played
+        played = specs_of(config)  # complains about a file that cannot be played
         if config.episodes_file is not None and config.world != APARTMENT:
             _try_world(played)
         return msgspec.structs.replace(
@@ -170,12 +170,13 @@ class SimTask:
         )
 
 
-def slots_of(config: SimConfig) -> list[Slot]:
+def specs_of(config: SimConfig) -> list[EpisodeSpec]:
     """The slots of a run's episodes. Raises `WorldError`."""
     if config.episodes_file is not None:
         scenes = None if config.scenes is None else Path(config.scenes)
-        return [*listed_slots(config.task, config.episodes_file, config.episodes, config.world, scenes)]
-    return list(slots(config.task, PER_RUN if config.episodes is None else config.episodes, config.seed, config.world))
+        return [*file_episode_specs(config.task, config.episodes_file, config.episodes, config.world, scenes)]
+    count = PER_RUN if config.episodes is None else config.episodes
+    return list(episode_specs(config.task, count, config.seed, config.world))
 
 
 def variants(task: SimTask) -> tuple[str, ...]:
@@ -214,14 +215,14 @@ def success_where(condition: str) -> Callable[[Record], float | None]:
     return lambda result: result["metrics"]["success"] if result["metrics"].get(condition) else None
 
 
-def _tuned_on(played: Sequence[Slot]) -> bool:
+def _tuned_on(played: Sequence[EpisodeSpec]) -> bool:
     """Whether one of these is in an apartment on which parameters were chosen."""
-    return any(slot.world == APARTMENT and slot.seed in DEVELOPMENT for slot in played)
+    return any(spec.world == APARTMENT and spec.seed in DEVELOPMENT for spec in played)
 
 
-def _try_world(played: Sequence[Slot]) -> None:
+def _try_world(played: Sequence[EpisodeSpec]) -> None:
     """Open the first scene that is there: a missing simulator is no failure of every episode. Raises `EagorError`."""
-    there = [slot for slot in played if (files := scene_files([slot])) and files[0].exists()]
+    there = [spec for spec in played if (files := scene_files([spec])) and files[0].exists()]
     if there:
         _read_world(there[0].world)
     else:

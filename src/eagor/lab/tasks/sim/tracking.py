@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -11,17 +12,17 @@ import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
-from eagor.lab.envs.episodes import Episode, Slot
+from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.envs.rules import Camera, TrackingRules
-from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import Metric, degrees
 from eagor.lab.worlds.navmesh import follow_path, stroll
-from eagor.lab.worlds.render import PAINTS, Ball, Frame, with_ball
+from eagor.lab.worlds.render import PAINTS, Ball, with_ball
 from eagor.queries import Query
-from eagor.sphere import world_R_body
+from eagor.sphere import angular_distance, rotation, world_R_body
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
 RADIUS = (0.2, 0.32)  # metres, range for the balls
@@ -45,35 +46,35 @@ class TrackingEpisode(Episode):
     colour: str = "red"
 
 
-def plan(slot: Slot, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
-    """The episode of this slot. Raises `WorldError` if the world is too small for it."""
-    place = load_place(slot.world, slot.seed, camera.radius)
-    rng = slot.rng("plan")
-    scenario = SCENARIOS[slot.number % len(SCENARIOS)]
+def plan(spec: EpisodeSpec, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
+    """The episode of this spec. Raises `WorldError` if the world is too small for it."""
+    place, rng = load_place(spec.world, spec.seed, camera.radius), spec.rng("plan")
+    scenario = SCENARIOS[spec.number % len(SCENARIOS)]
     radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
     best: tuple[float, np.ndarray, np.ndarray, list[np.ndarray | None]] | None = None
     for _ in range(TRIES):
-        if best is not None and best[0] >= rules.seen:
-            break
-        drawn = _drawn(place, scenario, radius, camera, rules, rng)
-        if drawn is None:
+        draft = _draft(place, scenario, radius, camera, rules, rng)
+        if draft is None:
             continue
-        seen = _share_in_view(place, *drawn[1:], radius, camera, rules)
-        if best is None or seen > best[0]:
-            best = seen, *drawn
+        in_view = _share_in_view(place, *draft[1:], radius, camera, rules)
+        if best is None or in_view > best[0]:
+            best = in_view, *draft
+        if in_view >= rules.seen:
+            break
     if best is None:
         raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
-    seen, first, route, balls = best
+    in_view, first, route, balls = best
+    x, y, yaw = route[0].tolist()
     return TrackingEpisode(
-        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
-        targets=(len(place.scene.instances),), start=(float(route[0, 0]), float(route[0, 1])), yaw=float(route[0, 2]),
+        spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
+        targets=(len(place.scene.instances),), start=(x, y), yaw=yaw,
         shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
-        stratum={"scenario": scenario, "in view": round(seen, 3)}, route=tuple(tuple(row) for row in route.tolist()),
+        stratum={"scenario": scenario, "in view": round(in_view, 3)}, route=tuple(map(tuple, route.tolist())),
         balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls), radius=radius, colour=colour,
     )  # fmt: skip
 
 
-def _drawn(
+def _draft(
     place: Place, scenario: str, radius: float, camera: Camera, rules: TrackingRules, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray | None]] | None:
     """One plan of a scenario: the ball's first place ``(3,)``, the camera's route ``(steps, 3)``, the ball per step.
@@ -89,8 +90,14 @@ def _drawn(
         rolling = islice(stroll(place.ground, first[:2], rules.speed * camera.seconds, rng), rules.steps)
         return first, still, [place.eye(spot, radius) for spot in rolling]
     if scenario == "moving camera":
-        route = _walk(place, xy, yaw, camera, rules.steps, rng)
-        return None if route is None else (first, route, [first] * rules.steps)
+        rows = still[:1]
+        for _ in range(20):  # random goals, one after another
+            path = place.ground.path(rows[-1, :2], place.ground.sample(rng))
+            steps = follow_path(path, float(rows[-1, 2]), camera.step, math.radians(camera.turn))
+            rows = np.concatenate([rows, steps])
+            if len(rows) >= rules.steps:
+                return first, rows[: rules.steps], [first] * rules.steps
+        return None
     second = _spot(place, xy, radius, camera, rng)
     if second is None or np.linalg.norm(second - first) < 1.0:
         return None
@@ -104,67 +111,54 @@ def _share_in_view(
     place: Place, route: np.ndarray, balls: list, radius: float, camera: Camera, rules: TrackingRules
 ) -> float:
     """Of the steps with the ball present, the share that shows it; sampled at every `EVERY`-th step."""
-    shown = []
-    for (x, y, _), ball in list(zip(route, balls, strict=True))[::EVERY]:
-        if ball is not None:
-            position = place.eye(np.array([x, y]), camera.height)
-            frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
-            shown.append(_pixels(frame, position, ball, radius) >= rules.visible_pixels)
-    return float(np.mean(shown))
+    steps = [(pose[:2], ball) for pose, ball in zip(route, balls, strict=True)][::EVERY]
+    shown = [_pixels_at(place, xy, camera)(ball, radius) for xy, ball in steps if ball is not None]
+    return float(np.mean(np.array(shown) >= rules.visible_pixels))
 
 
 def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.random.Generator) -> np.ndarray | None:
     """A point ``(3,)`` on the floor, 1 to 5 m from `xy`, where the ball is in plain view."""
-    position = place.eye(xy, camera.height)
-    frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
+    pixels = _pixels_at(place, xy, camera)
     for _ in range(10):
         spot = place.eye(place.ground.sample(rng), radius)
-        near = 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0
-        if near and _pixels(frame, position, spot, radius) >= SEEN_PIXELS:
+        if 1.0 <= np.linalg.norm(spot[:2] - xy) <= 5.0 and pixels(spot, radius) >= SEEN_PIXELS:
             return spot
     return None
 
 
-def _pixels(frame: Frame, position: np.ndarray, ball: np.ndarray, radius: float) -> int:
-    """The number of pixels in which a frame from `position`, unturned, would show a ball at `ball` ``(3,)``."""
-    shown = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), _BALL)
-    return int(np.count_nonzero(shown.ids == _BALL))
+def _pixels_at(place: Place, xy: np.ndarray, camera: Camera) -> Callable[[np.ndarray, float], int]:
+    """The number of pixels that show a ball at a point ``(3,)``, of a radius, to a camera at `xy` ``(2,)``."""
+    position = place.eye(xy, camera.height)
+    frame = place.renderer.panorama(position, world_R_body(0.0), LOOK_ROWS, rgb=False)
+
+    def pixels(ball: np.ndarray, radius: float) -> int:
+        shown = with_ball(frame, position, np.eye(3), Ball(ball, radius, "red"), _BALL)
+        return int(np.count_nonzero(shown.ids == _BALL))
+
+    return pixels
 
 
-def _walk(
-    place: Place, xy: np.ndarray, yaw: float, camera: Camera, steps: int, rng: np.random.Generator
-) -> np.ndarray | None:
-    """Poses ``(steps, 3)`` of a camera that walks to one random goal after another."""
-    rows = np.array([[*xy, yaw]])
-    for _ in range(20):
-        path = place.ground.path(rows[-1, :2], place.ground.sample(rng))
-        rows = np.concatenate([rows, follow_path(path, float(rows[-1, 2]), camera.step, math.radians(camera.turn))])
-        if len(rows) >= steps:
-            return rows[:steps]
-    return None
-
-
-def measure(played: Played) -> dict[str, float | None]:
+def measure(result: EpisodeResult) -> dict[str, float | None]:
     """The columns of one episode, over the steps with the ball present; None where one does not apply.
 
     `tc`: the angle between an estimate and the previous one, moved along by the true motions. `recovery`: seconds from
     the ball's return until the error is small again, or to the end.
     """
-    present, lost_above = np.array(played.truth["present"], dtype=bool), played.rules.lost_above
-    errors = np.array([math.nan if e is None else e for e in played.trace["error_deg"]])
+    present, lost_above = np.array(result.truth["present"], dtype=bool), result.rules.lost_above
+    errors = np.array([math.nan if e is None else e for e in result.trace["error_deg"]])
     lost = errors[present] > lost_above
     recovery = None
     returns = np.flatnonzero(present[1:] & ~present[:-1]) + 1
     if len(returns):
         good = np.flatnonzero(errors[returns[0] :] <= lost_above)
         steps = int(good[0]) if len(good) else len(errors) - int(returns[0])
-        recovery = steps * played.camera.seconds
+        recovery = steps * result.camera.seconds
     return {
         "error": metrics.mean_error(errors[present]),
-        "tc": _consistency(played.directions, played.estimates, played.rotations, present),
+        "tc": _consistency(result.directions, result.estimates, result.rotations, present),
         "time_lost": 100 * float(lost.mean()),
         "recovery": recovery,
-        "coverage": played.coverage,
+        "coverage": result.coverage,
     }
 
 
@@ -181,13 +175,10 @@ def _consistency(
 
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The smallest rotation ``(3, 3)`` that takes unit vector `start` to `end`."""
-    axis, cosine = np.cross(start, end), float(start @ end)
-    if cosine < -1 + 1e-9:  # opposite: half a turn about any perpendicular axis
-        across = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
-        across /= np.linalg.norm(across)
-        return 2 * np.outer(across, across) - np.eye(3)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)
+    axis = np.cross(start, end)
+    if np.linalg.norm(axis) < 1e-9:  # the same, or opposite: any perpendicular axis
+        axis = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+    return rotation(axis, float(angular_distance(start, end)))
 
 
 class TargetTrackingEnv(AnsweringEnv):
@@ -199,8 +190,8 @@ class TargetTrackingEnv(AnsweringEnv):
         super().__init__(**settings)
         self.rules = rules or TrackingRules()
 
-    def plan(self, slot: Slot) -> Episode:
-        return plan(slot, self.camera, self.rules)
+    def plan(self, spec: EpisodeSpec) -> Episode:
+        return plan(spec, self.camera, self.rules)
 
     def _ball(self) -> Ball | None:
         place = self.episode.balls[min(self.body.steps, len(self.episode.balls) - 1)]

@@ -8,21 +8,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
-from eagor.lab.envs.episodes import Episode, Slot, choose_target
+from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import Place, load_place
 from eagor.lab.envs.rules import LEGS, Camera, WaypointRules
-from eagor.lab.tasks.sim.play import Played
+from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.navmesh import follow_path, initial_heading
-from eagor.sphere import world_R_body
+from eagor.sphere import direction, world_R_body
 
 ATTEMPTS = 200  # to find routes at all: small rooms have few legs of four metres
 SLACK = 30.0  # degrees by which turns may finally miss their ranges if nothing fits
@@ -50,31 +51,27 @@ class _Route:
     seen: np.ndarray
 
 
-def plan(slot: Slot, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
-    """The episode of this slot. Raises `WorldError` if no route of four legs fits into the world."""
-    place = load_place(slot.world, slot.seed, camera.radius)
-    rng = slot.rng("plan")
+def plan(spec: EpisodeSpec, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
+    """The episode of this spec. Raises `WorldError` if no route of four legs fits into the world."""
+    place = load_place(spec.world, spec.seed, camera.radius)
+    rng = spec.rng("plan")
     targets = list(choose_target(place, rng))
     if not targets:
         raise WorldError(f"{place.scene.source} has no thing with a unique name")
-    best: tuple[float, int, str, _Route, float] | None = None
-    looked = 0
-    for attempt in range(ATTEMPTS):
-        if looked == ROUTES or (best is not None and best[0] == 0):
-            break
-        route = _route(place, camera, rules, SLACK * attempt / ATTEMPTS, rng)
-        if route is None:
-            continue
-        looked += 1
+    best: tuple[float, float, int, str, _Route] | None = None
+    routes = (_route(place, camera, rules, SLACK * attempt / ATTEMPTS, rng) for attempt in range(ATTEMPTS))
+    for route in islice((route for route in routes if route is not None), ROUTES):
         for target, query in targets:
-            fault, hidden = _fault(place, target, route, camera, rules)
+            fault, hidden = _fault(place, target, route, rules)
             if math.isfinite(fault) and (best is None or fault < best[0]):
-                best = (fault, target, query, route, hidden)
+                best = fault, hidden, target, query, route
             if fault == 0:
                 break
+        if best is not None and best[0] == 0:
+            break
     if best is None:
         raise WorldError(f"{place.scene.source} has no route of four legs of {rules.leg_steps} steps; shorten the legs")
-    fault, target, query, route, hidden = best
+    fault, hidden, target, query, route = best
     x, y, yaw = route.poses[0].tolist()
     kind = {
         "category": place.scene.instances[target].category,
@@ -82,7 +79,7 @@ def plan(slot: Slot, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
         "by design": fault == 0,
     }
     return WaypointEpisode(
-        slot=slot, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,), start=(x, y),
+        spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,), start=(x, y),
         yaw=yaw, shortest=float(place.way_to((target,)).distance(route.poses[0, :2])), stratum=kind,
         route=tuple(tuple(row) for row in route.poses.tolist()), legs=tuple(route.legs),
     )  # fmt: skip
@@ -97,7 +94,7 @@ def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng
         least, most = max(0.0, least - slack), min(180.0, most + slack)
         # Half of the steps of the sharpest turn are counted in; legs that are still too short are rejected below.
         shortest = (rules.leg_steps - most / camera.turn / 2) * camera.step
-        path = _leg_path(place, xy, yaw, math.radians(least), math.radians(most), shortest, rng)
+        path = _leg_path(place, xy, yaw, (math.radians(least), math.radians(most)), shortest, rng)
         if path is None:
             return None
         if yaw is None:  # the start's yaw follows from the first turn
@@ -109,23 +106,16 @@ def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng
         rows.append(steps)
         legs += [leg] * len(steps)
         xy, yaw = steps[-1, :2], float(steps[-1, 2])
-    poses = np.concatenate(rows)
-    seen = np.zeros((len(poses), len(place.scene.instances)), dtype=bool)
-    for row, (x, y, turned) in zip(seen, poses, strict=True):
-        ids = place.ids(place.eye(np.array([x, y]), camera.height), world_R_body(turned))
-        row[:] = np.bincount(ids[ids >= 0], minlength=len(row)) >= rules.visible_pixels
-    return _Route(poses, legs, seen)
+    poses, count = np.concatenate(rows), len(place.scene.instances)
+    views = [place.ids(place.eye(pose[:2], camera.height), world_R_body(pose[2])) for pose in poses]
+    pixels = np.stack([np.bincount(ids[ids >= 0], minlength=count) for ids in views])
+    return _Route(poses, legs, pixels >= rules.visible_pixels)
 
 
 def _leg_path(
-    place: Place,
-    xy: np.ndarray,
-    yaw: float | None,
-    least: float,
-    most: float,
-    shortest: float,
+    place: Place, xy: np.ndarray, yaw: float | None, turn: tuple[float, float], shortest: float,
     rng: np.random.Generator,
-) -> np.ndarray | None:
+) -> np.ndarray | None:  # fmt: skip
     """A path ``(n, 2)`` from here that begins with a turn in the range (any, if `yaw` is None); None if none does."""
     ground = place.ground
     field = ground.field(xy)
@@ -137,21 +127,19 @@ def _leg_path(
         ring = ground.points[around]
         headings = np.arctan2(ring[:, 1] - xy[1], ring[:, 0] - xy[0])
         turns = np.abs((headings - yaw + math.pi) % (2 * math.pi) - math.pi)
-        gates = (turns >= least) & (turns <= most)
+        gates = (turns >= turn[0]) & (turns <= turn[1])
         if not gates.any():
             return None
         through = ground.at_points(ground.field(ring[gates], away[around[gates]]))
         fits &= through <= away + ground.cell / 2
-    ends = ground.points[fits]
-    for choice in rng.permutation(len(ends))[:GOALS]:
-        goal = ends[choice]
+    for goal in rng.permutation(ground.points[fits])[:GOALS]:
         path = np.concatenate([xy[None], ground.path(goal, field)[-2::-1]])
-        if yaw is None or least <= abs(math.remainder(initial_heading(path) - yaw, 2 * math.pi)) <= most:
+        if yaw is None or turn[0] <= abs(math.remainder(initial_heading(path) - yaw, 2 * math.pi)) <= turn[1]:
             return path
     return None
 
 
-def _fault(place: Place, target: int, route: _Route, camera: Camera, rules: WaypointRules) -> tuple[float, float]:
+def _fault(place: Place, target: int, route: _Route, rules: WaypointRules) -> tuple[float, float]:
     """The distance of a route from the requirements for this target, and the share at which the target is hidden.
 
     0: the target is hidden for a while, and crosses the seam; inf: the route comes too near.
@@ -161,29 +149,27 @@ def _fault(place: Place, target: int, route: _Route, camera: Camera, rules: Wayp
     if np.hypot(*offset.T).min() < NEAREST:
         return math.inf, 1.0
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - route.poses[:, 2]
-    directions = np.stack([np.cos(bearing), np.sin(bearing), np.zeros_like(bearing)], axis=-1)
-    hidden = 1 - float(seen.mean())
-    least, most = rules.occluded
+    hidden, (least, most) = 1 - float(seen.mean()), rules.occluded
     # A target that is not seen early would have to be found first: that is another task.
     late = 0.0 if seen[: rules.leg_steps].any() else 0.5
-    crossings = int(metrics.seam_crossings(directions).sum())
-    return max(least - hidden, hidden - most, 0.0) + late + (0.0 if crossings else 1.0), hidden
+    crosses = metrics.seam_crossings(direction(bearing, 0.0 * bearing)).any()
+    return max(least - hidden, hidden - most, 0.0) + late + (0.0 if crosses else 1.0), hidden
 
 
-def measure(played: Played) -> dict[str, float | None]:
+def measure(result: EpisodeResult) -> dict[str, float | None]:
     """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where one does not apply."""
-    errors, truth, estimates = np.array(played.trace["error_deg"]), played.truth, played.estimates
+    errors, truth, estimates = np.array(result.trace["error_deg"]), result.truth, result.estimates
     legs = metrics.mae_by_segment(errors, truth["leg"], LEGS)
     ranges = np.array(truth["range_m"])
     return {
         **{str(leg): value for leg, value in legs.items()},
         "delta": metrics.leg_delta(legs),
         "occ": metrics.occlusion_error(errors, ~np.array(truth["visible"], dtype=bool)),
-        "seam": metrics.seam_error(errors, played.directions),
-        "tc": metrics.temporal_consistency(estimates, played.rotations, played.translations, ranges),
-        "tc_rotation": metrics.tc_rotation(estimates, played.rotations),
+        "seam": metrics.seam_error(errors, result.directions),
+        "tc": metrics.temporal_consistency(estimates, result.rotations, result.translations, ranges),
+        "tc_rotation": metrics.tc_rotation(estimates, result.rotations),
         "mae": metrics.mean_error(errors),
-        "coverage": played.coverage,
+        "coverage": result.coverage,
     }
 
 
@@ -196,8 +182,8 @@ class WaypointFollowingEnv(AnsweringEnv):
         super().__init__(**settings)
         self.rules = rules or WaypointRules()
 
-    def plan(self, slot: Slot) -> Episode:
-        return plan(slot, self.camera, self.rules)
+    def plan(self, spec: EpisodeSpec) -> Episode:
+        return plan(spec, self.camera, self.rules)
 
     def _measures(self) -> dict[str, Any]:
         return {**super()._measures(), "leg": self.episode.legs[min(self.body.steps, len(self.episode.legs) - 1)]}
