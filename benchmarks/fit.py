@@ -22,7 +22,7 @@ from typing import Any
 import common
 import numpy as np
 
-from eagor.lab.eval.calibration import TASKS, Recorder, record_episodes
+from eagor.lab.eval.calibration import TASKS, make_players, record_episodes
 from eagor.lab.tasks.sim.play import Recording
 
 AIMS = {"waypoint": ("mae", "tc"), "tracking": ("error", "tc")}
@@ -69,7 +69,7 @@ class Judge:
 
     def __init__(self, recordings: Sequence[Recording], perception: str) -> None:
         self.recordings = {task: [r for r in recordings if r.episode.slot.task == task] for task in TASKS}
-        self.players = Recorder(perception).players
+        self.players = make_players(perception)
 
     def aim(self, name: str, half: int) -> float:
         """What is minimised, degrees: means over the episodes in even or odd apartments that have a case."""

@@ -19,14 +19,14 @@ from eagor.lab.eval.calibration import (
     LEARNT,
     MOVING,
     READING,
-    Recorder,
     counted,
     development_slots,
     fit,
     habit_values,
+    make_players,
     motion_values,
+    record,
     score,
-    with_habit,
 )
 from eagor.lab.tasks.sim.play import Moment, Recording
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
@@ -114,25 +114,29 @@ def fitted(found, base):
     return base.fitted(found.calibration, found.detector, found.forgetting)
 
 
-@pytest.mark.slow
-def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
+@pytest.mark.parametrize(
+    "made", [pytest.param(recording, marks=pytest.mark.slow), detecting], ids=["maps", "detections"]
+)
+def test_the_fit_is_judged_on_apartments_that_it_has_not_seen(made, monkeypatch):
     monkeypatch.setattr("eagor.lab.eval.calibration.BASE", SMALL)
-    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", 8)
+    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", 4)
     rounds, trials = [], []
-    looked = [recording(seed, steps=12) for seed in range(8)]
-    best = fit("a detector", looked, 16, 1, lambda: trials.append(1), rounds.append)
-    assert len(trials) == 16
-    assert len(rounds) == 2
+    best = fit("a detector", [made(seed, 12) for seed in range(6)], 8, 1, lambda: trials.append(1), rounds.append)
+    assert (len(trials), len(rounds)) == (8, 2)
     before, after = best.found_by["before"], best.found_by["after"]
-    assert after["log score"][0] > before["log score"][0]
-    assert best.found_by["judged by"] == [1, 3, 5, 7]
-    assert fitted(best, SMALL).calibration == best.calibration
+    assert after["log score"][0] > before["log score"][0] - 0.15, "chance, of three episodes"
+    assert best.found_by["judged by"] == [1, 3, 5]
+    assert (best.calibration is None) == (made is detecting)
+    if made is detecting:
+        assert best.detector.detection_probability is None
+        assert habit_values(best.detector)["share"] == pytest.approx(best.detector.habit[0] / sum(best.detector.habit))
+    config = fitted(best, SMALL)
+    assert config.detector == (best.detector or SMALL.detector)
+    assert config.calibration == (best.calibration or SMALL.calibration)
+    assert config.target_motion.wander == best.forgetting["wander"]
 
 
-def test_a_habit_is_searched_as_mean_and_strength():
-    found = DetectorModel(**with_habit(0.7, 5.0))
-    assert found.habit == (3.5, 1.5)
-    assert habit_values(found) == {"look_alikes": 0.7, "share": 0.7, "strength": 5.0}
+def test_a_stated_detection_probability_is_the_strongest_habit():
     stated = habit_values(DetectorModel(detection_probability=0.9))
     assert stated["share"] == 0.9
     assert stated["strength"] > 50, "the same everywhere"
@@ -153,40 +157,6 @@ def test_what_a_detector_does_is_counted():
     assert counted([recording(0)]) is None, "response maps are not counted"
 
 
-def test_posters_and_what_a_place_keeps_are_counted():
-    """A poster in each recording, and boxes that sit beside the thing: in axes of the world, the camera rolls."""
-    recordings, rng = [], np.random.default_rng(0)
-    for seed in range(20):
-        target, poster = unit(rng.normal(size=(2, 3)))
-        beside, moments = 0.08 * rng.normal(size=3), []
-        for k in range(20):
-            turn = world_R_body(0.1 * k, 0.0, 0.3 * k)
-            places = [target + beside + 0.03 * rng.normal(size=3), poster + 0.03 * rng.normal(size=3)]
-            seen = np.array(places)[rng.random(2) < (0.8, 0.5)] @ turn
-            moments.append(Moment(0.5 * k, turn, np.zeros(3), Evidence.from_points(seen, stamp=0.5 * k)))
-        recordings.append(episode_of(seed, moments, target))
-    model = counted(recordings)
-    assert model.look_alikes == pytest.approx(1, abs=0.2)
-    assert model.look_alike_habit[0] / sum(model.look_alike_habit) == pytest.approx(0.5, abs=0.1)
-    assert model.false_alarms_per_look < 0.05
-    assert model.spread == pytest.approx(0.03, rel=0.2)
-    assert model.offset == pytest.approx(0.08, rel=0.25)
-
-
-def test_a_detector_is_fitted_as_a_detector(monkeypatch):
-    monkeypatch.setattr("eagor.lab.eval.calibration.BASE", SMALL)
-    best = fit("a detector", [detecting(seed, steps=12) for seed in range(6)], 6, 1)
-    assert best.calibration is None
-    assert {"detector", "forgetting"} <= best.as_json().keys()
-    assert (
-        best.found_by["after"]["log score"][0] > best.found_by["before"]["log score"][0] - 0.15
-    )  # chance, of three episodes
-    assert best.detector.detection_probability is None
-    assert 0.2 < best.detector.habits.mean < 0.97
-    assert best.detector.score_ratios is not None
-    assert fitted(best, SMALL).detector == best.detector
-
-
 def test_one_apartment_cannot_judge_itself():
     with pytest.raises(EagorError, match="at least two"):
         fit("a detector", [recording(3), recording(3)], 4)
@@ -203,7 +173,7 @@ def test_episodes_alternate_and_stay_among_the_development_seeds():
 
 
 def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
-    found = Recorder("truth:ideal").record(development_slots(1, 100)[0])
+    found = record(make_players("truth:ideal")["waypoint"], development_slots(1, 100)[0])
     peaks = np.array([[np.max(m.evidence.response), np.max(m.other.response)] for m in found.moments])
     seen = np.array(found.truth["visible"])
     assert peaks[seen, 0].mean() > 0.9
@@ -216,31 +186,29 @@ def test_several_processes_find_the_same(monkeypatch):
     assert fit("a detector", made, 2, 2) == fit("a detector", made, 2, 1)
 
 
-def test_what_is_written_is_read_again(tmp_path):
-    made = Calibrated("scout", Calibration(0.1, 0.02, 1.5), {"jump": 0.2, "wander": (0.1, 0.3)}, {"trials": 3})
+@pytest.mark.parametrize(
+    ("calibration", "forgetting", "detector"),
+    [
+        (Calibration(0.1, 0.02, 1.5, persistence=0.5), {"jump": 0.2, "wander": (0.1, 0.3)}, None),
+        (
+            None,
+            {"start": 0.01},
+            DetectorModel(None, None, 0.1, ((0.2, 0.5), (0.8, 4.0)), kept_for=None, kept_within=0.02),
+        ),
+        (None, {}, DetectorModel(detection_probability=0.8, look_alikes=0.0, look_alike_habit=(1.0, 5.0), offset=0.1)),
+    ],
+)
+def test_what_is_written_is_read_again(tmp_path, calibration, forgetting, detector):
+    made = Calibrated("scout", calibration, forgetting, {"trials": 3}, detector)
     made.write(tmp_path / "new" / "file.json")
     found = read_calibrated(tmp_path / "new" / "file.json")
     assert found == made
     config = fitted(found, TrackerConfig(degree=7))
-    assert (config.degree, config.target_motion.jump, config.calibration) == (7, 0.2, made.calibration)
-    assert config.target_motion.wander == (0.1, 0.3)
-    model = DetectorModel(
-        None, None, 0.1, ((0.2, 0.5), (0.8, 4.0)), 0.4, 0.3, (2.0, 1.5), (0.4, 3.0), None, 2.0, 0.02
-    )  # fmt: skip
-    made = Calibrated("colour", None, {"start": 0.01}, {}, model)
-    made.write(tmp_path / "detector.json")
-    assert read_calibrated(tmp_path / "detector.json") == made
+    assert config.degree == 7
+    assert {name: getattr(config.target_motion, name) for name in forgetting} == forgetting
 
 
-def test_habits_are_written_and_files_without_them_are_read(tmp_path):
-    for calibration, detector in (
-        (Calibration(persistence=0.5), None),
-        (None, DetectorModel(habit=(3.0, 1.0), kept_for=2.5, kept_within=None)),
-        (None, DetectorModel(detection_probability=0.8, look_alikes=0.0, look_alike_habit=(1.0, 5.0), offset=0.1)),
-    ):
-        made = Calibrated("scout", calibration, {}, {}, detector)
-        made.write(tmp_path / "file.json")
-        assert read_calibrated(tmp_path / "file.json") == made
+def test_what_a_file_leaves_out_is_as_by_default():
     assert from_json(GOOD | {"detector": {"kept_for": None}}, "it").detector.kept_for is None
     assert from_json(GOOD | {"detector": {"look_alikes": 0.2}}, "it").detector == DetectorModel(look_alikes=0.2)
 

@@ -9,7 +9,7 @@
 - the report: a page (`page`, `sheets`, `scenes`), Markdown, LaTeX and CSV, beside what was published
   (``published.toml``);
 - `calibration`: how a perception's responses are read;
-- `labelled_looks`, `assignments`, `detector_fit`: a detector's model from looks with known truth.
+- `labelled_looks`, `detector_fit`: a detector's model from looks with known truth.
 
 Nothing heavy is imported here.
 """
