@@ -2,20 +2,16 @@
 
 import json
 import math
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from eagor.cli import main
-from eagor.cli.calibrate import print_scores
 from eagor.errors import FormatError, QueryError
-from eagor.evidence.calibration import Calibration
 from eagor.lab.eval.labelled_looks import read_truth, replayed_looks
 from eagor.lab.worlds.painted import painted_room
-from eagor.perception.calibrated import Calibrated, read_calibrated
+from eagor.perception.calibrated import read_calibrated
 from eagor.perception.replay import ReplayPerception, write_record
 from eagor.sphere import azimuth_elevation, unit, world_R_body
 
@@ -111,14 +107,6 @@ def test_poses_tell_what_comes_again(files, tmp_path, capsys):
     said = run(*words, "--poses", late, "--out", tmp_path / "a.json", code=2, capsys=capsys)
     assert "has no pose" in said.err
     assert "no file" in run(*words, "--poses", "level", "--out", tmp_path / "a.json", code=2, capsys=capsys).err
-
-
-def test_wide_columns_stay_apart(capsys):
-    wide = {"log score": [-123456.25, -123456.5, -123456.0], "error_deg": [3.0, None, None]}
-    print_scores(Calibrated("scout", Calibration(), {}, {"judged by": [1], "before": wide, "after": wide}), Path("x"))
-    rows = [re.split(r"\s{2,}", line.strip()) for line in capsys.readouterr().out.splitlines()]
-    assert ["log score", *2 * ["-123456.25 [-123456.50 -123456.00]"]] in rows
-    assert ["error_deg", "3.00", "3.00"] in rows
 
 
 def test_a_truth_is_for_one_look_and_a_look_for_one_truth(files, tmp_path):

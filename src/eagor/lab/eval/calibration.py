@@ -353,22 +353,18 @@ def _rounds(
 
 def _means(scores: Sequence[Score], groups: Sequence[int]) -> dict[str, list[float | None]]:
     """Means with 95 % intervals over apartments, the `groups` of the scores; None where there is only one."""
-
-    def line(values: list[float]) -> list[float | None]:
-        known = np.isfinite(values)
+    rows = {"log score": [each.total for each in scores], "log density": [each.density for each in scores]}
+    rows |= {"error_deg": [each.error for each in scores], "coverage_%": [100 * each.coverage for each in scores]}
+    found: dict[str, list[float | None]] = {}
+    for name, values in rows.items():
+        known = np.isfinite(values)  # a target that was never there has no error
         kept, of = np.array(values)[known], np.array(groups)[known]
-        mean = round(float(kept.mean()), 3)
-        if len(set(of.tolist())) < 2:
-            return [mean, None, None]  # one apartment says nothing about the spread
-        interval = bootstrap_interval(kept, np.random.default_rng(0), groups=of)
-        return [mean, round(interval.low, 3), round(interval.high, 3)]
-
-    return {
-        "log score": line([each.total for each in scores]),
-        "log density": line([each.density for each in scores]),
-        "error_deg": line([each.error for each in scores]),
-        "coverage_%": line([100 * each.coverage for each in scores]),
-    }
+        ends: list[float | None] = [None, None]  # one apartment says nothing about the spread
+        if len(np.unique(of)) > 1:
+            interval = bootstrap_interval(kept, np.random.default_rng(0), groups=of)
+            ends = [round(interval.low, 3), round(interval.high, 3)]
+        found[name] = [round(float(kept.mean()), 3), *ends]
+    return found
 
 
 _recordings: list[Recording] = []  # of this process: each is given them once

@@ -736,24 +736,21 @@ def _intervals(
     from scipy import stats
 
     numbers, looks = found.numbers, len(table.looks) + ALARMS_PRIOR[1]
-    # Looks at one place count for less than looks at as many places: that is what its habit means.
-    seen, strength, share = np.bincount(table.place), float(found.habit.sum()), numbers["detection_share"]
-    worth = float((seen * (strength + 1) / (strength + seen)).sum()) + HABIT_PRIOR
     false = max(numbers["false_alarms_per_look"] * looks - ALARMS_PRIOR[0], 0.0)
-    posteriors = {
-        "false_alarms_per_look": stats.gamma(false + 0.5, scale=1 / looks),
-        "detection_share": stats.beta(worth * share, worth * (1 - share)),
-    }
+    ends = {"false_alarms_per_look": [stats.gamma(false + 0.5, scale=1 / looks).interval(LEVEL)]}
+    share = numbers.pop("detection_share")
+    if table.places:
+        # Looks at one place count for less than looks at as many places: that is what its habit means.
+        seen, strength = np.bincount(table.place), float(found.habit.sum())
+        worth = float((seen * (strength + 1) / (strength + seen)).sum()) + HABIT_PRIOR
+        ends["detection_share"] = [stats.beta(worth * share, worth * (1 - share)).interval(LEVEL)]
     if found.alikes is not None:
         views = len(np.unique(table.segment[table.posed])) + NUMBER_PRIOR
-        posteriors["look_alikes"] = stats.gamma(found.alikes.number * views + 0.5, scale=1 / views)
-    ends = {name: [posterior.interval(LEVEL)] for name, posterior in posteriors.items()}
+        ends["look_alikes"] = [stats.gamma(found.alikes.number * views + 0.5, scale=1 / views).interval(LEVEL)]
     if drawn:
         levels = stats.norm.cdf(math.sqrt(parts / (parts - 1)) * np.array(stats.t(parts - 1).interval(LEVEL)))
-        for name in numbers:
+        for name in {**numbers, **ends}:
             ends.setdefault(name, []).append(np.quantile([each.numbers[name] for each in drawn], levels))
-    if not table.places:
-        del ends["detection_share"]
     return {name: (float(np.min(each)), float(np.max(each))) for name, each in ends.items()}
 
 
