@@ -138,8 +138,7 @@ def test_the_fit_is_judged_on_apartments_that_it_has_not_seen(made, monkeypatch)
 
 def test_a_stated_detection_probability_is_the_strongest_habit():
     stated = habit_values(DetectorModel(detection_probability=0.9))
-    assert stated["share"] == 0.9
-    assert stated["strength"] > 50, "the same everywhere"
+    assert (stated["share"], stated["strength"]) == (0.9, DETECTING[-1].high)
 
 
 def test_what_a_detector_does_is_counted():
@@ -224,12 +223,8 @@ GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
         ({"calibration": READ | {"floor": "much"}}, "floor is 'much'; wanted a number"),
         ({"forgetting": {"keep_per_second": 0.9}}, "forgetting sets 'keep_per_second'; known are wander, start"),
         ({"forgetting": {"wander": [0.1, "x"]}}, r"wander is \[0.1, 'x'\]; wanted a number"),
-        ({"detector": {"kept_for": 0}}, "kept_for = 0.0; wanted seconds above 0"),
-        ({"calibration": READ | {"habit": [1, 1]}}, "calibration sets 'habit'; known are floor, neutral"),
         ({"detector": {"habit": [1]}}, r"habit is \[1\]; wanted a list of length 2"),
-        ({"detector": {"habit": [1, 0]}}, "habit = .*two numbers from 0.001 to 500"),
         ({"calibration": None}, "neither"),
-        ({"forgetting": []}, r"forgetting is \[\]; wanted an object"),
         ({"perception": 3}, "perception is 3; wanted the name of a perception"),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -116,11 +117,7 @@ def responses(options: Calibrate) -> int:
         # Each round writes its best result, so that a fit that is stopped early is not lost.
         best = fit(perception, recordings, options.trials, options.workers, advance, lambda at: at.write(out))
     best.write(out)
-    if options.json:
-        terminal.emit(best.as_json() | {"out": str(out)})
-    else:
-        print_scores(best, out)
-    return terminal.OK
+    return _finish(options, best.as_json(), out, partial(print_scores, best))
 
 
 def replay(options: Calibrate) -> int:
@@ -150,11 +147,16 @@ def replay(options: Calibrate) -> int:
     found_by = {key: value for key, value in result.as_json().items() if key != "detector"} | {"version": __version__}
     fitted = Calibrated("replay", None, found_by=found_by, detector=result.model)
     fitted.write(out)
+    return _finish(options, fitted.as_json() | {"left_out": len(left_out)}, out, partial(print_fit, result))
+
+
+def _finish(options: Calibrate, result: dict[str, Any], out: Path, show: Callable[[], None]) -> int:
+    """Give the result of a calibration that is in `out`: as JSON, or in words."""
     if options.json:
-        terminal.emit(fitted.as_json() | {"left_out": len(left_out), "out": str(out)})
+        terminal.emit(result | {"out": str(out)})
     else:
-        print_fit(result)
-        print(f"Written to {out}; locate and track take it as --calibration {out}")
+        show()
+        print(f"Written to {out}; other commands take it as --calibration {out}")
     return terminal.OK
 
 
@@ -238,20 +240,20 @@ def heads(options: Calibrate) -> int:
     out = checked_out(options.out or Path(f"heads-{short_name(name)}.json"))
     with terminal.progress("looking", count) as advance:
         try:
-            found = perception.find_heads(_counted(examples, advance), options.take)
+            result = perception.find_heads(_counted(examples, advance), options.take)
         except EagorError as error:
             if type(error) is EagorError:  # the labels are valid, but no head is good enough: not an input error
                 raise terminal.RunError(str(error)) from error
             raise
-    found.write(out)
+    result.write(out)
     if options.json:
-        terminal.emit(asdict(found) | {"out": str(out)})
+        terminal.emit(asdict(result) | {"out": str(out)})
         return terminal.OK
-    print(f"{found.model}: {len(found.heads)} heads, found on {found.found_by['panoramas']} panoramas")
-    for entry in found.found_by["heads"]:
+    print(f"{result.model}: {len(result.heads)} heads, found on {result.found_by['panoramas']} panoramas")
+    for entry in result.found_by["heads"]:
         layer, head = entry["head"]
         print(f"  layer {layer:3d}, head {head:3d}: {entry['gain']:.1f} times an even spread on the target")
-    if held_out := found.found_by.get("held_out"):
+    if held_out := result.found_by.get("held_out"):
         print(f"On {held_out['panoramas']} others they are off by {held_out['median_error_deg']:.1f} degrees (median)")
     model, _, written = name.partition("?")
     rest = "&".join(part for part in written.split("&") if part and not part.startswith("heads="))
@@ -265,7 +267,7 @@ def _counted(examples: Iterator[Labelled], advance: Callable[[], None]) -> Itera
         advance()
 
 
-def print_scores(best: Calibrated, out: Path) -> None:
+def print_scores(best: Calibrated) -> None:
     """A fitted calibration, with its scores before and after."""
     stored = best.as_json()
     reading = stored.get("detector") or stored["calibration"]
@@ -274,7 +276,6 @@ def print_scores(best: Calibrated, out: Path) -> None:
     print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")
     before, after = best.found_by["before"], best.found_by["after"]
     terminal.table([("", "before", "after"), *((name, _cell(before[name]), _cell(after[name])) for name in after)])
-    print(f"Written to {out}; other commands take it as --calibration {out}")
 
 
 def _cell(values: list[float | None]) -> str:

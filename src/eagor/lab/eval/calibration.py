@@ -74,8 +74,8 @@ class Parameter:
         """The number at `place` in [0, 1]."""
         if self.or_none and place <= 0:
             return 0.0
-        found = math.exp(math.log(self.low) + min(max(place, 0.0), 1.0) * math.log(self.high / self.low))
-        return max(1 - found, 0.0) if self.flipped else found
+        value = math.exp(math.log(self.low) + min(max(place, 0.0), 1.0) * math.log(self.high / self.low))
+        return max(1 - value, 0.0) if self.flipped else value
 
     def place(self, value: float) -> float:
         """Where `value` lies in [0, 1]."""
@@ -215,7 +215,7 @@ class Score(NamedTuple):
 def score(recording: Recording, config: TrackerConfig, regions: bool = False) -> Score:
     """A tracker with this configuration on one recording; with `regions`, coverage is read as well."""
     follower, absent = Follower(config), Follower(config)
-    there, not_there, rows = [], [], []
+    present, missing, rows = [], [], []
     for index, moment in enumerate(recording.moments):
         for each, evidence in ((follower, moment.evidence), (absent, moment.other)):
             each.move(moment.stamp, moment.world_R_body, moment.position)
@@ -224,15 +224,15 @@ def score(recording: Recording, config: TrackerConfig, regions: bool = False) ->
         if index % EVERY:
             continue
         if moment.other is not None:
-            not_there.append(math.log(max(1 - absent.estimate(moment.stamp).presence, SMALLEST)))
+            missing.append(math.log(max(1 - absent.estimate(moment.stamp).presence, SMALLEST)))
         if recording.truth["present"][index]:
             estimate, true = follower.estimate(moment.stamp), recording.directions[index]
-            there.append(math.log(max(estimate.presence, SMALLEST)))
+            present.append(math.log(max(estimate.presence, SMALLEST)))
             answer = FORWARD if estimate.direction is None else estimate.direction
             inside = estimate.mass_above(true) < MASS if regions else math.nan
             rows.append((estimate.log_density(true), angular_error_deg(np.array(answer), true), inside))
     density, error, coverage = np.mean(rows, axis=0).tolist() if rows else [math.nan] * 3
-    presence = (np.mean(there or [math.nan]) + np.mean(not_there or [0.0])) / 2
+    presence = (np.mean(present or [math.nan]) + np.mean(missing or [0.0])) / 2
     return Score(density, float(presence), error, coverage)
 
 
@@ -261,15 +261,15 @@ def fit(
     with _mapping(workers, recordings) as run:
         for best in _rounds(partial(_scores, space, halves[0], False), start, trials, run, on_trial):
             on_round(space.at(best))
-        judged = list(run(partial(_scores, space, halves[1], True), [start, best]))
+        before, after = run(partial(_scores, space, halves[1], True), [start, best])
     groups = [of[index] for index in halves[1]]
     found_by = {
         "apartments": seeds,
         "episodes": len(recordings),
         "trials": trials,
         "judged by": sorted(set(groups)),
-        "before": _means(judged[0], groups),
-        "after": _means(judged[1], groups),
+        "before": _means(before, groups),
+        "after": _means(after, groups),
         "version": __version__,
     }
     return space.at(best, found_by)
@@ -355,7 +355,7 @@ def _means(scores: Sequence[Score], groups: Sequence[int]) -> dict[str, list[flo
     """Means with 95 % intervals over apartments, the `groups` of the scores; None where there is only one."""
     rows = {"log score": [each.total for each in scores], "log density": [each.density for each in scores]}
     rows |= {"error_deg": [each.error for each in scores], "coverage_%": [100 * each.coverage for each in scores]}
-    found: dict[str, list[float | None]] = {}
+    means: dict[str, list[float | None]] = {}
     for name, values in rows.items():
         known = np.isfinite(values)  # a target that was never there has no error
         kept, of = np.array(values)[known], np.array(groups)[known]
@@ -363,8 +363,8 @@ def _means(scores: Sequence[Score], groups: Sequence[int]) -> dict[str, list[flo
         if len(np.unique(of)) > 1:
             interval = bootstrap_interval(kept, np.random.default_rng(0), groups=of)
             ends = [round(interval.low, 3), round(interval.high, 3)]
-        found[name] = [round(float(kept.mean()), 3), *ends]
-    return found
+        means[name] = [round(float(kept.mean()), 3), *ends]
+    return means
 
 
 _recordings: list[Recording] = []  # of this process: each is given them once

@@ -87,11 +87,11 @@ class Deviations(NamedTuple):
         """Those of a model, but for what is `known` better."""
         return cls(**{name: getattr(model, name) for name in cls._fields} | known)
 
-    def each(self, own: np.ndarray) -> np.ndarray:
+    def per_look(self, own: np.ndarray) -> np.ndarray:
         """The variance ``(n, 2)`` of what differs from look to look; `own` ``(n, 2)``: of the box's area."""
         return self.spread**2 + self.spread_of_size**2 * own
 
-    def kept(self, own: np.ndarray) -> np.ndarray:
+    def per_place(self, own: np.ndarray) -> np.ndarray:
         """The variance of what a place keeps."""
         return self.offset**2 + self.offset_of_size**2 * own
 
@@ -109,7 +109,8 @@ class DetectionTable:
     - Of targets: `target_look`, and `place`, the same number for one thing in one segment, of `places`.
     - Of pairs: `detection`, `target`; `offsets` ``(P, 2)`` of the detection from the target along its axes, in
       Lambert's plane; `turns` ``(P, 2, 2)``: these axes in the target's tangent plane; `home`, of `homes`: where errors
-      are kept. That is the place; each detection without a pose has a home of its own.
+      are kept. That is the place; each detection without a pose has a home of its own. `revisits`:
+      whether any place was looked at again, with poses.
 
     `base`: the prior. Raises `EagorError` without looks.
     """
@@ -118,28 +119,28 @@ class DetectionTable:
         if not looks:
             raise EagorError("there are no looks with detections; wanted at least one")
         sets = [look.detections.read(base).turned(look.world) for look in looks]
-        seen = [look.in_view @ look.world.T for look in looks]
+        targets = [look.in_view @ look.world.T for look in looks]
         self.looks, self.base = tuple(looks), base
         self.posed = np.array([look.world_R_body is not None for look in looks])
         self.areas = np.array([each.area for each in sets])
         self.segment = segments(looks, base)
-        self.look, self.target_look = (np.repeat(np.arange(len(looks)), list(map(len, of))) for of in (sets, seen))
+        self.look, self.target_look = (np.repeat(np.arange(len(looks)), list(map(len, of))) for of in (sets, targets))
         self.directions, axes, self.scores, self.clutter, self.own = (
             np.concatenate([getattr(each, name) for each in sets])
             for name in ("directions", "axes", "scores", "clutter", "own")
         )
         self.axes = axes / np.linalg.norm(axes, axis=-1, keepdims=True)
-        self.place = _places(looks, self.segment, seen)
+        self.place = _places(looks, self.segment, targets)
         self.places = int(self.place.max(initial=-1)) + 1
         self.target, self.detection = np.nonzero(self.target_look[:, None] == self.look)
-        at, axes = np.concatenate(seen), self.axes[self.detection]
+        at, axes = np.concatenate(targets), self.axes[self.detection]
         self.offsets = _offsets(axes, self.directions[self.detection], at[self.target])
         self.turns = np.einsum("pij,pkj->pik", axes, tangent_frames(at)[self.target])
-        kept = self.posed[self.target_look]
-        names = np.where(kept[self.target], self.place[self.target], -1 - np.arange(len(self.target)))
+        posed = self.posed[self.target_look]
+        names = np.where(posed[self.target], self.place[self.target], -1 - np.arange(len(self.target)))
         self.home = np.unique(names, return_inverse=True)[1].reshape(-1)
         self.homes = int(self.home.max(initial=-1)) + 1
-        self.seen_again = int(kept.sum()) > len(np.unique(self.place[kept]))  # some place was, with poses
+        self.revisits = int(posed.sum()) > len(np.unique(self.place[posed]))
         self.score_weights = np.ones(len(self.scores))
         for _, members, near, _ in self.neighbours(self.score_weights > 0, Deviations.of(base)):
             self.score_weights[members] = 1 / near.sum(axis=1)
@@ -150,7 +151,7 @@ class DetectionTable:
         self, wanted: np.ndarray, errors: Deviations
     ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
         """Each segment with poses: its number, its `wanted` detections ``(n,)``, which of them are near, variances."""
-        variances = errors.each(self.own).mean(axis=1)
+        variances = errors.per_look(self.own).mean(axis=1)
         of = np.where(self.posed, self.segment, -1)[self.look]
         for number in np.unique(of[wanted & (of >= 0)]).tolist():
             members = np.flatnonzero((of == number) & wanted)
@@ -166,19 +167,19 @@ class DetectionTable:
         odds = np.interp(self.scores, *at.curve) - np.log(at.alarms * self.clutter / self.areas[self.look])
         odds = odds[self.detection] + np.log(recalls / (1 - recalls))[self.target]
         own = self.own[self.detection]
-        logs = odds + _log_bumps(at.errors.each(own) + at.errors.kept(own), self.offsets)
+        logs = odds + _log_bumps(at.errors.per_look(own) + at.errors.per_place(own), self.offsets)
         pairs = np.exp(np.clip(logs, math.log(TINY), -math.log(TINY) / 4))
-        back, there = np.ones_like(pairs), np.zeros_like(pairs)  # messages from detections to targets, and there
+        back, forth = np.ones_like(pairs), np.zeros_like(pairs)  # messages from detections to targets, and there
         for _ in range(ROUNDS):
-            there = pairs / (1 + _others(pairs * back, self.target))
-            before, back = back, 1 / (1 + _others(there, self.detection))
+            forth = pairs / (1 + _others(pairs * back, self.target))
+            before, back = back, 1 / (1 + _others(forth, self.detection))
             if np.abs(back - before).max(initial=0.0) < STILL:
                 break
         weights, count = pairs * back, len(self.looks)
         taken = sums(self.target, weights, len(self.place))
         ratios = sums(self.target_look, np.log1p(taken), count)
-        ratios += sums(self.look, np.log1p(sums(self.detection, there, len(self.scores))), count)
-        ratios -= sums(self.target_look[self.target], np.log1p(there * back), count)
+        ratios += sums(self.look, np.log1p(sums(self.detection, forth, len(self.scores))), count)
+        ratios -= sums(self.target_look[self.target], np.log1p(forth * back), count)
         return weights / (1 + taken[self.target]), ratios
 
     def right(self, shares: np.ndarray) -> np.ndarray:
@@ -213,17 +214,17 @@ def segments(looks: Sequence[LabelledLook], base: DetectorModel) -> np.ndarray:
 
     A view ends where places have lost their habits, by `kept_for` and `kept_within` of `base`.
     """
-    found, begun = np.empty(len(looks), dtype=int), {}
+    numbers, starts = np.empty(len(looks), dtype=int), {}
     for index in _in_time(looks):
         look = looks[index]
-        first = looks[begun.setdefault(look.group, index)]
+        first = looks[starts.setdefault(look.group, index)]
         elapsed = (look.stamp or 0.0) - (first.stamp or 0.0)
         here, there = look.position, first.position
         moved = 0.0 if here is None or there is None else float(np.linalg.norm(here - there))
         if elapsed / (base.kept_for or math.inf) + moved / (base.kept_within or math.inf) > 1:
-            begun[look.group] = index
-        found[index] = begun[look.group]
-    return np.unique(found, return_inverse=True)[1]
+            starts[look.group] = index
+        numbers[index] = starts[look.group]
+    return np.unique(numbers, return_inverse=True)[1]
 
 
 def _in_time(looks: Sequence[LabelledLook]) -> list[int]:
@@ -231,27 +232,27 @@ def _in_time(looks: Sequence[LabelledLook]) -> list[int]:
     return sorted(range(len(looks)), key=lambda index: looks[index].stamp or 0.0)
 
 
-def _places(looks: Sequence[LabelledLook], segment: np.ndarray, seen: Sequence[np.ndarray]) -> np.ndarray:
+def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequence[np.ndarray]) -> np.ndarray:
     """A number for each target in view ``(T,)``, the same for one thing in one segment.
 
-    `seen`: their directions ``(m, 3)`` of each look. Where poses are known, the thing is what is nearest in the world
-    to where it was first seen, within `APART`; else it is what has the same index.
+    `targets`: their directions ``(m, 3)`` of each look. Where poses are known, the thing is what is nearest in the
+    world to where it first was, within `APART`; else it is what has the same index.
     """
     anchors: dict[int, list[np.ndarray]] = {}
     names: list[tuple[int, int]] = []
-    for look, number, directions in zip(looks, segment.tolist(), seen, strict=True):
+    for look, number, directions in zip(looks, segment.tolist(), targets, strict=True):
         if look.world_R_body is None:
             names += [(number, -1 - index) for index in np.flatnonzero(look.covers(look.targets)).tolist()]
             continue
-        known = anchors.setdefault(number, [])
-        free = dict(enumerate(known))
+        anchors_here = anchors.setdefault(number, [])
+        unused = dict(enumerate(anchors_here))
         for at in directions:
-            apart = {index: float(angular_distance(anchor, at)) for index, anchor in free.items()}
+            apart = {index: float(angular_distance(anchor, at)) for index, anchor in unused.items()}
             nearest = min(apart, key=apart.__getitem__, default=None)
             if nearest is None or apart[nearest] >= APART:
-                nearest = len(known)
-                known.append(at)
-            free.pop(nearest, None)
+                nearest = len(anchors_here)
+                anchors_here.append(at)
+            unused.pop(nearest, None)
             names.append((number, nearest))
     numbers = {name: index for index, name in enumerate(dict.fromkeys(names))}
     return np.array([numbers[name] for name in names], dtype=int)
@@ -315,8 +316,8 @@ def fitted_habit(
     from scipy.optimize import minimize
     from scipy.special import betaln, digamma
 
-    kept = (weights > 1e-9) & (looks > 0)
-    hits, looks, weights = hits[kept], looks[kept], weights[kept]
+    counted = (weights > 1e-9) & (looks > 0)
+    hits, looks, weights = hits[counted], looks[counted], weights[counted]
     mean_logs = digamma(base) - digamma(base.sum())
 
     def loss(logs: np.ndarray) -> float:
@@ -356,8 +357,8 @@ def fitted_curve(
 
     prior = math.log(positive.sum() / negative.sum())
     bounds = [(None, None), *[(0, None)] * rises]
-    found = minimize(loss, np.array([prior, *[0.0] * rises]), jac=True, bounds=bounds, method="L-BFGS-B").x
-    return knots, found[0] - prior + np.concatenate([[0.0], np.cumsum(found[1:])])
+    fit = minimize(loss, np.array([prior, *[0.0] * rises]), jac=True, bounds=bounds, method="L-BFGS-B").x
+    return knots, fit[0] - prior + np.concatenate([[0.0], np.cumsum(fit[1:])])
 
 
 def scatter(
@@ -370,25 +371,25 @@ def scatter(
     its box along its axes, `offsets` ``(n, 2)`` along them, `turns` ``(n, 2, 2)``: these axes in the plane of the
     place; its `place` ``(n,)``, and how often it `counts` there. `times` ``(C,)``: how often each place counts.
     """
-    variances = errors.each(own)
+    variances = errors.per_look(own)
     pull, hold, area = np.zeros((len(times), 2)), np.zeros((len(times), 2, 2)), np.zeros(len(times))
     precise = turns * (counts[:, None] / variances)[..., None]
     np.add.at(pull, place, np.einsum("nij,ni->nj", precise, offsets))
     np.add.at(hold, place, np.einsum("nij,nik->njk", precise, turns))
     np.add.at(area, place, counts * own.mean(axis=1))
-    square = errors.kept(area / np.maximum(sums(place, counts, len(times)), TINY))
+    square = errors.per_place(area / np.maximum(sums(place, counts, len(times)), TINY))
     mixed = np.eye(2) + square[:, None, None] * hold
-    kept = square * np.einsum("ci,ci->c", pull, np.linalg.solve(mixed, pull[..., None])[..., 0])
+    gain = square * np.einsum("ci,ci->c", pull, np.linalg.solve(mixed, pull[..., None])[..., 0])
     alone = (np.log(variances) + offsets**2 / variances).sum(axis=1)
-    return 0.5 * float(times @ (kept - np.log(np.linalg.det(mixed))) - (times[place] * counts) @ alone)
+    return 0.5 * float(times @ (gain - np.log(np.linalg.det(mixed))) - (times[place] * counts) @ alone)
 
 
 def _fitted_errors(table: DetectionTable, counts: np.ndarray, times: np.ndarray, start: Deviations) -> Deviations:
     """The likeliest deviations; all but the spread as stated where no place was seen twice with poses."""
     from scipy.optimize import minimize
 
-    base, kept = table.base, counts > 1e-6
-    errors = table.own[table.detection[kept]], table.offsets[kept], table.turns[kept], table.home[kept], counts[kept]
+    base, mask = table.base, counts > 1e-6
+    errors = table.own[table.detection[mask]], table.offsets[mask], table.turns[mask], table.home[mask], counts[mask]
 
     def deviations(values: np.ndarray) -> Deviations:
         return Deviations(math.exp(values[0]), values[1] * base.spread, math.exp(values[2]), float(values[3]))
@@ -409,7 +410,7 @@ def _fitted_errors(table: DetectionTable, counts: np.ndarray, times: np.ndarray,
     first += [math.log(start.spread_of_size), max(start.offset_of_size, 0.1)]
     low = [math.log(NARROWEST), 0.0, math.log(LEAST_OF_SIZE), 0.0]
     high = [math.log(WIDEST), WIDEST / base.spread, math.log(2), 2.0]
-    if not table.seen_again:
+    if not table.revisits:
         known = [base.offset / base.spread, math.log(base.spread_of_size), base.offset_of_size]
         first[1:] = low[1:] = high[1:] = known
     return deviations(minimize(loss, np.array(first), bounds=list(zip(low, high, strict=True)), method="L-BFGS-B").x)
@@ -435,13 +436,13 @@ def _estimate(
         max(float(weights[table.look].sum() / weights.sum()), 0.1),
         Deviations.of(base, spread=min(max(WIDE * base.spread, NARROWEST), WIDEST)),
     )
-    of_target, of_detection, often = (
+    of_target, of_detection, pair_weights = (
         weights[of] for of in (table.target_look, table.look, table.look[table.detection])
     )
-    seen = np.bincount(table.place, minlength=table.places).astype(float)
-    times = sums(table.place, of_target, table.places) / seen  # how often each place counts
-    looks = seen * (times > 0)
-    spans = sums(table.home, often, table.homes) / np.bincount(table.home, minlength=table.homes)
+    visits = np.bincount(table.place, minlength=table.places).astype(float)
+    times = sums(table.place, of_target, table.places) / visits  # how often each place counts
+    looks = visits * (times > 0)
+    spans = sums(table.home, pair_weights, table.homes) / np.bincount(table.home, minlength=table.homes)
     for _ in range(STEPS):
         shares, _ = table.assign(now)
         right = table.right(shares)
@@ -451,7 +452,7 @@ def _estimate(
         recalls = np.clip((habit[0] + hits) / (habit.sum() + looks), *RECALLS)
         matched = float(of_detection @ right)
         alarms = (max(of_detection.sum() - matched, 0.0) + ALARMS_PRIOR[0]) / (weights.sum() + ALARMS_PRIOR[1])
-        counts = often * shares / np.maximum(spans[table.home], TINY)
+        counts = pair_weights * shares / np.maximum(spans[table.home], TINY)
         errors = _fitted_errors(table, counts, spans, now.errors)
         curve = fitted_curve(table.scores, right, of_detection * table.score_weights, table.knots, deviation)
         before, now = now, Estimate(habit, recalls, float(alarms), errors, curve, matched)
@@ -492,23 +493,23 @@ class Candidates:
         """
         false = 1 - table.right(table.assign(at)[0])
         own = table.own[table.detection]
-        beside = (table.offsets**2 / (at.errors.each(own) + at.errors.kept(own))).sum(axis=1) < NEAR**2
+        beside = (table.offsets**2 / (at.errors.per_look(own) + at.errors.per_place(own))).sum(axis=1) < NEAR**2
         counts = false * (np.bincount(table.detection[beside], minlength=len(false)) == 0)
         segment, centres, detection, place = [], [], [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
         errors = Deviations.of(table.base, spread=at.errors.spread)
         for number, members, near, wide in table.neighbours(counts > 0, errors):
-            directions, left = table.directions[members], counts[members]
-            while left.max() > 0 and (total := near @ left).max() >= LEAST_COUNT:
-                chosen = near[int(np.where(left > 0, total, 0).argmax())] * left / wide
+            directions, remaining = table.directions[members], counts[members]
+            while remaining.max() > 0 and (total := near @ remaining).max() >= LEAST_COUNT:
+                chosen = near[int(np.where(remaining > 0, total, 0).argmax())] * remaining / wide
                 if not chosen.any():
                     break
                 centre = unit(chosen @ directions)
-                of = np.flatnonzero((left > 0) & ((2 - 2 * directions @ centre < FAR**2 * wide) | (chosen > 0)))
+                of = np.flatnonzero((remaining > 0) & ((2 - 2 * directions @ centre < FAR**2 * wide) | (chosen > 0)))
                 detection.append(members[of])
                 place.append(np.full(len(of), len(centres)))
                 segment.append(number)
                 centres.append(centre)
-                left[of] = 0
+                remaining[of] = 0
         chosen, of_place = np.concatenate(detection), np.concatenate(place)
         which, middles = np.array(segment, dtype=int), np.reshape(centres, (-1, 3))
         offsets = _offsets(table.axes[chosen], table.directions[chosen], middles[of_place])
@@ -538,7 +539,7 @@ class LookAlikes:
 
 
 def fitted_look_alikes(
-    table: DetectionTable, found: Candidates, weights: np.ndarray, errors: Deviations, start: LookAlikes | None = None
+    table: DetectionTable, candidates: Candidates, weights: np.ndarray, errors: Deviations, start: LookAlikes | None
 ) -> LookAlikes:
     """The likeliest numbers for looks that count `weights` ``(L,)``; none where the prior has no look-alikes."""
     from scipy.special import betaln, entr, expit, logit
@@ -547,38 +548,39 @@ def fitted_look_alikes(
         """Log of the beta-binomial probability of these hits in so many looks, each in its place."""
         return betaln(a + hits, b + looks - hits) - betaln(a, b)
 
-    of_look, variances = table.look[found.detection], errors.each(table.own[found.detection])
-    odds = np.log(table.areas[of_look] / table.clutter[found.detection] * found.false[found.detection])
-    keys, pair = np.unique(found.place * len(table.looks) + of_look, return_inverse=True)  # of one look at a place
+    of_look, variances = table.look[candidates.detection], errors.per_look(table.own[candidates.detection])
+    odds = np.log(table.areas[of_look] / table.clutter[candidates.detection] * candidates.false[candidates.detection])
+    keys, pair = np.unique(candidates.place * len(table.looks) + of_look, return_inverse=True)  # of one look at a place
     place, look = np.divmod(keys, len(table.looks))
-    density = np.log(sums(pair, np.exp(_log_bumps(variances, found.offsets) + odds), len(keys)))
+    density = np.log(sums(pair, np.exp(_log_bumps(variances, candidates.offsets) + odds), len(keys)))
     times = np.bincount(table.segment, weights) / np.bincount(table.segment)  # how often each segment counts
-    of_place = times[found.segment]
+    of_place = times[candidates.segment]
     inner = weights[look] / np.maximum(of_place[place], TINY)
-    count, total, false = len(found.segment), float(weights.sum()), float(weights[table.look] @ found.false)
-    each = np.bincount(found.place, minlength=count)
-    blunt = sums(found.place, np.log(variances).sum(axis=1), count) / (2 * each) - math.log(2)
-    unseen, index = np.unique(found.exposure, return_inverse=True)
+    count, total, false = len(candidates.segment), float(weights.sum()), float(weights[table.look] @ candidates.false)
+    each = np.bincount(candidates.place, minlength=count)
+    blunt = sums(candidates.place, np.log(variances).sum(axis=1), count) / (2 * each) - math.log(2)
+    unseen, index = np.unique(candidates.exposure, return_inverse=True)
     often = sums(index.ravel(), np.repeat(times / POINTS, POINTS), len(unseen)) * (unseen > 0)
     expected, prior = expected_look_alikes(table.base), np.array(table.base.look_alike_habit)
     many = max(expected, 0.1) if expected > 0 else 0.0
     now = start or LookAlikes(max(false / total, 0.01), many, prior, each.astype(np.float64))
     for _ in range(ROUNDS):
-        recall = (now.habit[0] + now.hits) / (now.habit.sum() + np.maximum(found.looks, now.hits))
+        recall = (now.habit[0] + now.hits) / (now.habit.sum() + np.maximum(candidates.looks, now.hits))
         logs = density - math.log(now.alarms)
         chance = expit(logs + logit(np.clip(recall, 1e-6, 1 - 1e-6))[place])
         hits = sums(place, inner * chance, count)
-        looks = np.maximum(found.looks, hits)
+        looks = np.maximum(candidates.looks, hits)
         gain = sums(place, inner * (chance * logs + entr(chance) + entr(1 - chance)), count)
         gain += blunt - np.log(np.maximum(hits, 1.0)) + log_hits(hits, looks, *now.habit)
         likely = now.number * np.exp(np.clip(gain, -500, 500))
-        there = of_place * likely / (1 + likely)  # how often each candidate is one, and counts
-        never = now.number * often * np.exp(log_hits(np.zeros(len(unseen)), unseen, *now.habit))
-        number = (there.sum() + never.sum() + NUMBER_PRIOR * expected) / (often.sum() + NUMBER_PRIOR)
-        every = [np.concatenate(both) for both in ((hits, np.zeros(len(unseen))), (looks, unseen), (there, never))]
+        presence = of_place * likely / (1 + likely)  # how often each candidate is one, and counts
+        undetected = now.number * often * np.exp(log_hits(np.zeros(len(unseen)), unseen, *now.habit))
+        number = (presence.sum() + undetected.sum() + NUMBER_PRIOR * expected) / (often.sum() + NUMBER_PRIOR)
+        pairs = (hits, np.zeros(len(unseen))), (looks, unseen), (presence, undetected)
+        places = map(np.concatenate, pairs)
         before, now = now, LookAlikes(
-            (max(false - float(there @ hits), 0.0) + ALARMS_PRIOR[0]) / (total + ALARMS_PRIOR[1]),
-            float(number) if expected > 0 else 0.0, fitted_habit(*every, prior, now.habit, ALIKE_PRIOR), hits,
+            (max(false - float(presence @ hits), 0.0) + ALARMS_PRIOR[0]) / (total + ALARMS_PRIOR[1]),
+            float(number) if expected > 0 else 0.0, fitted_habit(*places, prior, now.habit, ALIKE_PRIOR), hits,
         )  # fmt: skip
         old, new = (np.array([each.alarms, each.number, *each.habit]) for each in (before, now))
         if np.abs(new - old).max() < SETTLED * (1 + old.max()):
@@ -659,23 +661,24 @@ def fit_detector(
     Raises `EagorError` without looks.
     """
     base, looks = base or DetectorModel(), list(looks)
-    table, deviation, found, candidates = _fitted(looks, base)
-    parts, drawn = _parts(looks), []
+    table, deviation, estimate, candidates = _fitted(looks, base)
+    parts, resampled = _parts(looks), []
     count, rng = int(parts.max()) + 1, np.random.default_rng(0)
     for _ in range(resamples if count > 1 else 0):
         times = np.bincount(rng.integers(count, size=count), minlength=count)
-        drawn.append(_estimate(table, times[parts].astype(float), deviation, found, candidates))
+        resampled.append(_estimate(table, times[parts].astype(float), deviation, estimate, candidates))
         on_step()
     return DetectorFit(
-        found.model(table), len(looks), len({look.group for look in looks}), len(table.place), len(table.scores),
-        found.matched, _intervals(table, found, drawn, count), _held_out(looks, base, parts) if count > 1 else None,
+        estimate.model(table), len(looks), len({look.group for look in looks}), len(table.place), len(table.scores),
+        estimate.matched, _intervals(table, estimate, resampled, count),
+        _held_out(looks, base, parts) if count > 1 else None,
     )  # fmt: skip
 
 
 def fitted_model(looks: Sequence[LabelledLook], base: DetectorModel) -> DetectorModel:
     """The model alone, as `fit_detector` finds it."""
-    table, _, found, _ = _fitted(looks, base)
-    return found.model(table)
+    table, _, estimate, _ = _fitted(looks, base)
+    return estimate.model(table)
 
 
 def _fitted(
@@ -684,11 +687,11 @@ def _fitted(
     """The looks, how far their scores are believed, the likeliest numbers, and candidates for look-alikes."""
     table, every = DetectionTable(looks, base), np.ones(len(looks))
     deviation = _deviation(table, _folds(_parts(looks)))
-    found = _estimate(table, every, deviation)
+    estimate = _estimate(table, every, deviation)
     if not table.posed.any():
-        return table, deviation, found, None
-    candidates = Candidates.among(table, found)
-    return table, deviation, _estimate(table, every, deviation, found, candidates), candidates
+        return table, deviation, estimate, None
+    candidates = Candidates.among(table, estimate)
+    return table, deviation, _estimate(table, every, deviation, estimate, candidates), candidates
 
 
 def _parts(looks: Sequence[LabelledLook]) -> np.ndarray:
@@ -716,18 +719,18 @@ def _deviation(table: DetectionTable, folds: Sequence[np.ndarray]) -> float:
     if len(table.knots) < 2 or not folds:
         return 0.0
     totals = np.zeros((len(folds), len(DEVIATIONS)))
-    for row, left_out in zip(totals, folds, strict=True):
-        found: Estimate | None = None
+    for row, fold in zip(totals, folds, strict=True):
+        estimate: Estimate | None = None
         for index, deviation in enumerate(DEVIATIONS):
-            found = _estimate(table, (~left_out).astype(float), deviation, found)
-            row[index] = left_out @ table.log_likelihoods(found)
+            estimate = _estimate(table, (~fold).astype(float), deviation, estimate)
+            row[index] = fold @ table.log_likelihoods(estimate)
     behind = totals[:, [totals.sum(axis=0).argmax()]] - totals
     doubt = behind.std(axis=0, ddof=1) / math.sqrt(len(folds))
     return DEVIATIONS[int(np.flatnonzero(behind.mean(axis=0) <= doubt)[0])]
 
 
 def _intervals(
-    table: DetectionTable, found: Estimate, drawn: Sequence[Estimate], parts: int
+    table: DetectionTable, estimate: Estimate, resampled: Sequence[Estimate], parts: int
 ) -> dict[str, tuple[float, float]]:
     """The bootstrap's intervals; those of rates at least as wide as their posteriors for independent places.
 
@@ -735,39 +738,39 @@ def _intervals(
     """
     from scipy import stats
 
-    numbers, looks = found.numbers, len(table.looks) + ALARMS_PRIOR[1]
+    numbers, looks = estimate.numbers, len(table.looks) + ALARMS_PRIOR[1]
     false = max(numbers["false_alarms_per_look"] * looks - ALARMS_PRIOR[0], 0.0)
     ends = {"false_alarms_per_look": [stats.gamma(false + 0.5, scale=1 / looks).interval(LEVEL)]}
     share = numbers.pop("detection_share")
     if table.places:
         # Looks at one place count for less than looks at as many places: that is what its habit means.
-        seen, strength = np.bincount(table.place), float(found.habit.sum())
-        worth = float((seen * (strength + 1) / (strength + seen)).sum()) + HABIT_PRIOR
+        visits, strength = np.bincount(table.place), float(estimate.habit.sum())
+        worth = float((visits * (strength + 1) / (strength + visits)).sum()) + HABIT_PRIOR
         ends["detection_share"] = [stats.beta(worth * share, worth * (1 - share)).interval(LEVEL)]
-    if found.alikes is not None:
+    if estimate.alikes is not None:
         views = len(np.unique(table.segment[table.posed])) + NUMBER_PRIOR
-        ends["look_alikes"] = [stats.gamma(found.alikes.number * views + 0.5, scale=1 / views).interval(LEVEL)]
-    if drawn:
+        ends["look_alikes"] = [stats.gamma(estimate.alikes.number * views + 0.5, scale=1 / views).interval(LEVEL)]
+    if resampled:
         levels = stats.norm.cdf(math.sqrt(parts / (parts - 1)) * np.array(stats.t(parts - 1).interval(LEVEL)))
         for name in {**numbers, **ends}:
-            ends.setdefault(name, []).append(np.quantile([each.numbers[name] for each in drawn], levels))
+            ends.setdefault(name, []).append(np.quantile([each.numbers[name] for each in resampled], levels))
     return {name: (float(np.min(each)), float(np.max(each))) for name, each in ends.items()}
 
 
 def _held_out(looks: Sequence[LabelledLook], base: DetectorModel, parts: np.ndarray) -> HeldOut:
     """Each look read by `base`, and by the model that was fitted on the other parts alone."""
     scores = np.empty((len(looks), 2, 2))  # before and after; density and presence
-    for left_out in _folds(parts):
-        model = fitted_model([look for look, out in zip(looks, left_out, strict=True) if not out], base)
-        for index in np.flatnonzero(left_out).tolist():
+    for fold in _folds(parts):
+        model = fitted_model([look for look, out in zip(looks, fold, strict=True) if not out], base)
+        for index in np.flatnonzero(fold).tolist():
             scores[index] = [log_scores(looks[index], each) for each in (base, model)]
     density, presence = scores[..., 0], scores[..., 1]
-    known = ~np.isnan(density[:, 0])
+    with_targets = ~np.isnan(density[:, 0])
     gains = np.nan_to_num(np.diff(density))[:, 0] + np.diff(presence)[:, 0]
     ends = bootstrap_interval(gains, np.random.default_rng(0), LEVEL, groups=parts)
     before, after = presence.mean(axis=0).tolist()
-    there = tuple(density[known].mean(axis=0).tolist()) if known.any() else None
-    return HeldOut(there, (before, after), float(gains.mean()), (ends.low, ends.high))
+    log_density = tuple(density[with_targets].mean(axis=0).tolist()) if with_targets.any() else None
+    return HeldOut(log_density, (before, after), float(gains.mean()), (ends.low, ends.high))
 
 
 def log_scores(look: LabelledLook, model: DetectorModel) -> tuple[float, float]:
@@ -783,10 +786,10 @@ def log_scores(look: LabelledLook, model: DetectorModel) -> tuple[float, float]:
     alarms = Alarms.prior(model).after(np.full(len(look.detections), lasting))
     rate = 1 / float(alarms.weights @ (1 / (alarms.numbers + lasting)))
     model = replace(model, false_alarms_per_look=rate, spread=spread, spread_of_size=of_size)
-    found = look.detections.read(model)
-    mean = float((found.ratios / found.clutter).sum()) / rate  # over the sphere, of the likelihood ratio of a place
-    mean = 1 + habits.mean * found.area / (4 * math.pi) * (mean - 1)
+    scan = look.detections.read(model)
+    mean = float((scan.ratios / scan.clutter).sum()) / rate  # over the sphere, of the likelihood ratio of a place
+    mean = 1 + habits.mean * scan.area / (4 * math.pi) * (mean - 1)
     if not len(targets):
         return math.nan, -math.log1p(PRESENT / (1 - PRESENT) * mean) if not len(look.targets) else 0.0
-    density = np.log(found.ratio(targets, 1.0)) - math.log(4 * math.pi * mean)
+    density = np.log(scan.ratio(targets, 1.0)) - math.log(4 * math.pi * mean)
     return float(density.mean()), -math.log1p((1 - PRESENT) / PRESENT / mean)

@@ -113,17 +113,17 @@ class Truth:
 
 def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
     """The lines of a file of true directions. `FormatError` names the file and the line of a fault."""
-    found: dict[tuple[float, str, str], Truth] = {}
+    truths: dict[tuple[float, str, str], Truth] = {}
     for truth, where in parsed_lines(path, _parsed):
         key = truth.stamp, " ".join(words_of(truth.query)), truth.group
-        if key in found:
+        if key in truths:
             raise FormatError(
                 f"{where}: is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
             )
-        found[key] = truth
-    if not found:
+        truths[key] = truth
+    if not truths:
         raise FormatError(f"{os.fspath(path)} holds no true directions; wanted one JSON object per line, at least one")
-    return tuple(sorted(found.values(), key=lambda each: each.stamp))
+    return tuple(sorted(truths.values(), key=lambda each: each.stamp))
 
 
 class _Target(msgspec.Struct, forbid_unknown_fields=True):
@@ -205,7 +205,7 @@ def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
     """
     check_development(count, "panoramas", seed, PER_PLACE)
     slots = (Slot("labels", APARTMENT, seed + n // PER_PLACE, n % PER_PLACE, n) for n in range(count))
-    return (found for slot in slots if (found := _labelled(slot, rows)) is not None)
+    return (label for slot in slots if (label := _labelled(slot, rows)) is not None)
 
 
 def _labelled(slot: Slot, rows: int) -> Labelled | None:
