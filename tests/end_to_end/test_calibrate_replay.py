@@ -106,7 +106,7 @@ def test_poses_tell_what_comes_again(files, tmp_path, capsys):
     (late := tmp_path / "late.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n7000,0,0,0\n")
     said = run(*words, "--poses", late, "--out", tmp_path / "a.json", code=2, capsys=capsys)
     assert "has no pose" in said.err
-    assert "no file" in run(*words, "--poses", "level", "--out", tmp_path / "a.json", code=2, capsys=capsys).err
+    assert "cannot be read" in run(*words, "--poses", "level", "--out", tmp_path / "a.json", code=2, capsys=capsys).err
 
 
 def test_a_truth_is_for_one_look_and_a_look_for_one_truth(files, tmp_path):
