@@ -22,7 +22,7 @@ from typing import Any
 import common
 import numpy as np
 
-from eagor.lab.eval.calibration import TASKS, Recorder, record_episodes
+from eagor.lab.eval.calibration import TASKS, make_runners, record_episodes
 from eagor.lab.tasks.sim.play import Rollout
 
 AIMS = {"waypoint": ("mae", "tc"), "tracking": ("error", "tc")}
@@ -69,7 +69,7 @@ class Judge:
 
     def __init__(self, recordings: Sequence[Rollout], perception: str) -> None:
         self.recordings = {task: [r for r in recordings if r.episode.spec.task == task] for task in TASKS}
-        self.runners = Recorder(perception).runners
+        self.runners = make_runners(perception)
 
     def aim(self, name: str, half: int) -> float:
         """What is minimised, degrees: means over the episodes in even or odd apartments that have a case."""

@@ -19,14 +19,14 @@ from eagor.lab.eval.calibration import (
     LEARNT,
     MOVING,
     READING,
-    Recorder,
     counted,
     development_specs,
     fit,
     habit_values,
+    make_runners,
     motion_values,
+    record,
     score,
-    with_habit,
 )
 from eagor.lab.tasks.sim.play import Rollout, Step
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
@@ -114,28 +114,31 @@ def fitted(found, base):
     return base.fitted(found.calibration, found.detector, found.forgetting)
 
 
-@pytest.mark.slow
-def test_the_fit_is_better_on_apartments_that_it_has_not_seen(monkeypatch):
+@pytest.mark.parametrize(
+    "made", [pytest.param(recording, marks=pytest.mark.slow), detecting], ids=["maps", "detections"]
+)
+def test_the_fit_is_judged_on_apartments_that_it_has_not_seen(made, monkeypatch):
     monkeypatch.setattr("eagor.lab.eval.calibration.BASE", SMALL)
-    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", 8)
+    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", 4)
     rounds, trials = [], []
-    looked = [recording(seed, steps=12) for seed in range(8)]
-    best = fit("a detector", looked, 16, 1, lambda: trials.append(1), rounds.append)
-    assert len(trials) == 16
-    assert len(rounds) == 2
+    best = fit("a detector", [made(seed, 12) for seed in range(6)], 8, 1, lambda: trials.append(1), rounds.append)
+    assert (len(trials), len(rounds)) == (8, 2)
     before, after = best.found_by["before"], best.found_by["after"]
-    assert after["log score"][0] > before["log score"][0]
-    assert best.found_by["judged by"] == [1, 3, 5, 7]
-    assert fitted(best, SMALL).calibration == best.calibration
+    assert after["log score"][0] > before["log score"][0] - 0.15, "chance, of three episodes"
+    assert best.found_by["judged by"] == [1, 3, 5]
+    assert (best.calibration is None) == (made is detecting)
+    if made is detecting:
+        assert best.detector.detection_probability is None
+        assert habit_values(best.detector)["share"] == pytest.approx(best.detector.habit[0] / sum(best.detector.habit))
+    config = fitted(best, SMALL)
+    assert config.detector == (best.detector or SMALL.detector)
+    assert config.calibration == (best.calibration or SMALL.calibration)
+    assert config.target_motion.wander == best.forgetting["wander"]
 
 
-def test_a_habit_is_searched_as_mean_and_strength():
-    found = DetectorModel(**with_habit(0.7, 5.0))
-    assert found.habit == (3.5, 1.5)
-    assert habit_values(found) == {"look_alikes": 0.7, "share": 0.7, "strength": 5.0}
+def test_a_stated_detection_probability_is_the_strongest_habit():
     stated = habit_values(DetectorModel(detection_probability=0.9))
-    assert stated["share"] == 0.9
-    assert stated["strength"] > 50, "the same everywhere"
+    assert (stated["share"], stated["strength"]) == (0.9, DETECTING[-1].high)
 
 
 def test_what_a_detector_does_is_counted():
@@ -151,40 +154,6 @@ def test_what_a_detector_does_is_counted():
     assert ratios == sorted(ratios)
     assert ratios[0] < 0.6 < 1.6 < ratios[-1]
     assert counted([recording(0)]) is None, "response maps are not counted"
-
-
-def test_posters_and_what_a_place_keeps_are_counted():
-    """A poster in each recording, and boxes that sit beside the thing: in axes of the world, the camera rolls."""
-    recordings, rng = [], np.random.default_rng(0)
-    for seed in range(20):
-        target, poster = unit(rng.normal(size=(2, 3)))
-        beside, moments = 0.08 * rng.normal(size=3), []
-        for k in range(20):
-            turn = world_R_body(0.1 * k, 0.0, 0.3 * k)
-            places = [target + beside + 0.03 * rng.normal(size=3), poster + 0.03 * rng.normal(size=3)]
-            seen = np.array(places)[rng.random(2) < (0.8, 0.5)] @ turn
-            moments.append(Step(0.5 * k, turn, np.zeros(3), Evidence.from_points(seen, stamp=0.5 * k)))
-        recordings.append(episode_of(seed, moments, target))
-    model = counted(recordings)
-    assert model.look_alikes == pytest.approx(1, abs=0.2)
-    assert model.look_alike_habit[0] / sum(model.look_alike_habit) == pytest.approx(0.5, abs=0.1)
-    assert model.false_alarms_per_look < 0.05
-    assert model.spread == pytest.approx(0.03, rel=0.2)
-    assert model.offset == pytest.approx(0.08, rel=0.25)
-
-
-def test_a_detector_is_fitted_as_a_detector(monkeypatch):
-    monkeypatch.setattr("eagor.lab.eval.calibration.BASE", SMALL)
-    best = fit("a detector", [detecting(seed, steps=12) for seed in range(6)], 6, 1)
-    assert best.calibration is None
-    assert {"detector", "forgetting"} <= best.as_json().keys()
-    assert (
-        best.found_by["after"]["log score"][0] > best.found_by["before"]["log score"][0] - 0.15
-    )  # chance, of three episodes
-    assert best.detector.detection_probability is None
-    assert 0.2 < best.detector.habits.mean < 0.97
-    assert best.detector.score_ratios is not None
-    assert fitted(best, SMALL).detector == best.detector
 
 
 def test_one_apartment_cannot_judge_itself():
@@ -203,10 +172,10 @@ def test_episodes_alternate_and_stay_among_the_development_seeds():
 
 
 def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
-    found = Recorder("truth:ideal").record(development_specs(1, 100)[0])
+    found = record(make_runners("truth:ideal")["waypoint"], development_specs(1, 100)[0])
     peaks = np.array([[np.max(m.evidence.response), np.max(m.other.response)] for m in found.steps])
     seen = np.array(found.truth["visible"])
-    assert peaks[seen, 0].mean() > 0.9
+    assert peaks[seen, 0].min() > 0.5
     assert peaks[:, 1].max() == 0
 
 
@@ -216,31 +185,29 @@ def test_several_processes_find_the_same(monkeypatch):
     assert fit("a detector", made, 2, 2) == fit("a detector", made, 2, 1)
 
 
-def test_what_is_written_is_read_again(tmp_path):
-    made = Calibrated("scout", Calibration(0.1, 0.02, 1.5), {"jump": 0.2, "wander": (0.1, 0.3)}, {"trials": 3})
+@pytest.mark.parametrize(
+    ("calibration", "forgetting", "detector"),
+    [
+        (Calibration(0.1, 0.02, 1.5, persistence=0.5), {"jump": 0.2, "wander": (0.1, 0.3)}, None),
+        (
+            None,
+            {"start": 0.01},
+            DetectorModel(None, None, 0.1, ((0.2, 0.5), (0.8, 4.0)), kept_for=None, kept_within=0.02),
+        ),
+        (None, {}, DetectorModel(detection_probability=0.8, look_alikes=0.0, look_alike_habit=(1.0, 5.0), offset=0.1)),
+    ],
+)
+def test_what_is_written_is_read_again(tmp_path, calibration, forgetting, detector):
+    made = Calibrated("scout", calibration, forgetting, {"trials": 3}, detector)
     made.write(tmp_path / "new" / "file.json")
     found = read_calibrated(tmp_path / "new" / "file.json")
     assert found == made
     config = fitted(found, TrackerConfig(degree=7))
-    assert (config.degree, config.target_motion.jump, config.calibration) == (7, 0.2, made.calibration)
-    assert config.target_motion.wander == (0.1, 0.3)
-    model = DetectorModel(
-        None, None, 0.1, ((0.2, 0.5), (0.8, 4.0)), 0.4, 0.3, (2.0, 1.5), (0.4, 3.0), None, 2.0, 0.02
-    )  # fmt: skip
-    made = Calibrated("colour", None, {"start": 0.01}, {}, model)
-    made.write(tmp_path / "detector.json")
-    assert read_calibrated(tmp_path / "detector.json") == made
+    assert config.degree == 7
+    assert {name: getattr(config.target_motion, name) for name in forgetting} == forgetting
 
 
-def test_habits_are_written_and_files_without_them_are_read(tmp_path):
-    for calibration, detector in (
-        (Calibration(persistence=0.5), None),
-        (None, DetectorModel(habit=(3.0, 1.0), kept_for=2.5, kept_within=None)),
-        (None, DetectorModel(detection_probability=0.8, look_alikes=0.0, look_alike_habit=(1.0, 5.0), offset=0.1)),
-    ):
-        made = Calibrated("scout", calibration, {}, {}, detector)
-        made.write(tmp_path / "file.json")
-        assert read_calibrated(tmp_path / "file.json") == made
+def test_what_a_file_leaves_out_is_as_by_default():
     assert from_json(GOOD | {"detector": {"kept_for": None}}, "it").detector.kept_for is None
     assert from_json(GOOD | {"detector": {"look_alikes": 0.2}}, "it").detector == DetectorModel(look_alikes=0.2)
 
@@ -253,22 +220,11 @@ GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
     ("changes", "says"),
     [
         ({"calibration": {"floor": 0.1}}, "it is not a calibration: calibration lacks neutral, persistence, spread"),
-        ({"calibration": READ | {"floor": -1}}, "floor"),
         ({"calibration": READ | {"floor": "much"}}, "floor is 'much'; wanted a number"),
         ({"forgetting": {"keep_per_second": 0.9}}, "forgetting sets 'keep_per_second'; known are wander, start"),
-        ({"forgetting": {"jump": -7}}, "jump"),
         ({"forgetting": {"wander": [0.1, "x"]}}, r"wander is \[0.1, 'x'\]; wanted a number"),
-        ({"detector": {"spread": 9}}, "spread"),
-        ({"detector": {"kept_for": 0}}, "kept_for = 0.0; wanted seconds above 0"),
-        ({"detector": {"kept_within": -1}}, "kept_within"),
-        ({"calibration": READ | {"habit": [1, 1]}}, "calibration sets 'habit'; known are floor, neutral"),
         ({"detector": {"habit": [1]}}, r"habit is \[1\]; wanted a list of length 2"),
-        ({"detector": {"habit": [1, 0]}}, "habit = .*two numbers from 0.001 to 500"),
-        ({"detector": {"habit": 1}}, "is not a calibration"),
-        ({"detector": {"recall": 0.9}}, "recall"),
         ({"calibration": None}, "neither"),
-        ({"forgetting": None}, "forgetting is missing; wanted an object"),
-        ({"forgetting": []}, r"forgetting is \[\]; wanted an object"),
         ({"perception": 3}, "perception is 3; wanted the name of a perception"),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -64,6 +65,10 @@ class Calibrate(Common):
 RESPONSES, HEADS = ("trials", "workers"), ("labels", "take")
 EPISODES = ("episodes", "seed", "rows")  # responses and heads
 REPLAY = ("replay", "truth", "poses")
+REPORTED = (
+    "habit", "false_alarms_per_look", "look_alikes", "look_alike_habit", "spread", "spread_of_size", "offset",
+    "offset_of_size",
+)  # fmt: skip
 
 
 def calibrate(options: Calibrate) -> int:
@@ -78,6 +83,9 @@ def calibrate(options: Calibrate) -> int:
     if given(options, REPLAY):
         return replay(options)
     checked_rows(options.rows)
+    for name in ("episodes", "trials", "workers", "take"):
+        if getattr(options, name) < 1:
+            raise terminal.UsageError(f"--{name} {getattr(options, name)}; wanted 1 or more")
     return heads(options) if of_heads else responses(options)
 
 
@@ -92,10 +100,6 @@ def responses(options: Calibrate) -> int:
     from eagor.lab.eval.calibration import DRAWS, PER_PLACE, TASKS, development_specs, fit, record_episodes
     from eagor.perception import short_name
 
-    if min(options.workers, options.trials, options.episodes) < 1:
-        raise terminal.UsageError(
-            f"--workers {options.workers} --trials {options.trials} --episodes {options.episodes}; wanted 1 or more"
-        )
     perception = options.perception or "scout"
     check_looks(perception)
     if len({spec.seed for spec in development_specs(options.episodes, options.seed)}) < 2:
@@ -113,11 +117,7 @@ def responses(options: Calibrate) -> int:
         # Each round writes its best result, so that a fit that is stopped early is not lost.
         best = fit(perception, recordings, options.trials, options.workers, advance, lambda at: at.write(out))
     best.write(out)
-    if options.json:
-        terminal.emit(best.as_json() | {"out": str(out)})
-    else:
-        print_scores(best, out)
-    return terminal.OK
+    return _finish(options, best.as_json(), out, partial(print_scores, best))
 
 
 def replay(options: Calibrate) -> int:
@@ -132,8 +132,7 @@ def replay(options: Calibrate) -> int:
     if options.what == "heads" or options.replay is None or options.truth is None:
         raise terminal.UsageError("--replay FILE and --truth FILE belong together, and not to eagor calibrate heads")
     out = checked_out(options.out or Path("calibration-replay.json"))
-    read = [path for path in (options.replay, options.truth, options.poses) if path is not None]
-    check_not_read(out, "--out", read)
+    check_not_read(out, "--out", [path for path in (options.replay, options.truth, options.poses) if path is not None])
     truths = read_truth(options.truth)
     pose = None if options.poses is None else _poses(str(options.poses))
     looks, left_out = replayed_looks(ReplayPerception(options.replay), truths, pose)
@@ -144,16 +143,20 @@ def replay(options: Calibrate) -> int:
     if left_out:
         terminal.warning(f"{len(left_out)} of {len(truths)} lines of {options.truth} have no look of their own")
     with terminal.progress("fitting", RESAMPLES) as advance:
-        found = fit_detector(looks, on_step=advance)
-    told = found.as_json()
-    found_by = {key: value for key, value in told.items() if key != "detector"} | {"version": __version__}
-    fitted = Calibrated("replay", None, found_by=found_by, detector=found.model)
+        result = fit_detector(looks, on_step=advance)
+    found_by = {key: value for key, value in result.as_json().items() if key != "detector"} | {"version": __version__}
+    fitted = Calibrated("replay", None, found_by=found_by, detector=result.model)
     fitted.write(out)
+    return _finish(options, fitted.as_json() | {"left_out": len(left_out)}, out, partial(print_fit, result))
+
+
+def _finish(options: Calibrate, result: dict[str, Any], out: Path, show: Callable[[], None]) -> int:
+    """Give the result of a calibration that is in `out`: as JSON, or in words."""
     if options.json:
-        terminal.emit(fitted.as_json() | {"left_out": len(left_out), "out": str(out)})
+        terminal.emit(result | {"out": str(out)})
     else:
-        print_fit(found)
-        print(f"Written to {out}; locate and track take it as --calibration {out}")
+        show()
+        print(f"Written to {out}; other commands take it as --calibration {out}")
     return terminal.OK
 
 
@@ -162,53 +165,49 @@ def _poses(path: str) -> Callable[[float], Pose]:
     from eagor.media.pose_files import BEYOND, interpolated, read_poses, usable
 
     poses = usable(read_poses(path), path)
-    found = interpolated(poses)
+    first, last, pose = poses[0].stamp, poses[-1].stamp, interpolated(poses)
 
     def at(stamp: float) -> Pose:
-        if not poses[0].stamp - BEYOND <= stamp <= poses[-1].stamp + BEYOND:
+        if not first - BEYOND <= stamp <= last + BEYOND:
             raise PoseError(
-                f"the look at {stamp:.10g} s has no pose: {path} tells those from {poses[0].stamp:.10g} to "
-                f"{poses[-1].stamp:.10g} s. Both files must use one clock"
+                f"the look at {stamp:.10g} s has no pose: {path} tells those from {first:.10g} to {last:.10g} s. Both "
+                "files must use one clock"
             )
-        return found(stamp)
+        return pose(stamp)
 
     return at
 
 
-def print_fit(found: DetectorFit) -> None:
+def print_fit(result: DetectorFit) -> None:
     """A fitted detector model, with its intervals and its worth."""
-    model = found.model
     print(
-        f"{found.looks} looks in {found.groups} group{'' if found.groups == 1 else 's'}: {found.targets} targets in "
-        f"view, {found.detections} detections ({found.matched:.0f} right, {found.false_alarms:.0f} false alarms)"
+        f"{result.looks} looks in {terminal.many(result.groups, 'group')}: {result.targets} targets in view, "
+        f"{result.detections} detections ({result.matched:.0f} right, {result.false_alarms:.0f} false alarms)"
     )
-    rows = []
-    names = "habit", "false_alarms_per_look", "look_alikes", "look_alike_habit"
-    for name in (*names, "spread", "spread_of_size", "offset", "offset_of_size"):
-        value, ends = getattr(model, name), found.intervals.get("detection_share" if name == "habit" else name, ())
+    model, rows = result.model, []
+    for name in REPORTED:
+        value, ends = getattr(model, name), result.intervals.get("detection_share" if name == "habit" else name, ())
         scale, unit = (math.degrees(1), " deg") if name in ("spread", "offset") else (1, "")
-        values, interval = (
-            " ".join(f"{scale * each:.3g}" for each in numbers)
-            for numbers in (value if isinstance(value, tuple) else () if value is None else (value,), ends)
-        )
-        told = f"{values}{unit}" if values else "not known"
-        told += f", mean {model.habits.mean:.2g}" if name == "habit" else ""
-        rows.append((name.replace("_", " "), told, f"[{interval}]" if interval else ""))
+        values = value if isinstance(value, tuple) else () if value is None else (value,)
+        numbers, interval = (" ".join(f"{scale * each:.3g}" for each in some) for some in (values, ends))
+        text = f"{numbers}{unit}" if values else "not known"
+        text += f", mean {model.habits.mean:.2g}" if name == "habit" else ""
+        rows.append((name.replace("_", " "), text, f"[{interval}]" if interval else ""))
     rows += [
         (f"score {score:.2f}", f"{ratio:.3g}", "times likelier of the thing than of a false alarm")
         for score, ratio in model.score_ratios or ()
     ]
     terminal.table(rows)
-    if "look_alikes" not in found.intervals:
+    if "look_alikes" not in result.intervals:
         print("Without poses (--poses) nothing is known of look-alikes and of the offset: they are as they were")
-    if found.groups == 1:
+    if result.groups == 1:
         print("All looks are of one group: the intervals say nothing of other recordings. Give more, with a group each")
-    if (judged := found.held_out) is None:
+    if (judged := result.held_out) is None:
         print("One look is not enough to judge the fit")
         return
     print("Mean over looks that the fit had not seen, with the default model and with this one:")
-    rows = [("log density at the truth", judged.log_density), ("log probability of presence", judged.log_presence)]
-    rows = [(name, *(f"{value:.3f}" for value in values), "") for name, values in rows if values is not None]
+    pairs = {"log density at the truth": judged.log_density, "log probability of presence": judged.log_presence}
+    rows = [(name, *(f"{value:.3f}" for value in pair), "") for name, pair in pairs.items() if pair is not None]
     low, high = judged.interval
     terminal.table([*rows, ("gain of both, per look", "", f"{judged.gain:.3f}", f"[{low:.3f} {high:.3f}]")])
     if low <= 0:
@@ -222,8 +221,6 @@ def heads(options: Calibrate) -> int:
     from eagor.perception.calibrated import labelled_lines, read_labelled
 
     name = options.perception or "scout"
-    if min(options.episodes, options.take) < 1:
-        raise terminal.UsageError(f"--episodes {options.episodes} --take {options.take}; wanted 1 or more")
     if not is_model(name) or name.startswith("endpoint"):
         raise terminal.UsageError(
             f"--perception {name} has no attention heads; wanted a model on this machine: a folder, "
@@ -243,20 +240,20 @@ def heads(options: Calibrate) -> int:
     out = checked_out(options.out or Path(f"heads-{short_name(name)}.json"))
     with terminal.progress("looking", count) as advance:
         try:
-            found = perception.find_heads(_counted(examples, advance), options.take)
+            result = perception.find_heads(_counted(examples, advance), options.take)
         except EagorError as error:
             if type(error) is EagorError:  # the labels are valid, but no head is good enough: not an input error
                 raise terminal.RunError(str(error)) from error
             raise
-    found.write(out)
+    result.write(out)
     if options.json:
-        terminal.emit(asdict(found) | {"out": str(out)})
+        terminal.emit(asdict(result) | {"out": str(out)})
         return terminal.OK
-    print(f"{found.model}: {len(found.heads)} heads, found on {found.found_by['panoramas']} panoramas")
-    for entry in found.found_by["heads"]:
+    print(f"{result.model}: {len(result.heads)} heads, found on {result.found_by['panoramas']} panoramas")
+    for entry in result.found_by["heads"]:
         layer, head = entry["head"]
         print(f"  layer {layer:3d}, head {head:3d}: {entry['gain']:.1f} times an even spread on the target")
-    if held_out := found.found_by.get("held_out"):
+    if held_out := result.found_by.get("held_out"):
         print(f"On {held_out['panoramas']} others they are off by {held_out['median_error_deg']:.1f} degrees (median)")
     model, _, written = name.partition("?")
     rest = "&".join(part for part in written.split("&") if part and not part.startswith("heads="))
@@ -270,7 +267,7 @@ def _counted(examples: Iterator[Labelled], advance: Callable[[], None]) -> Itera
         advance()
 
 
-def print_scores(best: Calibrated, out: Path) -> None:
+def print_scores(best: Calibrated) -> None:
     """A fitted calibration, with its scores before and after."""
     stored = best.as_json()
     reading = stored.get("detector") or stored["calibration"]
@@ -279,7 +276,6 @@ def print_scores(best: Calibrated, out: Path) -> None:
     print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")
     before, after = best.found_by["before"], best.found_by["after"]
     terminal.table([("", "before", "after"), *((name, _cell(before[name]), _cell(after[name])) for name in after)])
-    print(f"Written to {out}; other commands take it as --calibration {out}")
 
 
 def _cell(values: list[float | None]) -> str:

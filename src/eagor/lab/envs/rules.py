@@ -48,7 +48,7 @@ class _Rules:
             wanted = "true or false" if kind is bool else " or ".join(map(str, get_args(kind)))
             wanted = next((meta.description for meta in getattr(kind, "__metadata__", ())), wanted)
             try:
-                found = msgspec.convert(getattr(self, name), kind)
+                found: Any = msgspec.convert(getattr(self, name), kind)
                 ranges = (found,) if kind is Shares else found if kind is Turns else ()
                 fits = all(low <= high for low, high in ranges)
             except msgspec.ValidationError:

@@ -5,7 +5,7 @@
 - `tables`, `charts` and `scenes` show them; `report` puts them on a `page`, into Markdown and into CSV, beside what was
   published (``published.toml``);
 - `predictions` come as JSON lines from elsewhere and are scored; `replay` plays an episode of a run again;
-- `calibration`: how a perception's responses are read; `labelled_looks`, `assignments`, `detector_fit`: a detector's
+- `calibration`: how a perception's responses are read; `labelled_looks`, `detector_fit`: a detector's
   model from looks with known truth.
 
 Nothing heavy is imported here.

@@ -18,13 +18,13 @@ from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections
 from eagor.grids import ErpGrid
 from eagor.lab.envs.episodes import EpisodeSpec
-from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, Place, load_place
+from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.lab.envs.rules import Camera
 from eagor.perception.calibrated import Labelled, cap_radius
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.records import words_of
 from eagor.perception.replay import ReplayPerception
-from eagor.sphere import check_rotation, direction, unit, world_R_body
+from eagor.sphere import checked_pose, direction, unit, world_R_body
 
 __all__ = ["LabelledLook", "Truth", "apartment_labels", "read_truth", "replayed_looks"]
 
@@ -61,16 +61,15 @@ class LabelledLook:
                 "a response map has no detections to count; wanted boxes, points or masks. Response maps are read by a "
                 "Calibration (docs/how-to/detector-errors.md)"
             )
-        targets = np.asarray(self.targets, dtype=np.float64)
-        targets = np.zeros((0, 3)) if targets.size == 0 else targets
-        targets = targets[None] if targets.ndim == 1 else targets
+        targets = np.atleast_2d(np.asarray(self.targets, dtype=np.float64))
+        targets = targets.reshape(-1, 3) if targets.size == 0 else targets
         if targets.ndim != 2 or targets.shape[1] != 3:
             raise DirectionError(f"targets have shape {targets.shape}; wanted (n, 3), or (0, 3) if the thing is absent")
         stamp = self.evidence.stamp if self.stamp is None else self.stamp
-        if self.world_R_body is not None:
-            check_rotation(np.asarray(self.world_R_body, dtype=np.float64), "world_R_body")
-        object.__setattr__(self, "targets", unit(targets) if len(targets) else targets)
-        object.__setattr__(self, "stamp", None if stamp is None else checked_stamp(stamp))
+        pose = None if self.world_R_body is None else checked_pose(self.world_R_body)
+        values = {"targets": unit(targets), "stamp": None if stamp is None else checked_stamp(stamp)}
+        for name, value in (values | {"world_R_body": pose}).items():
+            object.__setattr__(self, name, value)
 
     @property
     def detections(self) -> Detections:
@@ -81,7 +80,7 @@ class LabelledLook:
     @property
     def world(self) -> np.ndarray:
         """Its `world_R_body`; the identity where that is not known."""
-        return np.eye(3) if self.world_R_body is None else np.asarray(self.world_R_body, dtype=np.float64)
+        return np.eye(3) if self.world_R_body is None else self.world_R_body
 
     @property
     def in_view(self) -> np.ndarray:
@@ -90,61 +89,7 @@ class LabelledLook:
 
     def covers(self, directions: np.ndarray) -> np.ndarray:
         """Which of the directions ``(n, 3)``, body frame, it looked at ``(n,)``."""
-        if not len(directions):
-            return np.zeros(0, dtype=bool)
         return np.broadcast_to(np.asarray(self.detections.share(directions)) >= IN_VIEW, len(directions))
-
-
-# --- labelled panoramas of the built-in apartments, from what the simulator knows -------------------------------------
-
-PER_PLACE = 4  # panoramas in an apartment
-TRIES = 12  # places to stand that are looked at for one panorama
-SIZES = (math.radians(3), math.radians(35))  # angular radii of the things that are asked for
-LOOK_ROWS = 128  # of the id panoramas that labels are measured in
-
-
-def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
-    """`count` panoramas of `rows` rows from development apartments, each with one thing that a query singles out.
-
-    Raises `EagorError` where the seeds reach apartments that results are taken from.
-    """
-    last = seed + (count - 1) // PER_PLACE
-    if count < 1 or seed not in DEVELOPMENT or last not in DEVELOPMENT:
-        raise EagorError(
-            f"{count} panoramas from apartment {seed} on reach apartment {last}; wanted all between "
-            f"{DEVELOPMENT.start} and {DEVELOPMENT.stop - 1}: the others are for results"
-        )
-    return _labels(count, seed, rows)
-
-
-def _labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
-    camera, grid = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS)
-    for number in range(count):
-        apartment, index = divmod(number, PER_PLACE)
-        place = load_place(APARTMENT, seed + apartment, camera.radius)
-        rng = EpisodeSpec("labels", APARTMENT, seed + apartment, index, number).rng("labels")
-        found = _one(place, grid, camera.height, rows, rng)
-        if found is not None:
-            yield found
-
-
-def _one(place: Place, grid: ErpGrid, height: float, rows: int, rng: np.random.Generator) -> Labelled | None:
-    names = place.nameable()
-    for _ in range(TRIES):
-        position = np.array([*place.ground.sample(rng), height])
-        turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
-        ids = place.ids(position, turned, LOOK_ROWS)
-        shown = {thing: grid.weights * (ids == thing) for thing in names}
-        sizes = {thing: cap_radius(float(share.sum())) for thing, share in shown.items()}
-        fit = [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]
-        if not fit:
-            continue
-        thing = int(rng.choice(fit))
-        centre = unit((shown[thing][..., None] * grid.directions).sum(axis=(0, 1)))
-        picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
-        assert picture is not None
-        return Labelled(picture, str(names[thing]), centre, sizes[thing])
-    return None
 
 
 # --- labelled looks from a replay file (docs/replay-format.md) and a file of true directions --------------------------
@@ -168,17 +113,17 @@ class Truth:
 
 def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
     """The lines of a file of true directions. `FormatError` names the file and the line of a fault."""
-    found: dict[tuple[float, str, str], Truth] = {}
+    truths: dict[tuple[float, str, str], Truth] = {}
     for truth, where in parsed_lines(path, _parsed):
         key = truth.stamp, " ".join(words_of(truth.query)), truth.group
-        if key in found:
+        if key in truths:
             raise FormatError(
                 f"{where}: is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
             )
-        found[key] = truth
-    if not found:
+        truths[key] = truth
+    if not truths:
         raise FormatError(f"{os.fspath(path)} holds no true directions; wanted one JSON object per line, at least one")
-    return tuple(sorted(found.values(), key=lambda each: each.stamp))
+    return tuple(sorted(truths.values(), key=lambda each: each.stamp))
 
 
 class _Target(msgspec.Struct, forbid_unknown_fields=True):
@@ -208,33 +153,75 @@ def replayed_looks(
     """The looks of `replay` at the stamps of `truths`, and the truths without one.
 
     `pose` tells how the camera stood at a stamp. A look is used once for each query, with the truth that is nearest in
-    time. Raises `QueryError` where no label fits
-    a query that has targets, `ResponseError` for response maps.
+    time. Raises `QueryError` where no label fits a query that has targets, `ResponseError` for response maps.
     """
     present = {truth.query for truth in truths if len(truth.targets)}
-    found: dict[tuple[str, float], tuple[float, Truth, LabelledLook]] = {}
-    left_out: list[Truth] = []
+    pairs: list[tuple[float, float, Truth, Evidence]] = []
     for truth in truths:
         # What is never there may have no label either: the detector looked and saw none.
-        looks = replay.looks_near(truth.query, truth.stamp, strict=truth.query in present)
-        if not looks:
-            left_out.append(truth)
-            continue
-        evidence = _joined(looks)
-        at = (None, None) if pose is None else pose(truth.stamp if evidence.stamp is None else float(evidence.stamp))
-        look = LabelledLook(evidence, truth.targets, None, truth.group, *at)
-        key, apart = (truth.group, float(look.stamp or 0.0)), abs(float(look.stamp or 0.0) - truth.stamp)
-        before = found.get(key)
-        if before is not None:
-            left_out.append(truth if before[0] <= apart else before[1])
-        if before is None or apart < before[0]:
-            found[key] = apart, truth, look
-    return [look for _, _, look in found.values()], left_out
+        if views := replay.looks_near(truth.query, truth.stamp, strict=truth.query in present):
+            stamp = float(views[0].stamp or 0.0)
+            pairs.append((abs(stamp - truth.stamp), stamp, truth, _joined(views)))
+    nearest: dict[tuple[str, float], tuple[Truth, LabelledLook]] = {}
+    for _, stamp, truth, evidence in sorted(pairs, key=lambda pair: pair[0]):
+        if (key := (truth.group, stamp)) not in nearest:
+            at = (None, None) if pose is None else pose(stamp)
+            nearest[key] = truth, LabelledLook(evidence, truth.targets, None, truth.group, *at)
+    used = dict(nearest.values())
+    return [used[truth] for truth in truths if truth in used], [truth for truth in truths if truth not in used]
 
 
-def _joined(looks: Sequence[Evidence]) -> Evidence:
+def _joined(views: Sequence[Evidence]) -> Evidence:
     """The views of one moment as one look."""
-    sets = [look.detections for look in looks if look.detections is not None]
-    if len(sets) < len(looks):
-        return next(look for look in looks if look.detections is None)
-    return Evidence.from_detections(reduce(Detections.joined, sets), looks[0].grid, looks[0].stamp)
+    sets = [view.detections for view in views if view.detections is not None]
+    if len(sets) < len(views):  # a response map: `LabelledLook` refuses it
+        return next(view for view in views if view.detections is None)
+    return Evidence.from_detections(reduce(Detections.joined, sets), views[0].grid, views[0].stamp)
+
+
+# --- labelled panoramas of the built-in apartments, from what the simulator knows -------------------------------------
+
+PER_PLACE = 4  # panoramas in an apartment
+TRIES = 12  # places to stand that are looked at for one panorama
+SIZES = (math.radians(3), math.radians(35))  # angular radii of the things that are asked for
+LOOK_ROWS = 128  # of the id panoramas that labels are measured in
+
+
+def check_development(count: int, what: str, seed: int, per_place: int) -> None:
+    """Raise `EagorError` unless `count` of `what`, from apartment `seed` on, stay clear of those for results."""
+    last = seed + (count - 1) // per_place
+    if count < 1 or seed not in DEVELOPMENT or last not in DEVELOPMENT:
+        raise EagorError(
+            f"{count} {what} from apartment {seed} on reach apartment {last}; wanted all between {DEVELOPMENT.start} "
+            f"and {DEVELOPMENT.stop - 1}: the others are for results"
+        )
+
+
+def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
+    """`count` panoramas of `rows` rows from development apartments, each with one thing that a query singles out.
+
+    A panorama is left out where no thing is of a suitable size. Raises `EagorError` where the seeds reach apartments
+    that results are taken from.
+    """
+    check_development(count, "panoramas", seed, PER_PLACE)
+    specs = (EpisodeSpec("labels", APARTMENT, seed + n // PER_PLACE, n % PER_PLACE, n) for n in range(count))
+    return (label for spec in specs if (label := _labelled(spec, rows)) is not None)
+
+
+def _labelled(spec: EpisodeSpec, rows: int) -> Labelled | None:
+    camera, grid, rng = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS), spec.rng("labels")
+    place = load_place(spec.world, spec.seed, camera.radius)
+    names = place.nameable()
+    for _ in range(TRIES):
+        position = np.array([*place.ground.sample(rng), camera.height])
+        turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
+        ids = place.ids(position, turned, LOOK_ROWS)
+        shown = {thing: grid.weights * (ids == thing) for thing in names}
+        sizes = {thing: cap_radius(float(share.sum())) for thing, share in shown.items()}
+        if fit := [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]:
+            thing = int(rng.choice(fit))
+            centre = unit((shown[thing][..., None] * grid.directions).sum(axis=(0, 1)))
+            picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
+            assert picture is not None
+            return Labelled(picture, str(names[thing]), centre, sizes[thing])
+    return None
