@@ -21,12 +21,18 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.agents.models import load_chat
 from eagor.lab.tasks import benchmark
 from eagor.lab.tasks.hstar import data
-from eagor.lab.tasks.hstar import perception as hstar_perception
+from eagor.lab.tasks.hstar.agents import (
+    CAUSES,
+    VlmAgent,
+    cause_of,
+    open_detector,
+    open_perception,
+    run_episode,
+    work,
+)
 from eagor.lab.tasks.hstar.bench import HOS, HPS
 from eagor.lab.tasks.hstar.data import Episode, open_panorama, read_episodes
-from eagor.lab.tasks.hstar.perception import head_of, phrase_of, tag_of, thing_of
-from eagor.lab.tasks.hstar.play import CAUSES, VlmAgent, cause_of, play, work
-from eagor.lab.tasks.hstar.prompts import first_text, system_text
+from eagor.lab.tasks.hstar.prompts import first_text, head_of, phrase_of, system_text, tag_of, thing_of
 from eagor.lab.tasks.hstar.rules import View, render_view
 from eagor.lab.tasks.hstar.search import SearchRules
 from eagor.perception.endpoint.server import ServedChat
@@ -162,12 +168,12 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
         hstar_data.write(tmp_path, targets={"hall": {"red": ([170.0, 190.0], [-5.0, 5.0])}}), "hos"
     )[0]
     asked = replace(episode, task="Find the green square")
-    perception = hstar_perception.open_perception("colour")
+    perception = open_perception("colour")
     view = View(0.0, 0.0)
     drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
     ahead = PerspectiveGrid(54, drawn.shape[1], math.radians(100))
     assert look_at_view(perception, drawn, ahead, "green square").response.max() > 0.5
-    seen = hstar_perception.open_eye(perception, asked, 0, 54)(view).evidence
+    seen = open_detector(perception, asked, 0, 54)(view).evidence
     assert seen.response.max() < 0.2
 
 
@@ -339,7 +345,7 @@ def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
         "hm",
         "<answer>submit(55,-3)</answer>",
     )
-    record = play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 90), "strict")
+    record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 90), "strict")
     assert (record["score"], record["views"], record["reason"]) == (1.0, 3, "submitted")
     assert [step["action"] for step in record["steps"]] == ["rotate(50,0)", None, "submit(55,-3)"]
     assert [step["valid"] for step in record["steps"]] == [True, False, True]
@@ -357,14 +363,14 @@ def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
 def test_a_model_that_never_submits_runs_out_of_turns_or_of_form(tmp_path):
     for text, reason in (("<answer>rotate(10,0)</answer>", "budget"), ("no idea", "format")):
         chat = hstar_data.Scripted(*[text] * 10)
-        record = play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 36))
+        record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 36))
         assert (record["score"], record["views"], record["reason"], record["cause"]) == (0.0, 10, reason, reason)
 
 
 @pytest.mark.parametrize(("window", "most"), [(1, 2), (2, 4), (5, 10)])
 def test_the_model_is_shown_a_window_of_the_conversation(tmp_path, window, most):
     chat = hstar_data.Scripted(*["<answer>rotate(10,0)</answer>"] * 10)
-    play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", window, 36))
+    run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", window, 36))
     assert max(map(len, chat.seen)) == most  # the system message and 2 * window - 1 others
     assert all(messages[0].role == "system" and messages[-1].role == "user" for messages in chat.seen)
 

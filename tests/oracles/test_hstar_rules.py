@@ -48,7 +48,7 @@ def test_success_is_what_the_published_environment_decides():
 def test_replies_are_read_as_the_published_parser_reads_them():
     for vector in json.loads(PARSE.read_text()):
         text = vector.pop("text")
-        assert dict(parse_action(text)) == vector, text
+        assert vars(parse_action(text)) == vector, text
 
 
 TAGS = ("<think>", "</think>", "<answer>", "</answer>")
@@ -89,7 +89,7 @@ PIECES = (*TAGS, *TAGS, "<observation>", "</observation>", "<reasoning>", "</rea
 @settings(max_examples=1500)
 @given(st.lists(st.sampled_from(PIECES), max_size=14).map("".join), st.sampled_from(FORMS))
 def test_replies_of_any_tags_are_read_as_the_published_parser_reads_them(text, form):
-    assert dict(parse_action(text, form)) == published(text, form)
+    assert vars(parse_action(text, form)) == published(text, form)
 
 
 @pytest.mark.parametrize("form", ["free_think", "no_think"])
@@ -202,9 +202,6 @@ def test_the_cross_is_filled_in_from_beside_it():
             filled = without_cross(with_cross)
             assert np.abs(filled.astype(int) - without).max() <= most
             assert (filled == with_cross).all(axis=-1).sum() >= with_cross[..., 0].size - 41, "nothing else changed"
-    wider = with_cross.copy()
-    wider[539:542, 948:973], wider[528:553, 959:962] = 255, 255  # as if it had run
-    assert np.abs(without_cross(wider, around=2).astype(int) - without).max() <= 3
     with pytest.raises(ImageError, match="a view is"):
         without_cross(with_cross[..., 0])
 

@@ -11,9 +11,8 @@ from eagor._checks import shown
 from eagor.errors import EagorError, FormatError
 from eagor.lab.tasks.benchmark import Case, Figure, Option, PublishedBenchmark
 from eagor.lab.tasks.hstar import data as files
+from eagor.lab.tasks.hstar.agents import AGENTS, CAUSES, LOOKING, SWEEP, open_perception, score_submission
 from eagor.lab.tasks.hstar.data import LEVELS, Episode, Kind
-from eagor.lab.tasks.hstar.perception import open_perception
-from eagor.lab.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged
 from eagor.lab.tasks.hstar.prompts import WINDOW
 from eagor.lab.tasks.hstar.rules import (
     FARTHEST_ANSWER,
@@ -48,7 +47,7 @@ class HStar(PublishedBenchmark):
 
     kind: Kind
     title: str
-    work = "eagor.lab.tasks.hstar.play:work"
+    work = "eagor.lab.tasks.hstar.agents:work"
     agents, options, causes = AGENTS, OPTIONS, CAUSES
     looking, truth = LOOKING, "the annotations through noise, for studies"
 
@@ -94,7 +93,7 @@ class HStar(PublishedBenchmark):
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         answer, reason = _submission(prediction, settings.get("form", FORMS[0]))
         episode, scoring = Episode.from_json(case.payload["episode"]), checked_scoring(settings["scoring"])
-        return judged(episode, answer, scoring, case.payload["siblings"], [{"shown": 1.0}], reason)
+        return score_submission(episode, answer, scoring, case.payload["siblings"], [{"shown": 1.0}], reason)
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)")
