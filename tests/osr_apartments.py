@@ -19,6 +19,7 @@ from PIL import Image
 
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera
+from eagor.lab.tasks.osr.detections import FILE, Body, Room
 from eagor.lab.tasks.osr.geometry import FloorLine, layout_from
 from eagor.lab.tasks.osr.scoring import (
     COUNTING,
@@ -26,12 +27,10 @@ from eagor.lab.tasks.osr.scoring import (
     DISTANCE,
     MAP,
     Layout,
-    count_label,
     direction_label,
     distance_label,
     grid_of,
 )
-from eagor.lab.tasks.osr.sightings import Body, Room, write_room
 from eagor.lab.worlds.raycast import Raycaster
 from eagor.lab.worlds.scene import Scene
 from eagor.sphere import world_R_body
@@ -112,6 +111,24 @@ def write_scene(view: View, folder: Path, rows: int = 512, questions: int = 5, s
     return target
 
 
+def write_room(room: Room, folder: Path) -> None:
+    """Write the truth about a room into a scene's folder."""
+    objects = []
+    for body in room.bodies:
+        (x, y), sides = _to_right(body.centre[None])[0], np.ptp(body.footprint, axis=0)[::-1]
+        objects.append({
+            "name": body.name, "xy": [x, y], "size": [*sides, body.high - body.low],
+            "z_centre": (body.low + body.high) / 2, "corners": _to_right(body.footprint),
+        })  # fmt: skip
+    walls = {} if room.walls is None else {"walls": _to_right(room.walls.points)}
+    (folder / FILE).write_text(json.dumps({"camera": room.camera, "objects": objects, **walls}))
+
+
+def _to_right(points: np.ndarray) -> list[list[float]]:
+    """From x forward, y left to x right, y forward."""
+    return np.stack([-points[:, 1], points[:, 0]], axis=1).round(4).tolist()
+
+
 def conversation(
     layout: Layout, counts: Mapping[str, int], names: Sequence[str], most: int, rng: np.random.Generator
 ) -> Iterator[dict[str, object]]:
@@ -122,7 +139,7 @@ def conversation(
     """
     names = list(names)
     asked: list[tuple[str, str, object]] = [(MAP, mapping(names), grid_of(layout))]
-    asked += [(COUNTING, counting(name), count_label(counts, name)) for name in rng.permutation(names)[:most].tolist()]
+    asked += [(COUNTING, counting(name), str(counts.get(name, 0))) for name in rng.permutation(names)[:most].tolist()]
     singles = [name for name in names if counts.get(name) == 1] or names
     complete = all(name in layout for name in names)
     if len(counts) >= LEAST:

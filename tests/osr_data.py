@@ -6,12 +6,12 @@ import json
 from pathlib import Path
 
 import numpy as np
-from osr_apartments import conversation
+from osr_apartments import conversation, write_room
 from PIL import Image
 
+from eagor.lab.tasks.osr.detections import Body, Room
 from eagor.lab.tasks.osr.geometry import FloorLine, layout_from
 from eagor.lab.tasks.osr.scoring import grid_of
-from eagor.lab.tasks.osr.sightings import Body, Room, write_room
 
 NAME = "ReplicaPano-made-here"
 CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])

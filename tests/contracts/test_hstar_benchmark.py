@@ -1,14 +1,10 @@
 """H*Bench as a benchmark: its files in every published shape, the contract, its agents, and models that talk."""
 
-import base64
-import io
 import json
 import math
 import random
 import shutil
-import threading
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import hstar_data
@@ -31,7 +27,7 @@ from eagor.lab.tasks.hstar.agents import (
     work,
 )
 from eagor.lab.tasks.hstar.bench import HOS, HPS
-from eagor.lab.tasks.hstar.data import Episode, open_panorama, read_episodes
+from eagor.lab.tasks.hstar.data import open_panorama, read_episodes
 from eagor.lab.tasks.hstar.prompts import first_text, head_of, phrase_of, system_text, tag_of, thing_of
 from eagor.lab.tasks.hstar.rules import View, render_view
 from eagor.lab.tasks.hstar.search import SearchRules
@@ -177,25 +173,16 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
     assert seen.response.max() < 0.2
 
 
-def test_episodes_survive_json(tmp_path):
-    for episode in read_episodes(hstar_data.write(tmp_path), "hos"):
-        assert Episode.from_json(json.loads(json.dumps(episode.as_json()))) == episode
-
-
 # The contract
 
 
-@pytest.mark.parametrize("agent", ["oracle", "random", "constant"])
-def test_the_contract_holds(tmp_path, agent):
-    found = benchmark.check_benchmark(HOS, hstar_data.write(tmp_path), agent)
-    assert len(found) == 16
+@pytest.mark.parametrize(("bench", "agent"), [(HOS, "oracle"), (HOS, "random"), (HOS, "constant"), (HPS, "oracle")])
+def test_the_contract_holds(tmp_path, bench, agent):
+    folder = hstar_data.write(tmp_path, f"{bench.kind}_bench", paths=bench is HPS)
+    records = benchmark.check_benchmark(bench, folder, agent)
+    assert len(records) == 16
     if agent == "oracle":
-        assert all(record["score"] == 1 for record in found)
-
-
-def test_the_contract_holds_for_paths(tmp_path):
-    folder = hstar_data.write(tmp_path, "hps_bench", paths=True)
-    assert all(record["score"] == 1 for record in benchmark.check_benchmark(HPS, folder, "oracle"))
+        assert all(record["score"] == 1 for record in records)
 
 
 @pytest.mark.skipif(not MINI.exists(), reason="the shared samples are not here")
@@ -204,13 +191,6 @@ def test_the_oracle_finds_everything_in_the_shared_samples():
     assert len(found) == 44
     assert all(record["scores"] == {"official": 1.0, "strict": 1.0} for record in found)
     assert {record["level"] for record in found} == {"easy", "medium", "hard"}
-
-
-def test_the_prior_of_the_search_is_a_setting_of_the_run(tmp_path):
-    folder = hstar_data.write(tmp_path)
-    found = settings(folder, agent="eagor", perception="truth", tilt="35", height="5")
-    assert SearchRules.of(found) == SearchRules(tilt=35.0, height=5.0)
-    assert SearchRules.of({"degree": 7}) == SearchRules(degree=7), "runs from before had no such settings"
 
 
 def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
@@ -223,19 +203,10 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
         ({"agent": "vlm", "model": "hstar_data:missing"}, "missing"),
         ({"scoring": "kind"}, "official, strict"),
         ({"turns": 0}, "turns = 0; wanted 1, 2, ..., 50"),
-        ({"turns": 2.7}, "turns = 2.7; wanted 1, 2"),
-        ({"turns": True}, "turns = True; wanted 1, 2"),
-        ({"turns": float("inf")}, "turns = inf; wanted 1, 2"),
-        ({"sure": 0.0}, "sure"),
-        ({"tilt": -1.0}, r"tilt = -1\.0; wanted degrees, 0 or more"),
-        ({"height": 100.0}, "height = 100.0; wanted degrees from -90 to 90"),
         ({"elsewhere": 0.0}, "elsewhere = 0.0; wanted a share above 0"),
         ({"sure": "nan"}, "sure = 'nan'; wanted something like 0.95"),
         ({"resolution": 17}, "resolution = 17; wanted rows of a picture, 18 to 8640"),
-        ({"resolution": 1080.5}, "resolution = 1080.5; wanted something like 1080"),
-        ({"resolution": 10**9}, "resolution = 1000000000; wanted rows"),
         ({"seed": -1}, "seed = -1; wanted a whole number, 0 or more"),
-        ({"seed": 2.5}, "seed = 2.5"),
         ({"agent": "vlm", "model": "llava:latest"}, "or llava:latest@http://localhost:11434 for a model on a server"),
         (
             {"agent": "vlm", "model": "hstar_data:panorama"},
@@ -388,61 +359,6 @@ def test_prompts_say_what_the_protocol_dictates(kind, form):
     assert first_text("Find it", form).startswith(f"[initial observation]:\n{IMAGE}\nHuman Instruction: Find it\n")
 
 
-class Handler(BaseHTTPRequestHandler):
-    """A server that answers chat completions: what it saw, and the size of the picture."""
-
-    def do_GET(self):
-        self.answer({"object": "list", "data": [{"id": "tiny", "object": "model", "created": 0, "owned_by": "us"}]})
-
-    def do_POST(self):
-        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-        self.server.asked.append(body)
-        parts = body["messages"][-1]["content"]
-        uri = next(part["image_url"]["url"] for part in parts if part["type"] == "image_url")
-        size = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))).size
-        reply = {"role": "assistant", "content": f"{size[0]} x {size[1]}"}
-        choice = {"index": 0, "finish_reason": "stop", "message": reply}
-        usage = {"prompt_tokens": 7, "completion_tokens": 2, "total_tokens": 9}
-        kind = {"id": "1", "object": "chat.completion", "created": 0, "model": body["model"]}
-        self.answer(kind | {"choices": [choice], "usage": usage})
-
-    def answer(self, found):
-        data = json.dumps(found).encode()
-        self.send_response(200)
-        self.send_header("Content-Type", "application/json")
-        self.send_header("Content-Length", str(len(data)))
-        self.end_headers()
-        self.wfile.write(data)
-
-    def log_message(self, *_):
-        pass
-
-
-@pytest.fixture
-def server():
-    found = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    found.asked = []
-    threading.Thread(target=found.serve_forever, daemon=True).start()
-    yield found
-    found.shutdown()
-    found.server_close()
-
-
-def test_served_models_see_the_pictures(server):
-    pytest.importorskip("openai")
-    chat = load_chat(f"@http://127.0.0.1:{server.server_port}?max_tokens=64&quality=90")
-    image = np.zeros((36, 64, 3), dtype=np.uint8)
-    messages = [Message("system", "be brief"), Message("user", f"look\n{IMAGE}\nwell?", (image,))]
-    said = [chat(messages) for _ in range(4)]
-    assert [reply.text for reply in said] == ["64 x 36"] * 4
-    assert said[0].prompt_tokens == 7
-    assert len(server.asked) == 4
-    body = server.asked[0]
-    assert (body["model"], body["temperature"], body["max_tokens"]) == ("tiny", 0.0, 64)
-    assert body["messages"][0] == {"role": "system", "content": "be brief"}
-    assert [part["type"] for part in body["messages"][1]["content"]] == ["text", "image_url", "text"]
-
-
 def test_models_are_named_in_one_line():
     chat = load_chat("Qwen/Qwen2.5-VL-7B-Instruct@http://a:8000?temperature=0.5")
     assert isinstance(chat, ServedChat)
@@ -463,12 +379,9 @@ def test_models_are_named_in_one_line():
     ("options", "says"),
     [
         ({"temperature": -0.1}, "ServedChat: temperature = -0.1; wanted 0 or more"),
-        ({"temperature": float("nan")}, "temperature = nan"),
         ({"max_tokens": 0}, "max_tokens = 0; wanted a whole number, 1 or more"),
         ({"quality": 101}, "quality = 101; wanted a whole number from 0 to 100"),
-        ({"quality": -1}, "quality = -1"),
         ({"timeout": 0.0}, "timeout = 0.0; wanted seconds above 0"),
-        ({"timeout": float("inf")}, "timeout = inf"),
         ({"retries": -1}, "retries = -1"),
         ({"backoff": -0.5}, "backoff = -0.5; wanted seconds, 0 or more"),
         ({"servers": ()}, "wanted a tuple of one address"),
@@ -486,6 +399,8 @@ def test_a_served_model_refuses_what_makes_no_sense(options, says):
             load_chat(f"m@http://a?{name}={value}")
 
 
-def test_a_served_model_completes_its_address():
-    assert ServedChat("m", ("http://a:8000/",)).servers == ("http://a:8000/v1",)
-    assert ServedChat("m", ("https://b/v2",)).servers == ("https://b/v2",)
+def test_the_prior_of_the_search_is_a_setting_of_the_run(tmp_path):
+    folder = hstar_data.write(tmp_path)
+    found = settings(folder, agent="eagor", perception="truth", tilt="35", height="5")
+    assert SearchRules.of(found) == SearchRules(tilt=35.0, height=5.0)
+    assert SearchRules.of({"degree": 7}) == SearchRules(degree=7), "runs from before had no such settings"

@@ -17,7 +17,6 @@ from eagor.lab.tasks.hstar.agents import LENS, SimulatedDetector
 from eagor.lab.tasks.hstar.rules import View, inside, submit_succeeds
 from eagor.lab.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
 from eagor.perception.truth import Noise
-from eagor.sphere import direction
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 
@@ -128,23 +127,6 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
 
 
-@pytest.mark.parametrize("view", [View(0.0, 0.0), View(37.0, -30.0), View(270.0, 60.0), View(180.0, -90.0)])
-def test_the_view_at_a_heading_is_the_one_that_has_it(view):
-    """Yaws grow to the right, azimuths to the left; both mean where the camera's middle is."""
-    assert View.facing(view.heading) == view
-    np.testing.assert_allclose(direction(*view.heading), view.world_R_view[:, 0], atol=1e-12)
-
-
-def test_paths_are_answered_by_yaw_alone():
-    detector = SimulatedDetector((100.0, 106.0), None, Noise.ideal(), 0)
-    search, view = Search.begin("hps"), View(90.0, 0.0)
-    for _ in range(3):
-        search = search.update(detector(view).evidence, view.world_R_view, view)
-    answer = search.answer()
-    assert answer.pitch == 0
-    assert abs(answer.yaw - 103) <= 5
-
-
 def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more():
     here, away = View(0.0, 0.0), View(180.0, 0.0)
 
@@ -163,32 +145,14 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
 @pytest.mark.parametrize(
     ("rules", "says"),
     [
-        ({"degree": 2.5}, "degree = 2.5; wanted a whole number, 1 or more"),
         ({"sure": math.nan}, "sure = nan; wanted a probability above 0, at most 1"),
-        ({"hit": 1.5}, "hit = 1.5; wanted a probability"),
         ({"alarm": 1.0}, "alarm = 1.0; wanted a probability from 0 to below 1"),
-        ({"repeats": True}, "repeats = True; wanted a share"),
-        ({"tilt": -1.0}, "tilt = -1.0; wanted degrees, 0 or more"),
-        ({"height": "low"}, "height = 'low'; wanted degrees"),
         ({"elsewhere": 0.0}, "elsewhere = 0.0; wanted a share above 0"),
-        ({"shift": math.inf}, "shift = inf; wanted a number"),
-        ({"slope": 0}, "slope = 0; wanted a number above 0"),
     ],
 )
 def test_rules_out_of_range_are_refused(rules, says):
     with pytest.raises(EagorError, match=f"SearchRules: {re.escape(says)}"):
         SearchRules(**rules)
-
-
-def test_rules_at_their_ends_still_tell_where_to_look():
-    for rules in (
-        SearchRules(hit=1.0, alarm=0.0, repeats=1.0),
-        SearchRules(hit=0.0),
-        SearchRules(tilt=1e-3, slope=100),
-    ):
-        search = Search.begin("hos", rules)
-        assert np.isfinite(search.tells()).all()
-        assert 0 <= search.answer().probability <= 1
 
 
 def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief():
@@ -223,3 +187,24 @@ def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
         places += [view.world_R_view @ r.direction for r in detector.reports(view) if r.kind == "false alarm"]
     assert len(places) >= 2
     np.testing.assert_allclose(places, [places[0]] * len(places), atol=1e-9)
+
+
+def test_paths_are_answered_by_yaw_alone():
+    detector = SimulatedDetector((100.0, 106.0), None, Noise.ideal(), 0)
+    search, view = Search.begin("hps"), View(90.0, 0.0)
+    for _ in range(3):
+        search = search.update(detector(view).evidence, view.world_R_view, view)
+    answer = search.answer()
+    assert answer.pitch == 0
+    assert abs(answer.yaw - 103) <= 5
+
+
+def test_rules_at_their_ends_still_tell_where_to_look():
+    for rules in (
+        SearchRules(hit=1.0, alarm=0.0, repeats=1.0),
+        SearchRules(hit=0.0),
+        SearchRules(tilt=1e-3, slope=100),
+    ):
+        search = Search.begin("hos", rules)
+        assert np.isfinite(search.tells()).all()
+        assert 0 <= search.answer().probability <= 1

@@ -247,7 +247,6 @@ HFOV_DEG = 100.0
 RESOLUTION = 1080  # rows; columns are rows // 9 * 16
 CROSS = (0, 255, 0)
 ARM = 10  # pixels of the cross to each side of the centre
-_BLOCK = 1 << 16  # pixels at a time, so that intermediate values fit in the processor's cache
 
 
 def size_of(resolution: int = RESOLUTION) -> tuple[int, int]:
@@ -303,17 +302,17 @@ def render_view(
     environment interpolates with weights in steps of 1/32, so single pixels differ from its own by a few levels.
     Raises `ImageError` for any other array.
     """
+    from scipy.ndimage import map_coordinates
+
     panorama = _checked_picture(panorama, "a panorama")
     rows, columns = size_of(resolution)
     height, width = panorama.shape[:2]
     longitude, latitude = _rays(rows, columns, float(pitch))
     x = longitude.reshape(-1) * np.float32(width / 360.0) + np.float32((0.5 + (yaw % 360.0) / 360.0) * width)
     y = latitude.reshape(-1) * np.float32(height / 180.0) + np.float32(height / 2)
-    out = np.empty((rows * columns, 3), dtype=np.uint8)
-    for start in range(0, rows * columns, _BLOCK):
-        part = slice(start, start + _BLOCK)
-        out[part] = _sampled(panorama, x[part], y[part])
-    out = out.reshape(rows, columns, 3)
+    places = np.stack([y.reshape(rows, columns), x.reshape(rows, columns)])
+    bands = [map_coordinates(panorama[..., band], places, np.float32, order=1, mode="grid-wrap") for band in range(3)]
+    out = (np.stack(bands, axis=-1) + np.float32(0.5)).astype(np.uint8)
     if cross:
         across, along = _cross(rows, columns)
         out[across, columns // 2] = out[rows // 2, along] = CROSS
@@ -379,22 +378,3 @@ def _rays(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray
     rays = View(0.0, pitch).grid(rows, columns).unproject(np.arange(columns), np.arange(rows)[:, None])
     longitude, latitude = (-np.degrees(angle).astype(np.float32) for angle in azimuth_elevation(rays))
     return longitude, latitude
-
-
-def _sampled(panorama: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear values ``(n, 3)`` at pixel coordinates whose whole numbers are pixel centres, wrapped both ways."""
-    height, width = panorama.shape[:2]
-    pixels = panorama.reshape(-1, 3)
-    left, top = np.floor(x), np.floor(y)
-    right_share, lower_share = (x - left)[:, None], (y - top)[:, None]
-    column, row = left.astype(np.int64), top.astype(np.int64)
-
-    def across(row: np.ndarray) -> np.ndarray:
-        here, beside = (
-            np.take(pixels, row % height * width + each % width, axis=0).astype(np.float32)
-            for each in (column, column + 1)
-        )
-        return here + (beside - here) * right_share
-
-    upper, lower = across(row), across(row + 1)
-    return (upper + (lower - upper) * lower_share + 0.5).astype(np.uint8)

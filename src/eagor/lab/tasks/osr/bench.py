@@ -16,10 +16,10 @@ from eagor.lab.tasks.benchmark import (
     Record,
     picture_size,
 )
+from eagor.lab.tasks.osr.agents import AGENTS, FORMS, LOOKING, Reply, score_reply
 from eagor.lab.tasks.osr.data import SUFFIXES, Scene, load, load_kept
-from eagor.lab.tasks.osr.play import AGENTS, FORMS, LOOKING, Reply, judged
+from eagor.lab.tasks.osr.detections import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_detector
 from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
-from eagor.lab.tasks.osr.sightings import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
 
 OPTIONS = {
     "labels": Option(
@@ -69,7 +69,7 @@ class OsrBench(PublishedBenchmark):
 
     name = "osr"
     title = "OSR-Bench"
-    work = "eagor.lab.tasks.osr.play:work"
+    work = "eagor.lab.tasks.osr.agents:work"
     agents, options = AGENTS, OPTIONS
     looking, truth = LOOKING, f"the true places, for data that has a {FILE} in each scene"
     record: ClassVar = {
@@ -136,7 +136,7 @@ class OsrBench(PublishedBenchmark):
             raise EagorError(f"camera_height = {settings['camera_height']}; wanted metres above the floor, above 0")
         if settings["perception"]:
             _check_files(settings)
-            open_looker(settings["perception"], settings)
+            open_detector(settings["perception"], settings)
 
     def judge(self, case: Case, prediction: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         told = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
@@ -144,7 +144,7 @@ class OsrBench(PublishedBenchmark):
             raise FormatError(f'the prediction for {case.id} has the keys {sorted(prediction)}; wanted "text": words')
         scenes = load_kept(str(settings["data"]), settings["suffix"])
         scene = next(scene for scene in scenes if scene.id == case.payload["scene"])
-        return judged(scene, scene.by_id[case.payload["question"]], Reply(told), settings)
+        return score_reply(scene, scene.by_id[case.payload["question"]], Reply(told), settings)
 
 
 OSR = OsrBench()

@@ -88,11 +88,6 @@ def distance_label(layout: Layout, category: str, choices: Iterable[str]) -> str
     return min(away, key=lambda choice: away[choice], default=NO_CANDIDATE)
 
 
-def count_label(counts: Mapping[str, int], category: str) -> str:
-    """The published answer to "how many ... are in this room?", from the number of things of each category."""
-    return str(counts.get(category, 0))
-
-
 def is_tied(layout: Layout, P: str, name: str) -> bool:
     """Whether several cells of `name` are equally near to P, so that the smallest angle decides."""
     start = _position(layout, P)
@@ -230,43 +225,40 @@ def _counted(said: str, true: str) -> float:
 class MapScore:
     """Agreement of a map with the truth: things at most `NEAR` cells from one of their category are found.
 
-    `f1_most`: the highest F1 that the published code can give, `f1` the lowest. `found`, `strange`, `missed`: numbers
-    of things (true positives, false positives, false negatives). `distance`: mean over pairs, cells. `hallucinated`:
-    share of the named categories that are absent (CHAIR_i), which are `absent`; `hallucinated_things`: of the things.
-    `rotation`: degrees clockwise by which the map was turned. `categories`: the score of each, by name, with the keys
-    of the published code.
+    `f1_most`: the highest F1 that the published code can give, `f1` the lowest. `rotation`: degrees clockwise by which
+    the map was turned. `overall` and `per_class` (by name): the figures that the published runner writes as JSON into
+    its tables. `chair_i` is the share of the named categories that are absent, `chair_instance` that of the things,
+    `avg_distance` the mean over pairs in cells.
     """
 
-    precision: float = 0.0
-    recall: float = 0.0
-    f1: float = 0.0
-    f1_most: float = 0.0
-    found: int = 0
-    strange: int = 0
-    missed: int = 0
-    distance: float = FAR
-    hallucinated: float = 0.0
-    hallucinated_things: float = 0.0
-    absent: tuple[str, ...] = ()
     rotation: int = 0
-    categories: dict[str, dict[str, float]] = field(default_factory=dict)
+    f1_most: float = 0.0
+    overall: dict[str, Any] = field(default_factory=lambda: _overall(0, 0, 0, FAR, 0.0, 0.0, []))
+    per_class: dict[str, dict[str, float]] = field(default_factory=dict)
 
-    def as_published(self) -> dict[str, Any]:
-        """The dictionary that the published runner writes as JSON into its tables."""
-        overall = {
-            "precision": self.precision,
-            "recall": self.recall,
-            "f1": self.f1,
-            "avg_distance": self.distance,
-            "tp": self.found,
-            "fp": self.strange,
-            "fn": self.missed,
-            "chair_s": int(bool(self.absent)),
-            "chair_i": self.hallucinated,
-            "chair_instance": self.hallucinated_things,
-            "hallucinated_classes": list(self.absent),
-        }
-        return {"overall": overall, "per_class": self.categories}
+    @property
+    def f1(self) -> float:
+        """Of all categories."""
+        return self.overall["f1"]
+
+
+def _overall(
+    right: int, named: int, true: int, distance: float, chair_i: float, chair_instance: float, absent: list[str]
+) -> dict[str, Any]:
+    """The published figures of a map with `named` things, of which `right` are right, in a room with `true` things."""
+    return {
+        "precision": right / named if named else 0.0,
+        "recall": right / true if true else 0.0,
+        "f1": _f1(right, named, true),
+        "avg_distance": distance,
+        "tp": right,
+        "fp": named - right,
+        "fn": true - right,
+        "chair_s": int(bool(absent)),
+        "chair_i": chair_i,
+        "chair_instance": chair_instance,
+        "hallucinated_classes": absent,
+    }
 
 
 def score_map(truth: Grid, reply: str) -> MapScore:
@@ -342,15 +334,13 @@ def _compared(there: dict[str, list[list[int]]], said: dict[str, list[list[int]]
         categories[name] = dict(zip(("precision", "recall", "f1"), rates, strict=True)) | {
             "avg_distance": away, "tp": right, "fp": named - right, "fn": true - right,
         }  # fmt: skip
-    true, named = sum(map(len, there.values())), sum(map(len, said.values()))
     right = int(sum(each["tp"] for each in categories.values()))
-    absent = tuple(sorted({*said} - {*there}))
-    return MapScore(
-        right / named, right / true, _f1(right, named, true),
-        _f1(right, sum(len(said[name]) for name in common), sum(len(there[name]) for name in common)), right,
-        named - right, true - right, total / pairs, len(absent) / len(said),
-        sum(len(said[name]) for name in absent) / named, absent, rotation, categories,
-    )  # fmt: skip
+    true, named = sum(map(len, there.values())), sum(map(len, said.values()))
+    absent = sorted({*said} - {*there})
+    most = _f1(right, sum(len(said[name]) for name in common), sum(len(there[name]) for name in common))
+    strays = sum(len(said[name]) for name in absent) / named
+    overall = _overall(right, named, true, total / pairs, len(absent) / len(said), strays, absent)
+    return MapScore(rotation, most, overall, categories)
 
 
 def _f1(right: int, named: int, true: int) -> float:

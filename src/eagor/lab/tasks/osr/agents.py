@@ -24,9 +24,10 @@ from eagor.errors import EagorError
 from eagor.lab.agents.models import shared_chat
 from eagor.lab.tasks.benchmark import case_seed
 from eagor.lab.tasks.osr.data import Question, Scene, load
+from eagor.lab.tasks.osr.detections import Detector, SceneDetections, open_detector
 from eagor.lab.tasks.osr.geometry import (
     SURE,
-    Drawings,
+    LayoutSamples,
     Placed,
     direction_between,
     draw,
@@ -58,7 +59,6 @@ from eagor.lab.tasks.osr.scoring import (
     steps,
     swapped,
 )
-from eagor.lab.tasks.osr.sightings import Looker, Seen, open_looker
 from eagor.perception.vlm import IMAGE, Chat, Message
 
 FORMS = ("vanilla", "think")
@@ -206,13 +206,13 @@ class Vlm:
 
 
 @dataclass(frozen=True, eq=False)
-class Around:
+class SceneLayout:
     """One scene as seen: things on the floor, and layouts drawn from them."""
 
     scene: str
-    seen: Seen
+    seen: SceneDetections
     placed: tuple[Placed, ...]
-    drawings: Drawings
+    samples: LayoutSamples
 
     def members(self, name: str) -> list[int]:
         """The things of this name, the likeliest first."""
@@ -235,17 +235,19 @@ class Around:
         notes: dict[str, Any] = {"things": found}
         if any(each["range_from"] not in SURE for each in found):
             notes["guessed"] = True
-        if strange := [name for name in names if name in self.seen.strange]:
-            notes["strange"] = strange
+        if unknown := [name for name in names if name in self.seen.unknown_queries]:
+            notes["strange"] = unknown
         return notes
 
 
-def laid_out(scene: str, seen: Seen, ranges: str = "floor", seed: int = 0) -> Around:
+def sample_layout(scene: str, seen: SceneDetections, ranges: str = "floor", seed: int = 0) -> SceneLayout:
     """The things seen in this scene, placed on the floor and drawn as layouts; `ranges` as in `Eagor`."""
     if ranges == "unit":
         seen = replace(seen, walls=None)
     placed = place_on_circle(seen.things) if ranges == "unit" else place(seen.things, seen.height, seen.walls)
-    return Around(scene, seen, tuple(placed), draw(placed, seen.walls, np.random.default_rng(case_seed(seed, scene))))
+    return SceneLayout(
+        scene, seen, tuple(placed), draw(placed, seen.walls, np.random.default_rng(case_seed(seed, scene)))
+    )
 
 
 class Eagor:
@@ -254,16 +256,16 @@ class Eagor:
     - `reading`: "cells": the likeliest label under the benchmark's rounding (`eagor.lab.tasks.osr.geometry`); "metres":
       from the places as they are; "auto": cells if the foot of the walls is known, otherwise metres (the layout's axes
       are then unknown, and guessing them costs more than rounding does).
-    - `ranges`: "floor" or "depth": as `place` computes them, with depth values if the looker gives any; "unit": all
+    - `ranges`: "floor" or "depth": as `place` computes them, with depth values if the detector gives any; "unit": all
       things at the same distance, which is all that directions alone can tell.
     - `negative`: whether questions may ask about absent things; only then does it answer with errors.
     """
 
     def __init__(
-        self, look: Looker, reading: str = "auto", ranges: str = "floor", negative: bool = False, seed: int = 0
+        self, look: Detector, reading: str = "auto", ranges: str = "floor", negative: bool = False, seed: int = 0
     ) -> None:
         self._look, self._reading, self._ranges, self._negative, self._seed = look, reading, ranges, negative, seed
-        self._kept: Around | None = None
+        self._kept: SceneLayout | None = None
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         around, skill, names = self.around(scene), question.skill, question.names
@@ -289,29 +291,29 @@ class Eagor:
             return Reply(found or _guess(question), stated, notes)
         return Reply(*self._closest(around, names[0], names[1:]), notes)
 
-    def around(self, scene: Scene) -> Around:
+    def around(self, scene: Scene) -> SceneLayout:
         """The scene as seen: looked at once, for all names in its questions."""
         if self._kept is None or self._kept.scene != scene.id:
-            self._kept = laid_out(scene.id, self._look(scene, scene.categories), self._ranges, self._seed)
+            self._kept = sample_layout(scene.id, self._look(scene, scene.categories), self._ranges, self._seed)
         return self._kept
 
-    def where(self, around: Around, P: str, O: str, Q: str) -> tuple[str, float | None, dict[str, float]]:
+    def where(self, around: SceneLayout, P: str, O: str, Q: str) -> tuple[str, float | None, dict[str, float]]:
         """The direction of the nearest Q from P facing the nearest O; its probability; and the share of each label.
 
         All three must be there; of several P the likeliest is taken.
         """
         start, facing, asked = around.members(P)[0], around.members(O), around.members(Q)
-        shares, placed = around.drawings.directions(start, facing, asked), around.placed
+        shares, placed = around.samples.directions(start, facing, asked), around.placed
         plain = direction_between(placed[start], [placed[k] for k in facing], [placed[k] for k in asked])
         return *self._chosen(around, plain, shares), shares
 
-    def _closest(self, around: Around, name: str, choices: Sequence[str]) -> tuple[str, float | None]:
+    def _closest(self, around: SceneLayout, name: str, choices: Sequence[str]) -> tuple[str, float | None]:
         start, placed = around.members(name)[0], around.placed
         groups = {name: members for name in choices if (members := around.members(name))}
         plain = nearest(placed[start], [placed[k] for members in groups.values() for k in members]).name
-        return self._chosen(around, plain, around.drawings.nearest(start, groups))
+        return self._chosen(around, plain, around.samples.nearest(start, groups))
 
-    def _chosen(self, around: Around, plain: str, shares: dict[str, float]) -> tuple[str, float | None]:
+    def _chosen(self, around: SceneLayout, plain: str, shares: dict[str, float]) -> tuple[str, float | None]:
         """The answer from the places as they are, or that of most layouts, and its share."""
         rounded = self._reading == "cells" or (self._reading == "auto" and around.seen.walls is not None)
         best = max(shares, key=lambda word: (shares[word], word == plain)) if rounded and shares else plain
@@ -333,7 +335,7 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
         scene = scenes[payload["scene"]]
         question = scene.by_id[payload["question"]]
-        return judged(scene, question, agent(scene, question), settings)
+        return score_reply(scene, question, agent(scene, question), settings)
 
     return do
 
@@ -344,7 +346,7 @@ def open_agent(settings: Mapping[str, Any], scenes: tuple[Scene, ...]) -> Agent:
     labels = "corrected" if settings["labels"] == "corrected" else "official"
     makers: dict[str, Callable[[], Agent]] = {
         "eagor": lambda: Eagor(
-            open_looker(settings["perception"], settings), settings["reading"], settings["range"], negative, seed
+            open_detector(settings["perception"], settings), settings["reading"], settings["range"], negative, seed
         ),
         "vlm": lambda: Vlm(shared_chat(settings["model"]), settings["prompt"]),
         "constant": lambda: partial(constant, negative),
@@ -357,7 +359,7 @@ def open_agent(settings: Mapping[str, Any], scenes: tuple[Scene, ...]) -> Agent:
     return makers[name]()
 
 
-def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:
+def score_reply(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The record of a reply."""
     skill, think = question.skill, settings["prompt"] == "think"
     wanted = ("official", "corrected") if settings["labels"] == "both" else (settings["labels"],)
@@ -378,7 +380,9 @@ def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str
     }
     if skill == MAP:
         found = score_map(truths[main], reply.text)
-        record["map"] = found.as_published() | {"truth": truths[main], "rotation": found.rotation}
+        record["map"] = {
+            "overall": found.overall, "per_class": found.per_class, "truth": truths[main], "rotation": found.rotation
+        }  # fmt: skip
         record["map_range"] = {"least": found.f1, "most": found.f1_most}
     else:
         record["truth"] = truths[main]
