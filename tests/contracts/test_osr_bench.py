@@ -117,7 +117,7 @@ def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: P
     assert score_reply(scene, question, reply, settled(data, agent="constant", suffix="qa"))["cause"] == "format"
 
 
-def test_predictions_from_elsewhere_are_score_reply(data: Path) -> None:
+def test_predictions_from_elsewhere_are_scored(data: Path) -> None:
     bench, settings = load("osr"), settled(data, agent="constant")
     case = bench.cases(data, settings)[0]
     for key in ("text", "answer", "model_answer"):

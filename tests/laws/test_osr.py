@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from osr_apartments import counting, direction, distance, mapping, write_room
+from osr_data import counting, direction, distance, mapping, write_room
 from strategies import at_most
 
 from eagor.errors import DirectionError, FormatError

@@ -91,21 +91,6 @@ LOOKING = ("eagor",)
 TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
 
 
-def plain_text(question: str, form: str) -> str:
-    """The prompt for a question without a map."""
-    return f"{_BEFORE} {next_text(question, form)}"
-
-
-def next_text(question: str, form: str) -> str:
-    """The prompt for a question after the map was asked for and given."""
-    return f"{question} {_AFTER[form]}"
-
-
-def with_picture(text: str, image: np.ndarray) -> list[Message]:
-    """The conversation that shows the panorama with one prompt."""
-    return [Message("user", f"{text}\n{IMAGE}", (image,))]
-
-
 @dataclass(frozen=True)
 class Reply:
     """An answer for scoring; `stated`: the agent's probability that it is right; and notes for the record."""
@@ -161,23 +146,20 @@ class Majority:
     negative: bool = False
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
-        told = self._told("", question.skill) - self._told(scene.id, question.skill)
-        fits = set(question.names[1:]) | {NO_CANDIDATE} if question.skill == DISTANCE else set(told)
-        ranked = sorted((word for word in told if word in fits), key=lambda word: (-told[word], word))
-        return Reply(ranked[0]) if ranked else constant(self.negative, scene, question)
-
-    def _told(self, scene: str, skill: str) -> Counter[str]:
-        return self._counts.get((scene, skill), Counter())
+        answers = self._counts[question.skill].copy()
+        answers.subtract(
+            str(each.truth(self.labels)) for each in scene.questions if each.skill == question.skill != MAP
+        )
+        choices = {*question.names[1:], NO_CANDIDATE} if question.skill == DISTANCE else {*answers}
+        ranked = sorted((-count, answer) for answer, count in answers.items() if count > 0 and answer in choices)
+        return Reply(ranked[0][1]) if ranked else constant(self.negative, scene, question)
 
     @lazy
-    def _counts(self) -> dict[tuple[str, str], Counter[str]]:
-        """How often each answer is right, by scene ("" for all of them) and skill."""
-        counts: dict[tuple[str, str], Counter[str]] = {}
-        for scene in self.scenes:
-            for question in scene.questions:
-                if question.skill != MAP:
-                    for group in ("", scene.id):
-                        counts.setdefault((group, question.skill), Counter())[str(question.truth(self.labels))] += 1
+    def _counts(self) -> dict[str, Counter[str]]:
+        """How often each answer is right, by skill."""
+        counts: dict[str, Counter[str]] = {skill: Counter() for skill in TITLES}
+        for question in (question for scene in self.scenes for question in scene.questions if question.skill != MAP):
+            counts[question.skill][str(question.truth(self.labels))] += 1
         return counts
 
 
@@ -189,20 +171,23 @@ class Vlm:
         self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map, which is asked for once
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
-        from eagor.media.panorama import read_panorama
-
-        mapped = scene.map_question
+        mapped, text = scene.map_question, f"{question.text} {_AFTER[self._form]}"
         if mapped is None:
-            text = plain_text(question.text, self._form)
-            return Reply(self._chat(with_picture(text, read_panorama(scene.picture))).text)
+            return Reply(self._chat([_with_picture(f"{_BEFORE} {text}", scene)]).text)
         if self._drawn is None or self._drawn[0] != scene.id:
-            asked = with_picture(mapped.text, read_panorama(scene.picture))
-            self._drawn = scene.id, asked, self._chat(asked).text
-        _, asked, drawn = self._drawn
+            request = _with_picture(mapped.text, scene)
+            self._drawn = scene.id, [request], self._chat([request]).text
+        _, requests, drawn = self._drawn
         if question.skill == MAP:
             return Reply(drawn)
-        further = Message("user", next_text(question.text, self._form))
-        return Reply(self._chat([*asked, Message("assistant", drawn), further]).text, notes={"map": drawn})
+        messages = [*requests, Message("assistant", drawn), Message("user", text)]
+        return Reply(self._chat(messages).text, notes={"map": drawn})
+
+
+def _with_picture(text: str, scene: Scene) -> Message:
+    from eagor.media.panorama import read_panorama
+
+    return Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.picture),))
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,19 +329,21 @@ def open_agent(settings: Mapping[str, Any], scenes: tuple[Scene, ...]) -> Agent:
     """The agent of these settings. Raises `EagorError` if it does not exist or cannot be made."""
     name, seed, negative = settings["agent"], settings["seed"], "with_negative" in settings["suffix"]
     labels = "corrected" if settings["labels"] == "corrected" else "official"
-    makers: dict[str, Callable[[], Agent]] = {
-        "eagor": lambda: Eagor(
-            open_detector(settings["perception"], settings), settings["reading"], settings["range"], negative, seed
-        ),
-        "vlm": lambda: Vlm(shared_chat(settings["model"]), settings["prompt"]),
-        "constant": lambda: partial(constant, negative),
-        "majority": lambda: Majority(scenes, labels, negative),
-        "random": lambda: partial(random, seed),
-        "oracle": lambda: partial(oracle, labels),
+    if name == "eagor":
+        detector = open_detector(settings["perception"], settings)
+        return Eagor(detector, settings["reading"], settings["range"], negative, seed)
+    if name == "vlm":
+        return Vlm(shared_chat(settings["model"]), settings["prompt"])
+    if name == "majority":
+        return Majority(scenes, labels, negative)
+    blind = {
+        "constant": partial(constant, negative),
+        "random": partial(random, seed),
+        "oracle": partial(oracle, labels),
     }
-    if name not in makers:
+    if name not in blind:
         raise EagorError(f"osr has no agent {name!r}; it has {', '.join(AGENTS)}")
-    return makers[name]()
+    return blind[name]
 
 
 def score_reply(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:
