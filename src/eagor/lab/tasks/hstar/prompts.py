@@ -73,12 +73,12 @@ def first_text(task: str, form: str) -> str:
 
 def next_text(task: str, form: str, reply: Reply, view: View) -> str:
     """The text with a later view: the action as understood, its outcome, and the camera's direction now."""
-    valid, said = "[]", "Last action is not executed successfully."
+    valid, feedback = "[]", "Last action is not executed successfully."
     if reply.action is not None:
-        valid, said = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
+        valid, feedback = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
     return (
-        f"After your answer, the extracted valid action is {valid}.\nThe environment feedback is: {said}\ndone: False\n"
-        f"After that, the observation is:\n{_instruction(task, form)}"
+        f"After your answer, the extracted valid action is {valid}.\nThe environment feedback is: {feedback}\n"
+        f"done: False\nAfter that, the observation is:\n{_instruction(task, form)}"
     )
 
 

@@ -189,12 +189,8 @@ def _along(text: str, marks: tuple[str, ...], at_start: bool = False) -> list[re
     """The first place of each mark after the one before; None if one is missing."""
     places: list[re.Match[str]] = []
     for mark in marks:
-        pattern = re.compile(mark)
-        place = (
-            pattern.search(text, places[-1].end())
-            if places
-            else (pattern.match(text) if at_start else pattern.search(text))
-        )
+        find = re.compile(mark).match if at_start and not places else re.compile(mark).search
+        place = find(text, places[-1].end() if places else 0)
         if place is None:
             return None
         places.append(place)
@@ -308,9 +304,8 @@ def render_view(
     rows, columns = size_of(resolution)
     height, width = panorama.shape[:2]
     longitude, latitude = _rays(rows, columns, float(pitch))
-    x = longitude.reshape(-1) * np.float32(width / 360.0) + np.float32((0.5 + (yaw % 360.0) / 360.0) * width)
-    y = latitude.reshape(-1) * np.float32(height / 180.0) + np.float32(height / 2)
-    places = np.stack([y.reshape(rows, columns), x.reshape(rows, columns)])
+    x = longitude * np.float32(width / 360.0) + np.float32((0.5 + (yaw % 360.0) / 360.0) * width)
+    places = np.stack([latitude * np.float32(height / 180.0) + np.float32(height / 2), x])
     bands = [map_coordinates(panorama[..., band], places, np.float32, order=1, mode="grid-wrap") for band in range(3)]
     out = (np.stack(bands, axis=-1) + np.float32(0.5)).astype(np.uint8)
     if cross:
@@ -343,7 +338,8 @@ def _checked_picture(picture: np.ndarray, what: str, least: int = 1) -> np.ndarr
 
 def _cross(rows: int, columns: int) -> tuple[slice, slice]:
     """The rows of the cross's upright line, and the columns of its level one."""
-    return tuple(slice(max(0, size // 2 - ARM), size // 2 + ARM + 1) for size in (rows, columns))  # type: ignore[return-value]
+    row, column = rows // 2, columns // 2
+    return slice(max(0, row - ARM), row + ARM + 1), slice(max(0, column - ARM), column + ARM + 1)
 
 
 def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:

@@ -138,9 +138,9 @@ class Search:
             new = self._new_at(evidence.grid.directions @ world_R_capture.T)
             return self.belief.update(replace(evidence, drawn=evidence.log_ratio * new), world_R_capture)
         basis, grid = self.belief.basis, decoding_grid(self.rules.degree)
-        said = basis.synthesise(evidence.coefficients(self.rules.degree), grid)
+        log_ratio = basis.synthesise(evidence.coefficients(self.rules.degree), grid)
         new = self._new_at(grid.directions @ world_R_capture.T)
-        return self.belief.plus(basis.rotate(basis.analyse(said * new, grid), world_R_capture))
+        return self.belief.plus(basis.rotate(basis.analyse(log_ratio * new, grid), world_R_capture))
 
     def _new_at(self, directions: np.ndarray) -> np.ndarray:
         """The fraction ``(...)`` of a look at directions ``(..., 3)`` of the world that is new."""

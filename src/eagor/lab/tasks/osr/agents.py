@@ -406,9 +406,9 @@ def cause(question: Question, reply: Reply, labels: str, think: bool) -> str:
     if reply.notes.get("problem"):
         return "missed"
     if question.skill == DIRECTION:
-        said, truth = extracted(reply.text, think), str(question.truth(labels))
-        if truth not in ERRORS and not is_direction(said) and said.strip() not in ERRORS:
+        answer, truth = extracted(reply.text, think), str(question.truth(labels))
+        if truth not in ERRORS and not is_direction(answer) and answer.strip() not in ERRORS:
             return "format"
-        if score(DIRECTION, swapped(truth), said) and swapped(truth) != truth:
+        if score(DIRECTION, swapped(truth), answer) and swapped(truth) != truth:
             return "left and right exchanged"
     return "range guessed" if reply.notes.get("guessed") else "wrong"
