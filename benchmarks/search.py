@@ -4,7 +4,7 @@
 
 Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
 each, and, where --samples names them, in the labelled photographs of `hstar_mini`. Every agent looks through `truth`
-(`eagor.lab.tasks.hstar.perception`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept
+(`eagor.lab.tasks.hstar.agents`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept
 from look to look with probability 0.3, 8 degrees of error. Success is strict. What was tuned was tuned on other
 apartments, with other luck.
 
@@ -36,9 +36,8 @@ from PIL import Image
 from eagor.grids import ErpGrid
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera
+from eagor.lab.tasks.hstar.agents import make_agent, open_detector, run_episode
 from eagor.lab.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episodes
-from eagor.lab.tasks.hstar.perception import open_eye
-from eagor.lab.tasks.hstar.play import make_agent, play
 from eagor.lab.tasks.hstar.rules import View, level_of
 from eagor.lab.tasks.hstar.search import SearchRules
 from eagor.perception.truth import Noise
@@ -132,9 +131,9 @@ def measured(episodes: Sequence[Episode], noise: Noise, looks: int) -> dict[str,
         began, records = time.process_time(), []
         for repetition in range(looks):
             for episode in episodes:
-                eye = open_eye(noise, episode, LUCK + repetition, 1080)
-                player = make_agent(agent, episode, eye, SearchRules(), 10, 0)
-                records.append(play(episode, player, "strict"))
+                detector = open_detector(noise, episode, LUCK + repetition, 1080)
+                player = make_agent(agent, episode, detector, SearchRules(), 10, 0)
+                records.append(run_episode(episode, player, "strict"))
         views = sum(record["views"] for record in records)
         milliseconds = 1000 * (time.process_time() - began) / views
         runs[agent] = records

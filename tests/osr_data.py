@@ -1,18 +1,28 @@
-"""A small data set in OSR-Bench's layout, made up for tests."""
+"""A small data set in OSR-Bench's layout, made up for tests, and the published questions."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from osr_apartments import conversation
 from PIL import Image
 
+from eagor.lab.tasks.osr.detections import FILE, Body, Room
 from eagor.lab.tasks.osr.geometry import FloorLine, layout_from
-from eagor.lab.tasks.osr.scoring import grid_of
-from eagor.lab.tasks.osr.sightings import Body, Room, write_room
+from eagor.lab.tasks.osr.scoring import (
+    COUNTING,
+    DIRECTION,
+    DISTANCE,
+    MAP,
+    Layout,
+    direction_label,
+    distance_label,
+    grid_of,
+)
 
+LEAST = 5  # categories: with fewer the benchmark does not ask about distances and directions
 NAME = "ReplicaPano-made-here"
 CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])
 PLACES = {
@@ -42,3 +52,86 @@ def write(tmp_path: Path) -> Path:
         entry = {"image_id": f"data/{NAME}/rgb.png", "pre_prompt": "", "conversation": turns}
         (folder / f"{NAME}_{kind}.json").write_text(json.dumps(entry))
     return tmp_path / "data"
+
+
+def write_room(room: Room, folder: Path) -> None:
+    """Write the truth about a room into a scene's folder."""
+    objects = []
+    for body in room.bodies:
+        (x, y), sides = _to_right(body.centre[None])[0], np.ptp(body.footprint, axis=0)[::-1]
+        objects.append({
+            "name": body.name, "xy": [x, y], "size": [*sides, body.high - body.low],
+            "z_centre": (body.low + body.high) / 2, "corners": _to_right(body.footprint),
+        })  # fmt: skip
+    walls = {} if room.walls is None else {"walls": _to_right(room.walls.points)}
+    (folder / FILE).write_text(json.dumps({"camera": room.camera, "objects": objects, **walls}))
+
+
+def _to_right(points: np.ndarray) -> list[list[float]]:
+    """From x forward, y left to x right, y forward."""
+    return np.stack([-points[:, 1], points[:, 0]], axis=1).round(4).tolist()
+
+
+def conversation(
+    layout: Layout, counts: Mapping[str, int], names: Sequence[str], most: int, rng: np.random.Generator
+) -> Iterator[dict[str, object]]:
+    """The turns about one layout: the map, then at most `most` questions of each kind over `names`.
+
+    As published, the positioning object is of a category with one thing, if there is one. If all `names` are present,
+    questions that an error would answer are not asked.
+    """
+    names = list(names)
+    asked: list[tuple[str, str, object]] = [(MAP, mapping(names), grid_of(layout))]
+    asked += [(COUNTING, counting(name), str(counts.get(name, 0))) for name in rng.permutation(names)[:most].tolist()]
+    singles = [name for name in names if counts.get(name) == 1] or names
+    complete = all(name in layout for name in names)
+    if len(counts) >= LEAST:
+        for kind in (DISTANCE, DIRECTION):
+            kept = 0
+            for _ in range(2 * most if complete else most):
+                first = str(rng.choice(singles))
+                others = rng.permutation([name for name in names if name != first]).tolist()
+                if kind == DISTANCE:
+                    question, answer = distance(first, others[:4]), distance_label(layout, first, others[:4])
+                else:
+                    question = direction(first, *others[:2])
+                    answer = direction_label(layout, first, *others[:2])
+                if kept == most or (complete and answer.endswith("picture.")):
+                    continue
+                kept += 1
+                asked.append((kind, question, answer))
+    for number, (skill, question, answer) in enumerate(asked):
+        yield {"turn_id": number, "question": question, "answer": answer, "skills_tested": skill}
+
+
+def counting(name: str) -> str:
+    """The published question about the number of things."""
+    return f"How many {name}(s) are in this room?"
+
+
+def distance(name: str, choices: Sequence[str]) -> str:
+    """The published question about the nearest of the choices."""
+    return (
+        f"Measuring from the closest point of each object, which of these objects ({', '.join(choices)}) is the "
+        f"closest to the {name} in this PANORAMA?"
+    )
+
+
+def direction(P: str, O: str, Q: str) -> str:
+    """The published question about the direction of Q for someone who stands by P and faces O."""
+    return (
+        f"If I am standing by the {P} and facing the closest {O}, is the closest {Q} to my front, back, left, right, "
+        "front-left, front-right, back-left, or back-right in this PANORAMA?"
+    )
+
+
+def mapping(names: Sequence[str]) -> str:
+    """The question for the map, in our words, with the benchmark's list of categories and format."""
+    return (
+        "[Task] This PANORAMA shows a room all around. Draw its plan: say where the middle of each object lies on a "
+        "10x10 grid that covers the whole room. [Rule] Care only about the categories in this scene: "
+        f"{{{', '.join(names)}}}. List every instance of each of them, keep their positions to one another, put what "
+        "is near the camera near the middle of the grid and what is far away near its edges, and place an object that "
+        "is partly hidden where all of it must be. [Output] One JSON object with integer coordinates from 0 to 9: "
+        '{"category name": [[x_1, y_1], ...], ...}'
+    )

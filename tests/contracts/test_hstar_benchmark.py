@@ -1,14 +1,10 @@
 """H*Bench as a benchmark: its files in every published shape, the contract, its agents, and models that talk."""
 
-import base64
-import io
 import json
 import math
 import random
 import shutil
-import threading
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import hstar_data
@@ -20,12 +16,17 @@ from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.agents.models import load_chat
 from eagor.lab.tasks.hstar import data
-from eagor.lab.tasks.hstar import perception as hstar_perception
+from eagor.lab.tasks.hstar.agents import (
+    CAUSES,
+    VlmAgent,
+    cause_of,
+    open_detector,
+    open_perception,
+    run_episode,
+)
 from eagor.lab.tasks.hstar.bench import HOS, HPS
-from eagor.lab.tasks.hstar.data import Episode, open_panorama, read_episodes
-from eagor.lab.tasks.hstar.perception import head_of, phrase_of, tag_of, thing_of
-from eagor.lab.tasks.hstar.play import CAUSES, VlmAgent, cause_of, play
-from eagor.lab.tasks.hstar.prompts import first_text, system_text
+from eagor.lab.tasks.hstar.data import open_panorama, read_episodes
+from eagor.lab.tasks.hstar.prompts import first_text, head_of, phrase_of, system_text, tag_of, thing_of
 from eagor.lab.tasks.hstar.rules import View, render_view
 from eagor.lab.tasks.hstar.search import SearchRules
 from eagor.lab.tasks.task import check_task, configure, settings_of
@@ -161,18 +162,13 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
         hstar_data.write(tmp_path, targets={"hall": {"red": ([170.0, 190.0], [-5.0, 5.0])}}), "hos"
     )[0]
     asked = replace(episode, task="Find the green square")
-    perception = hstar_perception.open_perception("colour")
+    perception = open_perception("colour")
     view = View(0.0, 0.0)
     drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
     ahead = PerspectiveGrid(54, drawn.shape[1], math.radians(100))
     assert look_at_view(perception, drawn, ahead, "green square").response.max() > 0.5
-    seen = hstar_perception.open_eye(perception, asked, 0, 54)(view).evidence
+    seen = open_detector(perception, asked, 0, 54)(view).evidence
     assert seen.response.max() < 0.2
-
-
-def test_episodes_survive_json(tmp_path):
-    for episode in read_episodes(hstar_data.write(tmp_path), "hos"):
-        assert Episode.from_json(json.loads(json.dumps(episode.as_json()))) == episode
 
 
 # The contract
@@ -336,7 +332,7 @@ def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
         "hm",
         "<answer>submit(55,-3)</answer>",
     )
-    record = play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 90), "strict")
+    record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 90), "strict")
     assert (record["score"], record["views"], record["reason"]) == (1.0, 3, "submitted")
     assert [step["action"] for step in record["steps"]] == ["rotate(50,0)", None, "submit(55,-3)"]
     assert [step["valid"] for step in record["steps"]] == [True, False, True]
@@ -354,14 +350,14 @@ def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
 def test_a_model_that_never_submits_runs_out_of_turns_or_of_form(tmp_path):
     for text, reason in (("<answer>rotate(10,0)</answer>", "budget"), ("no idea", "format")):
         chat = hstar_data.Scripted(*[text] * 10)
-        record = play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 36))
+        record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 36))
         assert (record["score"], record["views"], record["reason"], record["cause"]) == (0.0, 10, reason, reason)
 
 
 @pytest.mark.parametrize(("window", "most"), [(1, 2), (2, 4), (5, 10)])
 def test_the_model_is_shown_a_window_of_the_conversation(tmp_path, window, most):
     chat = hstar_data.Scripted(*["<answer>rotate(10,0)</answer>"] * 10)
-    play(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", window, 36))
+    run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", window, 36))
     assert max(map(len, chat.seen)) == most  # the system message and 2 * window - 1 others
     assert all(messages[0].role == "system" and messages[-1].role == "user" for messages in chat.seen)
 
@@ -377,61 +373,6 @@ def test_prompts_say_what_the_protocol_dictates(kind, form):
     example = text.rpartition("e.g. ")[2]
     assert str(parse_action(example, form).action) == "rotate(-45,0)"
     assert first_text("Find it", form).startswith(f"[initial observation]:\n{IMAGE}\nHuman Instruction: Find it\n")
-
-
-class Handler(BaseHTTPRequestHandler):
-    """A server that answers chat completions: what it saw, and the size of the picture."""
-
-    def do_GET(self):
-        self.answer({"object": "list", "data": [{"id": "tiny", "object": "model", "created": 0, "owned_by": "us"}]})
-
-    def do_POST(self):
-        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-        self.server.asked.append(body)
-        parts = body["messages"][-1]["content"]
-        uri = next(part["image_url"]["url"] for part in parts if part["type"] == "image_url")
-        size = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))).size
-        reply = {"role": "assistant", "content": f"{size[0]} x {size[1]}"}
-        choice = {"index": 0, "finish_reason": "stop", "message": reply}
-        usage = {"prompt_tokens": 7, "completion_tokens": 2, "total_tokens": 9}
-        kind = {"id": "1", "object": "chat.completion", "created": 0, "model": body["model"]}
-        self.answer(kind | {"choices": [choice], "usage": usage})
-
-    def answer(self, found):
-        data = json.dumps(found).encode()
-        self.send_response(200)
-        self.send_header("Content-Type", "application/json")
-        self.send_header("Content-Length", str(len(data)))
-        self.end_headers()
-        self.wfile.write(data)
-
-    def log_message(self, *_):
-        pass
-
-
-@pytest.fixture
-def server():
-    found = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    found.asked = []
-    threading.Thread(target=found.serve_forever, daemon=True).start()
-    yield found
-    found.shutdown()
-    found.server_close()
-
-
-def test_served_models_see_the_pictures(server):
-    pytest.importorskip("openai")
-    chat = load_chat(f"@http://127.0.0.1:{server.server_port}?max_tokens=64&quality=90")
-    image = np.zeros((36, 64, 3), dtype=np.uint8)
-    messages = [Message("system", "be brief"), Message("user", f"look\n{IMAGE}\nwell?", (image,))]
-    said = [chat(messages) for _ in range(4)]
-    assert [reply.text for reply in said] == ["64 x 36"] * 4
-    assert said[0].prompt_tokens == 7
-    assert len(server.asked) == 4
-    body = server.asked[0]
-    assert (body["model"], body["temperature"], body["max_tokens"]) == ("tiny", 0.0, 64)
-    assert body["messages"][0] == {"role": "system", "content": "be brief"}
-    assert [part["type"] for part in body["messages"][1]["content"]] == ["text", "image_url", "text"]
 
 
 def test_models_are_named_in_one_line():
@@ -454,29 +395,14 @@ def test_models_are_named_in_one_line():
     ("options", "says"),
     [
         ({"temperature": -0.1}, "ServedChat: temperature = -0.1; wanted 0 or more"),
-        ({"temperature": float("nan")}, "temperature = nan"),
         ({"max_tokens": 0}, "max_tokens = 0; wanted a whole number, 1 or more"),
         ({"quality": 101}, "quality = 101; wanted a whole number from 0 to 100"),
-        ({"quality": -1}, "quality = -1"),
-        ({"timeout": 0.0}, "timeout = 0.0; wanted seconds above 0"),
-        ({"timeout": float("inf")}, "timeout = inf"),
-        ({"retries": -1}, "retries = -1"),
-        ({"backoff": -0.5}, "backoff = -0.5; wanted seconds, 0 or more"),
-        ({"servers": ()}, "wanted a tuple of one address"),
-        ({"servers": ("http://a", "http://b")}, "2 addresses of servers came; wanted one"),
-        ({"servers": ("ftp://a",)}, "not the address of a server"),
     ],
 )
 def test_a_served_model_refuses_what_makes_no_sense(options, says):
     with pytest.raises(EagorError, match=says):
         ServedChat("m", **options)
-    if "servers" not in options:
-        pytest.importorskip("openai")
-        ((name, value),) = options.items()
-        with pytest.raises(EagorError, match=says):
-            load_chat(f"m@http://a?{name}={value}")
-
-
-def test_a_served_model_completes_its_address():
-    assert ServedChat("m", ("http://a:8000/",)).servers == ("http://a:8000/v1",)
-    assert ServedChat("m", ("https://b/v2",)).servers == ("https://b/v2",)
+    pytest.importorskip("openai")
+    ((name, value),) = options.items()
+    with pytest.raises(EagorError, match=says):
+        load_chat(f"m@http://a?{name}={value}")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import struct
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,25 +14,16 @@ import pytest
 from commands import eagor
 
 from eagor.errors import EagorError, FormatError
+from eagor.lab.tasks.osr.agents import Eagor, Majority, Vlm
 from eagor.lab.tasks.osr.data import SUFFIXES
 from eagor.lab.tasks.osr.data import load as load_scenes
-from eagor.lab.tasks.osr.play import Eagor, Majority, Vlm
+from eagor.lab.tasks.osr.detections import BeliefDetector
 from eagor.lab.tasks.osr.scoring import DIRECTION, MAP
-from eagor.lab.tasks.osr.sightings import BeliefLooker
 from eagor.lab.tasks.task import check_task, configure, load, settings_of
 from eagor.perception.vlm import IMAGE, ChatReply, Message
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 NAME, PLACES = osr_data.NAME, osr_data.PLACES
-
-
-def chat() -> Any:
-    """What ``--model`` names in these tests: a model that always says the same, and can draw a map."""
-
-    def reply(messages: Sequence[Message]) -> ChatReply:
-        return ChatReply('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
-
-    return reply
 
 
 @pytest.fixture
@@ -95,14 +84,6 @@ def test_true_places_answer_with_the_corrected_labels_and_not_with_the_published
     assert mapped["scores"]["corrected"] == 1 > mapped["scores"]["official"]
 
 
-def test_oracle_and_labels(data: Path) -> None:
-    both = played(data, agent="oracle", labels="both")
-    assert figure(both, "direction_official") == 1 > (figure(both, "direction_corrected") or 0)
-    corrected = played(data, agent="oracle", labels="corrected")
-    assert figure(corrected, "direction") == figure(corrected, "direction_corrected") == 1
-    assert figure(corrected, "direction_official") is None
-
-
 def test_errors_are_answered_only_where_something_may_be_absent(data: Path) -> None:
     negative = played(data, agent="eagor", perception="truth", suffix="qa_with_negative_without_cogmap")
     absent = [record for record in negative if "absent" in record["tags"]]
@@ -116,7 +97,7 @@ def test_the_model_is_asked_with_the_map_and_without(data: Path, suffix: str, tu
 
     def model(messages: Sequence[Message]) -> ChatReply:
         heard.append(list(messages))
-        return chat()(messages)
+        return ChatReply('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
 
     (scene,) = load_scenes(data, suffix)
     agent = Vlm(model)
@@ -131,7 +112,7 @@ def test_the_model_is_asked_with_the_map_and_without(data: Path, suffix: str, tu
 
 
 def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: Path) -> None:
-    from eagor.lab.tasks.osr.play import Reply, judged
+    from eagor.lab.tasks.osr.agents import Reply, score_reply
 
     (scene,) = load_scenes(data, "qa")
     question = next(question for question in scene.questions if question.skill == DIRECTION)
@@ -139,8 +120,8 @@ def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: P
     think, plain = (
         settings_of(config(data, agent="constant", prompt=form, suffix="qa")) for form in ("think", "vanilla")
     )
-    assert judged(scene, question, reply, think)["score"] == 1
-    assert judged(scene, question, reply, plain)["cause"] == "format"
+    assert score_reply(scene, question, reply, think)["score"] == 1
+    assert score_reply(scene, question, reply, plain)["cause"] == "format"
 
 
 def test_a_run_with_a_model_goes_through(data: Path) -> None:
@@ -185,7 +166,7 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
         return Evidence.from_boxes(np.array(boxes), grid, stamp=stamp)
 
     (scene,) = load_scenes(data, "qa")
-    agent = Eagor(BeliefLooker(detector))
+    agent = Eagor(BeliefDetector(detector))
     around = agent.around(scene)
     assert sorted(each.name for each in around.placed) == sorted(n for n, where in PLACES.items() for _ in where)
     for each in around.placed:
@@ -195,24 +176,18 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
 
 
 def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
-    from eagor.lab.tasks.osr.geometry import Sighting
-    from eagor.lab.tasks.osr.sightings import Seen
+    from eagor.lab.tasks.osr.detections import SceneDetections
+    from eagor.lab.tasks.osr.geometry import Detection
 
     (scene,) = load_scenes(data, "qa")
-    twice = tuple(Sighting(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))
+    twice = tuple(Detection(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))
     for things in ((), twice, twice[:1]):
-        agent = Eagor(lambda scene, names, things=things: Seen(things))
+        agent = Eagor(lambda scene, names, things=things: SceneDetections(things))
         for question in scene.questions:
             reply = agent(scene, question)
             if question.skill == DIRECTION and not {"tv", "sofa"} >= set(question.names):
                 assert reply.text in ("Front Left", "Front Right")
                 assert reply.notes["problem"].startswith("not seen")
-
-
-def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
-    scenes = load_scenes(data, "qa")
-    question = next(q for q in scenes[0].questions if q.skill == DIRECTION)
-    assert Majority(scenes)(scenes[0], question).text == "Front Left"  # nothing else is known
 
 
 @pytest.mark.parametrize(
@@ -271,12 +246,16 @@ def test_one_command_gives_the_table_and_goes_on_where_it_stopped(data: Path, tm
     assert found["direction_corrected"] > found["direction_official"]
 
 
-def test_info_tells_of_pictures_that_cannot_be_read(data: Path) -> None:
-    (picture,) = data.rglob("rgb.png")
-    whole = picture.read_bytes()
-    side = struct.pack(">I", 100_000)
-    head = b"IHDR" + side + side + whole[24:29]
-    bomb = whole[:12] + head + struct.pack(">I", zlib.crc32(head)) + whole[33:]
-    for content in (b"", whole[:20], bomb):
-        picture.write_bytes(content)
-        assert load("osr").info(data)["pictures"] == {"unreadable": 1}
+def chat() -> Any:
+    """What ``--model`` names in these tests: a model that always says the same, and can draw a map."""
+
+    def reply(messages: Sequence[Message]) -> ChatReply:
+        return ChatReply('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
+
+    return reply
+
+
+def test_majority_does_not_look_at_the_scene_it_answers(data: Path) -> None:
+    scenes = load_scenes(data, "qa")
+    question = next(q for q in scenes[0].questions if q.skill == DIRECTION)
+    assert Majority(scenes)(scenes[0], question).text == "Front Left"  # nothing else is known

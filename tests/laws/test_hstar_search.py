@@ -13,11 +13,10 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.lab.agents.steering import Searcher
-from eagor.lab.tasks.hstar.perception import LENS, TruthEye
+from eagor.lab.tasks.hstar.agents import LENS, SimulatedDetector
 from eagor.lab.tasks.hstar.rules import View, inside, submit_succeeds
 from eagor.lab.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
 from eagor.perception.truth import Noise
-from eagor.sphere import direction
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 
@@ -32,7 +31,7 @@ def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
     search = Search.begin("hos")
     for yaw, pitch in views:
         view = View(float(yaw), float(pitch))
-        search = search.seen(empty(), view.world_R_view, view)
+        search = search.update(empty(), view.world_R_view, view)
     ratio = search.probability / _prior(search.rules, "hos")
     unseen = search.shown == 0
     assert unseen.any()
@@ -50,7 +49,7 @@ def test_the_order_of_looks_does_not_matter_where_they_do_not_overlap():
     for order in itertools.permutations(views):
         search = Search.begin("hos")
         for view in order:
-            search = search.seen(empty(0.4 if view.yaw == 120 else 0.0), view.world_R_view, view)
+            search = search.update(empty(0.4 if view.yaw == 120 else 0.0), view.world_R_view, view)
         found.append(search.probability)
     for other in found[1:]:
         np.testing.assert_allclose(other, found[0], atol=1e-12)
@@ -99,9 +98,11 @@ def test_one_clear_look_outweighs_what_was_not_looked_at(pitch, size):
     """However small the thing is in the picture: a sharp report must not say less than a broad one."""
     half = size / 2 / math.cos(math.radians(pitch))
     item = {"yaw": [(200 - half) % 360, (200 + half) % 360], "pitch": [pitch - size / 2, pitch + size / 2]}
-    eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
+    detector = SimulatedDetector(
+        (item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0
+    )
     view = View(210.0, float(pitch))
-    answer = Search.begin("hos").seen(eye.look(view), view.world_R_view, view).answer()
+    answer = Search.begin("hos").update(detector(view).evidence, view.world_R_view, view).answer()
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
 
 
@@ -110,11 +111,13 @@ def test_one_clear_look_outweighs_what_was_not_looked_at(pitch, size):
 def test_an_ideal_eye_finds_what_is_there(box, start):
     yaw, pitch = box
     item = {"yaw": [yaw, (yaw + 8) % 360], "pitch": [pitch, pitch + 6]}
-    eye = TruthEye((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0)
+    detector = SimulatedDetector(
+        (item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0
+    )
     searcher, view = Searcher(Search.begin("hos"), commit_threshold=SearchRules().sure), View(float(start), 0.0)
     beginning = searcher.space.answer().probability
     for _ in range(10):
-        searcher.space = searcher.space.seen(eye.look(view), view.world_R_view, view)
+        searcher.space = searcher.space.update(detector(view).evidence, view.world_R_view, view)
         answer = searcher.space.answer()
         to = searcher.face(view.heading, answer.probability)
         if to is None:
@@ -124,30 +127,13 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
 
 
-@pytest.mark.parametrize("view", [View(0.0, 0.0), View(37.0, -30.0), View(270.0, 60.0), View(180.0, -90.0)])
-def test_the_view_at_a_heading_is_the_one_that_has_it(view):
-    """Yaws grow to the right, azimuths to the left; both mean where the camera's middle is."""
-    assert View.facing(view.heading) == view
-    np.testing.assert_allclose(direction(*view.heading), view.world_R_view[:, 0], atol=1e-12)
-
-
-def test_paths_are_answered_by_yaw_alone():
-    eye = TruthEye((100.0, 106.0), None, Noise.ideal(), 0)
-    search, view = Search.begin("hps"), View(90.0, 0.0)
-    for _ in range(3):
-        search = search.seen(eye.look(view), view.world_R_view, view)
-    answer = search.answer()
-    assert answer.pitch == 0
-    assert abs(answer.yaw - 103) <= 5
-
-
 def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more():
     here, away = View(0.0, 0.0), View(180.0, 0.0)
 
     def fall(*views):
         search = Search.begin("hos", SearchRules(repeats=0.5))
         for view in views:
-            search = search.seen(empty(), view.world_R_view, view)
+            search = search.update(empty(), view.world_R_view, view)
         return -float(search.belief.log_ratio(CELLS)[18, 36])  # straight ahead
 
     once = fall(here)
@@ -159,32 +145,14 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
 @pytest.mark.parametrize(
     ("rules", "says"),
     [
-        ({"degree": 2.5}, "degree = 2.5; wanted a whole number, 1 or more"),
         ({"sure": math.nan}, "sure = nan; wanted a probability above 0, at most 1"),
-        ({"hit": 1.5}, "hit = 1.5; wanted a probability"),
         ({"alarm": 1.0}, "alarm = 1.0; wanted a probability from 0 to below 1"),
-        ({"repeats": True}, "repeats = True; wanted a share"),
-        ({"tilt": -1.0}, "tilt = -1.0; wanted degrees, 0 or more"),
-        ({"height": "low"}, "height = 'low'; wanted degrees"),
         ({"elsewhere": 0.0}, "elsewhere = 0.0; wanted a share above 0"),
-        ({"shift": math.inf}, "shift = inf; wanted a number"),
-        ({"slope": 0}, "slope = 0; wanted a number above 0"),
     ],
 )
 def test_rules_out_of_range_are_refused(rules, says):
     with pytest.raises(EagorError, match=f"SearchRules: {re.escape(says)}"):
         SearchRules(**rules)
-
-
-def test_rules_at_their_ends_still_tell_where_to_look():
-    for rules in (
-        SearchRules(hit=1.0, alarm=0.0, repeats=1.0),
-        SearchRules(hit=0.0),
-        SearchRules(tilt=1e-3, slope=100),
-    ):
-        search = Search.begin("hos", rules)
-        assert np.isfinite(search.tells()).all()
-        assert 0 <= search.answer().probability <= 1
 
 
 def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief():
@@ -199,9 +167,9 @@ def test_truth_misses_and_alarms_at_its_rates_and_its_luck_does_not_depend_on_wh
     noise = Noise.parse("ideal,miss=0.3,false_alarm=0.2,persistence=0.4")
     kinds = {True: [], False: []}
     for there in kinds:
-        eye = TruthEye((350.0, 10.0), (-5.0, 5.0), noise, 7)
+        detector = SimulatedDetector((350.0, 10.0), (-5.0, 5.0), noise, 7)
         view = View(0.0 if there else 180.0, 0.0)
-        kinds[there] = [{report.kind for report in eye.reports(view)} for _ in range(4000)]
+        kinds[there] = [{report.kind for report in detector.reports(view)} for _ in range(4000)]
     found = np.mean(["found" in kind for kind in kinds[True]])
     alarms = [np.array(["false alarm" in kind for kind in kinds[there]]) for there in (True, False)]
     assert found == pytest.approx(0.7, abs=0.04)
@@ -212,10 +180,31 @@ def test_truth_misses_and_alarms_at_its_rates_and_its_luck_does_not_depend_on_wh
 
 def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
     noise = Noise.parse("ideal,false_alarm=1,persistence=1")
-    eye = TruthEye((170.0, 190.0), (-5.0, 5.0), noise, 3)
+    detector = SimulatedDetector((170.0, 190.0), (-5.0, 5.0), noise, 3)
     places = []
     for yaw in (0.0, 10.0, 20.0):
         view = View(yaw, 0.0)
-        places += [view.world_R_view @ r.direction for r in eye.reports(view) if r.kind == "false alarm"]
+        places += [view.world_R_view @ r.direction for r in detector.reports(view) if r.kind == "false alarm"]
     assert len(places) >= 2
     np.testing.assert_allclose(places, [places[0]] * len(places), atol=1e-9)
+
+
+def test_paths_are_answered_by_yaw_alone():
+    detector = SimulatedDetector((100.0, 106.0), None, Noise.ideal(), 0)
+    search, view = Search.begin("hps"), View(90.0, 0.0)
+    for _ in range(3):
+        search = search.update(detector(view).evidence, view.world_R_view, view)
+    answer = search.answer()
+    assert answer.pitch == 0
+    assert abs(answer.yaw - 103) <= 5
+
+
+def test_rules_at_their_ends_still_tell_where_to_look():
+    for rules in (
+        SearchRules(hit=1.0, alarm=0.0, repeats=1.0),
+        SearchRules(hit=0.0),
+        SearchRules(tilt=1e-3, slope=100),
+    ):
+        search = Search.begin("hos", rules)
+        assert np.isfinite(search.tells()).all()
+        assert 0 <= search.answer().probability <= 1

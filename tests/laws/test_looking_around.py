@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +13,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, angle_size, turn_angle
 from eagor.lab.agents.steering import Searcher
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.hstar.perception import LENS, TruthEye, ViewEvidence
-from eagor.lab.tasks.hstar.play import EagorAgent
+from eagor.lab.tasks.hstar.agents import LENS, EagorAgent, SimulatedDetector, ViewEvidence
 from eagor.lab.tasks.hstar.rules import View
 from eagor.lab.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
 from eagor.perception.truth import Noise
@@ -105,7 +103,7 @@ def hstar_space(looked):
     view = View(0.0, 0.0)
     search = Search.begin("hos")
     nothing = Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
-    return (search.seen(nothing, view.world_R_view, view) if looked else search), view.heading
+    return (search.update(nothing, view.world_R_view, view) if looked else search), view.heading
 
 
 def ground_space(looked, hfov):
@@ -143,14 +141,24 @@ def test_a_look_that_was_just_taken_tells_less(name):
     assert after.tells()[there] < 0.9 * before.tells()[there]
 
 
+def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
+    """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
+    nothing = Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
+    agent = EagorAgent("hos", lambda view: ViewEvidence(nothing, view.world_R_view), SearchRules())
+    view, seen = View(17.4, 3.0), set()
+    for _ in range(6):
+        view = view.after(agent(view, False).action)
+        seen.add((round(view.yaw), round(view.pitch)))
+    assert len(seen) >= 5
+    assert agent(view, True).action.kind == "submit"
+
+
 @given(st.integers(0, 2**16), st.sampled_from([0.0, 45.0, 17.4, 359.5]), st.sampled_from(["hos", "hps"]))
 @settings(max_examples=8)
 def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_nearest(seed, start, kind):
     """In H*Bench's degrees, yaw to the right: a degree less to turn is worth 1e-5 nats."""
-    eye = TruthEye((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
-    agent = EagorAgent(
-        SimpleNamespace(kind=kind), lambda view: ViewEvidence(eye.look(view), view.world_R_view), SearchRules(sure=1.0)
-    )
+    detector = SimulatedDetector((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
+    agent = EagorAgent(kind, detector, SearchRules(sure=1.0))
     view = View(start, 0.0)
     for _ in range(6):
         now, view = view, view.after(agent(view, False).action)
@@ -180,15 +188,7 @@ def test_a_robot_that_stands_turns_to_what_the_searcher_faces():
         yaw += turn
 
 
-def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
-    """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
-    nothing = Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
-    agent = EagorAgent(
-        SimpleNamespace(kind="hos"), lambda view: ViewEvidence(nothing, view.world_R_view), SearchRules()
-    )
-    view, seen = View(17.4, 3.0), set()
-    for _ in range(6):
-        view = view.after(agent(view, False).action)
-        seen.add((round(view.yaw), round(view.pitch)))
-    assert len(seen) >= 5
-    assert agent(view, True).action.kind == "submit"
+def test_elevation_costs_as_azimuth_does():
+    space = Told(np.array([towards(40, 0), towards(0, 30)]), np.array([1.0, 1.0]))
+    assert faced(Searcher(space), towards(0)) == [0, 30]
+    assert faced(Searcher(space, turn=TURN), towards(0)) == [0, 30]

@@ -1,4 +1,4 @@
-"""What must hold of OSR-Bench's labels, scores, geometry and drawings."""
+"""What must hold of OSR-Bench's labels, scores, geometry and samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from osr_apartments import counting, direction, distance, mapping
+from osr_data import counting, direction, distance, mapping, write_room
 from strategies import at_most
 
 from eagor.errors import DirectionError, FormatError
@@ -19,19 +19,18 @@ from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.lab.tasks.osr import direction_label, distance_label, lenient, score, score_map, swapped
 from eagor.lab.tasks.osr.data import read
+from eagor.lab.tasks.osr.detections import Body, Room, detections_in, extent, read_room, true_detections
 from eagor.lab.tasks.osr.geometry import (
     MARGIN,
+    Detection,
     FloorLine,
     Placed,
-    Sighting,
-    contact_range,
     direction_between,
     draw,
     enclosing,
     floor_range,
     layout_from,
     place,
-    place_on_circle,
 )
 from eagor.lab.tasks.osr.scoring import (
     COUNTING,
@@ -53,7 +52,6 @@ from eagor.lab.tasks.osr.scoring import (
     steps,
     turned,
 )
-from eagor.lab.tasks.osr.sightings import Body, Room, extent, read_room, sightings, sightings_in, write_room
 
 CELLS = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)).map(list), min_size=1, max_size=3)
 LAYOUTS = st.fixed_dictionaries({"a": CELLS.map(lambda cells: cells[:1]), "b": CELLS, "c": CELLS})
@@ -88,17 +86,6 @@ def test_the_errors_are_said_in_the_published_order() -> None:
     assert direction_label(layout, "a", "b", "z") == NO_OBJECT
     assert distance_label(layout, "a", ["y", "z"]) == NO_CANDIDATE
     assert steps(layout, "a", "z", "b") == NO_OBJECT
-
-
-def test_unique_counts_cells_and_not_things() -> None:
-    assert direction_label({"a": [[5, 5], [5, 5]], "b": [[4, 5]], "c": [[5, 4]]}, "a", "b", "c") == "Left"
-
-
-def test_on_a_map_with_north_up_west_is_left_of_north() -> None:
-    layout = {"me": [[5, 5]], "north": [[2, 5]], "west": [[5, 1]], "south-east": [[8, 9]]}
-    assert direction_label(layout, "me", "north", "west") == "Left"
-    assert direction_label(layout, "me", "north", "south-east") == "Back Right"
-    assert direction_label(layout, "me", "north", "north") == "Front"
 
 
 @pytest.mark.parametrize("cell", [[1], [1, 2, 3], [1.5, 2], ["1", 2], [True, 2]])
@@ -143,16 +130,8 @@ def test_the_true_map_scores_one_however_it_is_turned(layout: dict[str, list[lis
     said = layout_of(turned(grid, quarters))
     reply = json.dumps({name: [[column, row] for row, column in where] for name, where in said.items()})
     found = score_map(grid, f"Here it is:\n```json\n{reply}\n```")
-    assert (found.f1, found.hallucinated) == (1.0, 0.0)
+    assert (found.f1, found.overall["chair_i"]) == (1.0, 0.0)
     assert score(MAP, grid, reply) == 1.0
-
-
-def test_a_map_is_scored_by_things_that_are_near() -> None:
-    truth = grid_of({"a": [[0, 0], [0, 9]], "b": [[9, 9]]})
-    found = score_map(truth, '{"a": [[1, 1], [5, 5]], "x": [[3, 3]]}')
-    assert (found.precision, found.recall) == (pytest.approx(1 / 3), pytest.approx(1 / 3))
-    assert (found.hallucinated, found.hallucinated_things) == (0.5, pytest.approx(1 / 3))
-    assert found.distance > 1
 
 
 NAMED = st.dictionaries(st.sampled_from("abcde"), CELLS, min_size=1, max_size=4)
@@ -178,13 +157,13 @@ def test_the_published_f1_lies_between_the_least_and_the_most(layout: dict, said
         by_order.append(best)
     assert found.f1 == pytest.approx(min(by_order))
     assert found.f1_most == pytest.approx(max(by_order))
-    overall = found.as_published()["overall"]
+    overall = found.overall
     assert (overall["tp"] + overall["fp"], overall["tp"] + overall["fn"]) in (
         (sum(map(len, layout_of(grid_of(said)).values())), sum(map(len, there.values()))),
         (0, 0),  # nothing in common: as published, nothing is counted
     )
     for key in ("tp", "fp", "fn"):
-        assert sum(each[key] for each in found.categories.values()) == overall[key]
+        assert sum(each[key] for each in found.per_class.values()) == overall[key]
 
 
 def matched(true: list, named: list) -> int:
@@ -231,24 +210,14 @@ def test_the_height_of_the_camera_scales_the_room_and_changes_no_answer(
     away: float, azimuth: float, half: float
 ) -> None:
     things = [
-        Sighting("p", azimuth, -0.3, bottom=-math.atan2(HEIGHT, away), half_width=half),
-        Sighting("o", azimuth + 1, -0.3, bottom=-0.4, half_width=half),
-        Sighting("q", azimuth - 2, -0.3, bottom=-0.3, half_width=half),
+        Detection("p", azimuth, -0.3, bottom=-math.atan2(HEIGHT, away), half_width=half),
+        Detection("o", azimuth + 1, -0.3, bottom=-0.4, half_width=half),
+        Detection("q", azimuth - 2, -0.3, bottom=-0.3, half_width=half),
     ]
     answers = {
-        direction_between(P, [O], [Q]) for P, O, Q in (place_all(things, height) for height in (0.01, 0.02))
+        direction_between(P, [O], [Q]) for P, O, Q in (place(things, height) for height in (0.01, 0.02))
     }  # so low that nothing is deeper than its outline says
     assert len(answers) == 1
-
-
-def place_all(things: list[Sighting], height: float) -> list[Placed]:
-    return place(things, height)
-
-
-def test_a_round_thing_is_placed_at_its_middle_from_its_outline() -> None:
-    radius, away = 0.2, 2.0
-    seen = Sighting("stool", 0.0, -0.5, -math.atan2(HEIGHT, away - radius), half_width=math.asin(radius / away))
-    assert contact_range(seen, HEIGHT) == pytest.approx(away, abs=0.05)
 
 
 def test_who_faces_ahead_has_the_left_on_the_left() -> None:
@@ -264,7 +233,7 @@ def test_who_faces_ahead_has_the_left_on_the_left() -> None:
 def test_what_hangs_on_a_wall_has_the_range_of_the_wall() -> None:
     assert BOX.range_at(0.0) == pytest.approx(3)
     assert BOX.range_at(math.pi / 2) == pytest.approx(2)
-    painting = Sighting("painting", 0.3, 0.1, bottom=-0.05, top=0.2, contact=False)
+    painting = Detection("painting", 0.3, 0.1, bottom=-0.05, top=0.2, contact=False)
     found = place([painting], HEIGHT, BOX)[0]
     assert (found.source, found.xy) == ("wall", pytest.approx((3.0, 3 * math.tan(0.3))))
 
@@ -273,14 +242,14 @@ def test_what_stands_on_a_thing_has_its_range_and_what_hangs_behind_it_has_not()
     table = Body("table", np.array([[1.5, -0.4], [2.3, -0.4], [2.3, 0.4], [1.5, 0.4]]), 0.0, 0.75)
     vase = Body("vase", np.array([[1.8, -0.1], [2.0, -0.1], [2.0, 0.1], [1.8, 0.1]]), 0.75, 1.0)
     picture = Body("clockwork", np.array([[2.95, -0.2], [3.0, -0.2], [3.0, 0.2], [2.95, 0.2]]), 0.9, 1.3)
-    found = place(sightings(Room((table, vase, picture), HEIGHT, BOX)), HEIGHT, BOX)
+    found = place(true_detections(Room((table, vase, picture), HEIGHT, BOX)), HEIGHT, BOX)
     assert [each.source for each in found] == ["contact", "support", "wall"]
     assert np.hypot(*found[1].xy) == pytest.approx(1.9, abs=0.25)
 
 
 def test_without_walls_what_hangs_is_put_behind_what_stands() -> None:
-    standing = [Sighting("x", azimuth, -0.3, foot=-0.5) for azimuth in (0.785, 2.356, -0.785, -2.356)]
-    hanging = Sighting("window", 0.4, 0.1, contact=False)
+    standing = [Detection("x", azimuth, -0.3, foot=-0.5) for azimuth in (0.785, 2.356, -0.785, -2.356)]
+    hanging = Detection("window", 0.4, 0.1, contact=False)
     *others, window = place([*standing, hanging], HEIGHT)
     assert window.source == "beyond"
     assert window.xy[0] == pytest.approx(others[0].xy[0] + MARGIN, abs=0.01)
@@ -300,21 +269,6 @@ def test_things_in_the_corners_tell_the_walls(x: float, y: float, share: float, 
     assert enclosing([(0.1, 2.0), (0.2, 2.5), (0.3, 2.0)]) is None  # all on one side
 
 
-def test_a_foot_beyond_the_wall_is_none() -> None:
-    tv = Sighting("tv", 0.0, -0.1, bottom=-0.15, top=0.0)
-    assert place([tv], HEIGHT, BOX)[0] == Placed("tv", (pytest.approx(3.0), 0.0), "wall", 1.0, pytest.approx(0.05))
-
-
-def test_depth_goes_before_all_else() -> None:
-    seen = Sighting("lamp", 0.0, 0.2, foot=-0.5, depth=4.0)
-    assert place([seen], HEIGHT)[0].xy == (pytest.approx(4 * math.cos(0.2)), 0.0)
-
-
-def test_directions_alone_put_all_at_one_range() -> None:
-    found = place_on_circle([Sighting("a", 0.3, -0.2), Sighting("b", 2.0, 0.4)])
-    assert [np.hypot(*each.xy) for each in found] == [pytest.approx(1), pytest.approx(1)]
-
-
 def test_the_walls_know_the_axes_of_the_room() -> None:
     angle = 0.4
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -326,7 +280,7 @@ def test_the_walls_know_the_axes_of_the_room() -> None:
         FloorLine(np.zeros((2, 2)))
 
 
-# --- drawings ---
+# --- samples ---
 
 
 def room_of(rng: np.random.Generator, count: int = 7) -> list[Placed]:
@@ -334,21 +288,21 @@ def room_of(rng: np.random.Generator, count: int = 7) -> list[Placed]:
 
 
 @given(st.integers(0, 200))
-def test_one_of_four_drawings_has_the_labels_of_a_layout_along_the_walls(seed: int) -> None:
+def test_one_of_four_samples_has_the_labels_of_a_layout_along_the_walls(seed: int) -> None:
     placed = room_of(np.random.default_rng(seed))
-    drawings = draw(placed, BOX, np.random.default_rng(0))
+    samples = draw(placed, BOX, np.random.default_rng(0))
     layout = layout_from({each.name: [each.xy] for each in placed}, mirror=True)
-    assert len(drawings.cells) == 4
-    assert any(cells.tolist() == [layout[each.name][0] for each in placed] for cells in drawings.cells)
+    assert len(samples.cells) == 4
+    assert any(cells.tolist() == [layout[each.name][0] for each in placed] for cells in samples.cells)
     for P, O, Q in itertools.islice(itertools.permutations(range(len(placed)), 3), 30):
         label = swapped(direction_label(layout, f"n{P}", f"n{O}", f"n{Q}"))
-        shares = drawings.directions(P, [O], [Q])
+        shares = samples.directions(P, [O], [Q])
         if label:
             assert shares[label] >= 0.25
         assert sum(shares.values()) == pytest.approx(1 if shares else 0)
 
 
-def test_drawings_of_uncertain_places_are_surer_far_from_a_border() -> None:
+def test_samples_of_uncertain_places_are_surer_far_from_a_border() -> None:
     far = [Placed("p", (0.0, 0.0), "contact"), Placed("o", (3.0, 0.0), "guess", spread=0.3)]
     clear = draw([*far, Placed("q", (2.0, 2.0), "guess", spread=0.3)], None, np.random.default_rng(0), 64)
     close = draw([*far, Placed("q", (2.0, 0.1), "guess", spread=0.3)], None, np.random.default_rng(0), 64)
@@ -371,7 +325,7 @@ def test_the_box_is_read_back_from_its_evidence() -> None:
     grid = ErpGrid(512, 1024)
     box = np.array([[460.0, 240.0, 560.0, 300.0]])
     evidence = Evidence.from_boxes(box, grid)
-    (found,) = sightings_in(evidence, "sofa", 15)
+    (found,) = detections_in(evidence, "sofa", 15)
     degrees = 180 / 512
     assert math.degrees(found.azimuth) == pytest.approx((512 - 510) * degrees, abs=1.5)
     assert math.degrees(found.half_width) == pytest.approx(50 * degrees, abs=2)
@@ -385,9 +339,9 @@ def test_the_box_is_read_back_from_its_evidence() -> None:
 
 def test_what_is_not_there_is_not_sighted_and_two_are_two() -> None:
     grid = ErpGrid(512, 1024)
-    assert sightings_in(Evidence.from_boxes(np.zeros((0, 4)), grid), "sofa", 15) == []
+    assert detections_in(Evidence.from_boxes(np.zeros((0, 4)), grid), "sofa", 15) == []
     boxes = np.array([[100.0, 260.0, 160.0, 330.0], [700.0, 260.0, 760.0, 330.0]])
-    assert len(sightings_in(Evidence.from_boxes(boxes, grid), "chair", 15)) == 2
+    assert len(detections_in(Evidence.from_boxes(boxes, grid), "chair", 15)) == 2
 
 
 # --- the truth's file ---
@@ -414,5 +368,26 @@ def test_exact_feet_give_back_the_places() -> None:
         corner = rng.uniform(-3, 3, 2)
         side = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * rng.uniform(0.2, 0.8, 2)
         bodies.append(Body(f"n{k}", corner + side, 0.0, float(rng.uniform(0.2, 2))))
-    for body, found in zip(bodies, place(sightings(Room(tuple(bodies))), HEIGHT), strict=True):
+    for body, found in zip(bodies, place(true_detections(Room(tuple(bodies))), HEIGHT), strict=True):
         assert found.xy == pytest.approx(tuple(body.centre))
+
+
+def test_unique_counts_cells_and_not_things() -> None:
+    assert direction_label({"a": [[5, 5], [5, 5]], "b": [[4, 5]], "c": [[5, 4]]}, "a", "b", "c") == "Left"
+
+
+def test_on_a_map_with_north_up_west_is_left_of_north() -> None:
+    layout = {"me": [[5, 5]], "north": [[2, 5]], "west": [[5, 1]], "south-east": [[8, 9]]}
+    assert direction_label(layout, "me", "north", "west") == "Left"
+    assert direction_label(layout, "me", "north", "south-east") == "Back Right"
+    assert direction_label(layout, "me", "north", "north") == "Front"
+
+
+def test_a_foot_beyond_the_wall_is_none() -> None:
+    tv = Detection("tv", 0.0, -0.1, bottom=-0.15, top=0.0)
+    assert place([tv], HEIGHT, BOX)[0] == Placed("tv", (pytest.approx(3.0), 0.0), "wall", 1.0, pytest.approx(0.05))
+
+
+def test_depth_goes_before_all_else() -> None:
+    seen = Detection("lamp", 0.0, 0.2, foot=-0.5, depth=4.0)
+    assert place([seen], HEIGHT)[0].xy == (pytest.approx(4 * math.cos(0.2)), 0.0)

@@ -48,7 +48,7 @@ def test_success_is_what_the_published_environment_decides():
 def test_replies_are_read_as_the_published_parser_reads_them():
     for vector in json.loads(PARSE.read_text()):
         text = vector.pop("text")
-        assert dict(parse_action(text)) == vector, text
+        assert vars(parse_action(text)) == vector, text
 
 
 TAGS = ("<think>", "</think>", "<answer>", "</answer>")
@@ -89,13 +89,16 @@ PIECES = (*TAGS, *TAGS, "<observation>", "</observation>", "<reasoning>", "</rea
 @settings(max_examples=1500)
 @given(st.lists(st.sampled_from(PIECES), max_size=14).map("".join), st.sampled_from(FORMS))
 def test_replies_of_any_tags_are_read_as_the_published_parser_reads_them(text, form):
-    assert dict(parse_action(text, form)) == published(text, form)
+    assert vars(parse_action(text, form)) == published(text, form)
 
 
-@pytest.mark.parametrize("form", ["free_think", "no_think"])
-def test_tags_left_inside_an_answer_are_taken_out(form):
-    assert parse_action("<answer><answer>submit(10,0)</answer></answer>", form).action == Action("submit", 10, 0)
-    assert parse_action("<answer><think>submit(10,0)</think></answer>", form).action == Action("submit", 10, 0)
+def test_a_model_that_repeats_itself_is_read_at_once():
+    loops = ("</think><answer>", "<think><observation>a</observation><reasoning>b</reasoning></think>", "<answer>")
+    for loop in loops:  # a quarter of an hour and more with the published patterns
+        for form in FORMS:
+            assert parse_action("<think>" + loop * 3000, form).actions == []
+    with pytest.raises(EagorError, match="free_think, no_think, grounding"):
+        parse_action("x", "haiku")
 
 
 @pytest.mark.parametrize(
@@ -113,16 +116,6 @@ def test_tags_left_inside_an_answer_are_taken_out(form):
 )
 def test_actions_are_whole_degrees_and_case_sensitive(text, action):
     assert read_action(text) == action
-
-
-def test_the_other_forms_want_their_form_kept():
-    grounded = "<think><observation>o</observation><reasoning>r</reasoning></think><answer>submit(1,2)</answer>"
-    assert parse_action(grounded, "grounding").action == Action("submit", 1, 2)
-    assert parse_action("<think>a</think><answer>submit(1,2)</answer>", "grounding").actions == []
-    assert parse_action("<answer>rotate(1,2)</answer>", "no_think").action == Action("rotate", 1, 2)
-    assert parse_action("well: <answer>rotate(1,2)</answer>", "no_think").action is None
-    with pytest.raises(EagorError, match="free_think, no_think, grounding"):
-        parse_action("x", "haiku")
 
 
 @given(angles, st.floats(0, 359), st.floats(-90, 90), st.floats(0, 90))
@@ -202,9 +195,6 @@ def test_the_cross_is_filled_in_from_beside_it():
             filled = without_cross(with_cross)
             assert np.abs(filled.astype(int) - without).max() <= most
             assert (filled == with_cross).all(axis=-1).sum() >= with_cross[..., 0].size - 41, "nothing else changed"
-    wider = with_cross.copy()
-    wider[539:542, 948:973], wider[528:553, 959:962] = 255, 255  # as if it had run
-    assert np.abs(without_cross(wider, around=2).astype(int) - without).max() <= 3
     with pytest.raises(ImageError, match="a view is"):
         without_cross(with_cross[..., 0])
 

@@ -19,8 +19,8 @@ from eagor.lab.tasks.hstar.bench import HOS
 from eagor.lab.tasks.hstar.data import read_episodes, read_scenes
 from eagor.lab.tasks.hstar.rules import View, normalised, parse_action, submit_succeeds
 from eagor.lab.tasks.osr.data import load
+from eagor.lab.tasks.osr.detections import read_depth, read_room, true_detections
 from eagor.lab.tasks.osr.scoring import SKILLS, distance_label, lenient, score
-from eagor.lab.tasks.osr.sightings import read_depth, read_room, sightings
 from eagor.lab.tasks.task import Sample, read_config
 from eagor.perception.vlm.answers import parse_boxes, parse_presence
 
@@ -178,7 +178,7 @@ def test_tables_of_questions(data, blob):
 def test_rooms(data, blob):
     (data / "scene" / "physical_truth.json").write_bytes(blob)
     room = reads(lambda: read_room(data / "scene"), "physical_truth.json")
-    for thing in sightings(room) + sightings(room, exact=False) if room else ():
+    for thing in true_detections(room) + true_detections(room, exact=False) if room else ():
         assert np.isfinite([thing.azimuth, thing.elevation, thing.half_width]).all()
 
 

@@ -112,7 +112,7 @@ IMPORTS = """
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.perception.records import parse_record
-from eagor.lab.tasks.osr.sightings import read_depth
+from eagor.lab.tasks.osr.detections import read_depth
 from eagor.lab.worlds.glb import import_glb
 from eagor.media.panorama import read_panorama
 import numpy, trimesh

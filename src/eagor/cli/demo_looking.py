@@ -21,7 +21,7 @@ from eagor.cli.terminal import RunError
 from eagor.drawing.style import in_words, sureness
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.lab.tasks.hstar.play import SWEEP
+from eagor.lab.tasks.hstar.agents import SWEEP
 from eagor.media.panorama import cut, turn
 from eagor.perception import Perception, look, short_name
 from eagor.perception.partial import look_at_view

@@ -25,7 +25,7 @@ from eagor.errors import FormatError, QueryError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.lab.agents.models import recalibrator, shared, shared_chat
-from eagor.lab.tasks.hstar.perception import head_of, phrase_of, thing_of
+from eagor.lab.tasks.hstar.prompts import head_of, phrase_of, thing_of
 from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
 from eagor.media.panorama import read_panorama, resized, view

@@ -11,9 +11,8 @@ from msgspec import Meta
 from eagor._checks import shown
 from eagor.errors import FormatError
 from eagor.lab.tasks.hstar import data as files
+from eagor.lab.tasks.hstar.agents import AGENTS, CAUSES, LOOKING, SWEEP, open_perception, score_submission, work
 from eagor.lab.tasks.hstar.data import LEVELS, Episode, Kind
-from eagor.lab.tasks.hstar.perception import open_perception
-from eagor.lab.tasks.hstar.play import AGENTS, CAUSES, LOOKING, SWEEP, judged, work
 from eagor.lab.tasks.hstar.prompts import WINDOW
 from eagor.lab.tasks.hstar.rules import (
     FARTHEST_ANSWER,
@@ -111,7 +110,7 @@ class HStar(PublishedTask):
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: HStarConfig) -> Record:
         answer, reason = _submission(prediction, config.form)
         episode, scoring = Episode.from_json(sample.payload["episode"]), checked_scoring(config.scoring)
-        return judged(episode, answer, scoring, sample.payload["siblings"], [{"shown": 1.0}], reason)
+        return score_submission(episode, answer, scoring, sample.payload["siblings"], [{"shown": 1.0}], reason)
 
 
 def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str | None]:

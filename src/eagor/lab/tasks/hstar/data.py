@@ -12,24 +12,24 @@ import io
 import random
 import zipfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
 from eagor._checks import number, parsed, shown
 from eagor._files import most_unpacked
 from eagor._values import lazy
 from eagor.errors import EagorError, FormatError, ImageError
-from eagor.lab.envs.rules import as_dict
 from eagor.lab.tasks.hstar.rules import FARTHEST, View, level_of, window_of
 from eagor.lab.tasks.published import picture_size
 
 Kind = Literal["hos", "hps"]
-Box = tuple[tuple[float, float], tuple[float, float] | None]  # yaw and pitch, from and to, degrees
+Angle = int | float  # degrees, as the file has them
 
 ANNOTATION = "annotation.json"
 PICTURES = (".png", ".jpg")  # as published: in lower case, and no .jpeg
@@ -81,7 +81,7 @@ class Episode:
     """One start for one target; `id` is ``scene/entry/start``, `entry` its index in annotation.json.
 
     `task`: the instruction. `yaw`, `pitch`: the annotated box, degrees, as written (pitch None in HPS). `start`: yaw
-    of the first view, whose pitch is 0. `level`: 0, 1, ..., None if unknown. `others`: the scene's other boxes.
+    of the first view, whose pitch is 0. `level`: 0, 1, ..., None if unknown.
     """
 
     id: str
@@ -89,12 +89,11 @@ class Episode:
     entry: int
     kind: Kind
     task: str
-    yaw: tuple[float, float]
-    pitch: tuple[float, float] | None
-    start: float
+    yaw: tuple[Angle, Angle]
+    pitch: tuple[Angle, Angle] | None
+    start: Angle
     level: int | None
     panorama: Stored
-    others: tuple[Box, ...] = ()
 
     @property
     def item(self) -> dict[str, Any]:
@@ -119,14 +118,12 @@ class Episode:
 
     def as_json(self) -> dict[str, Any]:
         """Plain JSON, for `from_json`."""
-        return as_dict(self)
+        return msgspec.json.decode(msgspec.json.encode(self))
 
     @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> Episode:
+    def from_json(cls, entry: Mapping[str, Any]) -> Episode:
         """The episode from the output of `as_json`."""
-        (yaw, pitch), *others = (_box(*each) for each in ((found["yaw"], found["pitch"]), *found["others"]))
-        stored = Stored(**found["panorama"])
-        return cls(**dict(found) | {"panorama": stored, "yaw": yaw, "pitch": pitch, "others": tuple(others)})
+        return msgspec.convert(entry, cls)
 
 
 def find_scenes(data: Path) -> list[Scene]:
@@ -135,53 +132,43 @@ def find_scenes(data: Path) -> list[Scene]:
     A scene is named by its folder alone if that is unique, so that parent folders do not matter. Raises `FormatError`
     if there is none. Annotations are not read yet.
     """
-    data = Path(data)
-    if not data.exists():
-        raise FormatError(f"there is no {data}; name the folder (or zip) with H*Bench's scenes")
-    found: list[Scene] = []
-    for folder in sorted({path.parent for path in data.rglob(ANNOTATION)} if data.is_dir() else ()):
-        picture = _picture(sorted(path.name for path in folder.iterdir() if path.is_file()))
-        if picture:
-            relative = folder.relative_to(data)
-            name = relative.as_posix() if relative.parts else data.name
-            found.append(Scene(name, Stored(str(folder / picture)), Stored(str(folder / ANNOTATION))))
-    extracted = {Path(scene.name).parts[0] for scene in found}
-    for archive in sorted(data.rglob("*.zip")) if data.is_dir() else [data]:
-        if not (data.is_dir() and archive.stem in extracted):  # otherwise its folder lies beside it
-            found += _in_archive(archive)
-    if not found:
-        skipped = skipped_scenes(data)
+    scenes, skipped = _scan(data)
+    if not scenes:
         also = f"; {skipped[0]} has {ANNOTATION}, but no such picture" if skipped else ""
         raise FormatError(
             f"{data} has no scene; wanted folders with {ANNOTATION} and one .png or .jpg each, in lower case (.PNG and "
             f".jpeg do not count, as published), or hos_bench.zip and hps_bench.zip as published{also}"
         )
-    last = Counter(scene.name.rpartition("/")[2] for scene in found)
-    short = [replace(one, name=end) if last[end := one.name.rpartition("/")[2]] == 1 else one for one in found]
+    last = Counter(scene.name.rpartition("/")[2] for scene in scenes)
+    short = [replace(one, name=end) if last[end := one.name.rpartition("/")[2]] == 1 else one for one in scenes]
     return sorted(short, key=lambda scene: scene.name)
 
 
-def skipped_scenes(data: Path) -> list[str]:
-    """Folders in the folder or archive `data` with annotations, but without a picture of one of the two endings."""
+def _scan(data: Path) -> tuple[list[Scene], list[str]]:
+    """The scenes in `data`, and the folders with annotations, but without a picture of one of the two endings."""
     data = Path(data)
-    found = [
-        str(path.parent)
-        for path in (sorted(data.rglob(ANNOTATION)) if data.is_dir() else ())
-        if not _picture([each.name for each in path.parent.iterdir() if each.is_file()])
-    ]
+    if not data.exists():
+        raise FormatError(f"there is no {data}; name the folder (or zip) with H*Bench's scenes")
+    scenes: list[Scene] = []
+    skipped: list[str] = []
+    for folder in sorted({path.parent for path in data.rglob(ANNOTATION)} if data.is_dir() else ()):
+        picture = _picture(sorted(path.name for path in folder.iterdir() if path.is_file()))
+        if picture:
+            name = folder.relative_to(data).as_posix() if folder != data else data.name
+            scenes.append(Scene(name, Stored(str(folder / picture)), Stored(str(folder / ANNOTATION))))
+        else:
+            skipped.append(str(folder))
+    extracted = {Path(scene.name).parts[0] for scene in scenes}
     for archive in sorted(data.rglob("*.zip")) if data.is_dir() else [data]:
-        inside = _folders_in(archive)
-        found += [
-            f"{archive}: {folder}" for folder, names in inside.items() if ANNOTATION in names and not _picture(names)
-        ]
-    return found
-
-
-def _in_archive(archive: Path) -> Iterator[Scene]:
-    for folder, inside in _folders_in(archive).items():
-        if ANNOTATION in inside and (picture := _picture(inside)):
-            name = f"{archive.stem}/{folder}".rstrip("/")
-            yield Scene(name, Stored(str(archive), folder + picture), Stored(str(archive), folder + ANNOTATION))
+        if data.is_dir() and archive.stem in extracted:
+            continue  # its folder lies beside it
+        for folder, names in _folders_in(archive).items():
+            if ANNOTATION in names and (picture := _picture(names)):
+                files = (Stored(str(archive), folder + name) for name in (picture, ANNOTATION))
+                scenes.append(Scene(f"{archive.stem}/{folder}".rstrip("/"), *files))
+            elif ANNOTATION in names:
+                skipped.append(f"{archive}: {folder}")
+    return scenes, skipped
 
 
 def _folders_in(archive: Path) -> dict[str, list[str]]:
@@ -199,11 +186,7 @@ def _folders_in(archive: Path) -> dict[str, list[str]]:
 
 
 def _picture(names: Sequence[str]) -> str | None:
-    for ending in PICTURES:
-        for name in names:
-            if name.endswith(ending):
-                return name
-    return None
+    return next((name for ending in PICTURES for name in names if name.endswith(ending)), None)
 
 
 @lru_cache(maxsize=4)
@@ -247,12 +230,12 @@ def read_episodes(data: Path, kind: Kind) -> list[Episode]:
     Raises `FormatError` if there is none of this kind, or the data is not H*Bench's.
     """
     scenes = read_scenes(data)
-    found = [episode for scene in scenes for episode in _episodes(scene) if episode.kind == kind]
-    if not found:
+    episodes = [episode for scene in scenes for episode in _episodes(scene) if episode.kind == kind]
+    if not episodes:
         wanted = "with pitch (objects)" if kind == "hos" else "without pitch (paths)"
         raise FormatError(f"{data} has {len(scenes)} scenes, but no annotation {wanted}: it is not {kind.upper()} data")
-    random.Random(SHUFFLE).shuffle(found)
-    return found
+    random.Random(SHUFFLE).shuffle(episodes)
+    return episodes
 
 
 def info(data: Path) -> dict[str, Any]:
@@ -260,23 +243,25 @@ def info(data: Path) -> dict[str, Any]:
     scenes = read_scenes(data)
     episodes = [episode for scene in scenes for episode in _episodes(scene)]
     items = [item for scene in scenes for item in scene.items]
-    sizes = [_size(scene.panorama) for scene in scenes]
-    widths, heights = zip(*filter(None, sizes), strict=True) if any(sizes) else ((), ())
-    counts = Counter((episode.kind, episode.level_name) for episode in episodes)
-    levels = {
-        kind: {name: counts[kind, name] for name in (*LEVELS[kind], "unknown") if counts[kind, name]} for kind in LEVELS
-    }
+    sizes = {scene.name: _size(scene.panorama) for scene in scenes}
+    readable = [size for size in sizes.values() if size is not None]
+    widths, heights = zip(*readable, strict=True) if readable else ((), ())
+    counts = {kind: Counter(each.level_name for each in episodes if each.kind == kind) for kind in LEVELS}
     return {
         "benchmark": "H*Bench",
         "scenes": len(scenes),
         "targets": len(items),
-        "episodes": {kind: sum(episode.kind == kind for episode in episodes) for kind in LEVELS},
-        "levels": {kind: found for kind, found in levels.items() if found},
+        "episodes": {kind: count.total() for kind, count in counts.items()},
+        "levels": {
+            kind: {name: count[name] for name in (*LEVELS[kind], "unknown") if count[name]}
+            for kind, count in counts.items()
+            if count
+        },
         "widths": [min(widths), max(widths)] if widths else None,
         "heights": [min(heights), max(heights)] if heights else None,
-        "not_2_to_1": sum(w != 2 * h for w, h in zip(widths, heights, strict=True)),
-        "skipped": skipped_scenes(data),
-        "unreadable": [scene.name for scene, size in zip(scenes, sizes, strict=True) if size is None],
+        "not_2_to_1": sum(width != 2 * height for width, height in readable),
+        "skipped": _scan(data)[1],
+        "unreadable": [name for name, size in sizes.items() if size is None],
         "without_initial_yaw": sum("initial yaw" not in item for item in items),
         "without_level": sum("level" not in item for item in items),
         "windows_across_yaw_0": sum(window_of(item).wraps for item in items),
@@ -285,31 +270,24 @@ def info(data: Path) -> dict[str, Any]:
 
 
 def _size(stored: Stored) -> tuple[int, int] | None:
-    if not stored.member:
-        return picture_size(Path(stored.path), upright=True)
     try:
-        return picture_size(io.BytesIO(stored.read()), upright=True)
+        return picture_size(io.BytesIO(stored.read()) if stored.member else Path(stored.path), upright=True)
     except Exception:  # zipfile may raise anything for damaged files
         return None
 
 
 def _episodes(scene: Scene) -> Iterator[Episode]:
-    boxes = [_box(item["yaw"], item.get("pitch")) for item in scene.items]
-    for entry, (item, (yaw, pitch)) in enumerate(zip(scene.items, boxes, strict=True)):
-        others = tuple(box for index, box in enumerate(boxes) if index != entry)
-        kind: Kind = "hps" if pitch is None else "hos"
-        seen: Counter[str] = Counter()
+    for entry, item in enumerate(scene.items):
+        yaw, pitch = tuple(item["yaw"]), tuple(item["pitch"]) if item.get("pitch") is not None else None
+        names: Counter[str] = Counter()
         for start, level in _starts(item):
             name = f"{scene.name}/{entry}/{start:g}"
-            seen[name] += 1
-            name += f"-{seen[name]}" if seen[name] > 1 else ""
+            names[name] += 1
+            name += f"-{names[name]}" if names[name] > 1 else ""
             if level is None and pitch is not None:
                 level = level_of(View(start, 0.0), yaw, pitch)
-            yield Episode(name, scene.name, entry, kind, item["task"], yaw, pitch, start, level, scene.panorama, others)
-
-
-def _box(yaw: Iterable[float], pitch: Iterable[float] | None) -> Any:
-    return tuple(yaw), None if pitch is None else tuple(pitch)
+            kind: Kind = "hps" if pitch is None else "hos"
+            yield Episode(name, scene.name, entry, kind, item["task"], yaw, pitch, start, level, scene.panorama)
 
 
 def _starts(item: Mapping[str, Any]) -> list[tuple[float, int | None]]:
@@ -325,24 +303,22 @@ def _starts(item: Mapping[str, Any]) -> list[tuple[float, int | None]]:
 
 
 def _rank(level: Any) -> int:
-    found = number(level)
-    if found < 0 or not found.is_integer():
+    rank = number(level)
+    if rank < 0 or not rank.is_integer():
         raise FormatError(f"level is {shown(level)}; wanted 0, 1, 2, ...")
-    return int(found)
+    return int(rank)
 
 
 def _items(where: Stored) -> tuple[Mapping[str, Any], ...]:
     try:
-        text = where.read()
-    except Exception as error:  # zipfile may raise anything for damaged files
-        raise FormatError(f"{where} cannot be read ({type(error).__name__}: {error}); fetch it again") from None
-    try:
-        found = parsed(text.decode("utf-8-sig"))
+        items = parsed(where.read().decode("utf-8-sig"))
     except ValueError as error:
         raise FormatError(f"{where} is not JSON ({error}); restore it from the published archive") from None
-    if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+    except Exception as error:  # zipfile may raise anything for damaged files
+        raise FormatError(f"{where} cannot be read ({type(error).__name__}: {error}); fetch it again") from None
+    if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
         raise FormatError(f"{where} is not a list of objects; wanted [{{task, yaw, pitch, initial yaw, level}}, ...]")
-    for index, item in enumerate(found):
+    for index, item in enumerate(items):
         try:
             if not isinstance(item.get("task"), str):
                 raise FormatError(f'task is {shown(item.get("task"))}; wanted words such as "Find the red chair"')
@@ -350,4 +326,4 @@ def _items(where: Stored) -> tuple[Mapping[str, Any], ...]:
             _starts(item)
         except (EagorError, TypeError, ValueError) as error:
             raise FormatError(f"{where}, entry {index}: {error}") from None
-    return tuple(found)
+    return tuple(items)

@@ -1,4 +1,4 @@
-"""The prompts for the model, in the three published forms of replies, and the part of the conversation that it sees.
+"""The words of a task, and the prompts for the model in the three published forms of replies.
 
 Everything that the protocol defines is verbatim: names of the actions and their arguments, tags, order of a turn's
 parts, "Human Instruction:", and the environment's feedback. The explanations and the worked example are in our own
@@ -8,16 +8,13 @@ tuned on the published wording can therefore differ a little: report that with t
 
 from __future__ import annotations
 
-import numpy as np
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from eagor.lab.tasks.hstar.data import Episode, open_panorama
-from eagor.lab.tasks.hstar.rules import (
-    Reply,
-    View,
-    parse_action,
-    render_view,
-)
-from eagor.perception.vlm import IMAGE, Message
+from eagor.lab.tasks.hstar.rules import Reply, View
+from eagor.perception.vlm import IMAGE
+from eagor.queries import singular
 
 WINDOW = 5  # turns of conversation that the published runner keeps; its paper finds that two suffice
 
@@ -56,44 +53,6 @@ _EXAMPLE = (
 _POSES = ("(315,0)", "(285,-5)")
 
 
-class Talk:
-    """The conversation about one episode, turn by turn: `look`, send the `messages`, `hear` the reply."""
-
-    def __init__(self, episode: Episode, form: str, window: int, resolution: int) -> None:
-        self.episode, self.form, self.window, self.resolution = episode, form, window, resolution
-        self._shown: list[tuple[View, str]] = []  # for each turn the view, and the text with it
-        self._pictures: dict[int, np.ndarray] = {}
-        self._said: list[str] = []
-        self._last: Reply | None = None
-
-    def look(self, view: View) -> None:
-        """Begin a turn at this view."""
-        task = self.episode.task
-        text = first_text(task, self.form) if self._last is None else next_text(task, self.form, self._last, view)
-        self._shown.append((view, text))
-
-    def hear(self, said: str) -> Reply:
-        """The parsed reply to the `messages`."""
-        self._said.append(said)
-        self._last = parse_action(said, self.form)
-        return self._last
-
-    def messages(self) -> list[Message]:
-        """The system message and the last `window` turns, including the current one."""
-        found = [Message("system", system_text(self.episode.kind, self.form))]
-        for turn in range(max(0, len(self._shown) - self.window), len(self._shown)):
-            view, text = self._shown[turn]
-            if turn not in self._pictures:
-                self._pictures[turn] = self.picture(view)
-            found.append(Message("user", text, (self._pictures[turn],)))
-            found += [Message("assistant", said) for said in self._said[turn : turn + 1]]
-        return found
-
-    def picture(self, view: View) -> np.ndarray:
-        """The picture ``(rows, columns, 3)`` of a view for the model."""
-        return render_view(open_panorama(self.episode.panorama), view.yaw, view.pitch, self.resolution)
-
-
 def system_text(kind: str, form: str) -> str:
     """The system message for ``hos`` or ``hps`` and a form of replies."""
     lines = ["Example:"]
@@ -114,12 +73,12 @@ def first_text(task: str, form: str) -> str:
 
 def next_text(task: str, form: str, reply: Reply, view: View) -> str:
     """The text with a later view: the action as understood, its outcome, and the camera's direction now."""
-    valid, said = "[]", "Last action is not executed successfully."
+    valid, feedback = "[]", "Last action is not executed successfully."
     if reply.action is not None:
-        valid, said = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
+        valid, feedback = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
     return (
-        f"After your answer, the extracted valid action is {valid}.\nThe environment feedback is: {said}\ndone: False\n"
-        f"After that, the observation is:\n{_instruction(task, form)}"
+        f"After your answer, the extracted valid action is {valid}.\nThe environment feedback is: {feedback}\n"
+        f"done: False\nAfter that, the observation is:\n{_instruction(task, form)}"
     )
 
 
@@ -146,3 +105,74 @@ def _reply(thought: str, action: str, form: str) -> str:
         seen, _, reason = thought.partition(". ")
         thought = f"<observation>{seen.rstrip('.')}.</observation><reasoning>{reason or 'So this is it.'}</reasoning>"
     return f"<think>{thought}</think>{answer}"
+
+
+# --- the words of a task ----------------------------------------------------------------------------------------------
+
+FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
+# Things that any detector knows well: everyday nouns of homes, offices, shops and streets.
+COMMON = frozenset(
+    """
+    air conditioner airplane apple armchair backpack bag ball banana barrel basin basket bathtub bed bench bicycle
+    bike bin bird blanket blender blind board boat book bookcase bookshelf bottle bowl box bread broom bucket
+    building bus cabinet cake camera candle car carpet cart cat ceiling chair chandelier clock closet coat coffee
+    computer cone cooker couch counter cup cupboard curtain cushion desk dishwasher dog door drawer dress dresser
+    dryer elevator entrance escalator exit extinguisher fan faucet fence fireplace flag floor flower fork fountain
+    frame fridge glass guitar handbag hat headphones heater helmet house jacket jar kettle keyboard kitchen knife
+    ladder lamp laptop lid light locker luggage machine magazine man mat mattress microwave mirror monitor
+    motorcycle mouse mug newspaper nightstand notebook ottoman oven painting pan paper pen person phone photo piano
+    picture pillar pillow pipe plant plate platform pool pot poster printer projector radiator railing refrigerator
+    road robot rug scooter screen sculpture seat shampoo shelf ship shirt shoe shop shower sign sink skateboard sky
+    sofa speaker spoon staircase stair stand statue stool stove street suitcase sunglasses switch table tablet tap
+    teapot telephone television tent tie tile toilet towel toy train trash tray tree truck tub tv umbrella urinal
+    vacuum van vase vehicle wall wallet wardrobe washer watch water whiteboard window wine woman
+    """.split()  # noqa: SIM905
+)
+_VERBS = r"(?:please\s+)?(?:find|locate|look for|search for|go to|navigate to|get to|move to|reach|walk to|show me)\s+"
+_ARTICLES = r"^(?:the|a|an|some|any|your|my|one of the|way to the|path to the|way to|path to)\s+"
+_BREAKS = re.compile(
+    r"\s+(?:of|on|in|at|by|with|near|next|under|above|behind|below|beside|between|from|that|which|whose|to|for|along|"
+    r"inside|outside|against|across|around|where|labell?ed|named|called|saying|showing|reading)\s+|[,;(]"
+)
+_TEXT = re.compile(
+    r"""["“”«»]|(?<!\w)'[^']+'|\b(?:sign|says?|saying|labell?ed|logo|number|letters?|word|text|reading|written|named|"""
+    r"""called|brand)\b|\d"""
+)
+
+
+def thing_of(task: str) -> str:
+    """The target of a task such as "Find the red chair by the door.": "red chair by the door"."""
+    text = " ".join(task.split()).rstrip(".!? ")
+    text = re.sub(f"^{_VERBS}", "", text, flags=re.IGNORECASE)
+    text = re.sub(_ARTICLES, "", text, flags=re.IGNORECASE)
+    return text or task
+
+
+def phrase_of(task: str) -> str:
+    """The target without its surroundings: "red chair"."""
+    return _BREAKS.split(thing_of(task), maxsplit=1)[0].strip() or thing_of(task)
+
+
+def head_of(task: str) -> str:
+    """The noun of the target, singular and lower case: "chair"."""
+    words = re.findall(r"[a-z][a-z-]*", phrase_of(task).lower())
+    return singular(words[-1]) if words else thing_of(task).lower()
+
+
+def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The tag of a target; `others` are the scene's other entries. The paper names the tags; the rules are ours.
+
+    ``ocr_fine``: the words quote or name text, numbers or a brand (a capital inside the words), or the box is tiny.
+    ``multi_instance``: another entry of the scene has the same noun. ``rare``: the noun is not among `COMMON`.
+    """
+    task = str(item["task"])
+    phrase = phrase_of(task)
+    branded = any(word[:1].isupper() for word in phrase.split()) and not phrase.isupper()
+    yaw, pitch = item["yaw"], item.get("pitch")
+    tiny = pitch is not None and (yaw[1] - yaw[0]) % 360.0 < FINE and pitch[1] - pitch[0] < FINE
+    if _TEXT.search(thing_of(task).lower()) or branded or phrase.isupper() or tiny:
+        return "ocr_fine"
+    head = head_of(task)
+    if any(head_of(str(other["task"])) == head for other in others):
+        return "multi_instance"
+    return "plain" if head in COMMON or singular(head) in COMMON else "rare"

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, get_args
@@ -86,8 +86,8 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Reply(Mapping[str, Any]):
-    """A parsed reply: the thought, the actions, whether the form was kept; also a mapping of these names."""
+class Reply:
+    """A parsed reply: the thought, the actions, whether the form was kept."""
 
     think_content: str
     actions: list[str]
@@ -97,15 +97,6 @@ class Reply(Mapping[str, Any]):
     def action(self) -> Action | None:
         """The single action; None if there is not exactly one or it cannot be carried out."""
         return read_action(self.actions[0]) if len(self.actions) == 1 else None
-
-    def __getitem__(self, key: str) -> Any:
-        return vars(self)[key]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(vars(self))
-
-    def __len__(self) -> int:
-        return len(vars(self))
 
 
 def normalised(yaw: float) -> float:
@@ -196,14 +187,14 @@ def _without_tags(text: str) -> str:
 
 def _along(text: str, marks: tuple[str, ...], at_start: bool = False) -> list[re.Match[str]] | None:
     """The first place of each mark after the one before; None if one is missing."""
-    found: list[re.Match[str]] = []
+    places: list[re.Match[str]] = []
     for mark in marks:
-        pattern = re.compile(mark)
-        place = pattern.match(text) if at_start and not found else pattern.search(text, found[-1].end() if found else 0)
+        find = re.compile(mark).match if at_start and not places else re.compile(mark).search
+        place = find(text, places[-1].end() if places else 0)
         if place is None:
             return None
-        found.append(place)
-    return found
+        places.append(place)
+    return places
 
 
 def _between(text: str, marks: list[re.Match[str]] | None, first: str = "", last: str = "") -> tuple[str, str] | None:
@@ -252,7 +243,6 @@ HFOV_DEG = 100.0
 RESOLUTION = 1080  # rows; columns are rows // 9 * 16
 CROSS = (0, 255, 0)
 ARM = 10  # pixels of the cross to each side of the centre
-_BLOCK = 1 << 16  # pixels at a time, so that intermediate values fit in the processor's cache
 
 
 def size_of(resolution: int = RESOLUTION) -> tuple[int, int]:
@@ -308,63 +298,48 @@ def render_view(
     environment interpolates with weights in steps of 1/32, so single pixels differ from its own by a few levels.
     Raises `ImageError` for any other array.
     """
-    panorama = np.asarray(panorama)
-    if panorama.ndim != 3 or panorama.shape[2] != 3 or panorama.dtype != np.uint8 or panorama.size == 0:
-        raise ImageError(f"a panorama is (H, W, 3) uint8; got shape {panorama.shape}, {panorama.dtype}")
+    from scipy.ndimage import map_coordinates
+
+    panorama = _checked_picture(panorama, "a panorama")
     rows, columns = size_of(resolution)
     height, width = panorama.shape[:2]
     longitude, latitude = _rays(rows, columns, float(pitch))
-    x = longitude.reshape(-1) * np.float32(width / 360.0) + np.float32((0.5 + (yaw % 360.0) / 360.0) * width)
-    y = latitude.reshape(-1) * np.float32(height / 180.0) + np.float32(height / 2)
-    out = np.empty((rows * columns, 3), dtype=np.uint8)
-    for start in range(0, rows * columns, _BLOCK):
-        part = slice(start, start + _BLOCK)
-        out[part] = _sampled(panorama, x[part], y[part])
-    out = out.reshape(rows, columns, 3)
+    x = longitude * np.float32(width / 360.0) + np.float32((0.5 + (yaw % 360.0) / 360.0) * width)
+    places = np.stack([latitude * np.float32(height / 180.0) + np.float32(height / 2), x])
+    bands = [map_coordinates(panorama[..., band], places, np.float32, order=1, mode="grid-wrap") for band in range(3)]
+    out = (np.stack(bands, axis=-1) + np.float32(0.5)).astype(np.uint8)
     if cross:
-        row, column = _arms(rows, columns)
-        out[row] = out[column] = CROSS
+        across, along = _cross(rows, columns)
+        out[across, columns // 2] = out[rows // 2, along] = CROSS
     return out
 
 
-def without_cross(picture: np.ndarray, around: int = 0) -> np.ndarray:
-    """A view ``(rows, columns, 3)`` uint8 of the environment with its cross filled in from the pixels beside it.
+def without_cross(picture: np.ndarray) -> np.ndarray:
+    """A view ``(rows, columns, 3)`` uint8 with its cross filled in by the mean of the pixels beside each line.
 
-    For perceptions: a query for something green would find the cross. Each pixel becomes the mean of the nearest pixels
-    to both sides of the line. `around`: pixels to both sides of the lines that are filled in, too, for pictures that
-    were compressed after the cross was drawn. Raises `ImageError` for anything but a picture.
+    For perceptions: a query for something green would find the cross. Raises `ImageError` for anything but a picture.
     """
+    pixels = _checked_picture(picture, "a view", least=3).astype(np.float64)
+    rows, columns = _cross(*pixels.shape[:2])
+    row, column = pixels.shape[0] // 2, pixels.shape[1] // 2
+    out = pixels.copy()
+    out[row, columns] = (pixels[row - 1, columns] + pixels[row + 1, columns]) / 2
+    out[rows, column] = (pixels[rows, column - 1] + pixels[rows, column + 1]) / 2
+    out[row, column] = pixels[row - 1 : row + 2 : 2, column - 1 : column + 2 : 2].mean(axis=(0, 1))
+    return np.rint(out).astype(np.uint8)
+
+
+def _checked_picture(picture: np.ndarray, what: str, least: int = 1) -> np.ndarray:
     picture = np.asarray(picture)
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or picture.size == 0:
-        raise ImageError(f"a view is (rows, columns, 3) uint8; got shape {picture.shape}, {picture.dtype}")
-    rows, columns = picture.shape[:2]
-    out = picture.copy()
-    for axis, (size, part) in enumerate(zip((rows, columns), _arms(rows, columns, around), strict=True)):
-        # The row's pixels are taken from above and below, the column's from left and right, outside of the cross.
-        first, last = part[axis].start, part[axis].stop
-        sides = [place for place in (first - 1, last) if 0 <= place < size]
-        if not sides:
-            continue
-        beside = [np.take(picture, [place], axis=axis).astype(np.float64) for place in sides]
-        along = (slice(None), part[1]) if axis == 0 else (part[0], slice(None))
-        out[part] = np.rint(np.mean(beside, axis=0))[along].astype(np.uint8)
-    # Where the lines cross, what lies beside them is the other line: the corners of the crossing are clear.
-    (high, wide) = _arms(rows, columns, around)
-    top, bottom, left, right = high[0].start - 1, high[0].stop, wide[1].start - 1, wide[1].stop
-    corners = [picture[i, j] for i in (top, bottom) for j in (left, right) if 0 <= i < rows and 0 <= j < columns]
-    if corners:
-        out[high[0], wide[1]] = np.rint(np.mean(corners, axis=0)).astype(np.uint8)
-    return out
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or min(picture.shape[:2]) < least:
+        raise ImageError(f"{what} is (rows, columns, 3) uint8; got shape {picture.shape}, {picture.dtype}")
+    return picture
 
 
-def _arms(rows: int, columns: int, around: int = 0) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """The pixels of the cross: of its row, and of its column; `around` pixels wider to all sides."""
-    middle, centre = rows // 2, columns // 2
-
-    def stretch(place: int, reach: int) -> slice:
-        return slice(max(0, place - reach - around), place + reach + around + 1)
-
-    return (stretch(middle, 0), stretch(centre, ARM)), (stretch(middle, ARM), stretch(centre, 0))
+def _cross(rows: int, columns: int) -> tuple[slice, slice]:
+    """The rows of the cross's upright line, and the columns of its level one."""
+    row, column = rows // 2, columns // 2
+    return slice(max(0, row - ARM), row + ARM + 1), slice(max(0, column - ARM), column + ARM + 1)
 
 
 def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:
@@ -399,22 +374,3 @@ def _rays(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray
     rays = View(0.0, pitch).grid(rows, columns).unproject(np.arange(columns), np.arange(rows)[:, None])
     longitude, latitude = (-np.degrees(angle).astype(np.float32) for angle in azimuth_elevation(rays))
     return longitude, latitude
-
-
-def _sampled(panorama: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear values ``(n, 3)`` at pixel coordinates whose whole numbers are pixel centres, wrapped both ways."""
-    height, width = panorama.shape[:2]
-    pixels = panorama.reshape(-1, 3)
-    left, top = np.floor(x), np.floor(y)
-    right_share, lower_share = (x - left)[:, None], (y - top)[:, None]
-    column, row = left.astype(np.int64), top.astype(np.int64)
-
-    def across(row: np.ndarray) -> np.ndarray:
-        here, beside = (
-            np.take(pixels, row % height * width + each % width, axis=0).astype(np.float32)
-            for each in (column, column + 1)
-        )
-        return here + (beside - here) * right_share
-
-    upper, lower = across(row), across(row + 1)
-    return (upper + (lower - upper) * lower_share + 0.5).astype(np.uint8)

@@ -104,7 +104,7 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The state after some looks: an `eagor.lab.agents.search_space.Space`. Immutable: `seen` returns a new one.
+    """The state after some looks: an `eagor.lab.agents.search_space.Space`. Immutable: `update` returns a new one.
 
     Per cell of `CELLS`: `shown` is the visible fraction so far, 0 to 1; `stale` the fraction of the next look that
     repeats earlier ones. A look counts for less towards the border of its view, as its evidence does there
@@ -123,7 +123,7 @@ class Search:
         rules = rules or SearchRules()
         return cls(kind, rules, Belief.uniform(rules.degree), np.zeros(CELLS.shape), np.zeros(CELLS.shape))
 
-    def seen(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
+    def update(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
         """The state after one more look: its evidence, the pose of the evidence's frame, and the view."""
         pitch = round(view.pitch)
         shown = np.maximum(self.shown, _rolled(_shares(pitch), view.yaw))
@@ -138,9 +138,9 @@ class Search:
             new = self._new_at(evidence.grid.directions @ world_R_capture.T)
             return self.belief.update(replace(evidence, drawn=evidence.log_ratio * new), world_R_capture)
         basis, grid = self.belief.basis, decoding_grid(self.rules.degree)
-        said = basis.synthesise(evidence.coefficients(self.rules.degree), grid)
+        log_ratio = basis.synthesise(evidence.coefficients(self.rules.degree), grid)
         new = self._new_at(grid.directions @ world_R_capture.T)
-        return self.belief.plus(basis.rotate(basis.analyse(said * new, grid), world_R_capture))
+        return self.belief.plus(basis.rotate(basis.analyse(log_ratio * new, grid), world_R_capture))
 
     def _new_at(self, directions: np.ndarray) -> np.ndarray:
         """The fraction ``(...)`` of a look at directions ``(..., 3)`` of the world that is new."""

@@ -11,10 +11,10 @@ import msgspec
 from msgspec import Meta
 
 from eagor.errors import EagorError, FormatError
+from eagor.lab.tasks.osr.agents import AGENTS, LOOKING, Reply, score_reply, work
 from eagor.lab.tasks.osr.data import SUFFIXES, Scene, load, load_kept
-from eagor.lab.tasks.osr.play import AGENTS, LOOKING, Reply, judged, work
+from eagor.lab.tasks.osr.detections import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_detector
 from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
-from eagor.lab.tasks.osr.sightings import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_looker
 from eagor.lab.tasks.published import PublishedConfig, PublishedRecord, PublishedTask, picture_size, score_metric
 from eagor.lab.tasks.task import Payload, Record, Sample, settings_of
 
@@ -158,7 +158,7 @@ class OsrBench(PublishedTask):
         if config.perception:
             settings = settings_of(config)
             _check_files(settings)
-            open_looker(config.perception, settings)
+            open_detector(config.perception, settings)
 
     def runner(self, config: OsrConfig) -> Callable[[Payload], Record]:
         return work(settings_of(config))
@@ -169,7 +169,7 @@ class OsrBench(PublishedTask):
             raise FormatError(f'the prediction for {sample.id} has the keys {sorted(prediction)}; wanted "text": words')
         scenes = load_kept(config.data, config.suffix)
         scene = next(scene for scene in scenes if scene.id == sample.payload["scene"])
-        return judged(scene, scene.by_id[sample.payload["question"]], Reply(answer), settings_of(config))
+        return score_reply(scene, scene.by_id[sample.payload["question"]], Reply(answer), settings_of(config))
 
 
 OSR = OsrBench()

@@ -10,7 +10,7 @@ The labels of OSR-Bench derive from layouts of whole cells, so rounding decides 
 Even with all places known exactly, 19 of 20 published answers (left and right corrected) would be met. So the rounding
 is modelled: layouts are drawn along the walls in each of the four orientations (any orientation if no wall is known),
 with uncertain places drawn anew each time. The most frequent label is the answer, its share the probability
-(`Drawings`).
+(`LayoutSamples`).
 
 Frame: the camera's body, x forward, y left, z up; metres on the floor, the camera above the origin; angles in radians.
 """
@@ -51,7 +51,7 @@ DRAWS = 16  # for each of the four orientations
 
 
 @dataclass(frozen=True)
-class Sighting:
+class Detection:
     """One thing as seen: its category, and the azimuth and elevation of its middle.
 
     - `bottom`, `top`: elevations of its lowest and highest edge; `half_width`: half of its angular width.
@@ -72,8 +72,8 @@ class Sighting:
     weight: float = 1.0
 
     @classmethod
-    def at(cls, name: str, where: np.ndarray, **rest: object) -> Sighting:
-        """The sighting of a thing in the direction `where` ``(3,)``."""
+    def at(cls, name: str, where: np.ndarray, **rest: object) -> Detection:
+        """The detection of a thing in the direction `where` ``(3,)``."""
         azimuth, elevation = azimuth_elevation(np.asarray(where, dtype=np.float64))
         return cls(name, float(azimuth), float(elevation), **rest)  # type: ignore[arg-type]
 
@@ -137,31 +137,31 @@ def floor_range(elevation: float, height: float) -> float | None:
     return found if found <= FARTHEST else None
 
 
-def contact_range(sighting: Sighting, height: float) -> float | None:
+def contact_range(detection: Detection, height: float) -> float | None:
     """Metres on the floor to the middle of a thing with floor contact, None if the contact gives no range.
 
     `foot` gives it directly. The lowest edge is the near one: half of the thing's depth is added, which is assumed to
     be `DEPTH` of its half width (for a round outline and `DEPTH` 1, d becomes d / (1 - sin w)), and at most `DEEPEST`:
     furniture is wider than deep.
     """
-    if sighting.foot is not None:
-        return floor_range(sighting.foot, height)
-    near = floor_range(sighting.bottom, height) if sighting.bottom is not None else None
+    if detection.foot is not None:
+        return floor_range(detection.foot, height)
+    near = floor_range(detection.bottom, height) if detection.bottom is not None else None
     if near is None:
         return None
-    share = DEPTH * math.sin(min(sighting.half_width, WIDEST))
+    share = DEPTH * math.sin(min(detection.half_width, WIDEST))
     return min(near + min(near * share / (1 - share), DEEPEST), FARTHEST)
 
 
-def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None = None) -> list[Placed]:
-    """Every sighting on the floor, in the same order; `height` of the camera in metres.
+def place(detections: Sequence[Detection], height: float, walls: FloorLine | None = None) -> list[Placed]:
+    """Every detection on the floor, in the same order; `height` of the camera in metres.
 
     Ranges come from, in this order: a depth value; the contact with the floor; the contact with the supporting thing;
     the wall behind. The middle of a standing thing without a visible contact is assumed at the height `MIDDLE`. If
     the walls are not known, hanging things are put on a rectangle around the standing ones ("beyond", `enclosing`),
     otherwise at the median range of the others ("guess").
     """
-    measured = [(each, _measured(each, height, walls)) for each in sightings]
+    measured = [(each, _measured(each, height, walls)) for each in detections]
     standing = [(each, found[0]) for each, found in measured if found and found[1] == "contact"]
     known = [(each.azimuth, found[0]) for each, found in measured if found]
     placed = []
@@ -173,16 +173,16 @@ def place(sightings: Sequence[Sighting], height: float, walls: FloorLine | None 
     return placed
 
 
-def place_on_circle(sightings: Sequence[Sighting]) -> list[Placed]:
-    """Every sighting at the same range: all that directions alone allow."""
-    return [Placed(each.name, _on_floor(each.azimuth, 1.0), "guess", each.weight) for each in sightings]
+def place_on_circle(detections: Sequence[Detection]) -> list[Placed]:
+    """Every detection at the same range: all that directions alone allow."""
+    return [Placed(each.name, _on_floor(each.azimuth, 1.0), "guess", each.weight) for each in detections]
 
 
 def _on_floor(azimuth: float, away: float) -> tuple[float, float]:
     return away * math.cos(azimuth), away * math.sin(azimuth)
 
 
-def _measured(each: Sighting, height: float, walls: FloorLine | None) -> tuple[float, Source] | None:
+def _measured(each: Detection, height: float, walls: FloorLine | None) -> tuple[float, Source] | None:
     if each.depth is not None and math.isfinite(each.depth) and each.depth > 0:
         return each.depth * math.cos(each.elevation), "depth"
     if not each.contact:
@@ -198,8 +198,8 @@ def _measured(each: Sighting, height: float, walls: FloorLine | None) -> tuple[f
 
 
 def _inferred(
-    each: Sighting,
-    standing: Sequence[tuple[Sighting, float]],
+    each: Detection,
+    standing: Sequence[tuple[Detection, float]],
     known: Sequence[tuple[float, float]],
     walls: FloorLine | None,
     height: float,
@@ -219,7 +219,7 @@ def _inferred(
     return (reach, "beyond") if reach is not None else (middle, "guess")
 
 
-def _range_on(each: Sighting, other: Sighting, away: float, height: float) -> float | None:
+def _range_on(each: Detection, other: Detection, away: float, height: float) -> float | None:
     """Metres on the floor to `each` if it stands on `other`, which is `away`; None if it cannot.
 
     The upper edge of a thing below the camera is its far rim, which gives the height of its top. A thing between its
@@ -274,7 +274,7 @@ def direction_between(P: Placed, O: Sequence[Placed], Q: Sequence[Placed]) -> st
 
 
 @dataclass(frozen=True, eq=False)
-class Drawings:
+class LayoutSamples:
     """Layouts of the same things: `cells` ``(M, n, 2)``, rows and columns of the n things `placed`, mirrored."""
 
     placed: tuple[Placed, ...]
@@ -307,10 +307,12 @@ class Drawings:
         return steps[np.arange(len(steps)), rank.argmin(axis=1)]
 
 
-def draw(placed: Sequence[Placed], walls: FloorLine | None, rng: np.random.Generator, draws: int = DRAWS) -> Drawings:
+def draw(
+    placed: Sequence[Placed], walls: FloorLine | None, rng: np.random.Generator, draws: int = DRAWS
+) -> LayoutSamples:
     """`draws` layouts in each of the four orientations; one each if every place is certain and the walls are known."""
     if not placed:
-        return Drawings((), np.zeros((0, 0, 2), dtype=int))
+        return LayoutSamples((), np.zeros((0, 0, 2), dtype=int))
     xy = np.array([each.xy for each in placed])
     spread = np.array([each.spread for each in placed])
     if walls is not None and not spread.any():
@@ -324,7 +326,7 @@ def draw(placed: Sequence[Placed], walls: FloorLine | None, rng: np.random.Gener
     x, y = moved[:, None, :, 0], moved[:, None, :, 1]
     ahead, left = np.cos(turns) * x + np.sin(turns) * y, np.cos(turns) * y - np.sin(turns) * x
     points = np.stack([ahead, left], axis=-1).reshape(4 * draws, len(placed), 2)
-    return Drawings(tuple(placed), _cells(points, mirror=True))
+    return LayoutSamples(tuple(placed), _cells(points, mirror=True))
 
 
 def layout_from(

@@ -88,11 +88,6 @@ def distance_label(layout: Layout, category: str, choices: Iterable[str]) -> str
     return min(away, key=lambda choice: away[choice], default=NO_CANDIDATE)
 
 
-def count_label(counts: Mapping[str, int], category: str) -> str:
-    """The published answer to "how many ... are in this room?", from the number of things of each category."""
-    return str(counts.get(category, 0))
-
-
 def is_tied(layout: Layout, P: str, name: str) -> bool:
     """Whether several cells of `name` are equally near to P, so that the smallest angle decides."""
     start = _position(layout, P)
@@ -178,21 +173,21 @@ def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
     """
     if skill == MAP:
         return score_map(truth, answer).f1
-    said, true = extracted(answer, think).strip().lower(), str(truth).strip().lower()
+    reply, true = extracted(answer, think).strip().lower(), str(truth).strip().lower()
     if skill == COUNTING:
-        return _counted(said, true)
+        return _counted(reply, true)
     if skill == DISTANCE:
-        return float(said == true)
+        return float(reply == true)
     if skill == DIRECTION:
-        return float(_HYPHENS.get(said, said) == _HYPHENS.get(true, true))
+        return float(_HYPHENS.get(reply, reply) == _HYPHENS.get(true, true))
     raise FormatError(f"there is no skill {skill!r}; known are {', '.join(SKILLS)}")
 
 
 def extracted(answer: str, think: bool) -> str:
     """The part of an answer that counts: with `think`, the text between the tags, or all of it without tags."""
     _, opened, rest = answer.partition("<answer>")
-    said, closed, _ = rest.partition("</answer>")
-    return said if think and opened and closed else answer
+    reply, closed, _ = rest.partition("</answer>")
+    return reply if think and opened and closed else answer
 
 
 def lenient(skill: str, truth: Any, answer: str) -> float:
@@ -202,22 +197,22 @@ def lenient(skill: str, truth: Any, answer: str) -> float:
     """
     if skill not in (DIRECTION, DISTANCE):
         return score(skill, truth, answer, think=True)
-    said = extracted(answer, think=True).lower()
+    reply = extracted(answer, think=True).lower()
     if skill == DISTANCE:
-        words = re.sub(r"[\s_]+", " ", said)
+        words = re.sub(r"[\s_]+", " ", reply)
         return float(re.search(rf"\b{re.escape(str(truth).lower().replace('_', ' '))}\b", words) is not None)
-    named = re.findall(r"\b(?:(?:front|back)(?:[ -](?:left|right))?|left|right)\b", said)
-    return score(DIRECTION, truth, named[-1] if named else said)
+    named = re.findall(r"\b(?:(?:front|back)(?:[ -](?:left|right))?|left|right)\b", reply)
+    return score(DIRECTION, truth, named[-1] if named else reply)
 
 
 def is_direction(answer: str) -> bool:
     """Whether the scorer can read the answer as a direction at all."""
-    said = answer.strip().lower()
-    return said in {word.lower() for word in DIRECTIONS} or said in _HYPHENS.values()
+    reply = answer.strip().lower()
+    return reply in {word.lower() for word in DIRECTIONS} or reply in _HYPHENS.values()
 
 
-def _counted(said: str, true: str) -> float:
-    number = re.search(r"\d+", said)
+def _counted(reply: str, true: str) -> float:
+    number = re.search(r"\d+", reply)
     if not re.fullmatch(r"[+-]?\d{1,9}", true):
         raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
     if number is None or len(number.group()) > 4000:  # more digits than Python reads: practically infinite
@@ -230,43 +225,40 @@ def _counted(said: str, true: str) -> float:
 class MapScore:
     """Agreement of a map with the truth: things at most `NEAR` cells from one of their category are found.
 
-    `f1_most`: the highest F1 that the published code can give, `f1` the lowest. `found`, `strange`, `missed`: numbers
-    of things (true positives, false positives, false negatives). `distance`: mean over pairs, cells. `hallucinated`:
-    share of the named categories that are absent (CHAIR_i), which are `absent`; `hallucinated_things`: of the things.
-    `rotation`: degrees clockwise by which the map was turned. `categories`: the score of each, by name, with the keys
-    of the published code.
+    `f1_most`: the highest F1 that the published code can give, `f1` the lowest. `rotation`: degrees clockwise by which
+    the map was turned. `overall` and `per_class` (by name): the figures that the published runner writes as JSON into
+    its tables. `chair_i` is the share of the named categories that are absent, `chair_instance` that of the things,
+    `avg_distance` the mean over pairs in cells.
     """
 
-    precision: float = 0.0
-    recall: float = 0.0
-    f1: float = 0.0
-    f1_most: float = 0.0
-    found: int = 0
-    strange: int = 0
-    missed: int = 0
-    distance: float = FAR
-    hallucinated: float = 0.0
-    hallucinated_things: float = 0.0
-    absent: tuple[str, ...] = ()
     rotation: int = 0
-    categories: dict[str, dict[str, float]] = field(default_factory=dict)
+    f1_most: float = 0.0
+    overall: dict[str, Any] = field(default_factory=lambda: _overall(0, 0, 0, FAR, 0.0, 0.0, []))
+    per_class: dict[str, dict[str, float]] = field(default_factory=dict)
 
-    def as_published(self) -> dict[str, Any]:
-        """The dictionary that the published runner writes as JSON into its tables."""
-        overall = {
-            "precision": self.precision,
-            "recall": self.recall,
-            "f1": self.f1,
-            "avg_distance": self.distance,
-            "tp": self.found,
-            "fp": self.strange,
-            "fn": self.missed,
-            "chair_s": int(bool(self.absent)),
-            "chair_i": self.hallucinated,
-            "chair_instance": self.hallucinated_things,
-            "hallucinated_classes": list(self.absent),
-        }
-        return {"overall": overall, "per_class": self.categories}
+    @property
+    def f1(self) -> float:
+        """Of all categories."""
+        return self.overall["f1"]
+
+
+def _overall(
+    right: int, named: int, true: int, distance: float, chair_i: float, chair_instance: float, absent: list[str]
+) -> dict[str, Any]:
+    """The published figures of a map with `named` things, of which `right` are right, in a room with `true` things."""
+    return {
+        "precision": right / named if named else 0.0,
+        "recall": right / true if true else 0.0,
+        "f1": _f1(right, named, true),
+        "avg_distance": distance,
+        "tp": right,
+        "fp": named - right,
+        "fn": true - right,
+        "chair_s": int(bool(absent)),
+        "chair_i": chair_i,
+        "chair_instance": chair_instance,
+        "hallucinated_classes": absent,
+    }
 
 
 def score_map(truth: Grid, reply: str) -> MapScore:
@@ -278,10 +270,10 @@ def score_map(truth: Grid, reply: str) -> MapScore:
     `truth`.
     """
     there = layout_of(truth)
-    said = read_map(reply)
-    if said is None:
+    prediction = read_map(reply)
+    if prediction is None:
         return MapScore()
-    grid = grid_of(said)
+    grid = grid_of(prediction)
     turns = [_compared(there, layout_of(turned(grid, quarter)), 90 * quarter) for quarter in range(4)]
     return max(turns, key=lambda each: each.f1)  # the first of equal ones
 
@@ -322,18 +314,18 @@ def turned(grid: Grid, quarters: int) -> Grid:
     return grid
 
 
-def _compared(there: dict[str, list[list[int]]], said: dict[str, list[list[int]]], rotation: int) -> MapScore:
+def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list[int]]], rotation: int) -> MapScore:
     from scipy.optimize import linear_sum_assignment
 
-    common = {*there} & {*said}
+    common = {*there} & {*prediction}
     if not common:
         return MapScore(rotation=rotation)
     categories: dict[str, dict[str, float]] = {}
     pairs, total = 0, 0.0
-    for name in sorted({*there} | {*said}):
-        true, named, right, away = len(there.get(name, ())), len(said.get(name, ())), 0, FAR
+    for name in sorted({*there} | {*prediction}):
+        true, named, right, away = len(there.get(name, ())), len(prediction.get(name, ())), 0, FAR
         if name in common:
-            distances = np.linalg.norm(np.array(there[name])[:, None] - np.array(said[name])[None], axis=-1)
+            distances = np.linalg.norm(np.array(there[name])[:, None] - np.array(prediction[name])[None], axis=-1)
             chosen = distances[linear_sum_assignment(distances)]
             right, away = int((chosen <= NEAR).sum()), float(chosen.mean())
             pairs, total = pairs + len(chosen), total + float(chosen.sum())
@@ -342,15 +334,13 @@ def _compared(there: dict[str, list[list[int]]], said: dict[str, list[list[int]]
         categories[name] = dict(zip(("precision", "recall", "f1"), rates, strict=True)) | {
             "avg_distance": away, "tp": right, "fp": named - right, "fn": true - right,
         }  # fmt: skip
-    true, named = sum(map(len, there.values())), sum(map(len, said.values()))
     right = int(sum(each["tp"] for each in categories.values()))
-    absent = tuple(sorted({*said} - {*there}))
-    return MapScore(
-        right / named, right / true, _f1(right, named, true),
-        _f1(right, sum(len(said[name]) for name in common), sum(len(there[name]) for name in common)), right,
-        named - right, true - right, total / pairs, len(absent) / len(said),
-        sum(len(said[name]) for name in absent) / named, absent, rotation, categories,
-    )  # fmt: skip
+    true, named = sum(map(len, there.values())), sum(map(len, prediction.values()))
+    absent = sorted({*prediction} - {*there})
+    most = _f1(right, sum(len(prediction[name]) for name in common), sum(len(there[name]) for name in common))
+    strays = sum(len(prediction[name]) for name in absent) / named
+    overall = _overall(right, named, true, total / pairs, len(absent) / len(prediction), strays, absent)
+    return MapScore(rotation, most, overall, categories)
 
 
 def _f1(right: int, named: int, true: int) -> float:

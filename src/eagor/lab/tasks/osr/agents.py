@@ -23,9 +23,10 @@ from eagor._values import lazy
 from eagor.errors import EagorError
 from eagor.lab.agents.models import shared_chat
 from eagor.lab.tasks.osr.data import Question, Scene, load
+from eagor.lab.tasks.osr.detections import Detector, SceneDetections, open_detector
 from eagor.lab.tasks.osr.geometry import (
     SURE,
-    Drawings,
+    LayoutSamples,
     Placed,
     direction_between,
     draw,
@@ -57,7 +58,6 @@ from eagor.lab.tasks.osr.scoring import (
     steps,
     swapped,
 )
-from eagor.lab.tasks.osr.sightings import Looker, Seen, open_looker
 from eagor.lab.tasks.published import case_seed
 from eagor.perception.vlm import IMAGE, Chat, Message
 
@@ -89,21 +89,6 @@ AGENTS = {
 }
 LOOKING = ("eagor",)
 TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
-
-
-def plain_text(question: str, form: str) -> str:
-    """The prompt for a question without a map."""
-    return f"{_BEFORE} {next_text(question, form)}"
-
-
-def next_text(question: str, form: str) -> str:
-    """The prompt for a question after the map was asked for and given."""
-    return f"{question} {_AFTER[form]}"
-
-
-def with_picture(text: str, image: np.ndarray) -> list[Message]:
-    """The conversation that shows the panorama with one prompt."""
-    return [Message("user", f"{text}\n{IMAGE}", (image,))]
 
 
 @dataclass(frozen=True)
@@ -161,23 +146,20 @@ class Majority:
     negative: bool = False
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
-        told = self._told("", question.skill) - self._told(scene.id, question.skill)
-        fits = set(question.names[1:]) | {NO_CANDIDATE} if question.skill == DISTANCE else set(told)
-        ranked = sorted((word for word in told if word in fits), key=lambda word: (-told[word], word))
-        return Reply(ranked[0]) if ranked else constant(self.negative, scene, question)
-
-    def _told(self, scene: str, skill: str) -> Counter[str]:
-        return self._counts.get((scene, skill), Counter())
+        answers = self._counts[question.skill].copy()
+        answers.subtract(
+            str(each.truth(self.labels)) for each in scene.questions if each.skill == question.skill != MAP
+        )
+        choices = {*question.names[1:], NO_CANDIDATE} if question.skill == DISTANCE else {*answers}
+        ranked = sorted((-count, answer) for answer, count in answers.items() if count > 0 and answer in choices)
+        return Reply(ranked[0][1]) if ranked else constant(self.negative, scene, question)
 
     @lazy
-    def _counts(self) -> dict[tuple[str, str], Counter[str]]:
-        """How often each answer is right, by scene ("" for all of them) and skill."""
-        counts: dict[tuple[str, str], Counter[str]] = {}
-        for scene in self.scenes:
-            for question in scene.questions:
-                if question.skill != MAP:
-                    for group in ("", scene.id):
-                        counts.setdefault((group, question.skill), Counter())[str(question.truth(self.labels))] += 1
+    def _counts(self) -> dict[str, Counter[str]]:
+        """How often each answer is right, by skill."""
+        counts: dict[str, Counter[str]] = {skill: Counter() for skill in TITLES}
+        for question in (question for scene in self.scenes for question in scene.questions if question.skill != MAP):
+            counts[question.skill][str(question.truth(self.labels))] += 1
         return counts
 
 
@@ -189,30 +171,33 @@ class Vlm:
         self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map, which is asked for once
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
-        from eagor.media.panorama import read_panorama
-
-        mapped = scene.map_question
+        mapped, text = scene.map_question, f"{question.text} {_AFTER[self._form]}"
         if mapped is None:
-            text = plain_text(question.text, self._form)
-            return Reply(self._chat(with_picture(text, read_panorama(scene.picture))).text)
+            return Reply(self._chat([_with_picture(f"{_BEFORE} {text}", scene)]).text)
         if self._drawn is None or self._drawn[0] != scene.id:
-            asked = with_picture(mapped.text, read_panorama(scene.picture))
-            self._drawn = scene.id, asked, self._chat(asked).text
-        _, asked, drawn = self._drawn
+            request = _with_picture(mapped.text, scene)
+            self._drawn = scene.id, [request], self._chat([request]).text
+        _, requests, drawn = self._drawn
         if question.skill == MAP:
             return Reply(drawn)
-        further = Message("user", next_text(question.text, self._form))
-        return Reply(self._chat([*asked, Message("assistant", drawn), further]).text, notes={"map": drawn})
+        messages = [*requests, Message("assistant", drawn), Message("user", text)]
+        return Reply(self._chat(messages).text, notes={"map": drawn})
+
+
+def _with_picture(text: str, scene: Scene) -> Message:
+    from eagor.media.panorama import read_panorama
+
+    return Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.picture),))
 
 
 @dataclass(frozen=True, eq=False)
-class Around:
+class SceneLayout:
     """One scene as seen: things on the floor, and layouts drawn from them."""
 
     scene: str
-    seen: Seen
+    seen: SceneDetections
     placed: tuple[Placed, ...]
-    drawings: Drawings
+    samples: LayoutSamples
 
     def members(self, name: str) -> list[int]:
         """The things of this name, the likeliest first."""
@@ -235,17 +220,19 @@ class Around:
         notes: dict[str, Any] = {"things": found}
         if any(each["range_from"] not in SURE for each in found):
             notes["guessed"] = True
-        if strange := [name for name in names if name in self.seen.strange]:
-            notes["strange"] = strange
+        if unknown := [name for name in names if name in self.seen.unknown_queries]:
+            notes["strange"] = unknown
         return notes
 
 
-def laid_out(scene: str, seen: Seen, ranges: str = "floor", seed: int = 0) -> Around:
+def sample_layout(scene: str, seen: SceneDetections, ranges: str = "floor", seed: int = 0) -> SceneLayout:
     """The things seen in this scene, placed on the floor and drawn as layouts; `ranges` as in `Eagor`."""
     if ranges == "unit":
         seen = replace(seen, walls=None)
     placed = place_on_circle(seen.things) if ranges == "unit" else place(seen.things, seen.height, seen.walls)
-    return Around(scene, seen, tuple(placed), draw(placed, seen.walls, np.random.default_rng(case_seed(seed, scene))))
+    return SceneLayout(
+        scene, seen, tuple(placed), draw(placed, seen.walls, np.random.default_rng(case_seed(seed, scene)))
+    )
 
 
 class Eagor:
@@ -254,16 +241,16 @@ class Eagor:
     - `reading`: "cells": the likeliest label under the benchmark's rounding (`eagor.lab.tasks.osr.geometry`); "metres":
       from the places as they are; "auto": cells if the foot of the walls is known, otherwise metres (the layout's axes
       are then unknown, and guessing them costs more than rounding does).
-    - `ranges`: "floor" or "depth": as `place` computes them, with depth values if the looker gives any; "unit": all
+    - `ranges`: "floor" or "depth": as `place` computes them, with depth values if the detector gives any; "unit": all
       things at the same distance, which is all that directions alone can tell.
     - `negative`: whether questions may ask about absent things; only then does it answer with errors.
     """
 
     def __init__(
-        self, look: Looker, reading: str = "auto", ranges: str = "floor", negative: bool = False, seed: int = 0
+        self, look: Detector, reading: str = "auto", ranges: str = "floor", negative: bool = False, seed: int = 0
     ) -> None:
         self._look, self._reading, self._ranges, self._negative, self._seed = look, reading, ranges, negative, seed
-        self._kept: Around | None = None
+        self._kept: SceneLayout | None = None
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         around, skill, names = self.around(scene), question.skill, question.names
@@ -289,29 +276,29 @@ class Eagor:
             return Reply(found or _guess(question), stated, notes)
         return Reply(*self._closest(around, names[0], names[1:]), notes)
 
-    def around(self, scene: Scene) -> Around:
+    def around(self, scene: Scene) -> SceneLayout:
         """The scene as seen: looked at once, for all names in its questions."""
         if self._kept is None or self._kept.scene != scene.id:
-            self._kept = laid_out(scene.id, self._look(scene, scene.categories), self._ranges, self._seed)
+            self._kept = sample_layout(scene.id, self._look(scene, scene.categories), self._ranges, self._seed)
         return self._kept
 
-    def where(self, around: Around, P: str, O: str, Q: str) -> tuple[str, float | None, dict[str, float]]:
+    def where(self, around: SceneLayout, P: str, O: str, Q: str) -> tuple[str, float | None, dict[str, float]]:
         """The direction of the nearest Q from P facing the nearest O; its probability; and the share of each label.
 
         All three must be there; of several P the likeliest is taken.
         """
         start, facing, asked = around.members(P)[0], around.members(O), around.members(Q)
-        shares, placed = around.drawings.directions(start, facing, asked), around.placed
+        shares, placed = around.samples.directions(start, facing, asked), around.placed
         plain = direction_between(placed[start], [placed[k] for k in facing], [placed[k] for k in asked])
         return *self._chosen(around, plain, shares), shares
 
-    def _closest(self, around: Around, name: str, choices: Sequence[str]) -> tuple[str, float | None]:
+    def _closest(self, around: SceneLayout, name: str, choices: Sequence[str]) -> tuple[str, float | None]:
         start, placed = around.members(name)[0], around.placed
         groups = {name: members for name in choices if (members := around.members(name))}
         plain = nearest(placed[start], [placed[k] for members in groups.values() for k in members]).name
-        return self._chosen(around, plain, around.drawings.nearest(start, groups))
+        return self._chosen(around, plain, around.samples.nearest(start, groups))
 
-    def _chosen(self, around: Around, plain: str, shares: dict[str, float]) -> tuple[str, float | None]:
+    def _chosen(self, around: SceneLayout, plain: str, shares: dict[str, float]) -> tuple[str, float | None]:
         """The answer from the places as they are, or that of most layouts, and its share."""
         rounded = self._reading == "cells" or (self._reading == "auto" and around.seen.walls is not None)
         best = max(shares, key=lambda word: (shares[word], word == plain)) if rounded and shares else plain
@@ -333,7 +320,7 @@ def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str,
     def do(payload: Mapping[str, Any]) -> dict[str, Any]:
         scene = scenes[payload["scene"]]
         question = scene.by_id[payload["question"]]
-        return judged(scene, question, agent(scene, question), settings)
+        return score_reply(scene, question, agent(scene, question), settings)
 
     return do
 
@@ -342,22 +329,24 @@ def open_agent(settings: Mapping[str, Any], scenes: tuple[Scene, ...]) -> Agent:
     """The agent of these settings. Raises `EagorError` if it does not exist or cannot be made."""
     name, seed, negative = settings["agent"], settings["seed"], "with_negative" in settings["suffix"]
     labels = "corrected" if settings["labels"] == "corrected" else "official"
-    makers: dict[str, Callable[[], Agent]] = {
-        "eagor": lambda: Eagor(
-            open_looker(settings["perception"], settings), settings["reading"], settings["range"], negative, seed
-        ),
-        "vlm": lambda: Vlm(shared_chat(settings["model"]), settings["prompt"]),
-        "constant": lambda: partial(constant, negative),
-        "majority": lambda: Majority(scenes, labels, negative),
-        "random": lambda: partial(random, seed),
-        "oracle": lambda: partial(oracle, labels),
+    if name == "eagor":
+        detector = open_detector(settings["perception"], settings)
+        return Eagor(detector, settings["reading"], settings["range"], negative, seed)
+    if name == "vlm":
+        return Vlm(shared_chat(settings["model"]), settings["prompt"])
+    if name == "majority":
+        return Majority(scenes, labels, negative)
+    blind = {
+        "constant": partial(constant, negative),
+        "random": partial(random, seed),
+        "oracle": partial(oracle, labels),
     }
-    if name not in makers:
+    if name not in blind:
         raise EagorError(f"osr has no agent {name!r}; it has {', '.join(AGENTS)}")
-    return makers[name]()
+    return blind[name]
 
 
-def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:
+def score_reply(scene: Scene, question: Question, reply: Reply, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The record of a reply."""
     skill, think = question.skill, settings["prompt"] == "think"
     wanted = ("official", "corrected") if settings["labels"] == "both" else (settings["labels"],)
@@ -378,7 +367,9 @@ def judged(scene: Scene, question: Question, reply: Reply, settings: Mapping[str
     }
     if skill == MAP:
         found = score_map(truths[main], reply.text)
-        record["map"] = found.as_published() | {"truth": truths[main], "rotation": found.rotation}
+        record["map"] = {
+            "overall": found.overall, "per_class": found.per_class, "truth": truths[main], "rotation": found.rotation
+        }  # fmt: skip
         record["map_range"] = {"least": found.f1, "most": found.f1_most}
     else:
         record["truth"] = truths[main]
@@ -415,9 +406,9 @@ def cause(question: Question, reply: Reply, labels: str, think: bool) -> str:
     if reply.notes.get("problem"):
         return "missed"
     if question.skill == DIRECTION:
-        said, truth = extracted(reply.text, think), str(question.truth(labels))
-        if truth not in ERRORS and not is_direction(said) and said.strip() not in ERRORS:
+        answer, truth = extracted(reply.text, think), str(question.truth(labels))
+        if truth not in ERRORS and not is_direction(answer) and answer.strip() not in ERRORS:
             return "format"
-        if score(DIRECTION, swapped(truth), said) and swapped(truth) != truth:
+        if score(DIRECTION, swapped(truth), answer) and swapped(truth) != truth:
             return "left and right exchanged"
     return "range guessed" if reply.notes.get("guessed") else "wrong"

@@ -1,4 +1,4 @@
-"""Sightings of every category in a scene's picture, from a belief per category, or from the truth.
+"""Detections of every category in a scene's picture, from a belief per category, or from the truth.
 
 The truth is the file physical_truth.json in the scene's folder. It is not part of the benchmark; the scenes that
 are made for tests have it, and others may have it, too::
@@ -12,25 +12,25 @@ are made for tests have it, and others may have it, too::
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._checks import number, parsed, shown
+from eagor._checks import parsed
 from eagor.belief import Belief
-from eagor.errors import EagorError, FormatError, QueryError
+from eagor.errors import DirectionError, EagorError, FormatError, QueryError
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.lab.agents.models import recalibrator, shared
 from eagor.lab.tasks.osr.data import Scene
-from eagor.lab.tasks.osr.geometry import HANGING, FloorLine, Sighting
+from eagor.lab.tasks.osr.geometry import HANGING, Detection, FloorLine
 from eagor.perception import Perception
 from eagor.sphere import wrap
 
@@ -48,38 +48,38 @@ _FARTHEST = 1e6  # metres from the camera; more is taken for a mistake
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class SceneDetections:
     """What is around: `things`, the foot of the walls if known, and the camera's height above the floor (metres).
 
-    `strange`: names that the perception did not understand.
+    `unknown_queries`: names that the perception did not understand.
     """
 
-    things: tuple[Sighting, ...]
+    things: tuple[Detection, ...]
     walls: FloorLine | None = None
     height: float = HEIGHT
-    strange: tuple[str, ...] = ()
+    unknown_queries: tuple[str, ...] = ()
 
 
-Looker = Callable[[Scene, Sequence[str]], Seen]  # looks at a scene for things with these names
+Detector = Callable[[Scene, Sequence[str]], SceneDetections]  # looks at a scene for things with these names
 
 
-def open_looker(perception: str, settings: Mapping[str, Any]) -> Looker:
-    """The looker for truth (true places from the data; truth:outline without contacts), or for any perception."""
+def open_detector(perception: str, settings: Mapping[str, Any]) -> Detector:
+    """The detector for truth (true places from the data; truth:outline without contacts), or for any perception."""
     name, _, how = perception.partition(":")
     if name == TRUTH:
         if how not in ("", "exact", "outline"):
             raise EagorError(f"perception {perception!r}; wanted truth, truth:exact or truth:outline for osr")
         return lambda scene, names: true_places(scene, names, how != "outline")
     depth, height = settings["range"] == "depth", settings["camera_height"]
-    return BeliefLooker(shared(perception), settings["degree"], height, depth, recalibrator(settings))
+    return BeliefDetector(shared(perception), settings["degree"], height, depth, recalibrator(settings))
 
 
 # From a perception
 
 
 @dataclass(frozen=True, eq=False)
-class BeliefLooker:
-    """Sightings from a perception: its evidence for a category gives a belief, whose peaks are the things.
+class BeliefDetector:
+    """Detections from a perception: its evidence for a category gives a belief, whose peaks are the things.
 
     `degree`: of the belief; `height`: of the camera above the floor, metres; `depth`: take ranges from depth.npy in the
     scene's folder (metres along the ray, an equirectangular array (H, W), 0 or infinite if unknown); `read`:
@@ -92,34 +92,34 @@ class BeliefLooker:
     depth: bool = False
     read: Callable[[Evidence], Evidence] = lambda evidence: evidence
 
-    def __call__(self, scene: Scene, names: Sequence[str]) -> Seen:
+    def __call__(self, scene: Scene, names: Sequence[str]) -> SceneDetections:
         from eagor.media.panorama import read_panorama
 
         panorama = read_panorama(scene.picture)
         ranges = read_depth(scene.folder) if self.depth else None
         if self.depth and ranges is None:
             raise FormatError(f"{scene.folder} has no {DEPTH_FILE}; put one there, or take ranges from the floor")
-        things: list[Sighting] = []
-        strange = []
+        things: list[Detection] = []
+        unknown = []
         for name in names:
             try:
                 evidence = self.read(self.perception(panorama, name.replace("_", " "), stamp=0.0))
             except QueryError:
-                strange.append(name)
+                unknown.append(name)
                 continue
-            found = sightings_in(evidence, name, self.degree)
+            found = detections_in(evidence, name, self.degree)
             things += [each if ranges is None else replace(each, depth=depth_at(ranges, each)) for each in found]
-        return Seen(tuple(things), None, self.height, tuple(strange))
+        return SceneDetections(tuple(things), None, self.height, tuple(unknown))
 
 
-def sightings_in(evidence: Evidence, name: str, degree: int) -> list[Sighting]:
+def detections_in(evidence: Evidence, name: str, degree: int) -> list[Detection]:
     """The things in the evidence about `name`: peaks of its belief at which they are likelier than not."""
     belief = Belief.uniform(degree).update(evidence)
     directions, weights = belief.modes(MOST, PROMINENCE)
     above = to_numpy(belief.log_ratio(directions)) > 0
     found = []
     for where, weight in zip(directions[above], weights[above], strict=True):
-        plain = Sighting.at(name, where, weight=float(weight), contact=name not in HANGING)
+        plain = Detection.at(name, where, weight=float(weight), contact=name not in HANGING)
         if across := extent(evidence, where):
             wide, tall = across
             bottom, top = max(plain.elevation - tall, -math.pi / 2), min(plain.elevation + tall, math.pi / 2)
@@ -174,7 +174,7 @@ def read_depth(folder: Path) -> np.ndarray | None:
     return np.array(found)
 
 
-def depth_at(ranges: np.ndarray, thing: Sighting) -> float | None:
+def depth_at(ranges: np.ndarray, thing: Detection) -> float | None:
     """The median range (metres along the ray) over the middle of a thing; None without measurements there."""
     x, y, _ = ErpGrid(*ranges.shape).project(thing.direction)
     tall = (thing.top - thing.bottom) / 4 if thing.top is not None and thing.bottom is not None else math.radians(1)
@@ -188,6 +188,24 @@ def depth_at(ranges: np.ndarray, thing: Sighting) -> float | None:
 
 
 # From the truth
+
+_Length = Annotated[float, msgspec.Meta(ge=0, le=_FARTHEST)]
+_Place = Annotated[float, msgspec.Meta(ge=-_FARTHEST, le=_FARTHEST)]
+_Outline = Annotated[list[tuple[_Place, _Place]], msgspec.Meta(min_length=3)]
+
+
+class _Object(msgspec.Struct):
+    name: str
+    size: tuple[_Length, _Length, _Length]
+    z_centre: _Place
+    xy: tuple[_Place, _Place] | None = None
+    corners: _Outline | None = None
+
+
+class _Truth(msgspec.Struct):
+    objects: list[_Object]
+    camera: Annotated[float, msgspec.Meta(gt=0, le=_FARTHEST)] = HEIGHT
+    walls: _Outline | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,11 +222,6 @@ class Body:
         """The centre ``(2,)`` of the footprint's bounds."""
         return (self.footprint.min(axis=0) + self.footprint.max(axis=0)) / 2
 
-    @property
-    def stands(self) -> bool:
-        """Whether it touches the floor."""
-        return self.low < TOUCHING
-
 
 @dataclass(frozen=True, eq=False)
 class Room:
@@ -219,25 +232,25 @@ class Room:
     walls: FloorLine | None = None
 
 
-def true_places(scene: Scene, names: Sequence[str], exact: bool) -> Seen:
-    """Sightings from the truth in the scene's folder; `exact`: see `sightings`."""
+def true_places(scene: Scene, names: Sequence[str], exact: bool) -> SceneDetections:
+    """Detections from the truth in the scene's folder; `exact`: see `true_detections`."""
     room = read_room(scene.folder)
     if room is None:
         raise FormatError(f"{scene.folder} has no {FILE}, which the perception truth reads; name another perception")
-    return Seen(tuple(sightings(room, names, exact)), room.walls, room.camera)
+    return SceneDetections(tuple(true_detections(room, names, exact)), room.walls, room.camera)
 
 
-def sightings(room: Room, names: Sequence[str] | None = None, exact: bool = True) -> list[Sighting]:
+def true_detections(room: Room, names: Sequence[str] | None = None, exact: bool = True) -> list[Detection]:
     """The things (with these names) as the camera sees them, without any error.
 
     With `exact`, the foot is the floor point below the middle, as a labelled contact would be. Otherwise only the
     outline of the box is given, as from a detector, and the range has to be derived from its lower edge.
     """
-    return [_sighting(body, room.camera, exact) for body in room.bodies if names is None or body.name in names]
+    return [_detection(body, room.camera, exact) for body in room.bodies if names is None or body.name in names]
 
 
-def _sighting(body: Body, camera: float, exact: bool) -> Sighting:
-    centre, rim = body.centre, body.footprint
+def _detection(body: Body, camera: float, exact: bool) -> Detection:
+    centre, rim, stands = body.centre, body.footprint, body.low < TOUCHING
     away, azimuth = float(np.hypot(*centre)), math.atan2(centre[1], centre[0])
     middle = math.atan2((body.low + body.high) / 2 - camera, away)
     sides = wrap(np.arctan2(rim[:, 1], rim[:, 0]) - azimuth)
@@ -250,9 +263,9 @@ def _sighting(body: Body, camera: float, exact: bool) -> Sighting:
     left, right = float(np.max(sides)), float(np.min(sides))
     if not exact and left - right < math.pi:
         azimuth += (left + right) / 2
-    foot = math.atan2(-camera, away) if exact and body.stands else None
+    foot = math.atan2(-camera, away) if exact and stands else None
     half = min((left - right) / 2, math.pi / 2)
-    return Sighting(body.name, azimuth, middle, bottom, top, half, foot, contact=body.stands)
+    return Detection(body.name, azimuth, middle, bottom, top, half, foot, contact=stands)
 
 
 def read_room(folder: Path) -> Room | None:
@@ -261,67 +274,22 @@ def read_room(folder: Path) -> Room | None:
     if not path.is_file():
         return None
     try:
-        entry = parsed(path.read_bytes())
-        bodies = tuple(_body(item) for item in entry["objects"])
-        walls = entry.get("walls")
-        line = None if walls is None else FloorLine(_turned(_points(walls)))
-        camera = number(entry.get("camera", HEIGHT))
-        if camera <= 0:
-            raise ValueError(f"camera {camera:g}; wanted metres above the floor, above 0")
-        return Room(bodies, camera, line)
-    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        truth = msgspec.convert(parsed(path.read_bytes(), strict=True), _Truth)
+        line = None if truth.walls is None else FloorLine(_turned(np.array(truth.walls)))
+        return Room(tuple(map(_body, truth.objects)), truth.camera, line)
+    except (OSError, ValueError, msgspec.ValidationError, DirectionError) as error:
         raise FormatError(f"{path} is not a room ({type(error).__name__}: {error}); see {__name__}") from None
 
 
-def write_room(room: Room, folder: Path) -> Path:
-    """Write a room into a scene's folder."""
-    objects = []
-    for body in room.bodies:
-        corners = -_turned(body.footprint)
-        objects.append(
-            {
-                "name": body.name,
-                "xy": _rounded(-_turned(body.centre[None])[0]),
-                "size": [*_rounded(np.ptp(corners, axis=0)), round(body.high - body.low, 4)],
-                "z_centre": round((body.low + body.high) / 2, 4),
-                "corners": [_rounded(corner) for corner in corners],
-            }
-        )
-    frame = "x right, y forward (ERP centre), camera at origin, metres"
-    entry: dict[str, Any] = {"frame": frame, "camera": room.camera, "objects": objects}
-    if room.walls is not None:
-        entry["walls"] = [_rounded(point) for point in -_turned(room.walls.points)]
-    path = folder / FILE
-    path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
-    return path
-
-
-def _body(item: dict[str, Any]) -> Body:
-    size = np.array([number(side) for side in item["size"]])
-    if size.shape != (3,) or size.min() < 0:
-        raise ValueError(f"{item.get('name')!r} has the size {size.tolist()}; wanted three lengths in metres")
-    corners = item.get("corners")
-    if corners is None:
-        half = size[:2] / 2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-        corners = (_points([item["xy"]]) + half).tolist()
-    middle, footprint = number(item["z_centre"]), _turned(_points(corners))
-    if len(footprint) < 3:
-        raise ValueError(f"{item.get('name')!r} has a footprint of {len(footprint)} corners; wanted three or more")
-    return Body(str(item["name"]), footprint, middle - size[2] / 2, middle + size[2] / 2)
-
-
-def _points(written: Any) -> np.ndarray:
-    """Points ``(n, 2)`` in metres. Raises `ValueError` for anything else."""
-    points = [[number(value) for value in point] for point in written]
-    if not points or any(len(point) != 2 or max(map(abs, point)) > _FARTHEST for point in points):
-        raise ValueError(f"the points are {shown(written)}; wanted [x, y] in metres")
-    return np.array(points)
+def _body(item: _Object) -> Body:
+    if item.corners is None and item.xy is None:
+        raise ValueError(f"{item.name!r} has neither corners nor xy; wanted its footprint, or its middle, in metres")
+    half = np.array(item.size[:2]) / 2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    corners = np.array(item.corners) if item.corners is not None else np.array([item.xy]) + half
+    low = item.z_centre - item.size[2] / 2
+    return Body(item.name, _turned(corners), low, item.z_centre + item.size[2] / 2)
 
 
 def _turned(points: np.ndarray) -> np.ndarray:
-    """From x right, y forward to x forward, y left ``(n, 2)``; the negative of the result is the way back."""
+    """From x right, y forward to x forward, y left ``(n, 2)``."""
     return np.stack([points[:, 1], -points[:, 0]], axis=1)
-
-
-def _rounded(values: np.ndarray) -> list[float]:
-    return [round(float(value), 4) for value in values]
