@@ -233,5 +233,5 @@ def tube(path: Sequence[Triple] | np.ndarray, radius: float | Sequence[float] | 
     for a, b, first, last in zip(path, path[1:], radii, radii[1:], strict=False):
         length = float(np.linalg.norm(b - a))
         bar = lathe([(0, 0), (first, 0), (last, length), (0, length)], sides)
-        bars.append(moved(turned(bar, trimesh.geometry.align_vectors([0, 0, 1], b - a)[:3, :3]), a))
+        bars.append(moved(turned(bar, np.asarray(trimesh.geometry.align_vectors([0, 0, 1], b - a))[:3, :3]), a))
     return merged(*bars)
