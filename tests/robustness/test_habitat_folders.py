@@ -176,7 +176,7 @@ def test_scenes_that_are_not_there_are_named(refused, file, tmp_path):
         (["--seed", "3"], "--seed chooses apartments, and --episodes-file says which"),
         (["--episodes", "0"], "0 episodes; wanted 1 or more"),
         (["--world", "somewhere.glb"], "has episodes in 2 scenes, but --world somewhere.glb is one of them"),
-        (["--set", "goal=nowhere"], "footprint or view_points"),
+        (["--set", "goal=nowhere"], "footprint, view_points"),
         (["--set", "success_distance=0"], "success_distance"),
     ],
 )
@@ -222,7 +222,7 @@ def test_one_episode_that_cannot_be_played_costs_only_itself(file, tmp_path, cap
     rewrite(file, change)
     assert main([str(word) for word in bench(file, tmp_path / "run")]) == 3
     out, err = capsys.readouterr()
-    assert "7 episodes; 1 could not be run" in out
+    assert "7 episodes, 2 scenes; 1 could not be run" in out
     assert says in err
     failed = [record for record in log.read(tmp_path / "run") if record["status"] == "failed"]
     assert [record["key"] for record in failed] == ["navigation/room-1/oracle"]
@@ -232,7 +232,7 @@ def test_goals_without_a_way_to_them_cost_their_scene_alone(file, tmp_path, caps
     rewrite(file, walled)
     assert main([str(word) for word in bench(file, tmp_path / "run")]) == 3
     out, err = capsys.readouterr()
-    assert "4 episodes; 4 could not be run" in out
+    assert "4 episodes, 1 scene; 4 could not be run" in out
     assert "no way leads from (" in err
     assert "to a view point of any chair" in err
 

@@ -36,7 +36,7 @@ def install(folder, name, entry_points):
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    groups = {"perceptions": "MAKE", "worlds": "MAKE", "tasks": "TASK", "benchmarks": "MAKE"}
+    groups = {"perceptions": "MAKE", "worlds": "MAKE", "tasks": "TASK"}
     lines = []
     for group, what in groups.items():
         lines.append(f"[eagor.{group}]")
@@ -45,9 +45,9 @@ def site(tmp_path_factory):
     for name, text in BROKEN.items():
         (folder / f"broken_{name}.py").write_text(text + "\n")
     install(folder, "broken", "\n".join(lines).encode())
-    install(folder, "torn", b"[eagor.lab.tasks]\nno value\n")
-    install(folder, "bytes", b"[eagor.lab.worlds]\nx = \xff\xfe\n")
-    install(folder, "nameless", b"[eagor.lab.worlds]\nnameless = json:loads\n")
+    install(folder, "torn", b"[eagor.tasks]\nno value\n")
+    install(folder, "bytes", b"[eagor.worlds]\nx = \xff\xfe\n")
+    install(folder, "nameless", b"[eagor.worlds]\nnameless = json:loads\n")
     (folder / "nameless-1.0.dist-info" / "METADATA").unlink()
     return folder
 
@@ -66,7 +66,7 @@ def test_the_doctor_names_each_and_goes_on(site):
     done = eagor(site, "doctor", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    for group in ("perceptions", "worlds", "tasks", "benchmarks"):
+    for group in ("perceptions", "worlds", "tasks"):
         for name, why in NAMED.items():
             if name != "hangs" or group == "worlds":  # one is waited for long enough
                 assert why in found[group][f"{name}-{group}"]
@@ -88,7 +88,6 @@ def test_commands_that_do_not_need_them_do_their_work(site, tmp_path, monkeypatc
     assert "title" not in found["prints-tasks"]
     for name in ("raises", "exits", "vanishes"):
         assert NAMED[name] in found[f"{name}-tasks"]["unavailable"]
-        assert NAMED[name] in found[f"{name}-benchmarks"]["unavailable"]
     run = ("--perception", "truth", "--methods", "vmf", "--set", "steps=4", "--episodes", 1, "--out", tmp_path / "run")
     done = commands.eagor("bench", "run", "tracking", *run, "--json")
     assert done.returncode == 0, done.stderr

@@ -17,6 +17,7 @@ import numpy as np
 
 from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import EVERY, ORACLE
+from eagor.lab.envs.places import APARTMENT
 from eagor.lab.eval import log
 from eagor.lab.tasks.task import (
     Metric,
@@ -70,6 +71,14 @@ class Run:
     def simulated(self) -> bool:
         """Whether its records have several methods in episodes, and not one agent's answers."""
         return "agent" not in self.settings
+
+    @property
+    def unit(self) -> str:
+        """What a group of its samples is called."""
+        if not self.simulated:
+            return "cluster"
+        listed = self.settings.get("episodes_file") is not None
+        return "scene" if listed or self.settings.get("world", APARTMENT) != APARTMENT else "apartment"
 
     def results(self, label: str = "") -> dict[str, list[Result]]:
         """By method, in the order of tables; of a run with one agent, under its `label`."""
@@ -360,7 +369,7 @@ def summarise(runs: Run | Sequence[Run]) -> Summary:
         "task": task.name,
         "episodes": len({sample_of(record) for record in good}),
         "groups": len({str(group_of(record)) for record in good}),
-        "unit": "apartment" if runs[0].simulated else "cluster",
+        "unit": runs[0].unit,
         "failed": len(records) - len(good),
         **_cells(found, task.metrics),
         "reference": reference,

@@ -166,7 +166,8 @@ def as_text(run: Run, summary: Summary) -> list[str]:
         return [f"{run.task.title}: no results; {summary['failed']} failed"]
     table = main_table(run.task, summary)
     ours = Table(table.title, table.heads, tuple(row for row in table.rows if row.kind != "paper"))
-    head = f"{table.title}, {summary['groups']} {summary['unit']}s"
+    groups, unit = summary["groups"], summary["unit"]
+    head = f"{table.title}, {groups} {unit}{'s' if groups != 1 else ''}"
     if summary["failed"]:
         head += f"; {summary['failed']} could not be run"
     lines = ours.lines(WIDTH)
@@ -471,7 +472,7 @@ def failures(run: Run) -> list[tuple[Mapping[str, Any], str]]:
 
 def comparison_in_words(found: Mapping[str, Any], run: Run) -> list[str]:
     """What `eagor.lab.eval.results.compare` found; `run`: one of the two."""
-    case, unit = getattr(run.task, "case", "case"), "apartment" if run.simulated else "cluster"
+    case, unit = getattr(run.task, "case", "case"), run.unit
     lines = [
         f"{found['task']}: {found['cases']} {case}s that both have "
         f"(a only: {found['only_in_a']}, b only: {found['only_in_b']})"
