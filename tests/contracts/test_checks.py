@@ -376,7 +376,7 @@ def test_a_walked_task_wants_the_figures_that_reports_read():
 def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):
     with pytest.raises(
         EagorError,
-        match="no task 'chess'; known are waypoint, .*, osr, eagle360, turntable",
+        match=r"no task 'chess'; known are waypoint, .*, osr, eagle360, turntable",
     ):
         load("chess")
     monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:TURNTABLE")
