@@ -79,8 +79,8 @@ def test_the_command_leaves_a_report(photo, tmp_path, capsys):
     assert "<h1>Where is the red ball?</h1>" in page
     assert "room &amp; co.png" in page
     assert all(f">{name}</th>" in page for name in NAMES)
-    assert page.count('<tr class="told') == len(NAMES), "a description in the last cell"
-    assert "tr.told td:last-child{white-space:normal;text-align:left" in page
+    assert page.count('<tr class="text') == len(NAMES), "a description in the last cell"
+    assert "tr.text td:last-child{white-space:normal;text-align:left" in page
     assert not re.search(r"""(src|href)=["'](?!data:|#)""", page), "one file, which needs nothing else"
     assert page.count("data:image/jpeg;base64,") == 2 + len(list(tmp_path.glob("look-*.jpg")))
     assert {"angles.png", "methods.jpg", "look-01.jpg"} <= {path.name for path in tmp_path.iterdir()}
