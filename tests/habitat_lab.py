@@ -266,7 +266,6 @@ def _play_all(file, out, perception, episodes):
     device = [] if Path("/dev/nvidia0").exists() else ["habitat.simulator.habitat_sim_v0.gpu_device_id=-1"]
     settings = config(f"habitat.dataset.data_path={file}", *device)
     import habitat
-    from eagor.lab.agents.habitat import HabitatAgent, categories_of
     from habitat.config import read_write
     from habitat.config.default_structured_configs import (
         HabitatSimEquirectangularDepthSensorConfig,
@@ -274,6 +273,7 @@ def _play_all(file, out, perception, episodes):
     )
     from omegaconf import OmegaConf
 
+    from eagor.lab.agents.habitat import HabitatAgent, categories_of
     from eagor.perception import load
 
     place = {"height": 256, "width": 512, "position": [0.0, 0.88, 0.0]}
