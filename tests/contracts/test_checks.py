@@ -322,10 +322,10 @@ def forgetful():
 BROKEN_TASKS = {
     "no task": ("turntable", "is a str; wanted an eagor.lab.tasks.sim.task.SimTask"),
     "a name with a space": (replace(TURNTABLE, name="Turn table"), "wanted lower-case letters and digits"),
-    "no column": (replace(TURNTABLE, metrics=()), "at least one metric"),
+    "no column": (replace(TURNTABLE, metrics=()), "wanted at least one"),
     "a column twice": (replace(TURNTABLE, metrics=TURNTABLE.metrics[:1] * 2), "each key once"),
-    "no headline": (replace(TURNTABLE, headline="score"), "one of them as the headline"),
-    "better is less": (column(better="less"), "better = 'low', 'high' or None"),
+    "no headline": (replace(TURNTABLE, headline="score"), "wanted one of its metrics, error, last"),
+    "better is less": (column(better="less"), "wanted 'low', 'high' or None"),
     "rules that change": (replace(TURNTABLE, rules=Soft), "wanted a frozen dataclass"),
     "rules that are no JSON": (replace(TURNTABLE, rules=Boundless), "has rules that JSON cannot write"),
     "no episode": (replace(TURNTABLE, environment=env(plan=lambda self, spec: (spec, 1))), "plans a tuple"),
@@ -374,10 +374,8 @@ def test_a_walked_task_wants_the_figures_that_reports_read():
 
 
 def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):
-    with pytest.raises(
-        EagorError,
-        match=r"no task 'chess'; known are waypoint, .*, osr, eagle360, turntable",
-    ):
+    names = "waypoint, navigation, tracking, hstar-hos, hstar-hps, osr, eagle360, turntable"
+    with pytest.raises(EagorError, match=f"no task 'chess'; known are {names}"):
         load("chess")
     monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:TURNTABLE")
     with pytest.raises(EagorError, match=r"'spin'.*is the task 'turntable'; wanted .*whose name is that of the entry"):

@@ -68,7 +68,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         ((*WAYPOINT, "--world", "torn.glb"), "torn.glb"),
         (("bench", "failures", "folder", "--limit", "-1"), "--limit -1"),
         (("bench", "report", "folder"), "no run.json"),
-        (("bench", "report", "torn"), "torn has no records yet"),
+        (("bench", "report", "torn"), "run.json does not name its data"),
         (("bench", "run", "hstar-hos", "--data", "folder", "--agent", "random", "--seed", "-1"), "seed = -1"),
         (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
         ((*WAYPOINT, "--address", "head:1"), "add --engine ray"),

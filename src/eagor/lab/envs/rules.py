@@ -89,7 +89,7 @@ class Camera(_Rules):
 
 @dataclass(frozen=True)
 class NoiseModel(_Rules):
-    """NoiseModel from a real body; all off by default.
+    """The noise of a real body; all off by default.
 
     - `bob`: amplitude, metres, of the camera's rise and fall, twice per second, and
     - `sway`: amplitude, degrees, of its roll and pitch. The odometry measures both.

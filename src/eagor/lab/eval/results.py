@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from eagor.errors import EagorError, FormatError
@@ -109,6 +110,9 @@ def read(folder: Path) -> Run:
     settings = log.description(folder)
     if not isinstance(settings.get("task"), str):
         raise FormatError(f"{Path(folder) / log.RUN} does not name its task; restore it")
+    for field in msgspec.structs.fields(load(settings["task"]).Config):
+        if field.required and field.name not in settings:
+            raise FormatError(f"{Path(folder) / log.RUN} does not name its {field.name}; restore it")
     return made(settings, log.recorded(folder))
 
 

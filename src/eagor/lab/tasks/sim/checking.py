@@ -55,15 +55,18 @@ def _require(holds: Any, text: str) -> None:
 
 def _check_description(task: SimTask) -> None:
     _require(isinstance(task, SimTask), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.sim.task.SimTask")
-    keys = [metric.key for metric in task.metrics]
-    named = re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", task.name)  # it is typed, and used as a folder name
-    better = {metric.better for metric in task.metrics} <= {"low", "high", None}
     _require(
-        named and keys and len(set(keys)) == len(keys) and task.headline in keys and better,
-        f"has the name {task.name!r}, the metrics {keys} and the headline {task.headline!r}; wanted lower-case letters "
-        "and digits with dashes between them, at least one metric, each key once, one of them as the headline, and "
-        "better = 'low', 'high' or None",
+        bool(re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", task.name)),
+        f"has the name {task.name!r}; wanted lower-case letters and digits with dashes between them",
     )
+    keys = [metric.key for metric in task.metrics]
+    _require(bool(keys) and len(set(keys)) == len(keys), f"has the metrics {keys}; wanted at least one, each key once")
+    _require(task.headline in keys, f"has the headline {task.headline!r}; wanted one of its metrics, {', '.join(keys)}")
+    for metric in task.metrics:
+        _require(
+            metric.better in ("low", "high", None),
+            f"says that {metric.better!r} is better in the metric {metric.key}; wanted 'low', 'high' or None",
+        )
 
 
 def _through_json(task: SimTask, value: Any, name: str) -> Any:

@@ -171,7 +171,7 @@ class SimTask:
 
 
 def specs_of(config: SimConfig) -> list[EpisodeSpec]:
-    """The slots of a run's episodes. Raises `WorldError`."""
+    """The specs of a run's episodes. Raises `WorldError`."""
     if config.episodes_file is not None:
         scenes = None if config.scenes is None else Path(config.scenes)
         return [*file_episode_specs(config.task, config.episodes_file, config.episodes, config.world, scenes)]
