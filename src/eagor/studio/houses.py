@@ -24,7 +24,7 @@ from eagor.studio.messages import LATE, SEED, rounded
 __all__ = ["Body", "House", "Tour", "Walker", "house_of", "place_of", "plan_of", "walled"]
 
 # The first walk, in the apartment `SEED`: `docs/figures/studio.py choose` says by which rule it is chosen.
-TOUR = "tv", "2.28,5.83 2.93,6.03 3.83,6.03 5.73,5.73 5.88,5.63 6.73,4.18 6.88,3.78 6.88,3.53 6.73,3.08"
+TOUR = "purple sofa", "2.78,1.93 4.03,4.18 4.18,4.28 4.48,4.28 5.38,3.43 6.53,3.13 6.98,3.13"
 
 
 @dataclass(frozen=True, eq=False)

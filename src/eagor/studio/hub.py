@@ -363,7 +363,7 @@ class Studio:
             "ready": self.ready,
             "views": views,
             "perceptions": [vars(offer) | {"views": list(offer.views)} for offer in self.offers],
-            "houses": {"first": 0, "last": 9999, "offered": [SEED, 2, 8, 12, 17, 602]},
+            "houses": {"first": 0, "last": 9999, "offered": [SEED, 3, 8, 12, 17, 602]},
             "default": {"seed": self._seed, "tour": SEED, "perception": walk[0].name},
             "limits": {"message_bytes": LONGEST, "upload_bytes": BYTES, "pixels": PIXELS},
             "source": None if self.settings.live is None else self.settings.live.words,
