@@ -72,7 +72,7 @@ def refused(answer, status):
 
 def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(served):
     with served.page() as page:
-        page.say(type="open", view="walk", query="sofa", perception="truth", drive="person")
+        page.say(type="open", view="walk", query="sofa", perception="truth", drive="person", seed=2)
         scene = page.until("scene")
         assert scene["query"] == "sofa"
         assert scene["plan"]["walls"]

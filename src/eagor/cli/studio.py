@@ -49,7 +49,7 @@ class Studio(Common):
     """The folder with the runs to choose from; the folder of a run itself works, too."""
     perception: Annotated[str | None, bare("NAME")] = None
     """A further detector to choose, as for locate; --source looks with it (default: as for live)."""
-    seed: Annotated[int, arg(metavar="N")] = 2
+    seed: Annotated[int | None, bare("N")] = None
     """The apartment that is shown first, 0 to 9999 (default: that of the first walk)."""
     source: Annotated[str | None, bare("SOURCE")] = None
     """A live camera, a video, a folder or a bag to watch, as for live."""
@@ -106,11 +106,13 @@ def studio(options: Studio) -> int:
 def _settings(options: Studio) -> Settings:
     from eagor.studio.guard import Gate, is_loopback
     from eagor.studio.hub import Settings
+    from eagor.studio.messages import SEED
 
     if not 0 <= options.port <= 65535:
         raise terminal.UsageError(f"--port {options.port}; wanted a port from 0 to 65535")
-    if not 0 <= options.seed <= LAST_SEED:
-        raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {LAST_SEED}")
+    seed = SEED if options.seed is None else options.seed
+    if not 0 <= seed <= LAST_SEED:
+        raise terminal.UsageError(f"--seed {seed}; wanted an apartment, 0 to {LAST_SEED}")
     token = secrets.token_urlsafe(24) if options.token == "auto" else options.token
     if token is not None and (len(token) < SHORTEST or not token.isascii() or not token.isprintable()):
         raise terminal.UsageError(f"--token has {len(token)} letters; wanted {SHORTEST} ASCII letters or more, or auto")
@@ -121,7 +123,7 @@ def _settings(options: Studio) -> Settings:
     if options.folder.exists() and not options.folder.is_dir():
         raise terminal.UsageError(f"--runs {options.folder} is no folder; name the one that holds your runs")
     live = None if options.source is None else _live(options, options.source)
-    settings = Settings(Gate(options.host, token), options.folder, options.perception, options.seed, live)
+    settings = Settings(Gate(options.host, token), options.folder, options.perception, seed, live)
     if options.perception is not None:
         make_perception(options.perception)  # raises for what does not exist, before anything is started
     return settings
