@@ -83,7 +83,8 @@ def main() -> int:
         record = runner.run_episode(spec, [OURS], steps.append)
         visible = record["methods"][OURS]["trace"]["visible"]
         found = {name: errors(runner, name, spec, steps) for name in names}
-        record["methods"] = {name: {"trace": {"error_deg": found[name], "visible": visible}} for name in names}
+        traces = {name: {"error_deg": found[name].tolist(), "visible": visible} for name in names}
+        record["methods"] = {name: {"trace": trace} for name, trace in traces.items()}
         rows.append([means(record, name) for name in names])
         seeds.append(spec.seed)
         if any(visible):

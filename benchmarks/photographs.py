@@ -26,17 +26,18 @@ from __future__ import annotations
 
 import argparse
 import io
+import itertools
 import json
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import box_trackers
 import numpy as np
+import pandas
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -67,6 +68,7 @@ GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
 OURS = re.compile(r"eagor([:,]|$)")
 NEAR = 15  # degrees
 SCORED = (1, 3, 10, 30, 40)  # after how many looks the log score is taken
+STATUSES = ("tracking", "ambiguous", "searching")
 LEAST = 1e-6  # probabilities are clipped from below
 RESAMPLES = 2000
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
@@ -142,7 +144,7 @@ def stored(thing: Thing) -> list[Any]:
 
 def entries(files: Sequence[Path]) -> Iterator[dict[str, Any]]:
     """What was seen: one entry for each frame of each file that exists."""
-    lines = chain.from_iterable(file.read_text().splitlines() for file in files if file.exists())
+    lines = itertools.chain.from_iterable(file.read_text().splitlines() for file in files if file.exists())
     return map(json.loads, lines)
 
 
@@ -256,29 +258,17 @@ class Run:
     `log_scores`. What needs a thing is empty without one.
     """
 
-    photograph: str
     condition: str
-    query: str
     method: str
     here: bool
     lookalike: bool
-    boxes: list[bool] = field(default_factory=list)
+    boxes: list[bool]
     errors: list[float] = field(default_factory=list)
     covered: list[bool | None] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
     presence: list[float] = field(default_factory=list)
     status: list[str] = field(default_factory=list)
     log_scores: dict[int, float] = field(default_factory=dict)
-
-    @property
-    def error(self) -> float:
-        """Mean error over the last ten looks, degrees."""
-        return float(np.mean(self.errors[-10:]))
-
-    @property
-    def within(self) -> float:
-        """Share of the last ten looks with an error below 15 degrees."""
-        return float(np.mean(np.array(self.errors[-10:]) < NEAR))
 
     def answer(self, method: Estimator, targets: np.ndarray, sizes: np.ndarray, frame: int) -> None:
         """Note what a method's answer is worth in one frame."""
@@ -301,6 +291,22 @@ class Run:
             given = estimate.presence * mass if self.here else 1 - estimate.presence
             self.log_scores[looks] = math.log(max(float(given), LEAST))
 
+    def row(self) -> dict[str, Any]:
+        """What the tables are made of; without what this method does not say."""
+        told: dict[str, Any] = {"condition": self.condition, "method": self.method, "here": self.here}
+        told |= {"look-alikes": self.lookalike, "box, first": self.boxes[0], "box, last ten": any(self.boxes[-10:])}
+        if self.here:
+            last = np.array(self.errors[-10:])
+            told |= {"first": self.errors[0], "last": last.mean(), "within": np.mean(last < NEAR)}
+            held = [each for each in self.covered[-10:] if each is not None]
+            told |= {"held": sum(held), "judged": len(held)}
+        if self.presence:
+            told |= {"claim, first": self.presence[0] > 0.5, "claim, last": self.presence[-1] > 0.5}
+            told |= {"presence": self.presence[-1], **self.log_scores}
+            told |= {status: self.status.count(status) for status in STATUSES}
+            told["right"] = sum(r for r, status in zip(self.right, self.status, strict=False) if status == "tracking")
+        return told
+
 
 def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:
     """One method on one case, told the poses `say`."""
@@ -311,8 +317,8 @@ def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray],
         if name in box_trackers.NAMES
         else make_estimator(name, np.random.default_rng(0), "coco", ours=config, detector=model)
     )
-    run = Run(case.photograph, case.condition, case.query, name, bool(len(case.targets)), lookalike)
-    run.boxes = [any(thing.score >= BOX for thing in things) for things in case.things]
+    boxes = [any(thing.score >= BOX for thing in things) for things in case.things]
+    run = Run(case.condition, name, bool(len(case.targets)), lookalike, boxes)
     for frame, pose in enumerate(poses(case.condition)):
         method.move(float(frame), say[frame], None)
         method.see(case.evidence(frame, model))
@@ -339,128 +345,91 @@ def persists(case: Case) -> bool:
     return False
 
 
-# --- the tables ---
-
-Line = tuple[str, ...]
+# --- the tables: what each says of the runs of one condition and method ---
 
 
-def groups(runs: Sequence[Run], here: bool | None = None) -> Iterator[tuple[str, str, list[Run]]]:
-    """Condition, method, and the runs of both; with `here` only those where the thing is there, or is not."""
-    found: dict[tuple[str, str], list[Run]] = {}
-    for run in runs:
-        if here is None or run.here == here:
-            found.setdefault((run.condition, run.method), []).append(run)
-    conditions, methods = (list(dict.fromkeys(getattr(run, key) for run in runs)) for key in ("condition", "method"))
-    for key in sorted(found, key=lambda each: (conditions.index(each[0]), methods.index(each[1]))):
-        yield *key, found[key]
-
-
-def interval(values: Sequence[float]) -> tuple[float, float]:
-    found = bootstrap_interval(values, np.random.default_rng(0), resamples=RESAMPLES)
+def interval(values: pandas.Series) -> tuple[float, float]:
+    found = bootstrap_interval(values.to_numpy(float), np.random.default_rng(0), resamples=RESAMPLES)
     return found.low, found.high
 
 
-def mean(values: Sequence[float], digits: int, spread: bool = False) -> str:
-    """The mean in words, with its interval if that is asked for; "-" of nothing."""
-    if not len(values):
-        return "-"
-    ends = interval(values) if spread and len(values) > 1 else None
-    return f"{np.mean(values):.{digits}f}" + bracketed(ends, digits)
+def bracketed(ends: Sequence[float], digits: int) -> str:
+    return " [{:{w}.{d}f} {:{w}.{d}f}]".format(*ends, w=digits + 4, d=digits)
 
 
-def bracketed(ends: Sequence[float] | None, digits: int) -> str:
-    return "" if ends is None else " [{:{w}.{d}f} {:{w}.{d}f}]".format(*ends, w=digits + 4, d=digits)
+def mean(values: pandas.Series, digits: int) -> str:
+    """The mean with its interval."""
+    return f"{values.mean():.{digits}f}" + (bracketed(interval(values), digits) if len(values) > 1 else "")
 
 
-def found(runs: Sequence[Run]) -> Iterator[Line]:
-    for condition, method, own in groups(runs, here=True):
-        held = [x for r in own for x in r.covered[-10:] if x is not None]
-        errors = mean([r.errors[0] for r in own], 1, True), mean([r.error for r in own], 1, True)
-        yield condition, method, *errors, mean([r.within for r in own], 2, True), mean(held, 2), str(len(held))
+def found(own: pandas.DataFrame) -> dict[str, Any]:
+    told = {"first look, deg": mean(own["first"], 1), "last ten, deg": mean(own["last"], 1)}
+    judged = int(own["judged"].sum())
+    covered = f"{own['held'].sum() / judged:.2f}" if judged else "-"
+    return told | {"within 15": mean(own["within"], 2), "covered": covered, "of looks": judged}
 
 
-def claims(runs: Sequence[Run]) -> Iterator[Line]:
-    for condition, method, both in groups(runs):
-        for words, here in (("here", True), ("absent", False)):
-            if own := [run for run in both if run.here == here]:
-                lasting = [run.presence[-1] for run in own if run.lookalike]
-                shares = (
-                    [run.presence[0] > 0.5 for run in own], [run.presence[-1] > 0.5 for run in own],
-                    [run.boxes[0] for run in own], [any(run.boxes[-10:]) for run in own],
-                    [run.lookalike for run in own],
-                )  # fmt: skip
-                yield condition, method, words, *(mean(each, 3) for each in shares), mean(lasting, 2), str(len(own))
+def claims(own: pandas.DataFrame) -> dict[str, Any]:
+    shares = own[["claim, first", "claim, last", "box, first", "box, last ten", "look-alikes"]].mean()
+    lasting = own.loc[own["look-alikes"], "presence"].mean()
+    return {name: f"{share:.3f}" for name, share in shares.items()} | {"their presence": lasting, "of cases": len(own)}
 
 
-def log_scores(runs: Sequence[Run]) -> Iterator[Line]:
-    for condition, method, own in groups(runs):
-        totals, here, absent = [], [], []
-        for looks in SCORED:
-            here, absent = ([run.log_scores[looks] for run in own if run.here == there] for there in (True, False))
-            totals.append(f"{np.mean(here) + np.mean(absent):.3f}" if here and absent else "-")
-        if here and absent:
-            rng = np.random.default_rng(0)  # things and absent classes are drawn each on its own
-            drawn = sum(
-                np.array(x)[rng.integers(len(x), size=(RESAMPLES, len(x)))].mean(axis=1) for x in (here, absent)
-            )
-            totals[-1] += bracketed(np.quantile(drawn, (0.025, 0.975)).tolist(), 3)
-        yield condition, method, *totals, mean(here, 3), mean(absent, 3)
+def log_scores(own: pandas.DataFrame) -> dict[str, Any]:
+    here, absent = (own.loc[own["here"] == there, [*SCORED]] for there in (True, False))
+    told = {str(looks): f"{total:.3f}" for looks, total in (here.mean() + absent.mean()).items()}
+    rng = np.random.default_rng(0)  # things and absent classes are drawn each on its own
+    drawn = sum(rng.choice(part[SCORED[-1]], (RESAMPLES, len(part))).mean(axis=1) for part in (here, absent))
+    told[str(SCORED[-1])] += bracketed(np.quantile(drawn, (0.025, 0.975)).tolist(), 3)
+    return told | {"things": here[SCORED[-1]].mean(), "absent": absent[SCORED[-1]].mean()}
 
 
-def matches(runs: Sequence[Run]) -> Iterator[tuple[str, str, list[Run], dict[str, list[Run]]]]:
-    """Condition, each variant of ours, its runs, and those of each rival; in all the same things in one order."""
-    played = list(groups(runs, here=True))
-    for condition, name, ours in played:
-        if OURS.match(name):
-            yield condition, name, ours, {m: own for c, m, own in played if c == condition and not OURS.match(m)}
+def statuses(own: pandas.DataFrame) -> dict[str, Any]:
+    told = own[[*STATUSES]].sum()
+    right = f"{own['right'].sum() / told['tracking']:.3f}" if told["tracking"] else "-"
+    return {status: f"{number / told.sum():.3f}" for status, number in told.items()} | {"right while tracking": right}
 
 
-def paired(runs: Sequence[Run]) -> Iterator[Line]:
-    for condition, name, ours, rivals in matches(runs):
-        for other, rival in rivals.items():
-            cells: list[str] = []
-            for key, sign, digits in (("error", 1, 1), ("within", -1, 2)):
-                apart = [getattr(b, key) - getattr(a, key) for a, b in zip(ours, rival, strict=True)]
+def paired(there: pandas.DataFrame) -> Iterator[dict[str, Any]]:
+    """Each rival minus each variant of ours, on the same things in the same order."""
+    for condition, played in there.groupby("condition", sort=False):
+        runs = {name: own.reset_index(drop=True) for name, own in played.groupby("method", sort=False)}
+        for name, rival in itertools.product(runs, runs):
+            if not OURS.match(name) or OURS.match(rival):
+                continue
+            row = {"": f"{condition}, {name}", "rival": rival}
+            for key, sign, digits in (("last", 1, 1), ("within", -1, 2)):
+                apart = runs[rival][key] - runs[name][key]
                 low, high = interval(apart) if len(apart) > 1 else (0.0, 0.0)
-                ahead = "" if low <= 0 <= high else "ours" if sign * low > 0 else "rival"
-                cells += [mean(apart, digits, True), ahead]
-            yield condition, name, other, *cells
+                row[key] = mean(apart, digits)
+                row[f"ahead in {key}"] = "" if low <= 0 <= high else "ours" if sign * low > 0 else "rival"
+            yield row
 
 
-def statuses(runs: Sequence[Run]) -> Iterator[Line]:
-    for condition, method, own in groups(runs, here=True):
-        told = [status for run in own for status in run.status]
-        right = [x for run in own for x, status in zip(run.right, run.status, strict=True) if status == "tracking"]
-        shares = [f"{told.count(status) / len(told):.3f}" for status in STATUSES]
-        yield condition, method, *shares, str(len(told)), mean(right, 3), str(len(right))
+def show(title: str, rows: pandas.DataFrame) -> None:
+    if len(rows):
+        print(f"\n{title}\n\n{rows.to_string(na_rep='-', float_format='%.3f')}")
 
 
-STATUSES = ("tracking", "ambiguous", "searching")
-# Title, headings after condition and method, rows, whether only trackers count, which say how probable a thing is.
-TABLES: tuple[tuple[str, str, Callable[[Sequence[Run]], Iterator[Line]], bool], ...] = (
-    ("Things that are there: error, share within 15 degrees in the last ten looks, coverage of the 90 % regions",
-     "first look, deg|last ten, deg|within 15|covered|of looks", found, False),
-    ("How often something is claimed: presence > 0.5, a box of 0.3 or more, and lasting look-alikes",
-     "|claim, first|claim, last|box, first|box, last ten|look-alikes|their presence|of cases", claims, True),
-    ("Log score after so many looks (things + absent; higher is better), and the two parts of the last",
-     "|".join(map(str, SCORED)) + "|things|absent", log_scores, True),
-    ("Rival minus ours over the last ten looks, and who is ahead beyond chance",
-     "rival|error, deg|ahead|within 15|ahead", paired, False),
-    ("Status, share of the looks at things that are there; how often the answer is right while tracking",
-     "|".join(STATUSES) + "|of looks|right|of tracking", statuses, True),
-)  # fmt: skip
+def each(rows: pandas.DataFrame, table: Callable[[pandas.DataFrame], dict[str, Any]], *more: str) -> pandas.DataFrame:
+    """The table's row for each condition and method (and what `more` tells apart)."""
+    groups = rows.groupby(["condition", "method", *more], sort=False)
+    return pandas.DataFrame.from_dict({", ".join(map(str, key)): table(own) for key, own in groups}, orient="index")
 
 
 def print_all(runs: Sequence[Run]) -> None:
-    """Print every table that has rows, in columns as wide as they need to be."""
-    for title, headings, table, trackers in TABLES:
-        if rows := list(table([run for run in runs if run.presence or not trackers])):
-            lines = [("", "", *headings.split("|")), *rows]
-            wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
-            print(f"\n{title}\n")
-            for line in lines:
-                cells = [f"{text:{'<' if at < 2 else '>'}{wide[at]}}" for at, text in enumerate(line)]
-                print("  ".join(cells).rstrip())
+    """Print every table that has rows. Only trackers say how probable a thing is."""
+    rows = pandas.DataFrame([run.row() for run in runs])
+    there, trackers = rows[rows["here"]], rows[rows["presence"].notna()] if "presence" in rows else rows[:0]
+    show("Things that are there: error, share within 15 degrees and coverage in the last ten looks", each(there, found))
+    show("How often something is claimed: presence > 0.5, a box of 0.3 or more, and lasting look-alikes",
+         each(trackers.assign(of=np.where(trackers["here"], "here", "absent")), claims, "of"))  # fmt: skip
+    both = trackers.groupby(["condition", "method"])["here"].transform("nunique") == 2
+    show(
+        "Log score after so many looks (higher is better), and the parts of the last", each(trackers[both], log_scores)
+    )
+    show("Rival minus ours over the last ten looks, and who is ahead beyond chance", pandas.DataFrame(paired(there)))
+    show("Status, share of the looks at things that are there", each(trackers[trackers["here"]], statuses))
 
 
 def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[str, DetectorModel]:
@@ -520,20 +489,18 @@ def main() -> None:
     for name in options.photographs if "sight" in only else ():
         odometer, photograph = VisualOdometer(), read_panorama(options.panoramas / name)
         sight[name] = [odometer.add(picture).world_R_body for picture in pictures(photograph, "tumble")]
-    runs, unseen = [], {}
+    runs, played = [], {}
     for case in cases:
         say = sight[case.photograph] if case.condition == "sight" else told(case.condition)
         lookalike = persists(case)
         for name in options.methods:
             if not len(case.targets) and not name.startswith("eagor"):
                 continue
-            if len(case.targets) or any(case.things):
-                runs.append(play(case, name, models[case.photograph], say, lookalike))
-                continue
-            alike = case.photograph, case.condition, name  # of one absent class of which nothing was ever seen
-            if alike not in unseen:
-                unseen[alike] = play(case, name, models[case.photograph], say, lookalike)
-            runs.append(replace(unseen[alike], query=case.query))
+            # Absent classes of which nothing was ever seen are all alike.
+            key = case.photograph, case.condition, name, case.query if len(case.targets) or any(case.things) else ""
+            if key not in played:
+                played[key] = play(case, name, models[case.photograph], say, lookalike)
+            runs.append(played[key])
     print_all(runs)
 
 
