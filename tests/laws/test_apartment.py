@@ -12,15 +12,9 @@ from strategies import at_most
 from eagor.errors import WorldError
 from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
-from eagor.lab.worlds.apartment.families import FAMILIES
-from eagor.lab.worlds.apartment.placement import (
-    corners,
-    distances,
-    from_rectangle,
-    leaf_footprint,
-    overlaps,
-)
-from eagor.lab.worlds.apartment.plans import LINING, OUTSIDE, carve, draw_plan, rooms_of
+from eagor.lab.worlds.apartment.building import carve, rooms_of
+from eagor.lab.worlds.apartment.placement import corners, distances, from_rectangle, leaf_footprint, overlaps
+from eagor.lab.worlds.apartment.plans import FAMILIES, LINING, OUTSIDE, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
 from eagor.lab.worlds.light import mean_colour
 from eagor.lab.worlds.raycast import Raycaster

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from eagor._extras import need
+from eagor.lab.worlds.apartment.textures import REPEAT, material
 from eagor.lab.worlds.scene import Material
 
 need("an apartment", "sim", "trimesh")
@@ -57,6 +58,22 @@ def part(mesh: Mesh, material: Material, repeat: float | tuple[float, float] = 1
     """`mesh` covered with `material`; one repeat of its texture measures `repeat` metres (or (u, v) metres)."""
     uv = mesh.uv / np.broadcast_to(np.asarray(repeat, dtype=np.float32), (2,))
     return Part(mesh.vertices, mesh.triangles, uv.astype(np.float32), material)
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """A material and the metres that one repeat of its texture measures; called with meshes, it makes a `Part`."""
+
+    material: Material
+    repeat: float
+
+    def __call__(self, *meshes: Mesh) -> Part:
+        return part(merged(*meshes), self.material, self.repeat)
+
+
+def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
+    """What covers meshes with a material of a kind of `REPEAT`, in a tone of a named colour; None for its default."""
+    return Cover(material(kind, colour, rng), REPEAT[kind])
 
 
 def moved(mesh: Mesh, offset: Triple) -> Mesh:
