@@ -120,7 +120,7 @@ def _swallowed(room: Room, finish: Finish, height: float) -> float:
 def _out_of_reach(apartment: Apartment, scene: Scene) -> list[Piece]:
     """The solid pieces without free ground beside them."""
     ground = Ground.from_scene(scene)
-    things = scene.instances[len(scene.instances) - len(apartment.pieces) :]
+    things = scene.instances[-len(apartment.pieces) :]
     return [
         piece
         for piece, thing in zip(apartment.pieces, things, strict=True)

@@ -28,7 +28,9 @@ from eagor.lab.worlds.apartment.plans import (
     Opening,
     Plan,
     Rectangle,
+    owners,
     rectangles_of,
+    span,
 )
 from eagor.lab.worlds.scene import Lamp, Room
 
@@ -71,12 +73,9 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
 
     def window(rectangle: Rectangle) -> tuple[slice, slice]:
         x0, y0, x1, y1 = np.round(rectangle, 4)
-        return _span(xs, x0, x1), _span(ys, y0, y1)
+        return span(xs, x0, x1), span(ys, y0, y1)
 
-    room = np.full((len(xs) - 1, len(ys) - 1), OUTSIDE)
-    for place, space in enumerate(plan.spaces):
-        for rectangle in space.rectangles:
-            room[window(rectangle)] = place
+    room = owners(plan.spaces, xs, ys)
     owner = room.copy()
     solid = np.zeros(room.shape, dtype=bool)
     corners: tuple[set[tuple[float, float]], ...] = (set(), set())  # the ends of walls along x, and along y
@@ -94,15 +93,10 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
     air = np.where(solid, SOLID, room)[:, :, None].repeat(len(zs) - 1, axis=2)
     carved = np.zeros(air.shape, dtype=bool)
     for hole in holes:
-        where, upright = window(hole.hole), _span(zs, hole.sill, hole.head)
+        where, upright = window(hole.hole), span(zs, hole.sill, hole.head)
         air[(*where, upright)] = owner[where][:, :, None]
         carved[(*where, upright)] = True
     return Cells((xs, ys, zs), air, carved, owner)
-
-
-def _span(lines: np.ndarray, low: float, high: float) -> slice:
-    """The cells between two of the lines."""
-    return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
 
 
 def rooms_of(plan: Plan, cells: Cells) -> tuple[Room, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -78,14 +78,14 @@ def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
 
 def moved(mesh: Mesh, offset: Triple) -> Mesh:
     """`mesh` shifted by `offset` ``(3,)`` metres."""
-    return Mesh(mesh.vertices + np.asarray(offset, dtype=np.float32), mesh.triangles, mesh.uv)
+    return replace(mesh, vertices=mesh.vertices + np.asarray(offset, dtype=np.float32))
 
 
 def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) -> Mesh:
     """`mesh` turned by a rotation matrix ``(3, 3)`` about a point; see `eagor.sphere.rotation`."""
     centre = np.asarray(about, dtype=np.float64)
     vertices = (mesh.vertices - centre) @ np.asarray(rotation, dtype=np.float64).T + centre
-    return Mesh(vertices.astype(np.float32), mesh.triangles, mesh.uv)
+    return replace(mesh, vertices=vertices.astype(np.float32))
 
 
 def merged(*meshes: Mesh) -> Mesh:
@@ -110,10 +110,7 @@ def turned_about_z(angle: float) -> np.ndarray:
 def placed(parts: Sequence[Part], angle: float, position: Triple) -> tuple[Part, ...]:
     """Parts of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
     rotation, offset = turned_about_z(angle), np.asarray(position, dtype=np.float64)
-    return tuple(
-        Part((part.vertices @ rotation.T + offset).astype(np.float32), part.triangles, part.uv, part.material)
-        for part in parts
-    )
+    return tuple(replace(part, vertices=(part.vertices @ rotation.T + offset).astype(np.float32)) for part in parts)
 
 
 def planar_uv(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> np.ndarray:

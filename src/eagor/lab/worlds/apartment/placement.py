@@ -176,8 +176,8 @@ class Furnisher:
 
     `pieces`: the placed ones; `solid`: footprints with their lowest and highest z ``(7,)``; `kept`: footprints that
     stay free of solids; `habits`: the usual colour of each category in this home; `space`: for each room those that
-    are open to it, including itself; `_near` ``(rows, columns)``: where the middle of a body cannot be, `_owner`: the
-    room of each of those cells, `_around`: from where each piece can be reached, as flat indices of cells.
+    are open to it, including itself. In cells ``(rows, columns)``, `_centres`: their middles; `_owner`: their rooms;
+    `_near`: where the middle of a body cannot be; `_around`: from where each piece can be reached, as flat indices.
     """
 
     def __init__(self, plan: Plan, cells: Cells, rooms: tuple[Room, ...], rng: np.random.Generator) -> None:
@@ -189,8 +189,8 @@ class Furnisher:
         self.kept: list[np.ndarray] = []
         self.space = _spaces(plan)
         self._around: list[np.ndarray] = []
-        self._origin = np.array([-0.3, -0.3])
         x, y = (-0.3 + (np.arange(math.ceil((end + 0.6) / CELL)) + 0.5) * CELL for end in plan.extent)
+        self._centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
         xs, ys, _ = cells.lines
         i = np.clip(np.searchsorted(xs, x) - 1, 0, len(xs) - 2)
         j = np.clip(np.searchsorted(ys, y) - 1, 0, len(ys) - 2)
@@ -201,7 +201,7 @@ class Furnisher:
             for room, side in zip(doorway.boundary.rooms, (-0.45, 0.45), strict=True):
                 if room != OUTSIDE:
                     middle = from_rectangle(doorway.boundary.box(doorway.start, doorway.end, side, side))[:2]
-                    anchors.append(self._cell(middle))
+                    anchors.append(np.floor((middle + 0.3) / CELL).astype(int))
             self.kept.append(from_rectangle(doorway.approach(0.8, 0.06)))
             if doorway.leaf:
                 leaf = leaf_footprint(doorway)
@@ -300,8 +300,9 @@ class Furnisher:
         """Place models together on the floor if all rooms and pieces stay reachable; otherwise do nothing."""
         start = self.mark()
         for model, box in group:
-            self._block(box)
-            self._around.append(self._ring(box))
+            away = self._block(box)
+            around = np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
+            self._around.append(np.flatnonzero((away < REACH) & (away >= BODY) & around))
             self.solid.append(np.array([*box[:5], 0.0, model.height]))
             self.pieces.append(Piece(room, model, box[:5], np.array([box[0], box[1], 0.0])))
         if not self._walkable():
@@ -354,28 +355,11 @@ class Furnisher:
         """Square metres of these cells in each room."""
         return np.bincount(self._owner[cells] + 1, minlength=len(self.rooms) + 1)[1:] * CELL**2
 
-    def _cell(self, point: np.ndarray) -> np.ndarray:
-        return np.floor((point - self._origin) / CELL).astype(int)
-
-    def _window(self, box: np.ndarray, reach: float) -> tuple[slice, slice, np.ndarray]:
-        """The rows and columns of cells within `reach` of a footprint, roughly, and their distances from it."""
-        points = corners(box)[0]
-        low = np.maximum(self._cell(points.min(axis=0) - reach), 0)
-        high = np.minimum(np.ceil((points.max(axis=0) + reach - self._origin) / CELL).astype(int), self._near.shape)
-        x, y = (self._origin[k] + (np.arange(low[k], high[k]) + 0.5) * CELL for k in (0, 1))
-        centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        return slice(low[0], high[0]), slice(low[1], high[1]), distances(box, centres)
-
-    def _block(self, box: np.ndarray) -> None:
-        rows, columns, away = self._window(box, BODY)
-        self._near[rows, columns] |= away < BODY
-
-    def _ring(self, box: np.ndarray) -> np.ndarray:
-        """Flat indices of the cells round a footprint from which it counts as reached: none behind a wall."""
-        rows, columns, away = self._window(box, REACH)
-        around = np.isin(self._owner[rows, columns], self.space[self._owner[tuple(self._cell(box[:2]))]])
-        i, j = np.nonzero((away < REACH) & (away >= BODY) & around)
-        return (i + rows.start) * self._near.shape[1] + j + columns.start
+    def _block(self, box: np.ndarray) -> np.ndarray:
+        """Take the floor of a footprint and around it; the distances of all cells from it."""
+        away = distances(box, self._centres)
+        self._near |= away < BODY
+        return away
 
 
 def _spaces(plan: Plan) -> tuple[tuple[int, ...], ...]:

@@ -376,12 +376,7 @@ def find_boundaries(spaces: tuple[Room, ...]) -> list[Boundary]:
     """Every maximal straight piece of line with one room (or none) on each side."""
     ends = np.concatenate([space.rectangles for space in spaces])
     lines = [np.unique(ends[:, [0, 2]]), np.unique(ends[:, [1, 3]])]
-    owner = np.full((len(lines[0]) + 1, len(lines[1]) + 1), OUTSIDE)
-    for place, space in enumerate(spaces):
-        for x0, y0, x1, y1 in space.rectangles:
-            i0, i1 = np.searchsorted(lines[0], [x0, x1])
-            j0, j1 = np.searchsorted(lines[1], [y0, y1])
-            owner[i0 + 1 : i1 + 1, j0 + 1 : j1 + 1] = place
+    owner = np.pad(owners(spaces, *lines), 1, constant_values=OUTSIDE)
     found = []
     for axis in (0, 1):
         along, across = lines[axis].tolist(), lines[1 - axis].tolist()
@@ -502,6 +497,20 @@ def cut_windows(
                 if not any(_overlap(window.approach(0.3, 0.1), other) for other in kept):
                     windows.append(window)
     return windows
+
+
+def span(lines: np.ndarray, low: float, high: float) -> slice:
+    """The cells between two of the lines."""
+    return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
+
+
+def owners(spaces: tuple[Room, ...], xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+    """The room of each cell between lines along y at `xs` and along x at `ys`, `OUTSIDE` where there is none."""
+    owner = np.full((len(xs) - 1, len(ys) - 1), OUTSIDE)
+    for place, space in enumerate(spaces):
+        for x0, y0, x1, y1 in space.rectangles:
+            owner[span(xs, x0, x1), span(ys, y0, y1)] = place
+    return owner
 
 
 def rectangles_of(key: np.ndarray) -> list[tuple[int, int, int, int, int]]:

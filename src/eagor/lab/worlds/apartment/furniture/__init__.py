@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -101,6 +101,6 @@ def build(category: str, colour: str | None, rng: np.random.Generator) -> Model:
     elif kind.placement == "ceiling":
         origin[2] = high[2]
     shift = origin.astype(np.float32)
-    shifted = tuple(Part(part.vertices - shift, part.triangles, part.uv, part.material) for part in parts)
+    shifted = tuple(replace(part, vertices=part.vertices - shift) for part in parts)
     lamps = tuple(Lamp(lamp.position - origin, lamp.power) for lamp in made if isinstance(lamp, Lamp))
     return Model(category, colour, shifted, high - low, lamps)

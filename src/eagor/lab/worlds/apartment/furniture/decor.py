@@ -10,6 +10,7 @@ Inside, the shade would block their light; close to it, half of the room would l
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -348,7 +349,7 @@ def plant(colour: str, rng: np.random.Generator) -> list[Part]:
     stems, leaves = grow(top, tall, rng)
     # It stands in a corner: pulled in, as if pruned.
     shrink = min(1.0, _SPREAD / float(np.abs(leaves.vertices[:, :2]).max()))
-    leaves = Mesh(leaves.vertices * np.array([shrink, shrink, 1], np.float32), leaves.triangles, leaves.uv)
+    leaves = replace(leaves, vertices=leaves.vertices * np.array([shrink, shrink, 1], np.float32))
     parts.append(finish("leaf", colour, rng)(leaves))
     if stems:
         parts.append(finish(woody, "brown" if woody == "wood" else colour, rng)(*stems))
@@ -387,7 +388,7 @@ def _shade(profile: list[tuple[float, float]], colour: str, rng: np.random.Gener
     u = np.arctan2(place[..., 1], place[..., 0]) / (2 * np.pi)
     u = np.where(np.ptp(u, axis=1, keepdims=True) > 0.5, u % 1, u)  # triangles across the seam
     v = (place[..., 2] - mesh.low[2]) / np.ptp(mesh.vertices[:, 2])
-    mesh = Mesh(mesh.vertices, mesh.triangles, np.stack([u, v], axis=-1).astype(np.float32))
+    mesh = replace(mesh, uv=np.stack([u, v], axis=-1).astype(np.float32))
     return m.part(moved(mesh, (0, 0, lift)), material("lampshade", colour, rng))
 
 

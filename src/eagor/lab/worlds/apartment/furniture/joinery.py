@@ -6,6 +6,7 @@ The model frame is that of `eagor.lab.worlds.apartment.furniture.Model`, before 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -48,7 +49,7 @@ def leaning(mesh: Mesh, angle: float, about: m.Triple = (0.0, 0.0, 0.0)) -> Mesh
 
 def facing(mesh: Mesh, at: tuple[float, float, float]) -> Mesh:
     """A shape made about the z axis, laid over so that its top faces +x, at a point."""
-    return m.moved(Mesh(mesh.vertices[:, [2, 0, 1]], mesh.triangles, mesh.uv), at)  # a rotation keeps the outside
+    return m.moved(replace(mesh, vertices=mesh.vertices[:, [2, 0, 1]]), at)  # a rotation keeps the outside
 
 
 def legs(inset: Rectangle, height: float, size: float, foot: float = 0.0, splay: float = 0.0) -> Mesh:
