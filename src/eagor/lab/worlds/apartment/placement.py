@@ -210,8 +210,6 @@ class Furnisher:
         self._anchors = tuple(np.transpose(anchors))
         self._least = np.minimum(0.8, 0.3 * self._areas(~self._near))  # square metres to walk on, for each room
 
-    # --- what is free -------------------------------------------------------------------------------------------------
-
     def inside(self, rooms: Sequence[int], boxes: np.ndarray) -> np.ndarray:
         """Whether footprints ``(n, 5)`` lie in the union of some rooms: ``(n,)`` bool."""
         rectangles = np.concatenate([self.rooms[room].rectangles for room in rooms])
@@ -249,8 +247,6 @@ class Furnisher:
         """The pieces of a category, in a room or anywhere."""
         return [p for p in self.pieces if p.category == category and room in (None, p.room)]
 
-    # --- candidates ---------------------------------------------------------------------------------------------------
-
     def along_walls(
         self, room: int, size: np.ndarray, *, corner: float = 0.0, middle: float = 0.0, gap: float = GAP,
         side: float = 0.04,
@@ -280,8 +276,6 @@ class Furnisher:
         boxes = np.column_stack([spots, np.tile(size[:2] / 2, (count, 1)), turns])
         off = np.linalg.norm(spots - middle, axis=1)
         return candidates((boxes, self.rng.uniform(0, 0.3, count) - 0.3 * off))
-
-    # --- building and placing -----------------------------------------------------------------------------------------
 
     def make(self, category: str, colour: str | None = None) -> Model:
         """A new model. Without a colour, mostly in the usual one of its kind in this home."""
@@ -336,8 +330,6 @@ class Furnisher:
         self._near = mark[0].copy()
         for things, count in zip((self.solid, self.kept, self._around, self.pieces), mark[1], strict=True):
             del things[count:]
-
-    # --- walking ------------------------------------------------------------------------------------------------------
 
     def _walkable(self) -> bool:
         """Whether one walk leads through all doorways, into all rooms and near all pieces."""

@@ -35,7 +35,7 @@ _VASES = (
 )
 _BLOOMS = ("red", "pink", "yellow", "white", "purple", "orange")
 
-# --- kitchens ---------------------------------------------------------------------------------------------------------
+# --- kitchens and bathrooms -------------------------------------------------------------------------------------------
 
 
 def base_units(x: float, y: float, top: float, rng: np.random.Generator, framed: bool) -> tuple[list[Mesh], list[Mesh]]:
@@ -182,9 +182,6 @@ def _kitchen_sink(rng: np.random.Generator) -> list[Part]:
     fronts = finish("metal" if rng.random() < 0.4 else "paint", "grey", rng)
     fixture = tap(-x + 0.06, -y + 0.35, height, 0.2, 0.3)
     return [fronts(*body), fittings(rng)(*handles), steel(*basin, *ridges), bright(*fixture)]
-
-
-# --- bathrooms --------------------------------------------------------------------------------------------------------
 
 
 def toilet(colour: str, rng: np.random.Generator) -> list[Part]:
@@ -378,7 +375,7 @@ def vase(colour: str, rng: np.random.Generator) -> list[Part]:
     return parts
 
 
-# --- lamps ------------------------------------------------------------------------------------------------------------
+# --- lamps, rugs and paintings ----------------------------------------------------------------------------------------
 
 
 def _shade(profile: list[tuple[float, float]], colour: str, rng: np.random.Generator, lift: float) -> Part:
@@ -434,9 +431,6 @@ def ceiling_lamp(colour: str, rng: np.random.Generator) -> list[Part | Lamp]:
         low = -drop - 0.6 * tall
         made, z = [_shade([(0, 0), (radius, 0.01), (radius, tall)], colour, rng, low)], low - 0.2
     return [cord, *made, Lamp(np.array([0.0, 0.0, z]), power)]
-
-
-# --- rugs and paintings -----------------------------------------------------------------------------------------------
 
 
 def rug(colour: str, rng: np.random.Generator) -> list[Part]:
