@@ -12,15 +12,9 @@ from strategies import at_most
 from eagor.errors import WorldError
 from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
-from eagor.lab.worlds.apartment.families import FAMILIES
-from eagor.lab.worlds.apartment.placement import (
-    corners,
-    distances,
-    from_rectangle,
-    leaf_footprint,
-    overlaps,
-)
-from eagor.lab.worlds.apartment.plans import LINING, OUTSIDE, carve, draw_plan, rooms_of
+from eagor.lab.worlds.apartment.building import carve, rooms_of
+from eagor.lab.worlds.apartment.placement import corners, distances, from_rectangle, leaf_footprint, overlaps
+from eagor.lab.worlds.apartment.plans import FAMILIES, LINING, OUTSIDE, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
 from eagor.lab.worlds.light import mean_colour
 from eagor.lab.worlds.raycast import Raycaster
@@ -54,8 +48,8 @@ def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
     area = (parts[:, 2] - parts[:, 0]) * (parts[:, 3] - parts[:, 1])
     width, depth = plan.extent
     assert area.sum() == pytest.approx(width * depth, rel=1e-9)
-    hit = overlaps(np.array([from_rectangle(part) for part in parts]) - [0, 0, 1e-6, 1e-6, 0], parts_as_boxes(parts))
-    assert (hit == np.eye(len(parts), dtype=bool)).all()
+    boxes = np.array([from_rectangle(part) for part in parts]) - [0, 0, 1e-6, 1e-6, 0]
+    assert (overlaps(boxes, boxes) == np.eye(len(parts), dtype=bool)).all()
     joined = [*plan.open_to, *(tuple(d.boundary.rooms) for d in plan.doorways if OUTSIDE not in d.boundary.rooms)]
     reached = {0}
     for _ in plan.spaces:
@@ -68,10 +62,6 @@ def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
     assert 45 - 1e-6 <= sum(room.area for room in rooms) <= 111
     for window in plan.windows:
         assert sum(room == OUTSIDE for room in window.boundary.rooms) == 1
-
-
-def parts_as_boxes(parts):
-    return np.array([from_rectangle(part) for part in parts]) - [0, 0, 1e-6, 1e-6, 0]
 
 
 @pytest.mark.parametrize("seed", [SEEDS[0], pytest.param(SEEDS[1], marks=pytest.mark.slow)])
@@ -205,13 +195,9 @@ def test_lamps_are_as_strong_as_their_rooms_swallow_light(seed):
     swallowed = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 * (1 - reflected)
     strength = {}
     for room in made.rooms:
-        shell = [
-            place
-            for place, thing in enumerate(made.instances)
-            if thing.room == room.name and thing.category in ("wall", "floor", "ceiling")
-        ]
+        shell = [thing.room == room.name and thing.category in ("wall", "floor", "ceiling") for thing in made.instances]
         lights = [light for piece, light in lights_of(seed) if made.rooms[piece.room].name == room.name]
-        total = swallowed[np.isin(made.instance, shell)].sum()
+        total = swallowed[np.array(shell)[made.instance]].sum()
         strength[room.name] = sum(light.power.mean() for light in lights) / total
     values = np.array(list(strength.values()))
     assert values.min() > 0
@@ -230,7 +216,6 @@ def test_the_shell_is_closed_but_for_its_windows(seed):
     caster = Raycaster(made.vertices, made.triangles)
     ways = rng.normal(size=(4000, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    holes = [window for window in apartment(seed).plan.windows]
     seen_out = 0
     for room in made.rooms:
         x0, y0, x1, y1 = room.rectangles[0]
@@ -238,7 +223,7 @@ def test_the_shell_is_closed_but_for_its_windows(seed):
         hits = caster.cast(np.repeat(eye[None], len(ways), axis=0).astype(np.float32), ways.astype(np.float32))
         out = ways[hits.triangle < 0]
         through = np.zeros(len(out), dtype=bool)
-        for hole in holes:
+        for hole in apartment(seed).plan.windows:
             hx0, hy0, hx1, hy1 = hole.hole
             with np.errstate(divide="ignore"):
                 one = (np.array([hx0, hy0, hole.sill]) - 1e-3 - eye) / out

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from eagor._srgb import to_linear
 from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment.furniture import KINDS, build
-from eagor.lab.worlds.apartment.mesh import Part
-from eagor.lab.worlds.apartment.pictures import TONES
+from eagor.lab.worlds.apartment.mesh import Part, merged
+from eagor.lab.worlds.apartment.textures import TONES
 from eagor.lab.worlds.raycast import Raycaster
 from eagor.queries import COLOURS, parse_query
 
@@ -26,10 +26,9 @@ def model_of(category, colour, seed):
 
 def joined(model):
     """Vertices, triangles and the part of each triangle."""
-    starts = np.cumsum([0] + [len(piece.vertices) for piece in model.parts])
-    triangles = [piece.triangles + start for piece, start in zip(model.parts, starts, strict=False)]
+    whole = merged(*model.parts)
     owner = np.repeat(np.arange(len(model.parts)), [len(piece.triangles) for piece in model.parts])
-    return np.concatenate([piece.vertices for piece in model.parts]), np.concatenate(triangles), owner
+    return whole.vertices, whole.triangles, owner
 
 
 def model_box(model, placement):

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.apartment import textures
-from eagor.lab.worlds.apartment.pictures import PICTURES, TONES, sRGB
-from eagor.lab.worlds.apartment.textures import REPEAT, SURFACES, material
+from eagor.lab.worlds.apartment.textures import PICTURES, REPEAT, SURFACES, TONES, material, sRGB
 from eagor.perception.colour import ColourPerception
 from eagor.queries import COLOURS
 

@@ -5,29 +5,22 @@ The entry point is `generate`. The same seed and `VERSION` give the same scene, 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from eagor.errors import WorldError
-from eagor.lab.worlds.apartment.building import (
-    Finish,
-    Style,
-    Thing,
-    doors_and_windows,
-    draw_finishes,
-    draw_style,
-    lit,
-    shell,
-    splashback,
-)
+from eagor.lab.worlds.apartment import building
+from eagor.lab.worlds.apartment.building import Cells, Finish, Style, Thing
 from eagor.lab.worlds.apartment.furnish import REQUIRED, furnish
 from eagor.lab.worlds.apartment.furniture import KINDS
-from eagor.lab.worlds.apartment.mesh import merged, placed, turned_about_z
-from eagor.lab.worlds.apartment.placement import NoRoom, Piece, empty_floor
-from eagor.lab.worlds.apartment.plans import Cells, Plan, carve, draw_plan, rooms_of
+from eagor.lab.worlds.apartment.mesh import Part, box, merged, placed, turned_about_z
+from eagor.lab.worlds.apartment.placement import GAP, Furnisher, NoRoom, Piece, from_rectangle, overlaps
+from eagor.lab.worlds.apartment.plans import Plan, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
+from eagor.lab.worlds.light import mean_colour
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Lamp, Material, Room, Scene
 
 __all__ = ["CATEGORIES", "REQUIRED", "VERSION", "generate"]
@@ -35,6 +28,12 @@ __all__ = ["CATEGORIES", "REQUIRED", "VERSION", "generate"]
 _ATTEMPTS = 40
 VERSION = "2"
 CATEGORIES = (*STRUCTURE, *sorted(KINDS))  # all that an apartment can have; it always has those in REQUIRED
+# The reference room, for which one ceiling lamp of default power is right: square metres of floor, walls and ceiling,
+# and the share of the light that they absorb.
+_SURFACE, _ABSORPTION = 60.0, 0.45
+_SHARES = (0.2, 1.7)  # range of that power, as of real lamps
+_FURNISHED = 0.15  # share of the surface that furniture and open doors cover
+_DARK = 0.75  # absorption of those
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,100 +45,7 @@ class Apartment:
     rooms: tuple[Room, ...]
     finishes: tuple[Finish, ...]
     style: Style
-    pieces: tuple[Piece, ...]
-
-
-def build(seed: int, source: str) -> tuple[Apartment, Scene]:
-    """The apartment of a seed and its scene: new plans are drawn until one fits everything that is required.
-
-    A person (the body of `Ground`) can walk up to all of its furniture. Raises `WorldError` for a negative seed, or if
-    nothing can be built from it.
-    """
-    if seed < 0:
-        raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
-    reason = ""
-    for attempt in range(_ATTEMPTS):
-        rng = np.random.default_rng([seed, attempt])
-        plan = draw_plan(rng)
-        finishes, style = draw_finishes(plan, rng), draw_style(rng)
-        cells = carve(plan, tuple(level for finish in finishes for level in finish.tiled))
-        rooms = rooms_of(plan, cells)
-        try:
-            pieces = furnish(empty_floor(plan, cells, rooms), rng)
-        except NoRoom as failure:
-            reason = str(failure)
-            continue
-        pieces = lit(pieces, rooms, finishes, plan.height)
-        apartment = Apartment(plan, cells, rooms, finishes, style, tuple(pieces))
-        scene = scene_of(apartment, source)
-        far = _out_of_reach(apartment, scene)
-        if not far:
-            return apartment, scene
-        reason = f"nobody can walk up to the {far[0].category}"
-    raise WorldError(f"seed {seed} gave no apartment in {_ATTEMPTS} attempts, at last: {reason}; use another seed")
-
-
-def _out_of_reach(apartment: Apartment, scene: Scene) -> list[Piece]:
-    """The solid pieces without free ground beside them."""
-    ground = Ground.from_scene(scene)
-    things = scene.instances[len(scene.instances) - len(apartment.pieces) :]
-    return [
-        piece
-        for piece, thing in zip(apartment.pieces, things, strict=True)
-        if piece.solid and ground.beside(thing)[1].min(initial=np.inf) > BESIDE
-    ]
-
-
-def scene_of(apartment: Apartment, source: str) -> Scene:
-    """The triangles of an apartment: walls, floors and ceilings first, then doors and windows, then the furniture."""
-    plan = apartment.plan
-    parts = shell(plan, apartment.cells, apartment.finishes)
-    doors = doors_and_windows(plan, apartment.style, parts)
-    for piece in apartment.pieces:
-        tiles = apartment.finishes[piece.room].tiles
-        back = splashback(piece, plan, tiles) if tiles else None
-        if back is not None:
-            parts[piece.room]["wall"].append(back)
-    things = [
-        Thing(category, None, space.name, tuple(surfaces))
-        for space, room in zip(plan.spaces, parts, strict=True)
-        for category, surfaces in room.items()
-    ]
-    things += [*doors, *(_thing(piece, plan) for piece in apartment.pieces)]
-    return _made_of(things, apartment.rooms, source, {"family": plan.family})
-
-
-def _thing(piece: Piece, plan: Plan) -> Thing:
-    """A piece in the world frame."""
-    angle, model = float(piece.box[4]), piece.model
-    lamps = tuple(
-        Lamp(turned_about_z(angle) @ np.asarray(lamp.position, dtype=np.float64) + piece.position, lamp.power)
-        for lamp in model.lamps
-    )
-    parts = placed(model.parts, angle, piece.position)
-    return Thing(piece.category, model.colour, plan.spaces[piece.room].name, parts, lamps)
-
-
-def _made_of(things: Sequence[Thing], rooms: Sequence[Room], source: str, facts: dict[str, str]) -> Scene:
-    """The scene of all the things, in their order; equal materials are shared."""
-    numbers: dict[tuple[object, ...], int] = {}
-    materials: list[Material] = []
-    looks, instances = [], []
-    for thing in things:
-        low = np.min([part.low for part in thing.parts], axis=0).astype(np.float64)
-        high = np.max([part.high for part in thing.parts], axis=0).astype(np.float64)
-        instances.append(Instance(thing.category, thing.colour, thing.room, low, high))
-        for look in (part.material for part in thing.parts):
-            looks.append(numbers.setdefault((look.name, look.colour, look.emission, id(look.texture)), len(materials)))
-            materials += [look] * (looks[-1] == len(materials))
-    whole = merged(*(part for thing in things for part in thing.parts))
-    counts = [len(part.triangles) for thing in things for part in thing.parts]
-    owners = np.repeat(np.arange(len(things)), [len(thing.parts) for thing in things])
-    return Scene(
-        whole.vertices, whole.triangles, np.repeat(owners, counts).astype(np.int32),
-        np.repeat(looks, counts).astype(np.int32), whole.uv, tuple(instances), tuple(materials), tuple(rooms),
-        tuple(lamp for thing in things for lamp in thing.lamps), source=source, facts=facts,
-    )  # fmt: skip
+    pieces: list[Piece]
 
 
 def generate(seed: int) -> Scene:
@@ -152,3 +58,129 @@ def generate(seed: int) -> Scene:
     Raises `WorldError` for a negative seed, or if nothing can be built from it.
     """
     return build(seed, f"apartment {VERSION} seed {seed}")[1]
+
+
+def build(seed: int, source: str) -> tuple[Apartment, Scene]:
+    """The apartment of a seed and its scene: new plans are drawn until one fits everything that is required.
+
+    A person (the body of `Ground`) can walk up to all of its furniture. Raises `WorldError` as `generate` does.
+    """
+    if seed < 0:
+        raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
+    reason = ""
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([seed, attempt])
+        plan = draw_plan(rng)
+        finishes, style = building.draw_finishes(plan, rng), building.draw_style(rng)
+        cells = building.carve(plan, tuple(level for finish in finishes for level in finish.tiled))
+        rooms = building.rooms_of(plan, cells)
+        try:
+            pieces = furnish(Furnisher(plan, cells, rooms, rng))
+        except NoRoom as failure:
+            reason = str(failure)
+            continue
+        apartment = Apartment(plan, cells, rooms, finishes, style, _lit(pieces, rooms, finishes, plan.height))
+        scene = scene_of(apartment, source)
+        far = _out_of_reach(apartment, scene)
+        if not far:
+            return apartment, scene
+        reason = f"nobody can walk up to the {far[0].category}"
+    raise WorldError(f"seed {seed} gave no apartment in {_ATTEMPTS} attempts, at last: {reason}; use another seed")
+
+
+def _lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finish], height: float) -> list[Piece]:
+    """The same pieces with ceiling lamps of a power that suits their rooms; `height` of the rooms in metres.
+
+    The light between walls is the power of the lamps over the absorption of the surfaces (the integrating sphere).
+    """
+    count = Counter(piece.room for piece in pieces if piece.category == "ceiling lamp")
+    found = []
+    for piece in pieces:
+        if piece.category == "ceiling lamp":
+            swallowed = _swallowed(rooms[piece.room], finishes[piece.room], height)
+            share = float(np.clip(swallowed / (_SURFACE * _ABSORPTION) / count[piece.room], *_SHARES))
+            lamps = tuple(replace(lamp, power=share * lamp.power) for lamp in piece.model.lamps)
+            piece = replace(piece, model=replace(piece.model, lamps=lamps))
+        found.append(piece)
+    return found
+
+
+def _swallowed(room: Room, finish: Finish, height: float) -> float:
+    """The absorption of a room's floor, walls and ceiling, as square metres of black."""
+    x0, y0, x1, y1 = room.rectangles.T
+    walls = float((2 * (x1 - x0 + y1 - y0)).sum()) * height
+    low, high = (float(np.clip(level, 0, height)) for level in finish.tiled)
+    tiled = (high - low) / height if finish.tiles else 0.0
+    surfaces = [(room.area, finish.floor), (room.area, finish.ceiling), ((1 - tiled) * walls, finish.wall)]
+    surfaces.append((tiled * walls, finish.tiles or finish.wall))
+    bare = sum(area * (1 - float(mean_colour(cover.material).mean())) for area, cover in surfaces)
+    return (1 - _FURNISHED) * bare + _FURNISHED * _DARK * (walls + 2 * room.area)
+
+
+def _out_of_reach(apartment: Apartment, scene: Scene) -> list[Piece]:
+    """The solid pieces without free ground beside them."""
+    ground = Ground.from_scene(scene)
+    things = scene.instances[-len(apartment.pieces) :]
+    return [
+        piece
+        for piece, thing in zip(apartment.pieces, things, strict=True)
+        if piece.solid and ground.beside(thing)[1].min(initial=np.inf) > BESIDE
+    ]
+
+
+def scene_of(apartment: Apartment, source: str) -> Scene:
+    """The triangles of an apartment: walls, floors and ceilings first, then doors and windows, then the furniture."""
+    plan = apartment.plan
+    shell = building.shell(plan, apartment.cells, apartment.finishes)
+    doors = building.doors_and_windows(plan, apartment.style, shell)
+    for piece in apartment.pieces:
+        shell[piece.room]["wall"] += _splashback(piece, plan, apartment.finishes[piece.room])
+    things = [
+        Thing(category, None, space.name, tuple(surfaces))
+        for space, room in zip(plan.spaces, shell, strict=True)
+        for category, surfaces in room.items()
+    ]
+    things += [*doors, *(_thing(piece, plan) for piece in apartment.pieces)]
+    parts = [part for thing in things for part in thing.parts]
+    # Equal materials are shared.
+    numbers: dict[tuple[object, ...], int] = {}
+    materials: list[Material] = []
+    looks = []
+    for look in (part.material for part in parts):
+        looks.append(numbers.setdefault((look.name, look.colour, look.emission, id(look.texture)), len(materials)))
+        materials += [look] * (looks[-1] == len(materials))
+    whole = merged(*parts)
+    counts = [len(part.triangles) for part in parts]
+    owners = np.repeat(np.arange(len(things)), [len(thing.parts) for thing in things])
+    return Scene(
+        whole.vertices, whole.triangles, np.repeat(owners, counts).astype(np.int32),
+        np.repeat(looks, counts).astype(np.int32), whole.uv, tuple(map(_instance, things)), tuple(materials),
+        apartment.rooms, tuple(lamp for thing in things for lamp in thing.lamps), source=source,
+        facts={"family": plan.family},
+    )  # fmt: skip
+
+
+def _splashback(piece: Piece, plan: Plan, finish: Finish) -> tuple[Part, ...]:
+    """Tiles on the wall above a kitchen unit, up to a window if there is one; none above other pieces."""
+    if piece.category not in ("cabinet", "sink", "stove") or plan.spaces[piece.room].kind != "kitchen":
+        return ()
+    sills = [w.sill for w in plan.windows if overlaps(piece.box, from_rectangle(w.approach(0.4, 0.05)))[0, 0]]
+    top = min([1.45, *(sill - 0.02 for sill in sills)])
+    depth, width = piece.box[2:4]
+    mesh = box((-depth - GAP + 1e-3, -width - 2e-3, 0.86), (-depth - GAP + 0.013, width + 2e-3, top))
+    assert finish.tiles is not None  # as in every kitchen
+    return placed([finish.tiles(mesh)], float(piece.box[4]), (*piece.box[:2], 0.0))
+
+
+def _thing(piece: Piece, plan: Plan) -> Thing:
+    """A piece in the world frame."""
+    angle, model = float(piece.box[4]), piece.model
+    lamps = tuple(Lamp(turned_about_z(angle) @ lamp.position + piece.position, lamp.power) for lamp in model.lamps)
+    parts = placed(model.parts, angle, piece.position)
+    return Thing(piece.category, model.colour, plan.spaces[piece.room].name, parts, lamps)
+
+
+def _instance(thing: Thing) -> Instance:
+    low = np.min([part.low for part in thing.parts], axis=0).astype(np.float64)
+    high = np.max([part.high for part in thing.parts], axis=0).astype(np.float64)
+    return Instance(thing.category, thing.colour, thing.room, low, high)

@@ -7,247 +7,35 @@ and bathrooms: pieces side by side at walls. The last items are rugs, paintings,
 from __future__ import annotations
 
 import math
-from functools import partial
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
-from eagor.lab.worlds.apartment.furniture import KINDS, Model
+from eagor.lab.worlds.apartment.building import WallFace
+from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
 from eagor.lab.worlds.apartment.placement import (
     GAP,
-    Floor,
     Furnisher,
     NoRoom,
     Piece,
-    Sites,
     advanced,
-    along_walls,
     before,
-    footprint,
+    best,
+    candidates,
     from_rectangle,
-    in_room,
-    joined,
     on_face,
     relative,
     reversed_,
-    tell_apart,
     untouched,
 )
-from eagor.lab.worlds.apartment.plans import WallFace
+
+REQUIRED = ("chair", "bed", "plant", "toilet", "tv", "sofa", "table", "sink")
 
 _ROWS = (
     "refrigerator cabinet sink cabinet stove", "refrigerator cabinet sink stove", "cabinet sink cabinet stove",
     "cabinet sink stove", "sink stove", "sink",
 )  # fmt: skip
-
-
-def lounge(f: Furnisher, room: int) -> bool:
-    """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
-    television, sofa, low_table = f.make("tv"), f.make("sofa"), f.make("coffee table")
-    sites, screen, gap = _facing_pairs(f, room, television.size, sofa.size)
-    if not len(gap):
-        return False
-    seat = sites.boxes
-    between = before(seat, 0.5)
-    between[:, :2] = (screen[:, :2] + seat[:, :2]) / 2
-    between[:, 2], between[:, 3] = gap / 2 - 0.01, 0.55
-    good = f.fits(room, screen, television) & f.fits(room, seat, sofa) & f.open_before(room, between)
-    # A sofa stands at a wall, or far enough from it to walk behind.
-    behind = reversed_(seat)
-    good &= ~f.floor.open_inside(room, before(behind, 0.12)) | f.floor.open_inside(room, before(behind, 0.65))
-    deep = float(low_table.size[0])
-    for place in sites.best(good, 12):
-        group = [(television, screen[place]), (sofa, seat[place])]
-        reach = float(f.rng.uniform(0.36, 0.44))
-        if gap[place] > reach + deep + 0.5:
-            forward = float(sofa.size[0] + deep) / 2 + reach
-            group.append((low_table, relative(seat[place], forward, 0.0, low_table.size)))
-        if f.set_down(group, room):
-            f.floor.kept.append(between[place])
-            return True
-    return False
-
-
-def easy_seat(f: Furnisher, room: int) -> bool:
-    """An armchair beside the coffee table, turned to it, or one at a wall."""
-    chair = f.make("armchair")
-    sites = along_walls(f.floor, room, chair.size, f.rng, corner=0.4, side=0.1, gap=0.08)
-    for low_table in f.of("coffee table", room):
-        turns = f.rng.uniform(0.9, 2.2, 20) * f.rng.choice([-1, 1], 20)
-        away = f.rng.uniform(0.25, 0.6, 20) + chair.size[0] / 2 + low_table.box[2:4].max()
-        boxes = advanced(np.array([relative(low_table.box, 0, 0, chair.size, turn) for turn in turns]), away)
-        boxes = reversed_(boxes)
-        sites = joined(sites, Sites(boxes, 1.0 + f.rng.uniform(0, 0.5, 20)))
-    return f.settle(chair, room, sites, front=0.2, reserve=False) is not None
-
-
-def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
-    """A table with `least` to `most` equal chairs round it that face it."""
-    table, chair = f.make("table"), f.make("chair", f.habits["chair"])
-    flat = along_walls(f.floor, room, table.size, f.rng, middle=0.3, gap=0.06)
-    sites = joined(in_room(f.floor, room, table.size, f.rng), Sites(flat.boxes, flat.scores - 1.6))
-    good = f.floor.fits(room, sites.boxes, (0.0, table.height))
-    wanted = int(f.rng.integers(least, most + 1))
-    for place in sites.best(good, 14):
-        seats = _round_table(f, sites.boxes[place], chair.size, wanted)
-        seats = seats[f.floor.fits(room, seats, (0.0, chair.height))][:wanted]
-        group = [(table, sites.boxes[place]), *((chair, seat) for seat in seats)]
-        if len(seats) >= least and f.set_down(group, room):
-            return True
-    return False
-
-
-def workplace(f: Furnisher, room: int) -> bool:
-    """A desk at a wall or window with a chair that faces it."""
-    desk, chair = f.make("desk"), f.make("chair", f.habits["chair"])
-    sites = along_walls(f.floor, room, desk.size, f.rng, corner=0.3, gap=0.05)
-    good = f.fits(room, sites.boxes, desk) & f.open_before(room, before(sites.boxes, float(chair.size[0]) + 0.35))
-    forward = float(desk.size[0] + chair.size[0]) / 2 + 0.04
-    for box in sites.boxes[sites.best(good, 8)]:
-        seat = relative(box, forward, 0.0, chair.size, math.pi + float(f.rng.uniform(-0.1, 0.1)))
-        fits = f.floor.fits(room, seat[None], (0.0, chair.height))[0]
-        if fits and f.set_down([(desk, box), (chair, seat)], room):
-            return True
-    return False
-
-
-def sleeping(f: Furnisher, room: int) -> bool:
-    """A bed with its head to a wall, and nightstands beside it if they fit."""
-    for _ in range(3):  # beds vary a lot in width
-        made = f.make("bed")
-        double = made.size[1] > 1.3
-        corner, middle = (0.0, 0.4) if double else (0.5, 0.0)
-        sites = along_walls(f.floor, room, made.size, f.rng, corner=corner, middle=middle, side=0.06)
-        wide = sites.boxes.copy()
-        wide[:, 3] += 0.45
-        sites = Sites(sites.boxes, sites.scores + 0.6 * f.floor.open_inside(room, wide) * double)
-        bed = f.settle(made, room, sites, front=0.35, reserve=False)
-        if bed:
-            break
-    else:
-        return False
-    stand = f.make("nightstand")
-    depth, width, _ = stand.size
-    for side in (1, -1) if f.rng.random() < 0.8 else (1,):
-        left = side * (float(bed.box[3]) + width / 2 + 0.04)
-        box = relative(bed.box, float(depth) / 2 - float(bed.box[2]), left, stand.size)
-        f.settle(stand, room, Sites(box[None], np.zeros(1)), front=0.3, reserve=False)
-    return True
-
-
-def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray, wanted: int) -> np.ndarray:
-    """Places ``(n, 5)`` for chairs of one size round a table, the most natural first."""
-    depth, width = float(chair[0]), float(chair[1])
-    hx, hy = float(table[2]), float(table[3])
-    count = 1 if abs(hx - hy) < 0.1 else max(1, int(2 * hy / (width + 0.12)))
-    sides = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
-    places = []
-    for sign, left, long_side in [*sides, (1, 0.0, False), (-1, 0.0, False)]:
-        out, turn = float(f.rng.uniform(0.05, 0.12)) + depth / 2, float(f.rng.uniform(-0.07, 0.07))
-        if long_side:
-            places.append(relative(table, sign * (hx + out), left, chair, (math.pi if sign > 0 else 0.0) + turn))
-        else:
-            places.append(relative(table, 0.0, sign * (hy + out), chair, turn - sign * math.pi / 2))
-    return np.array(places)
-
-
-def _facing_pairs(f: Furnisher, room: int, tv: np.ndarray, sofa: np.ndarray) -> tuple[Sites, np.ndarray, np.ndarray]:
-    """Candidates: the sofa's places, the television's ``(n, 5)``, and the metres between them ``(n,)``."""
-    depth, tv_depth, tv_width = float(sofa[0]), float(tv[0]), float(tv[1])
-    screens, seats, gaps = [np.zeros((0, 5))], [joined()], [np.zeros(0)]
-    for face in f.floor.faces:
-        free = face.end - face.start - tv_width - 0.12
-        if face.room != room or free < 0:
-            continue
-        along = face.start + tv_width / 2 + 0.06 + free * np.concatenate([[0.5], f.rng.random(11)])
-        options = [(float(f.rng.uniform(1.9, 2.9)), 0.2) for _ in range(3)]
-        for other in f.floor.faces:
-            if _opposite(face, other) and other.end - other.start > float(sofa[1]):
-                apart = abs(other.line - face.line) - tv_depth - depth - 2 * GAP - 0.02
-                if 1.6 <= apart <= 4.0:
-                    options.append((apart, 1.2 - 0.15 * abs(apart - 2.6)))
-        for distance, score in options:
-            screen = on_face(face, along, GAP, tv)
-            seat = reversed_(advanced(screen, tv_depth / 2 + distance + depth / 2))
-            seat[:, 2:4] = sofa[:2] / 2
-            screens.append(screen)
-            seats.append(Sites(seat, score + f.rng.uniform(0, 0.5, len(along)) + 0.3 * (np.arange(len(along)) == 0)))
-            gaps.append(np.full(len(along), distance))
-    return joined(*seats), np.concatenate(screens), np.concatenate(gaps)
-
-
-def _opposite(face: WallFace, other: WallFace) -> bool:
-    """Whether two walls of a room face each other."""
-    facing = face.room == other.room and face.axis == other.axis and face.side == -other.side
-    apart, shared = (other.line - face.line) * face.side, min(face.end, other.end) - max(face.start, other.start)
-    return facing and apart > 0 and shared > 0
-
-
-def fit_kitchen(f: Furnisher, room: int) -> bool:
-    """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
-    start, first = f.mark(), f.make("cabinet")
-    units = {"sink": f.make("sink", "grey"), "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
-    cabinets = [first, *(f.make("cabinet", first.colour) for _ in range(2))]
-    for row in map(str.split, _ROWS):
-        for cabinet in sorted(cabinets, key=lambda made: -made.size[1])[0 if "cabinet" in row else 2 :]:
-            every = units | {"cabinet": cabinet}
-            if _row(f, room, [every[name] for name in row]):
-                if all([_at_wall(f, room, made, 0.6) for name, made in every.items() if name not in row]):
-                    return True
-                f.back_to(start)
-    return False
-
-
-def fit_bathroom(f: Furnisher, room: int) -> bool:
-    """Toilet, sink and, where it fits, a bathtub."""
-    start = f.mark()
-    fixtures = [f.make("toilet"), f.make("sink", "white")]
-    for bathtub in (True, True, True, False, False):
-        bathtub = bathtub and _at_wall(f, room, f.make("bathtub"), 0.45, side=GAP)
-        if all(_at_wall(f, room, made, 0.5, side=0.15) for made in fixtures):
-            return True
-        f.back_to(start)
-    return False
-
-
-def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0.03) -> bool:
-    sites = along_walls(f.floor, room, made.size, f.rng, corner=0.6, side=side)
-    return f.settle(made, room, sites, front=front) is not None
-
-
-def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
-    """Place units side by side, flush with each other, at the longest wall that is long enough."""
-    widths = np.array([float(model.size[1]) for model in units]) + 0.004
-    starts = np.cumsum([0.0, *widths])
-    faces = [face for face in f.floor.faces if face.room == room]
-    for face in sorted(faces, key=lambda face: face.start - face.end):
-        free = face.end - face.start - 2 * GAP - starts[-1]
-        if free < 0:
-            continue
-        for turned in f.rng.permutation(2):
-            for offset in (0.0, free, float(f.rng.uniform(0, free))):
-                middle = face.start + GAP + offset + starts[:-1] + widths / 2
-                if turned:  # the row in reverse order
-                    middle = face.start + face.end - middle
-                boxes = [on_face(face, middle[[i]], GAP, model.size) for i, model in enumerate(units)]
-                zone = before(np.concatenate(boxes), 0.7)
-                if not all(map(partial(_unit_fits, f, room), units, boxes)) or not f.open_before(room, zone).all():
-                    continue
-                if f.set_down([(model, box[0]) for model, box in zip(units, boxes, strict=True)], room):
-                    f.floor.kept.extend(zone)
-                    return True
-    return False
-
-
-def _unit_fits(f: Furnisher, room: int, model: Model, box: np.ndarray) -> bool:
-    """Whether a unit fits into its place ``(1, 5)`` in a row; only a sink, with its tap, may stand before a window."""
-    sill = 1.0 if model.category == "sink" else model.height
-    return bool(f.floor.fits(room, box, (0.0, model.height), 0.004)[0] and f.floor.beside_windows(box, sill)[0])
-
-
-# --- the choice of furniture for each room ----------------------------------------------------------------------------
-
-REQUIRED = ("chair", "bed", "plant", "toilet", "tv", "sofa", "table", "sink")
-
 # Further furniture per kind of room: category, probability, square metres of the room for each further piece, and free
 # floor before it in metres.
 _MORE: dict[str, tuple[tuple[str, float, float, float], ...]] = {
@@ -268,45 +56,54 @@ _MORE: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "bathroom": (("plant", 0.35, 12, 0.0), ("dresser", 0.1, 30, 0.5)),
     "hall": (("dresser", 0.5, 30, 0.5), ("plant", 0.6, 6, 0.0), ("chair", 0.3, 30, 0.2), ("lamp", 0.15, 30, 0.0)),
 }  # fmt: skip
-_PAINTINGS = {
+_PAINTINGS = {  # the fewest and the most
     "living room": (1, 3), "bedroom": (1, 2), "study": (0, 2), "dining room": (1, 2), "kitchen": (0, 1),
     "hall": (0, 2), "bathroom": (0, 0),
 }  # fmt: skip
 _RUGS = {"living room": 0.85, "bedroom": 0.7, "study": 0.5, "dining room": 0.5, "hall": 0.4, "bathroom": 0.0}
 _TOPS = {"table": 0.6, "coffee table": 0.6, "desk": 0.6, "dresser": 0.8, "nightstand": 0.5}  # chance of an item on it
 _EYE_LEVEL = 1.52
+_LEAST_UNIQUE = 3
+# Without a colour of their own: fixtures take the colour of their room, and all units of a kitchen share one.
+_FIXED = ("sink", "toilet", "bathtub", "cabinet", "refrigerator", "stove")
 
 
-def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
+def furnish(f: Furnisher) -> list[Piece]:
     """Furniture for all rooms. Raises `NoRoom` if a required piece does not fit."""
-    f = Furnisher(floor, rng)
+    rng, kinds, area = f.rng, [room.kind for room in f.rooms], [room.area for room in f.rooms]
+    places = {kind: [room for room, other in enumerate(kinds) if other == kind] for kind in _MORE}
     f.habits["chair"] = str(rng.choice(KINDS["chair"].colours))
-    kinds = [space.kind for space in floor.plan.spaces]
     rules = {"living room": lounge, "kitchen": fit_kitchen, "bathroom": fit_bathroom, "bedroom": sleeping}
     for kind, rule in rules.items():
-        for room in _of(kinds, kind):
+        for room in places[kind]:
             if not any(rule(f, room) for _ in range(4)):
                 raise NoRoom(f"the {kind} is too small for what belongs there")
-    _meals(f, kinds)
-    for room in _of(kinds, "kitchen"):  # one more small table, if there is space
-        if floor.rooms[room].area > 9.5 and not f.of("table", room) and rng.random() < 0.7:
+    # The dining table stands in the dining room, else in the kitchen or the living room, wherever it fits.
+    spacious = area[places["kitchen"][0]] > 10 and rng.random() < 0.8
+    order = ("dining room", "kitchen", "living room") if spacious else ("dining room", "living room", "kitchen")
+    sizes = [(room, least, most) for least, most in ((4, 6), (2, 4)) for kind in order for room in places[kind]]
+    if not any(dining(f, *size) for size in sizes):
+        raise NoRoom("no place for a table with chairs")
+    for room in places["kitchen"]:  # one more small table, if there is space
+        if area[room] > 9.5 and not f.of("table", room) and rng.random() < 0.7:
             dining(f, room, 2, 3)
-    for room in _of(kinds, "bedroom"):
-        if floor.rooms[room].area > 11 and f.of("bed", room)[0].box[3] < 0.65 and rng.random() < 0.5:
+    for room in places["bedroom"]:
+        if area[room] > 11 and f.of("bed", room)[0].box[3] < 0.65 and rng.random() < 0.5:
             sleeping(f, room)
-    for room in _of(kinds, "living room"):
-        if floor.rooms[room].area > 17 and rng.random() < 0.5:  # a second sofa
+    for room in places["living room"]:
+        if area[room] > 17 and rng.random() < 0.5:  # a second sofa
             sofa = f.make("sofa")
-            f.settle(sofa, room, along_walls(floor, room, sofa.size, rng, middle=0.3), front=0.3, reserve=False)
+            f.settle(sofa, room, f.along_walls(room, sofa.size, middle=0.3), front=0.3, reserve=False)
         for _ in range(int(rng.integers(0, 3))):
             easy_seat(f, room)
     for room in rng.permutation(len(kinds)).tolist():
         for category, chance, each, front in _MORE[kinds[room]]:
-            for _ in range(max(1, int(floor.rooms[room].area / each))):
+            for _ in range(max(1, int(area[room] / each))):
                 if rng.random() < chance:
                     _one_more(f, room, category, front)
-    _at_least(f, "plant", 2)
-    _at_least(f, "chair", int(rng.integers(4, 7)), front=0.2, nowhere=("hall", "bathroom"))
+    _at_least(f, "plant", 2, list(range(len(kinds))), front=0.0)
+    dry = [room for room, kind in enumerate(kinds) if kind not in ("hall", "bathroom")]
+    _at_least(f, "chair", int(rng.integers(4, 7)), dry, front=0.2)
     missing = [category for category in REQUIRED if not f.of(category)]
     if missing:
         raise NoRoom(f"no place for {', '.join(missing)}")
@@ -321,38 +118,22 @@ def furnish(floor: Floor, rng: np.random.Generator) -> list[Piece]:
     return f.pieces
 
 
-def _of(kinds: list[str], kind: str) -> list[int]:
-    return [place for place, other in enumerate(kinds) if other == kind]
-
-
-def _meals(f: Furnisher, kinds: list[str]) -> None:
-    """The dining table: in the dining room, else in the kitchen or the living room, wherever it fits."""
-    rooms = _of(kinds, "dining room")
-    kitchen, living = _of(kinds, "kitchen"), _of(kinds, "living room")
-    spacious = f.floor.rooms[kitchen[0]].area > 10 and f.rng.random() < 0.8
-    rooms += kitchen + living if spacious else living + kitchen
-    for least, most in ((4, 6), (2, 4)):
-        for room in rooms:
-            if dining(f, room, least, most):
-                return
-    raise NoRoom("no place for a table with chairs")
-
-
-def _one_more(f: Furnisher, room: int, category: str, front: float) -> bool:
+def _one_more(f: Furnisher, room: int, category: str, front: float) -> None:
+    """A further piece with `front` metres of free floor before it, if it fits."""
     if category == "desk":
-        return workplace(f, room)
-    if category == "armchair":
-        return easy_seat(f, room)
-    made = f.make(category, f.habits["chair"] if category == "chair" else None)
-    corner = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3}.get(category, 0.0)
-    gap = 0.06 if category in ("plant", "lamp") else 0.02
-    sites = along_walls(f.floor, room, made.size, f.rng, corner=corner, middle=0.2, gap=gap, side=gap)
-    return f.settle(made, room, sites, front=front) is not None
+        workplace(f, room)
+    elif category == "armchair":
+        easy_seat(f, room)
+    else:
+        made = f.make(category, f.habits["chair"] if category == "chair" else None)
+        corner = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3}.get(category, 0.0)
+        gap = 0.06 if category in ("plant", "lamp") else 0.02
+        sites = f.along_walls(room, made.size, corner=corner, middle=0.2, gap=gap, side=gap)
+        f.settle(made, room, sites, front=front)
 
 
-def _at_least(f: Furnisher, category: str, count: int, front: float = 0.0, nowhere: tuple[str, ...] = ()) -> None:
-    """Add pieces of a category until there are `count`, as far as they fit; none to `nowhere`, kinds of rooms."""
-    rooms = [i for i, space in enumerate(f.floor.plan.spaces) if space.kind not in nowhere]
+def _at_least(f: Furnisher, category: str, count: int, rooms: list[int], front: float) -> None:
+    """Add pieces of a category to these rooms until there are `count`, as far as they fit."""
     for _ in range(3):
         for room in f.rng.permutation(rooms).tolist():
             if len(f.of(category)) >= count:
@@ -360,58 +141,257 @@ def _at_least(f: Furnisher, category: str, count: int, front: float = 0.0, nowhe
             _one_more(f, room, category, front)
 
 
+# --- groups that belong together --------------------------------------------------------------------------------------
+
+
+def lounge(f: Furnisher, room: int) -> bool:
+    """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
+    television, sofa, low_table = f.make("tv"), f.make("sofa"), f.make("coffee table")
+    seat, screen, gap = _facing_pairs(f, room, television.size, sofa.size)
+    between = before(seat, 0.5)
+    between[:, :2] = (screen[:, :2] + seat[:, :2]) / 2
+    between[:, 2], between[:, 3] = gap / 2 - 0.01, 0.55
+    good = f.stands(room, screen, television) & f.stands(room, seat, sofa) & f.open_before(room, between)
+    # A sofa stands at a wall, or far enough from it to walk behind.
+    behind, space = reversed_(seat), f.space[room]
+    good &= ~f.inside(space, before(behind, 0.12)) | f.inside(space, before(behind, 0.65))
+    deep = low_table.size[0]
+    for place in best(seat, good, 12):
+        group = [(television, screen[place]), (sofa, seat[place])]
+        reach = f.rng.uniform(0.36, 0.44)
+        if gap[place] > reach + deep + 0.5:
+            group.append((low_table, relative(seat[place], (sofa.size[0] + deep) / 2 + reach, 0.0, low_table.size)))
+        if f.set_down(group, room):
+            f.kept.append(between[place, :5])
+            return True
+    return False
+
+
+def _facing_pairs(
+    f: Furnisher, room: int, tv: np.ndarray, sofa: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Candidates for the sofa, the television's place before each ``(n, 5)``, the metres between them ``(n,)``."""
+    screens, seats, gaps = [np.zeros((0, 5))], [], [np.zeros(0)]
+    for face in f.faces:
+        free = face.end - face.start - tv[1] - 0.12
+        if face.room != room or free < 0:
+            continue
+        along = face.start + tv[1] / 2 + 0.06 + free * np.concatenate([[0.5], f.rng.random(11)])
+        options = [(f.rng.uniform(1.9, 2.9), 0.2) for _ in range(3)]
+        for other in f.faces:
+            if _opposite(face, other) and other.end - other.start > sofa[1]:
+                apart = abs(other.line - face.line) - tv[0] - sofa[0] - 2 * GAP - 0.02
+                if 1.6 <= apart <= 4.0:
+                    options.append((apart, 1.2 - 0.15 * abs(apart - 2.6)))
+        for distance, score in options:
+            screen = on_face(face, along, GAP, tv)
+            seat = reversed_(advanced(screen, tv[0] / 2 + distance + sofa[0] / 2))
+            seat[:, 2:4] = sofa[:2] / 2
+            screens.append(screen)
+            seats.append((seat, score + f.rng.uniform(0, 0.5, len(along)) + 0.3 * (np.arange(len(along)) == 0)))
+            gaps.append(np.full(len(along), distance))
+    return candidates(*seats), np.concatenate(screens), np.concatenate(gaps)
+
+
+def _opposite(face: WallFace, other: WallFace) -> bool:
+    """Whether two walls of a room face each other."""
+    facing = face.room == other.room and face.axis == other.axis and face.side == -other.side
+    apart, shared = (other.line - face.line) * face.side, min(face.end, other.end) - max(face.start, other.start)
+    return facing and apart > 0 and shared > 0
+
+
+def easy_seat(f: Furnisher, room: int) -> None:
+    """An armchair beside the coffee table, turned to it, or one at a wall."""
+    chair = f.make("armchair")
+    sites = [f.along_walls(room, chair.size, corner=0.4, side=0.1, gap=0.08)]
+    for low_table in f.of("coffee table", room):
+        turns = f.rng.uniform(0.9, 2.2, 20) * f.rng.choice([-1, 1], 20)
+        away = f.rng.uniform(0.25, 0.6, 20) + chair.size[0] / 2 + low_table.box[2:4].max()
+        boxes = advanced(np.array([relative(low_table.box, 0, 0, chair.size, turn) for turn in turns]), away)
+        sites.append(candidates((reversed_(boxes), 1.0 + f.rng.uniform(0, 0.5, 20))))
+    f.settle(chair, room, np.concatenate(sites), front=0.2, reserve=False)
+
+
+def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
+    """A table with `least` to `most` equal chairs round it that face it."""
+    table, chair = f.make("table"), f.make("chair", f.habits["chair"])
+    flat = f.along_walls(room, table.size, middle=0.3, gap=0.06) - np.array([0, 0, 0, 0, 0, 1.6])  # rather not
+    sites = np.concatenate([f.in_room(room, table.size, 60), flat])
+    good = f.fits(room, sites, (0.0, table.height))
+    wanted = int(f.rng.integers(least, most + 1))
+    for box in sites[best(sites, good, 14)]:
+        seats = _round_table(f, box, chair.size)
+        seats = seats[f.fits(room, seats, (0.0, chair.height))][:wanted]
+        if len(seats) >= least and f.set_down([(table, box), *((chair, seat) for seat in seats)], room):
+            return True
+    return False
+
+
+def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray) -> np.ndarray:
+    """Places ``(n, 5)`` for chairs of one size round a table, the most natural first."""
+    (depth, width, _), (hx, hy) = chair, table[2:4]
+    count = 1 if abs(hx - hy) < 0.1 else max(1, int(2 * hy / (width + 0.12)))
+    sides = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
+    places = []
+    for sign, left, long_side in [*sides, (1, 0.0, False), (-1, 0.0, False)]:
+        out, turn = f.rng.uniform(0.05, 0.12) + depth / 2, f.rng.uniform(-0.07, 0.07)
+        if long_side:
+            places.append(relative(table, sign * (hx + out), left, chair, (math.pi if sign > 0 else 0.0) + turn))
+        else:
+            places.append(relative(table, 0.0, sign * (hy + out), chair, turn - sign * math.pi / 2))
+    return np.array(places)
+
+
+def workplace(f: Furnisher, room: int) -> None:
+    """A desk at a wall or window with a chair that faces it."""
+    desk, chair = f.make("desk"), f.make("chair", f.habits["chair"])
+    sites = f.along_walls(room, desk.size, corner=0.3, gap=0.05)
+    good = f.stands(room, sites, desk) & f.open_before(room, before(sites, chair.size[0] + 0.35))
+    for box in sites[best(sites, good, 8)]:
+        turn = math.pi + f.rng.uniform(-0.1, 0.1)
+        seat = relative(box, (desk.size[0] + chair.size[0]) / 2 + 0.04, 0.0, chair.size, turn)
+        fits = f.fits(room, seat[None], (0.0, chair.height))[0]
+        if fits and f.set_down([(desk, box), (chair, seat)], room):
+            return
+
+
+def sleeping(f: Furnisher, room: int) -> bool:
+    """A bed with its head to a wall, and nightstands beside it if they fit."""
+    for _ in range(3):  # beds vary a lot in width
+        made = f.make("bed")
+        double = made.size[1] > 1.3
+        corner, middle = (0.0, 0.4) if double else (0.5, 0.0)
+        sites = f.along_walls(room, made.size, corner=corner, middle=middle, side=0.06)
+        wide = sites + np.array([0, 0, 0, 0.45, 0, 0])
+        sites[:, 5] += 0.6 * f.inside(f.space[room], wide) * double
+        bed = f.settle(made, room, sites, front=0.35, reserve=False)
+        if bed:
+            break
+    else:
+        return False
+    stand = f.make("nightstand")
+    for side in (1, -1) if f.rng.random() < 0.8 else (1,):
+        left = side * (bed.box[3] + stand.size[1] / 2 + 0.04)
+        box = relative(bed.box, stand.size[0] / 2 - bed.box[2], left, stand.size)
+        f.settle(stand, room, candidates((box[None], 0.0)), front=0.3, reserve=False)
+    return True
+
+
+def fit_kitchen(f: Furnisher, room: int) -> bool:
+    """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
+    start, first = f.mark(), f.make("cabinet")
+    units = {"sink": f.make("sink", "grey"), "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
+    cabinets = [first, *(f.make("cabinet", first.colour) for _ in range(2))]
+    for row in map(str.split, _ROWS):
+        for cabinet in sorted(cabinets, key=lambda made: -made.size[1])[0 if "cabinet" in row else 2 :]:
+            every = units | {"cabinet": cabinet}
+            if _row(f, room, [every[name] for name in row]):
+                if all([_at_wall(f, room, made, 0.6) for name, made in every.items() if name not in row]):
+                    return True
+                f.back_to(start)
+    return False
+
+
+def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
+    """Place units side by side, flush with each other, at the longest wall that is long enough."""
+    widths = np.array([model.size[1] for model in units]) + 0.004
+    starts = np.cumsum([0.0, *widths])
+    faces = [face for face in f.faces if face.room == room]
+    for face in sorted(faces, key=lambda face: face.start - face.end):
+        free = face.end - face.start - 2 * GAP - starts[-1]
+        if free < 0:
+            continue
+        for turned in f.rng.permutation(2):
+            for offset in (0.0, free, f.rng.uniform(0, free)):
+                middle = face.start + GAP + offset + starts[:-1] + widths / 2
+                if turned:  # the row in reverse order
+                    middle = face.start + face.end - middle
+                boxes = [on_face(face, middle[[i]], GAP, model.size) for i, model in enumerate(units)]
+                zone = before(np.concatenate(boxes), 0.7)
+                fit = all(_unit_fits(f, room, model, box) for model, box in zip(units, boxes, strict=True))
+                if not fit or not f.open_before(room, zone).all():
+                    continue
+                if f.set_down([(model, box[0]) for model, box in zip(units, boxes, strict=True)], room):
+                    f.kept.extend(zone)
+                    return True
+    return False
+
+
+def _unit_fits(f: Furnisher, room: int, model: Model, box: np.ndarray) -> bool:
+    """Whether a unit fits into its place ``(1, 5)`` in a row; only a sink, with its tap, may stand before a window."""
+    sill = 1.0 if model.category == "sink" else model.height
+    return bool(f.fits(room, box, (0.0, model.height), 0.004)[0] and f.beside_windows(box, sill)[0])
+
+
+def fit_bathroom(f: Furnisher, room: int) -> bool:
+    """Toilet, sink and, where it fits, a bathtub."""
+    start = f.mark()
+    fixtures = [f.make("toilet"), f.make("sink", "white")]
+    for bathtub in (True, True, True, False, False):
+        if bathtub:
+            _at_wall(f, room, f.make("bathtub"), 0.45, side=GAP)
+        if all(_at_wall(f, room, made, 0.5, side=0.15) for made in fixtures):
+            return True
+        f.back_to(start)
+    return False
+
+
+def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0.03) -> bool:
+    return f.settle(made, room, f.along_walls(room, made.size, corner=0.6, side=side), front=front) is not None
+
+
+# --- what is no obstacle ----------------------------------------------------------------------------------------------
+
+
 def rug(f: Furnisher, room: int) -> None:
     """A rug: under the coffee table or the dining table, beside the bed, or where the floor is free."""
     made = f.make("rug")
     size = made.size
-    sites = in_room(f.floor, room, size, f.rng, 30)
-    sites = Sites(sites.boxes, np.where(f.floor.clear(sites.boxes), sites.scores, -np.inf))
+    anywhere = f.in_room(room, size, 30)
+    sites = [anywhere[f.clear(anywhere)]]
     for category, bonus in (("coffee table", 3.0), ("table", 2.0)):
         for table in f.of(category, room):
             boxes = np.array([relative(table.box, 0, 0, size, turn) for turn in (0.0, math.pi / 2)])
-            sites = joined(sites, Sites(boxes, np.array([bonus + 0.1, bonus])))
+            sites.append(candidates((boxes, np.array([bonus + 0.1, bonus]))))
     for bed in f.of("bed", room):
-        boxes = [relative(before(bed.box, 1.0)[0], 0, 0, size)]
-        for side in (-1, 1):
-            out = side * float(bed.box[3] + size[0] / 2 - 0.1)
-            boxes.append(relative(bed.box, 0.2, out, size, math.pi / 2))
-        sites = joined(sites, Sites(np.array(boxes), np.full(3, 1.0)))
-    doors = [from_rectangle(d.leaf_box) for d in f.floor.plan.doorways if d.leaf_box is not None]
-    others = [piece.box for piece in f.of("rug")]
-    good = np.isfinite(sites.scores) & f.floor.inside(room, sites.boxes) & untouched(sites.boxes, doors + others)
-    for place in sites.best(good, 1):
-        f.record(made, room, sites.boxes[place], 0.0, solid=False)
+        out = bed.box[3] + size[0] / 2 - 0.1
+        beside = [relative(bed.box, 0.2, side * out, size, math.pi / 2) for side in (-1, 1)]
+        sites.append(candidates((np.array([relative(before(bed.box, 1.0)[0], 0, 0, size), *beside]), 1.0)))
+    every = np.concatenate(sites)
+    doors = [from_rectangle(d.leaf_box) for d in f.plan.doorways if d.leaf_box is not None]
+    good = f.inside([room], every) & untouched(every, doors + [piece.box for piece in f.of("rug")])
+    for box in every[best(every, good, 1), :5]:
+        f.record(made, room, box, 0.0)
 
 
 def painting(f: Furnisher, room: int) -> None:
     """A picture on a free patch of wall, best over a sofa, a bed or a low piece."""
     made = f.make("painting")
-    depth, width, height = (float(length) for length in made.size)
-    z = min(_EYE_LEVEL + 0.08, f.floor.plan.height - height / 2 - 0.25)
-    low = [p for p in f.pieces if p.room == room and p.category in ("sofa", "bed", "dresser", "desk")]
+    depth, width, height = made.size
+    z = min(_EYE_LEVEL + 0.08, f.plan.height - height / 2 - 0.25)
+    low = [p.box for p in f.pieces if p.room == room and p.category in ("sofa", "bed", "dresser", "desk")]
     found = []
-    for face in f.floor.faces:
+    for face in f.faces:
         free = face.end - face.start - width - 0.3
         if face.room != room or free < 0:
             continue
         along = face.start + 0.15 + width / 2 + free * np.concatenate([[0.5], f.rng.random(6)])
         over = [  # above the middle of a low piece is best
-            piece.box[face.axis] for piece in low
-            if face.start + width / 2 < piece.box[face.axis] < face.end - width / 2
-            and abs(piece.box[1 - face.axis] - face.line) < piece.box[2] + 0.15
+            box[face.axis] for box in low
+            if face.start + width / 2 < box[face.axis] < face.end - width / 2
+            and abs(box[1 - face.axis] - face.line) < box[2] + 0.15
         ]  # fmt: skip
         scores = f.rng.uniform(0, 1, len(along) + len(over)) + np.repeat([0.0, 1.0], [len(along), len(over)])
-        found.append(Sites(on_face(face, np.append(along, over), 0.0, made.size), scores))
-    sites = joined(*found)
-    wide = advanced(sites.boxes, 0.18 - depth / 2)  # free air around and before it
+        found.append((on_face(face, np.append(along, over), 0.0, made.size), scores))
+    sites = candidates(*found)
+    wide = advanced(sites, 0.18 - depth / 2)  # free air around and before it
     wide[:, 2], wide[:, 3] = 0.18, wide[:, 3] + 0.1
-    good = f.floor.fits(room, wide, (z - height / 2 - 0.04, z + height / 2 + 0.04), 0.0, kept=False)
-    good &= f.floor.beside_windows(wide, z + height / 2)
-    good &= untouched(wide, [from_rectangle(d.approach(0.4, 0.1)) for d in f.floor.plan.doorways])
-    for place in sites.best(good, 1):
-        box = sites.boxes[place]
-        f.floor.solid.append(np.concatenate([box, (z - height / 2, z + height / 2)]))
-        back = box[:2] - depth / 2 * np.array([math.cos(box[4]), math.sin(box[4])])
+    good = f.fits(room, wide, (z - height / 2 - 0.04, z + height / 2 + 0.04), 0.0, kept=False)
+    good &= f.beside_windows(wide, z + height / 2)
+    good &= untouched(wide, [from_rectangle(d.approach(0.4, 0.1)) for d in f.plan.doorways])
+    for box in sites[best(sites, good, 1), :5]:
+        f.solid.append(np.array([*box, z - height / 2, z + height / 2]))
+        back = advanced(box, -depth / 2)[0, :2]
         f.pieces.append(Piece(room, made, box, np.array([*back, z]), solid=False))
 
 
@@ -430,18 +410,18 @@ def small_things(f: Furnisher) -> None:
             if (room < 0).any():
                 continue
             forward, left = f.rng.uniform(-room, room)
-            box = relative(piece.box, forward, left, made.size, float(f.rng.uniform(-0.6, 0.6)))
+            box = relative(piece.box, forward, left, made.size, f.rng.uniform(-0.6, 0.6))
             if untouched(box[None], taken)[0]:
                 taken.append(box)
-                f.record(made, piece.room, box, piece.top, solid=False)
+                f.record(made, piece.room, box, piece.top)
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
     """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` if none fits."""
     made = f.make("ceiling lamp")
-    depth, width, height = (float(length) for length in made.size)
-    ceiling = f.floor.plan.height
-    for part, (x0, y0, x1, y1) in enumerate(f.floor.rooms[room].rectangles):
+    ceiling = f.plan.height
+    air = ceiling - made.height, ceiling
+    for part, (x0, y0, x1, y1) in enumerate(f.rooms[room].rectangles):
         sides = np.array([x1 - x0, y1 - y0])
         if part > 0 and sides.prod() < 2.0:
             continue
@@ -450,11 +430,48 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
             middle = np.array([x0 + x1, y0 + y1]) / 2
             middle[sides.argmax()] += ((i + 0.5) / count - 0.5) * sides.max()
             shifts = np.concatenate([[[0.0, 0.0]], f.rng.normal(0, 0.25, (30, 2)), f.rng.normal(0, 0.6, (60, 2))])
-            boxes = np.array([footprint(x, y, depth, width, 0.0) for x, y in (middle + shifts).tolist()])
-            good = f.floor.fits(room, boxes, (ceiling - height, ceiling), 0.05, kept=False)
-            if good.any():
-                box = boxes[int(good.argmax())]
-                f.floor.solid.append(np.concatenate([box, (ceiling - height, ceiling)]))
-                f.record(made, room, box, ceiling, solid=False)
+            boxes = np.array([[*spot, made.size[0] / 2, made.size[1] / 2, 0.0] for spot in middle + shifts])
+            for box in boxes[f.fits(room, boxes, air, 0.05, kept=False)][:1]:
+                f.solid.append(np.array([*box, *air]))
+                f.record(made, room, box, ceiling)
     if not f.of("ceiling lamp", room):
-        raise NoRoom(f"no place for a lamp in the {f.floor.rooms[room].name}")
+        raise NoRoom(f"no place for a lamp in the {f.rooms[room].name}")
+
+
+# --- colours ----------------------------------------------------------------------------------------------------------
+
+
+def tell_apart(f: Furnisher) -> None:
+    """Recolour single pieces, mostly a chair, so that "the red chair" is one of several chairs.
+
+    Afterwards at least three solid pieces have a unique name although their category occurs more than once, and at
+    least one name occurs several times. Raises `NoRoom` if that fails.
+    """
+    chairs = f.of("chair")
+    odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0
+    for i in f.rng.permutation(len(chairs))[:odd]:
+        _recolour(f, chairs[i])
+    for _ in range(40):
+        solid = [piece for piece in f.pieces if piece.solid]
+        names, categories = Counter(piece.name for piece in solid), Counter(piece.category for piece in solid)
+        unique = [p for p in solid if names[p.name] == 1 and categories[p.category] > 1]
+        repeated = [p for p in solid if names[p.name] > 1]
+        if len(unique) >= _LEAST_UNIQUE and repeated:
+            return
+        # At least two chairs stay alike.
+        pool = [p for p in repeated if p.category not in _FIXED and (p.category != "chair" or names[p.name] > 2)]
+        if not pool:
+            break
+        _recolour(f, pool[f.rng.integers(len(pool))])
+    raise NoRoom("too few pieces to tell apart by colour")
+
+
+def _recolour(f: Furnisher, piece: Piece) -> None:
+    """Build `piece` again in a colour that no other of its category has, if its size stays the same."""
+    taken = {other.model.colour for other in f.of(piece.category)}
+    colours = [colour for colour in KINDS[piece.category].colours if colour not in taken]
+    for colour in f.rng.permutation(colours).tolist():
+        model = build(piece.category, colour, np.random.default_rng(piece.model.seed))
+        if np.allclose(model.size, piece.model.size, atol=2e-3):
+            f.pieces[f.pieces.index(piece)] = replace(piece, model=model)
+            return

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from eagor._extras import need
+from eagor.lab.worlds.apartment.textures import REPEAT, material
 from eagor.lab.worlds.scene import Material
 
 need("an apartment", "sim", "trimesh")
@@ -59,16 +60,32 @@ def part(mesh: Mesh, material: Material, repeat: float | tuple[float, float] = 1
     return Part(mesh.vertices, mesh.triangles, uv.astype(np.float32), material)
 
 
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """A material and the metres that one repeat of its texture measures; called with meshes, it makes a `Part`."""
+
+    material: Material
+    repeat: float
+
+    def __call__(self, *meshes: Mesh) -> Part:
+        return part(merged(*meshes), self.material, self.repeat)
+
+
+def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
+    """What covers meshes with a material of a kind of `REPEAT`, in a tone of a named colour; None for its default."""
+    return Cover(material(kind, colour, rng), REPEAT[kind])
+
+
 def moved(mesh: Mesh, offset: Triple) -> Mesh:
     """`mesh` shifted by `offset` ``(3,)`` metres."""
-    return Mesh(mesh.vertices + np.asarray(offset, dtype=np.float32), mesh.triangles, mesh.uv)
+    return replace(mesh, vertices=mesh.vertices + np.asarray(offset, dtype=np.float32))
 
 
 def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) -> Mesh:
     """`mesh` turned by a rotation matrix ``(3, 3)`` about a point; see `eagor.sphere.rotation`."""
     centre = np.asarray(about, dtype=np.float64)
     vertices = (mesh.vertices - centre) @ np.asarray(rotation, dtype=np.float64).T + centre
-    return Mesh(vertices.astype(np.float32), mesh.triangles, mesh.uv)
+    return replace(mesh, vertices=vertices.astype(np.float32))
 
 
 def merged(*meshes: Mesh) -> Mesh:
@@ -93,10 +110,7 @@ def turned_about_z(angle: float) -> np.ndarray:
 def placed(parts: Sequence[Part], angle: float, position: Triple) -> tuple[Part, ...]:
     """Parts of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
     rotation, offset = turned_about_z(angle), np.asarray(position, dtype=np.float64)
-    return tuple(
-        Part((part.vertices @ rotation.T + offset).astype(np.float32), part.triangles, part.uv, part.material)
-        for part in parts
-    )
+    return tuple(replace(part, vertices=(part.vertices @ rotation.T + offset).astype(np.float32)) for part in parts)
 
 
 def planar_uv(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> np.ndarray:
