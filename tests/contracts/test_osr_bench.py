@@ -204,7 +204,7 @@ def test_bad_settings_say_what_is_wanted(data: Path, settings: dict[str, Any], w
 
 def test_the_truth_is_refused_where_a_scene_lacks_it(data: Path) -> None:
     next(data.rglob("physical_truth.json")).unlink()
-    with pytest.raises(FormatError, match=r"1 of 1 scenes have no physical_truth\.json"):
+    with pytest.raises(FormatError, match=r"physical_truth\.json is not a room"):
         config(data, agent="eagor", perception="truth")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import pytest
 
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.osr.bench import Eagor, record_of
+from eagor.lab.tasks.osr.bench import Eagor, Reply, record_of
 from eagor.lab.tasks.osr.data import Question, Scene, load
 from eagor.lab.tasks.osr.geometry import SceneLayout, Spot, layout_from, true_layout
 from eagor.lab.tasks.osr.scoring import DIRECTION
@@ -56,7 +56,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def scores(data: Path, agent: Callable[[Scene, Question], object], tag: str) -> list[float]:
+def scores(data: Path, agent: Callable[[Scene, Question], Reply], tag: str) -> list[float]:
     """The scores of the questions for directions with this tag, left and right as in the room."""
     config = configure(load_task("osr"), {"data": str(data), "agent": "constant", "labels": "corrected"})
     asked = [(scene, q) for scene in load(data) for q in scene.questions if q.skill == DIRECTION]
@@ -64,7 +64,7 @@ def scores(data: Path, agent: Callable[[Scene, Question], object], tag: str) -> 
     return [record["score"] for record in records if tag in ("", *record["tags"])]
 
 
-def on_a_circle(scene: Scene, names: tuple[str, ...]) -> SceneLayout:
+def on_a_circle(scene: Scene, names: Sequence[str]) -> SceneLayout:
     """All that bearings tell: every thing at the same range."""
     placed = true_layout(scene, names).placed
     return SceneLayout([replace(each, xy=tuple(np.divide(each.xy, math.hypot(*each.xy)))) for each in placed])

@@ -31,6 +31,7 @@ from eagor.lab.tasks.osr.geometry import (
     direction_between,
     layout_from,
     nearest,
+    read_room,
     true_layout,
 )
 from eagor.lab.tasks.osr.scoring import (
@@ -242,12 +243,6 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     truths = {labels: question.truth(labels) for labels in wanted}
     scores = {labels: score(skill, truth, reply.text, think) for labels, truth in truths.items()}
     truth, main = truths[wanted[0]], scores[wanted[0]]
-    why = None
-    if main < 1 and reply.notes.get("problem"):
-        why = "missed"
-    elif main < 1:
-        why = mistake(truth, reply.text, think) if skill == DIRECTION else None
-        why = why or ("range guessed" if reply.notes.get("guessed") else "wrong")
     record: dict[str, Any] = {
         "case": question.id,
         "cluster": scene.id,
@@ -258,7 +253,7 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
         "question": question.text,
         "tags": tags(scene.layout, question.names, question.answer) if skill == DIRECTION else [],
         "answer": reply.text,
-        "cause": why,
+        "cause": cause(skill, truth, reply, think) if main < 1 else None,
     }
     if skill == MAP:
         found = score_map(truth, reply.text)
@@ -271,6 +266,14 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     if reply.notes:
         record["steps"] = [reply.notes]
     return record
+
+
+def cause(skill: str, truth: Any, reply: Reply, think: bool) -> str:
+    """The cause of a wrong answer."""
+    if reply.notes.get("problem"):
+        return "missed"
+    found = mistake(truth, reply.text, think) if skill == DIRECTION else None
+    return found or ("range guessed" if reply.notes.get("guessed") else "wrong")
 
 
 def _of(skill: str, labels: str | None = None) -> Callable[[Record], float | None]:
@@ -352,18 +355,13 @@ class OsrBench(PublishedTask):
         ]
 
     def check(self, config: OsrConfig) -> None:
-        kind, _, options = (config.perception or "").partition(":")
-        if kind != TRUTH:
-            return shared(config.perception) if config.perception else None
-        if options:
-            raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
-        scenes = load(Path(config.data), config.suffix)
-        without = [scene.id for scene in scenes if not (scene.folder / FILE).is_file()]
-        if without:
-            raise FormatError(
-                f"{len(without)} of {len(scenes)} scenes have no {FILE}, which the perception truth reads, such as "
-                f"{without[0]}; give the folder of those that have it, or name another perception"
-            )
+        if config.perception and config.perception.partition(":")[0] != TRUTH:
+            shared(config.perception)
+        elif config.perception:
+            if config.perception != TRUTH:
+                raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
+            for scene in load(Path(config.data), config.suffix):
+                read_room(scene.folder)  # all of them, before the run
 
     def runner(self, config: OsrConfig) -> Callable[[Payload], Record]:
         questions, agent = questions_of(config.data, config.suffix), open_agent(config)

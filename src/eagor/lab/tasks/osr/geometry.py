@@ -340,7 +340,7 @@ class Room(msgspec.Struct):
 
 def read_room(folder: Path) -> Room:
     """The room of a scene's folder. Raises `FormatError` if there is none."""
-    return read_json(folder / FILE, Room, f"is not a room as described in {__name__}")
+    return read_json(folder / FILE, Room, f"is not a room (see {__name__}.Room), which the perception truth reads")
 
 
 def true_layout(scene: Scene, names: Sequence[str]) -> SceneLayout:
