@@ -6,26 +6,25 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from PIL import Image
 
-from eagor.lab.tasks.osr.detections import FILE, Body, Room
-from eagor.lab.tasks.osr.geometry import FloorLine, layout_from
+from eagor.lab.tasks.osr.geometry import FILE, Body, Room, Spot, layout_from
 from eagor.lab.tasks.osr.scoring import (
     COUNTING,
     DIRECTION,
     DISTANCE,
     MAP,
+    Grid,
     Layout,
     direction_label,
     distance_label,
-    grid_of,
 )
 
 LEAST = 5  # categories: with fewer the benchmark does not ask about distances and directions
 NAME = "ReplicaPano-made-here"
-CORNERS = np.array([[4.0, 3.5], [-4.0, 3.5], [-4.0, -3.5], [4.0, -3.5]])
-PLACES = {
+PLACES: dict[str, list[Spot]] = {
     "tv": [(3.5, 0.3)],
     "sofa": [(-3.0, 0.5)],
     "chair": [(1.2, 2.4), (-0.8, -2.5)],
@@ -40,36 +39,41 @@ def write(tmp_path: Path) -> Path:
     folder = tmp_path / "data" / "nested" / NAME
     folder.mkdir(parents=True)
     Image.fromarray(np.full((64, 128, 3), 90, dtype=np.uint8)).save(folder / "rgb.png")
-    square = 0.2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    bodies = [Body(name, np.array(xy) + square, 0.0, 0.7) for name, where in PLACES.items() for xy in where]
-    write_room(Room(tuple(bodies), 1.5, FloorLine(CORNERS)), folder)
-    layout = layout_from(PLACES, mirror=True)
-    counts = {name: len(where) for name, where in PLACES.items()}
-    (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
-    for kind, more in (("qa", []), ("qa_with_negative", ["bed", "piano"])):
-        turns = list(conversation(layout, counts, [*counts, *more], 8, np.random.default_rng(5)))
-        turns.append({**turns[-1], "turn_id": 99, "answer": ""})
-        entry = {"image_id": f"data/{NAME}/rgb.png", "pre_prompt": "", "conversation": turns}
-        (folder / f"{NAME}_{kind}.json").write_text(json.dumps(entry))
+    write_scene(folder, PLACES, layout_from(PLACES, mirror=True), ["bed", "piano"], 8, np.random.default_rng(5))
     return tmp_path / "data"
 
 
-def write_room(room: Room, folder: Path) -> None:
-    """Write the truth about a room into a scene's folder."""
-    objects = []
-    for body in room.bodies:
-        (x, y), sides = _to_right(body.centre[None])[0], np.ptp(body.footprint, axis=0)[::-1]
-        objects.append({
-            "name": body.name, "xy": [x, y], "size": [*sides, body.high - body.low],
-            "z_centre": (body.low + body.high) / 2, "corners": _to_right(body.footprint),
-        })  # fmt: skip
-    walls = {} if room.walls is None else {"walls": _to_right(room.walls.points)}
-    (folder / FILE).write_text(json.dumps({"camera": room.camera, "objects": objects, **walls}))
+def write_scene(
+    folder: Path,
+    places: Mapping[str, Sequence[Spot]],
+    layout: Layout,
+    absent: Sequence[str],
+    most: int,
+    rng: np.random.Generator,
+) -> None:
+    """Write the files of a scene, without a picture: true places (x forward, y left), layout, and questions.
+
+    `absent`: what the files with negative questions ask for, too. At most `most` questions of a kind are asked; the
+    last turn of each file has an empty answer.
+    """
+    bodies = [Body(name, (-y, x), 0.35) for name, where in places.items() for x, y in where]
+    (folder / FILE).write_bytes(msgspec.json.encode(Room(bodies)))
+    counts = {name: len(where) for name, where in places.items()}
+    (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
+    for kind, more in (("qa", []), ("qa_with_negative", absent)):
+        turns = list(conversation(layout, counts, [*counts, *more], most, rng))
+        turns.append({**turns[-1], "turn_id": 99, "answer": ""})
+        entry = {"image_id": f"data/{folder.name}/rgb.png", "pre_prompt": "", "conversation": turns}
+        (folder / f"{folder.name}_{kind}.json").write_text(json.dumps(entry))
 
 
-def _to_right(points: np.ndarray) -> list[list[float]]:
-    """From x forward, y left to x right, y forward."""
-    return np.stack([-points[:, 1], points[:, 0]], axis=1).round(4).tolist()
+def grid_of(layout: Layout, size: int = 10) -> Grid:
+    """The grid of a layout, as published."""
+    grid: Grid = [[[] for _ in range(size)] for _ in range(size)]
+    for name, where in layout.items():
+        for row, column in where:
+            grid[row][column].append(name)
+    return grid
 
 
 def conversation(

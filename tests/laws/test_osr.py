@@ -10,53 +10,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from osr_data import counting, direction, distance, mapping, write_room
+from osr_data import counting, direction, distance, grid_of, mapping
 from strategies import at_most
 
-from eagor.errors import DirectionError, FormatError
+from eagor import sphere
+from eagor.errors import FormatError
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
-from eagor.lab.tasks.osr import direction_label, distance_label, lenient, score, score_map, swapped
-from eagor.lab.tasks.osr.data import read
-from eagor.lab.tasks.osr.detections import Body, Room, detections_in, extent, read_room, true_detections
-from eagor.lab.tasks.osr.geometry import (
-    MARGIN,
-    Detection,
-    FloorLine,
-    Placed,
-    direction_between,
-    draw,
-    enclosing,
-    floor_range,
-    layout_from,
-    place,
-)
-from eagor.lab.tasks.osr.scoring import (
-    COUNTING,
-    DIRECTION,
-    DIRECTIONS,
-    DISTANCE,
-    ERRORS,
-    MAP,
-    NO_CANDIDATE,
-    NO_OBJECT,
-    NO_POSITION,
-    NOT_UNIQUE,
-    SIZE,
-    grid_of,
-    is_tied,
-    layout_of,
-    mirrored,
-    read_map,
-    steps,
-    turned,
-)
+from eagor.lab.tasks.osr import data, direction_label, distance_label, geometry, score, score_map, scoring, swapped
+from eagor.lab.tasks.osr.geometry import MARGIN, Detection, direction_between, layout_from, place
+from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DIRECTIONS, DISTANCE, ERRORS, MAP, SIZE, is_tied
 
 CELLS = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)).map(list), min_size=1, max_size=3)
 LAYOUTS = st.fixed_dictionaries({"a": CELLS.map(lambda cells: cells[:1]), "b": CELLS, "c": CELLS})
 HEIGHT = 1.5
-BOX = FloorLine(np.array([[3.0, 2.0], [-3.0, 2.0], [-3.0, -2.0], [3.0, -2.0]]))
 
 
 # --- labels ---
@@ -67,25 +35,32 @@ def test_a_mirrored_layout_exchanges_left_and_right(layout: dict[str, list[list[
     # Among equally near cells the smallest angle decides, and a mirror changes angles.
     if is_tied(layout, "a", "b") or is_tied(layout, "a", "c"):
         return
-    other = layout_of(mirrored(grid_of(layout)))
+    other = {name: [[row, SIZE - 1 - column] for row, column in where] for name, where in layout.items()}
     assert direction_label(other, "a", "b", "c") == swapped(direction_label(layout, "a", "b", "c"))
+
+
+def turned(layout: dict[str, list[list[int]]], quarters: int) -> dict[str, list[list[int]]]:
+    """The layout turned clockwise by this many quarters."""
+    for _ in range(quarters):
+        layout = scoring.turned(layout)
+    return layout
 
 
 @given(LAYOUTS, st.integers(1, 3))
 def test_a_turned_layout_has_the_same_labels(layout: dict[str, list[list[int]]], quarters: int) -> None:
     if is_tied(layout, "a", "b") or is_tied(layout, "a", "c"):
         return
-    other = layout_of(turned(grid_of(layout), quarters))
+    other = turned(layout, quarters)
     assert direction_label(other, "a", "b", "c") == direction_label(layout, "a", "b", "c")
 
 
 def test_the_errors_are_said_in_the_published_order() -> None:
     layout = {"a": [[0, 0]], "b": [[1, 1], [2, 2]]}
-    assert direction_label(layout, "z", "a", "b") == NO_POSITION
-    assert direction_label(layout, "b", "z", "a") == NOT_UNIQUE
-    assert direction_label(layout, "a", "b", "z") == NO_OBJECT
-    assert distance_label(layout, "a", ["y", "z"]) == NO_CANDIDATE
-    assert steps(layout, "a", "z", "b") == NO_OBJECT
+    assert direction_label(layout, "z", "a", "b") == scoring.NO_POSITION
+    assert direction_label(layout, "b", "z", "a") == scoring.NOT_UNIQUE
+    assert direction_label(layout, "a", "b", "z") == scoring.NO_OBJECT
+    assert distance_label(layout, "a", ["y", "z"]) == scoring.NO_CANDIDATE
+    assert scoring.steps(layout, "a", "z", "b") == scoring.NO_OBJECT
 
 
 @pytest.mark.parametrize("cell", [[1], [1, 2, 3], [1.5, 2], ["1", 2], [True, 2]])
@@ -110,11 +85,9 @@ def test_counting_gives_partial_credit_for_the_first_number() -> None:
     assert score(COUNTING, "3", "three") == 0
 
 
-def test_the_published_scorer_minds_a_full_stop_and_the_lenient_one_does_not() -> None:
+def test_the_published_scorer_minds_a_full_stop() -> None:
     assert score(DIRECTION, "Front Left", "front-left.") == 0
-    assert lenient(DIRECTION, "Front Left", "It is to the front-left.") == 1
-    assert lenient(DIRECTION, "Front Left", "front, or rather back-left") == 0
-    assert lenient(DISTANCE, "coffee_table", "The coffee table is the closest") == 1
+    assert score(DIRECTION, "Front Left", "front-left") == 1
 
 
 def test_a_skill_or_a_count_that_is_none_is_an_error() -> None:
@@ -127,7 +100,7 @@ def test_a_skill_or_a_count_that_is_none_is_an_error() -> None:
 @given(LAYOUTS, st.integers(0, 3))
 def test_the_true_map_scores_one_however_it_is_turned(layout: dict[str, list[list[int]]], quarters: int) -> None:
     grid = grid_of(layout)
-    said = layout_of(turned(grid, quarters))
+    said = turned(layout, quarters)
     reply = json.dumps({name: [[column, row] for row, column in where] for name, where in said.items()})
     found = score_map(grid, f"Here it is:\n```json\n{reply}\n```")
     assert (found.f1, found.overall["chair_i"]) == (1.0, 0.0)
@@ -141,13 +114,14 @@ NAMED = st.dictionaries(st.sampled_from("abcde"), CELLS, min_size=1, max_size=4)
 @given(NAMED, NAMED)
 def test_the_published_f1_lies_between_the_least_and_the_most(layout: dict, said: dict) -> None:
     reply = json.dumps({name: [[column, row] for row, column in where] for name, where in said.items()})
-    found, there = score_map(grid_of(layout), reply), layout_of(grid_of(layout))
+    found = score_map(grid_of(layout), reply)
+    there, first = scoring.layout_of(grid_of(layout)), scoring.layout_of(grid_of(said))
     # As published: the totals are those at the last category that both have, in an order that depends on hash seeds.
     by_order = []
     for order in itertools.permutations(sorted({*layout} | {*said})):
         best = 0.0
         for quarters in range(4):
-            mine, right, named, true, f1 = layout_of(turned(grid_of(said), quarters)), 0, 0, 0, 0.0
+            mine, right, named, true, f1 = turned(first, quarters), 0, 0, 0, 0.0
             for name in order:
                 named, true = named + len(mine.get(name, ())), true + len(there.get(name, ()))
                 if name in there and name in mine:
@@ -159,7 +133,7 @@ def test_the_published_f1_lies_between_the_least_and_the_most(layout: dict, said
     assert found.f1_most == pytest.approx(max(by_order))
     overall = found.overall
     assert (overall["tp"] + overall["fp"], overall["tp"] + overall["fn"]) in (
-        (sum(map(len, layout_of(grid_of(said)).values())), sum(map(len, there.values()))),
+        (sum(map(len, said.values())), sum(map(len, layout.values()))),
         (0, 0),  # nothing in common: as published, nothing is counted
     )
     for key in ("tp", "fp", "fn"):
@@ -177,7 +151,7 @@ def matched(true: list, named: list) -> int:
 
 @pytest.mark.parametrize("reply", ["", "no map", "}{", '{"a": 3}', '{"a": [[1]]}', '{"a": [[0.5, 1]]}', "{]}"])
 def test_a_reply_without_a_map_scores_nothing(reply: str) -> None:
-    assert read_map(reply) is None
+    assert scoring.read_map(reply) is None
     assert score_map(grid_of({"a": [[1, 1]]}), reply).f1 == 0
 
 
@@ -192,8 +166,8 @@ def test_questions_are_read_back() -> None:
         (mapping(["tv", "bed"]), MAP, ("tv", "bed")),
     ]
     for text, skill, names in asked:
-        assert read(text) == (skill, names)
-    assert read("What colour is the sofa?") is None
+        assert data.read(text) == (skill, names)
+    assert data.read("What colour is the sofa?") is None
 
 
 # --- geometry ---
@@ -201,8 +175,8 @@ def test_questions_are_read_back() -> None:
 
 @given(st.floats(0.3, 15), st.floats(0.5, 3))
 def test_a_foot_tells_the_range(away: float, height: float) -> None:
-    assert floor_range(-math.atan2(height, away), height) == pytest.approx(away)
-    assert floor_range(0.01, height) is None
+    assert geometry.floor_range(-math.atan2(height, away), height) == pytest.approx(away)
+    assert geometry.floor_range(0.01, height) is None
 
 
 @given(st.floats(1, 6), st.floats(-3, 3), st.floats(0.05, 0.4))
@@ -215,39 +189,19 @@ def test_the_height_of_the_camera_scales_the_room_and_changes_no_answer(
         Detection("q", azimuth - 2, -0.3, bottom=-0.3, half_width=half),
     ]
     answers = {
-        direction_between(P, [O], [Q]) for P, O, Q in (place(things, height) for height in (0.01, 0.02))
+        direction_between(P.xy, [O.xy], [Q.xy]) for P, O, Q in (place(things, height) for height in (0.01, 0.02))
     }  # so low that nothing is deeper than its outline says
     assert len(answers) == 1
 
 
 def test_who_faces_ahead_has_the_left_on_the_left() -> None:
-    me, ahead, left, behind = (
-        Placed("p", (0, 0), "contact"),
-        *(Placed("x", xy, "contact") for xy in ((2.0, 0.0), (0.5, 2.0), (-1.0, -1.0))),
-    )
+    me, ahead, left, behind = (0.0, 0.0), (2.0, 0.0), (0.5, 2.0), (-1.0, -1.0)
     assert direction_between(me, [ahead], [left]) == "Front Left"
     assert direction_between(me, [ahead], [behind]) == "Back Right"
     assert direction_between(me, [behind, ahead], [left]) == "Back Right"  # the nearest is behind
 
 
-def test_what_hangs_on_a_wall_has_the_range_of_the_wall() -> None:
-    assert BOX.range_at(0.0) == pytest.approx(3)
-    assert BOX.range_at(math.pi / 2) == pytest.approx(2)
-    painting = Detection("painting", 0.3, 0.1, bottom=-0.05, top=0.2, contact=False)
-    found = place([painting], HEIGHT, BOX)[0]
-    assert (found.source, found.xy) == ("wall", pytest.approx((3.0, 3 * math.tan(0.3))))
-
-
-def test_what_stands_on_a_thing_has_its_range_and_what_hangs_behind_it_has_not() -> None:
-    table = Body("table", np.array([[1.5, -0.4], [2.3, -0.4], [2.3, 0.4], [1.5, 0.4]]), 0.0, 0.75)
-    vase = Body("vase", np.array([[1.8, -0.1], [2.0, -0.1], [2.0, 0.1], [1.8, 0.1]]), 0.75, 1.0)
-    picture = Body("clockwork", np.array([[2.95, -0.2], [3.0, -0.2], [3.0, 0.2], [2.95, 0.2]]), 0.9, 1.3)
-    found = place(true_detections(Room((table, vase, picture), HEIGHT, BOX)), HEIGHT, BOX)
-    assert [each.source for each in found] == ["contact", "support", "wall"]
-    assert np.hypot(*found[1].xy) == pytest.approx(1.9, abs=0.25)
-
-
-def test_without_walls_what_hangs_is_put_behind_what_stands() -> None:
+def test_what_hangs_is_put_behind_what_stands() -> None:
     standing = [Detection("x", azimuth, -0.3, foot=-0.5) for azimuth in (0.785, 2.356, -0.785, -2.356)]
     hanging = Detection("window", 0.4, 0.1, contact=False)
     *others, window = place([*standing, hanging], HEIGHT)
@@ -260,54 +214,17 @@ def test_without_walls_what_hangs_is_put_behind_what_stands() -> None:
 def test_things_in_the_corners_tell_the_walls(x: float, y: float, share: float, turn: float) -> None:
     corners = [(x, y), (-x, y), (-x, -y), (x, -y)]
     known = [(math.atan2(b, a) + turn, math.hypot(a, b)) for a, b in corners]
+
+    def enclosing(known: list[tuple[float, float]]) -> geometry.Box | None:
+        return geometry.enclosing([(away * math.cos(azimuth), away * math.sin(azimuth)) for azimuth, away in known])
+
     found = enclosing(known)
     assert found is not None
     azimuth = share * math.pi
     wanted = min((x + MARGIN) / max(abs(math.cos(azimuth)), 1e-9), (y + MARGIN) / max(abs(math.sin(azimuth)), 1e-9))
-    assert found.range_at(azimuth + turn) == pytest.approx(wanted)
+    assert geometry.range_to(found, azimuth + turn) == pytest.approx(wanted)
     assert enclosing(known[:2]) is None
     assert enclosing([(0.1, 2.0), (0.2, 2.5), (0.3, 2.0)]) is None  # all on one side
-
-
-def test_the_walls_know_the_axes_of_the_room() -> None:
-    angle = 0.4
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    corners = np.concatenate(
-        [np.linspace(BOX.points[k], BOX.points[(k + 1) % 4], 40, endpoint=False) for k in range(4)]
-    )
-    assert FloorLine(corners @ turn.T).axis == pytest.approx(angle, abs=1e-6)
-    with pytest.raises(DirectionError, match="at least 3 points"):
-        FloorLine(np.zeros((2, 2)))
-
-
-# --- samples ---
-
-
-def room_of(rng: np.random.Generator, count: int = 7) -> list[Placed]:
-    return [Placed(f"n{k}", tuple(rng.uniform((-3, -2), (3, 2)).tolist()), "contact") for k in range(count)]
-
-
-@given(st.integers(0, 200))
-def test_one_of_four_samples_has_the_labels_of_a_layout_along_the_walls(seed: int) -> None:
-    placed = room_of(np.random.default_rng(seed))
-    samples = draw(placed, BOX, np.random.default_rng(0))
-    layout = layout_from({each.name: [each.xy] for each in placed}, mirror=True)
-    assert len(samples.cells) == 4
-    assert any(cells.tolist() == [layout[each.name][0] for each in placed] for cells in samples.cells)
-    for P, O, Q in itertools.islice(itertools.permutations(range(len(placed)), 3), 30):
-        label = swapped(direction_label(layout, f"n{P}", f"n{O}", f"n{Q}"))
-        shares = samples.directions(P, [O], [Q])
-        if label:
-            assert shares[label] >= 0.25
-        assert sum(shares.values()) == pytest.approx(1 if shares else 0)
-
-
-def test_samples_of_uncertain_places_are_surer_far_from_a_border() -> None:
-    far = [Placed("p", (0.0, 0.0), "contact"), Placed("o", (3.0, 0.0), "guess", spread=0.3)]
-    clear = draw([*far, Placed("q", (2.0, 2.0), "guess", spread=0.3)], None, np.random.default_rng(0), 64)
-    close = draw([*far, Placed("q", (2.0, 0.1), "guess", spread=0.3)], None, np.random.default_rng(0), 64)
-    assert clear.directions(0, [1], [2])["Front Left"] > 0.9
-    assert max(close.directions(0, [1], [2]).values()) < 0.9
 
 
 def test_a_layout_has_square_cells_and_the_side_that_is_asked_for() -> None:
@@ -325,51 +242,40 @@ def test_the_box_is_read_back_from_its_evidence() -> None:
     grid = ErpGrid(512, 1024)
     box = np.array([[460.0, 240.0, 560.0, 300.0]])
     evidence = Evidence.from_boxes(box, grid)
-    (found,) = detections_in(evidence, "sofa", 15)
+    (found,) = geometry.detections_in(evidence, "sofa")
     degrees = 180 / 512
     assert math.degrees(found.azimuth) == pytest.approx((512 - 510) * degrees, abs=1.5)
     assert math.degrees(found.half_width) == pytest.approx(50 * degrees, abs=2)
     assert found.bottom is not None
     assert math.degrees(found.bottom) == pytest.approx((256 - 300) * degrees, abs=2.5)
     assert found.contact
-    across = extent(evidence, found.direction)
+    across = geometry.extent(evidence, sphere.direction(found.azimuth, found.elevation))
     assert across is not None
     assert across[0] > across[1] > MIN_SPREAD
 
 
 def test_what_is_not_there_is_not_sighted_and_two_are_two() -> None:
     grid = ErpGrid(512, 1024)
-    assert detections_in(Evidence.from_boxes(np.zeros((0, 4)), grid), "sofa", 15) == []
+    assert geometry.detections_in(Evidence.from_boxes(np.zeros((0, 4)), grid), "sofa") == []
     boxes = np.array([[100.0, 260.0, 160.0, 330.0], [700.0, 260.0, 760.0, 330.0]])
-    assert len(detections_in(Evidence.from_boxes(boxes, grid), "chair", 15)) == 2
+    assert len(geometry.detections_in(Evidence.from_boxes(boxes, grid), "chair")) == 2
 
 
 # --- the truth's file ---
 
 
-def test_a_room_survives_its_file(tmp_path) -> None:
-    body = Body("table", np.array([[1.5, -0.4], [2.3, -0.4], [2.3, 0.4], [1.5, 0.4]]), 0.0, 0.75)
-    write_room(Room((body,), 1.3, BOX), tmp_path)
-    found = read_room(tmp_path)
-    assert found is not None
-    assert (found.camera, found.bodies[0].name) == (1.3, "table")
-    assert found.bodies[0].footprint == pytest.approx(body.footprint)
-    assert found.walls is not None
-    assert found.walls.points == pytest.approx(BOX.points)
-    (tmp_path / "physical_truth.json").write_text('{"objects": [{"name": "x"}]}')
+@pytest.mark.parametrize("room", ['{"objects": [{"name": "x"}]}', '{"objects": [], "camera": 0}', "{", "[]"])
+def test_a_file_that_is_no_room_is_an_error(tmp_path, room: str) -> None:
+    (tmp_path / geometry.FILE).write_text(room)
     with pytest.raises(FormatError, match="is not a room"):
-        read_room(tmp_path)
+        geometry.read_room(tmp_path)
 
 
 def test_exact_feet_give_back_the_places() -> None:
-    rng = np.random.default_rng(3)
-    bodies = []
-    for k in range(12):
-        corner = rng.uniform(-3, 3, 2)
-        side = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * rng.uniform(0.2, 0.8, 2)
-        bodies.append(Body(f"n{k}", corner + side, 0.0, float(rng.uniform(0.2, 2))))
-    for body, found in zip(bodies, place(true_detections(Room(tuple(bodies))), HEIGHT), strict=True):
-        assert found.xy == pytest.approx(tuple(body.centre))
+    middles = np.random.default_rng(3).uniform(-3, 3, (12, 2)).tolist()
+    room = geometry.Room([geometry.Body(f"n{k}", (x, y), 0.4) for k, (x, y) in enumerate(middles)])
+    for (x, y), found in zip(middles, place(geometry.true_detections(room), HEIGHT), strict=True):
+        assert found.xy == pytest.approx((y, -x))  # the file's x is to the right, its y ahead
 
 
 def test_unique_counts_cells_and_not_things() -> None:
@@ -381,13 +287,3 @@ def test_on_a_map_with_north_up_west_is_left_of_north() -> None:
     assert direction_label(layout, "me", "north", "west") == "Left"
     assert direction_label(layout, "me", "north", "south-east") == "Back Right"
     assert direction_label(layout, "me", "north", "north") == "Front"
-
-
-def test_a_foot_beyond_the_wall_is_none() -> None:
-    tv = Detection("tv", 0.0, -0.1, bottom=-0.15, top=0.0)
-    assert place([tv], HEIGHT, BOX)[0] == Placed("tv", (pytest.approx(3.0), 0.0), "wall", 1.0, pytest.approx(0.05))
-
-
-def test_depth_goes_before_all_else() -> None:
-    seen = Detection("lamp", 0.0, 0.2, foot=-0.5, depth=4.0)
-    assert place([seen], HEIGHT)[0].xy == (pytest.approx(4 * math.cos(0.2)), 0.0)

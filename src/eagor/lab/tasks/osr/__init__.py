@@ -4,6 +4,6 @@
 labels: see `eagor.lab.tasks.osr.scoring`.
 """
 
-from eagor.lab.tasks.osr.scoring import direction_label, distance_label, lenient, score, score_map, swapped
+from eagor.lab.tasks.osr.scoring import direction_label, distance_label, score, score_map, swapped
 
-__all__ = ["direction_label", "distance_label", "lenient", "score", "score_map", "swapped"]
+__all__ = ["direction_label", "distance_label", "score", "score_map", "swapped"]

@@ -1,9 +1,18 @@
-"""OSR-Bench for `eagor bench`."""
+"""OSR-Bench for `eagor bench`: its agents, the record of an answer, and the task.
+
+The questions are the data's own. The published runner puts a sentence before a question without a map, and instructions
+for the form of the answer after it: "vanilla" (brief) or "think" (reasoning and answer between tags). Ours are worded
+differently but ask for the same: the same tags, the same eight directions, an integer, a name, or "the exact error
+message if applicable" without saying which messages there are.
+"""
 
 from __future__ import annotations
 
+import math
+import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -11,15 +20,73 @@ import msgspec
 from msgspec import Meta
 
 from eagor.errors import EagorError, FormatError
-from eagor.lab.tasks.osr.agents import AGENTS, LOOKING, Reply, score_reply, work
-from eagor.lab.tasks.osr.data import SUFFIXES, Scene, load, load_kept
-from eagor.lab.tasks.osr.detections import DEPTH_FILE, FILE, HEIGHT, TRUTH, open_detector
-from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS
-from eagor.lab.tasks.published import PublishedConfig, PublishedRecord, PublishedTask, picture_size, score_metric
+from eagor.lab.agents.models import recalibrator, shared, shared_chat
+from eagor.lab.tasks.osr.data import SUFFIXES, Question, Scene, load, questions_of
+from eagor.lab.tasks.osr.geometry import (
+    FILE,
+    HEIGHT,
+    BeliefDetector,
+    Detector,
+    SceneLayout,
+    direction_between,
+    layout_from,
+    nearest,
+    read_room,
+    true_layout,
+)
+from eagor.lab.tasks.osr.scoring import (
+    COUNTING,
+    DIRECTION,
+    DISTANCE,
+    MAP,
+    NO_CANDIDATE,
+    NO_OBJECT,
+    NO_POSITION,
+    NOT_UNIQUE,
+    layout_of,
+    map_text,
+    mistake,
+    score,
+    score_map,
+    tags,
+)
+from eagor.lab.tasks.published import (
+    TALKING,
+    PublishedConfig,
+    PublishedRecord,
+    PublishedTask,
+    picture_size,
+    score_metric,
+)
 from eagor.lab.tasks.task import Payload, Record, Sample, settings_of
+from eagor.media.panorama import read_panorama
+from eagor.perception.vlm import IMAGE, Chat, Message
 
-ALL = "all"
-Reader = Callable[[Record], float | None]
+TRUTH = "truth"
+TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
+AGENTS = {
+    "eagor": "bearings from a belief, ranges from floor contacts",
+    TALKING: "asks the model, with the map or without it (--set suffix=...)",
+    "constant": "gives the same answer to every question of a kind",
+    "oracle": "knows the label (the official one, if both are asked for)",
+}
+
+_BEFORE = "Answer this question about the PANORAMA, using where the centers of its objects are:"
+_DIRECTIONS = "front, back, left, right, front-left, front-right, back-left or back-right"
+_RULES = (
+    "- how many: one integer, 0 if there are none;\n"
+    "- which is the closest: the name of that object alone, or the exact error message if one applies;\n"
+    f"- in which direction: one of {_DIRECTIONS}, or the exact error message if one applies."
+)
+_AFTER = {
+    "vanilla": f"Keep the answer brief, without explanation or any other text. It is for questions that ask\n{_RULES}",
+    "think": (
+        "Think step by step and put all of your reasoning between <think> and </think>. To count, find the objects one "
+        "by one; for the closest, find the object and every candidate and compare the distances; for a direction, "
+        "locate all objects that are named and work out how they lie to each other. Then give the final answer, and "
+        f"nothing else, between <answer> and </answer>. It is for questions that ask\n{_RULES}"
+    ),
+}
 
 
 class OsrConfig(PublishedConfig, kw_only=True):
@@ -33,25 +100,129 @@ class OsrConfig(PublishedConfig, kw_only=True):
         Literal["qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap"],
         Meta(description="which of the published files"),
     ] = "qa_without_cogmap"
-    skill: Annotated[str, Meta(description=f"questions of one kind only: {', '.join((ALL, *SKILLS))}")] = ALL
+    skill: Annotated[
+        Literal["all", "object_counting", "relative_distance", "relative_direction", "cognitive_map"],
+        Meta(description="questions of one kind only"),
+    ] = "all"
     prompt: Annotated[
         Literal["vanilla", "think"],
         Meta(description="what the model is asked for: an answer, or its reasoning first"),
     ] = "vanilla"
-    range: Annotated[
-        Literal["floor", "depth", "unit"], Meta(description="where eagor takes ranges from; unit: no ranges")
-    ] = "floor"
-    reading: Annotated[
-        Literal["auto", "cells", "metres"],
-        Meta(
-            description="eagor answers with the likeliest label after rounding (cells), or from the places; auto: "
-            "cells if the walls are known"
-        ),
-    ] = "auto"
-    camera_height: Annotated[
-        float, Meta(gt=0, description="metres above the floor; it scales the room, and matters with depth values")
-    ] = HEIGHT
-    degree: Annotated[int, Meta(ge=3, le=63, description="of eagor's harmonics")] = 15
+    camera_height: Annotated[float, Meta(gt=0, description="metres above the floor; it scales the room")] = HEIGHT
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An answer for scoring, and notes for the record."""
+
+    text: str
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+def oracle(question: Question, labels: str) -> str:
+    """The label."""
+    truth = question.truth(labels)
+    return map_text(layout_of(truth)) if question.skill == MAP else str(truth)
+
+
+def constant(scene: Scene, question: Question, negative: bool) -> str:
+    """A fixed answer, without looking; with absent categories (`negative`), that something is absent."""
+    if question.skill == MAP:
+        return map_text({name: [[5, 5]] for name in question.names or scene.categories})
+    if question.skill == DIRECTION:
+        return NO_OBJECT if negative else "Front Left"
+    if question.skill == DISTANCE:
+        return question.names[1] if len(question.names) > 1 else NO_CANDIDATE
+    return "1"
+
+
+class Vlm:
+    """Asks a model as the benchmark's runner does; if the scene asks for a map, after the model has drawn it."""
+
+    def __init__(self, chat: Chat, form: str = "vanilla") -> None:
+        self._chat, self._form = chat, form
+        self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map, which is asked for once
+
+    def __call__(self, scene: Scene, question: Question) -> Reply:
+        mapped, text = scene.map_question, f"{question.text} {_AFTER[self._form]}"
+        if mapped is None:
+            return Reply(self._chat([_with_picture(f"{_BEFORE} {text}", scene)]).text)
+        if self._drawn is None or self._drawn[0] != scene.id:
+            request = _with_picture(mapped.text, scene)
+            self._drawn = scene.id, [request], self._chat([request]).text
+        _, requests, drawn = self._drawn
+        if question.skill == MAP:
+            return Reply(drawn)
+        messages = [*requests, Message("assistant", drawn), Message("user", text)]
+        return Reply(self._chat(messages).text, {"map": drawn})
+
+
+def _with_picture(text: str, scene: Scene) -> Message:
+    return Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.picture),))
+
+
+class Eagor:
+    """Answers from the places on the floor of what `look` sees, as they are.
+
+    `negative`: whether questions may ask about absent things; only then does it answer with errors.
+    """
+
+    def __init__(self, look: Detector, negative: bool = False) -> None:
+        self._look, self._negative = look, negative
+        self._kept: tuple[str, SceneLayout] | None = None
+
+    def __call__(self, scene: Scene, question: Question) -> Reply:
+        around, skill, names = self.around(scene), question.skill, question.names
+        places = around.places
+        if skill == MAP:
+            wanted = names or scene.categories
+            return Reply(map_text(layout_from({name: places[name] for name in wanted if name in places})))
+        if not names:
+            return Reply(_guess(question), {"problem": "the question was not understood"})
+        notes, first, others = around.notes(names), places.get(names[0], []), names[1:]
+        if skill == COUNTING:
+            return Reply(str(len(first)), notes)
+        there = [name for name in others if name in places]
+        enough = there if skill == DISTANCE else len(there) == len(others)  # one of the choices; O and Q
+        if self._negative and not (len(first) == 1 and enough):
+            missing = NO_OBJECT if skill == DIRECTION else NO_CANDIDATE
+            return Reply(NOT_UNIQUE if len(first) > 1 else missing if first else NO_POSITION, notes)
+        if not (first and enough):
+            notes["problem"] = "not seen: " + ", ".join(name for name in names if name not in places)
+            return Reply(_guess(question), notes)
+        start = first[0]  # of several the likeliest
+        if skill == DIRECTION:
+            found = direction_between(start, *(places[name] for name in others))
+            return Reply(found or _guess(question), notes)
+        return Reply(min(there, key=lambda name: math.dist(start, nearest(start, places[name]))), notes)
+
+    def around(self, scene: Scene) -> SceneLayout:
+        """The scene as seen: looked at once, for all names in its questions."""
+        if self._kept is None or self._kept[0] != scene.id:
+            self._kept = scene.id, self._look(scene, scene.categories)
+        return self._kept[1]
+
+
+def _guess(question: Question) -> str:
+    """An answer about things that were not seen: ahead, on either side; the first choice; none."""
+    if question.skill == DIRECTION:
+        return ("Front Left", "Front Right")[zlib.crc32(question.id.encode()) % 2]
+    return question.names[1] if question.skill == DISTANCE and len(question.names) > 1 else "0"
+
+
+def open_agent(config: OsrConfig) -> Callable[[Scene, Question], Reply]:
+    """The agent of these settings: answers one question. Raises if there is no reply: that is not a wrong answer."""
+    negative, labels = "with_negative" in config.suffix, "corrected" if config.labels == "corrected" else "official"
+    if config.agent == "constant":
+        return lambda scene, question: Reply(constant(scene, question, negative))
+    if config.agent == "oracle":
+        return lambda scene, question: Reply(oracle(question, labels))
+    if config.agent == TALKING:
+        return Vlm(shared_chat(str(config.model)), config.prompt)
+    if config.perception == TRUTH:
+        return Eagor(true_layout, negative)
+    read = recalibrator(settings_of(config))
+    return Eagor(BeliefDetector(shared(str(config.perception)), config.camera_height, read), negative)
 
 
 class OsrRecord(PublishedRecord, kw_only=True):
@@ -62,49 +233,81 @@ class OsrRecord(PublishedRecord, kw_only=True):
     answer: str
     tags: list[str]  # pyright: ignore[reportGeneralTypeIssues] (here it has no default)
     scores: dict[str, float | None]  # pyright: ignore[reportGeneralTypeIssues]
-    lenient: dict[str, float | None] = msgspec.field(default_factory=dict)
     map_range: dict[str, float | None] = msgspec.field(default_factory=dict)
 
 
-def _score(record: Record) -> float | None:
-    return record["score"]
+def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig) -> dict[str, Any]:
+    """The record of a reply."""
+    skill, think = question.skill, config.prompt == "think"
+    wanted = ("official", "corrected") if config.labels == "both" else (config.labels,)
+    truths = {labels: question.truth(labels) for labels in wanted}
+    scores = {labels: score(skill, truth, reply.text, think) for labels, truth in truths.items()}
+    truth, main = truths[wanted[0]], scores[wanted[0]]
+    record: dict[str, Any] = {
+        "case": question.id,
+        "cluster": scene.id,
+        "score": main,
+        "scores": scores,
+        "skill": skill,
+        "level": TITLES[skill],
+        "question": question.text,
+        "tags": tags(scene.layout, question.names, question.answer) if skill == DIRECTION else [],
+        "answer": reply.text,
+        "cause": cause(skill, truth, reply, think) if main < 1 else None,
+    }
+    if skill == MAP:
+        found = score_map(truth, reply.text)
+        record["map"] = {
+            "overall": found.overall, "per_class": found.per_class, "truth": truth, "rotation": found.rotation
+        }  # fmt: skip
+        record["map_range"] = {"least": found.f1, "most": found.f1_most}
+    else:
+        record["truth"] = truth
+    if reply.notes:
+        record["steps"] = [reply.notes]
+    return record
 
 
-def _lenient(record: Record) -> float | None:
-    return next(iter(record.get("lenient", {}).values()), None)
+def cause(skill: str, truth: Any, reply: Reply, think: bool) -> str:
+    """The cause of a wrong answer."""
+    if reply.notes.get("problem"):
+        return "missed"
+    found = mistake(truth, reply.text, think) if skill == DIRECTION else None
+    return found or ("range guessed" if reply.notes.get("guessed") else "wrong")
 
 
-def _by(labels: str) -> Reader:
-    return lambda record: record["scores"].get(labels)
+def _of(skill: str, labels: str | None = None) -> Callable[[Record], float | None]:
+    """The score of the questions of one kind: by the labels of the run, or by these."""
+
+    def read(record: Record) -> float | None:
+        if record["skill"] != skill:
+            return None
+        return record["score"] if labels is None else record["scores"].get(labels)
+
+    return read
 
 
-def _of(skill: str, read: Reader = _score) -> Reader:
-    return lambda record: read(record) if record["skill"] == skill else None
-
-
-def _tagged(tag: str) -> Reader:
+def _tagged(tag: str) -> Callable[[Record], float | None]:
     return lambda record: record["score"] if tag in record["tags"] else None
 
 
 class OsrBench(PublishedTask):
     """OSR-Bench; see `eagor.lab.tasks.task.Task`."""
 
-    name = "osr"
-    title = "OSR-Bench"
+    name, title = "osr", "OSR-Bench"
     what = "questions about what stands where around a camera"
     Config, Record = OsrConfig, OsrRecord
-    agents, looking = AGENTS, LOOKING
+    agents, looking = AGENTS, ("eagor",)
     truth: ClassVar = f"the true places, for data that has a {FILE} in each scene"
     metrics = (
-        score_metric("overall", "Overall", "mean over the kinds of questions", _score, lambda record: record["skill"]),
-        score_metric("direction", "Direction", "relative direction, by the labels of the run", _of(DIRECTION)),
-        score_metric("direction_official", "official", "by the published labels", _of(DIRECTION, _by("official"))),
         score_metric(
-            "direction_corrected", "corrected", "with left and right put right", _of(DIRECTION, _by("corrected"))
+            "overall", "Overall", "mean over the kinds of questions", lambda r: r["score"], lambda r: r["skill"]
         ),
+        score_metric("direction", "Direction", "relative direction, by the labels of the run", _of(DIRECTION)),
+        score_metric("direction_official", "official", "by the published labels", _of(DIRECTION, "official")),
+        score_metric("direction_corrected", "corrected", "with left and right put right", _of(DIRECTION, "corrected")),
         score_metric("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
         score_metric("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
-        score_metric("direction_lenient", "lenient", "whatever the form of the answer", _of(DIRECTION, _lenient)),
         score_metric("distance", "Distance", "which is the closest", _of(DISTANCE)),
         score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", _of(COUNTING)),
         score_metric("map", "Map F1", "the map: the least that the published code gives", _of(MAP)),
@@ -137,62 +340,43 @@ class OsrBench(PublishedTask):
             }
         if not found:
             load(Path(data))  # raises with the reason
+        sizes = [scene.image and picture_size(scene.image) for scene in seen.values()]
         return {
             "files": found,
-            "pictures": dict(Counter(_size(scene.image) for scene in seen.values())),
+            "pictures": dict(Counter(f"{size[0]} x {size[1]}" if size else "missing or unreadable" for size in sizes)),
             "with_true_places": sum((scene.folder / FILE).is_file() for scene in seen.values()),
-            "with_depth": sum((scene.folder / DEPTH_FILE).is_file() for scene in seen.values()),
         }
 
     def samples(self, config: OsrConfig) -> list[Sample]:
         return [
-            Sample(question.id, scene.id, {"scene": scene.id, "question": question.id})
-            for scene in load(Path(config.data), config.suffix)
-            for question in scene.questions
-            if config.skill in (ALL, question.skill)
+            Sample(question.id, scene.id, {"question": question.id})
+            for scene, question in questions_of(config.data, config.suffix).values()
+            if config.skill in ("all", question.skill)
         ]
 
     def check(self, config: OsrConfig) -> None:
-        if config.skill not in (ALL, *SKILLS):
-            raise EagorError(f"skill = {config.skill!r}; wanted {', '.join((ALL, *SKILLS))}")
-        if config.perception:
-            settings = settings_of(config)
-            _check_files(settings)
-            open_detector(config.perception, settings)
+        if config.perception and config.perception.partition(":")[0] != TRUTH:
+            shared(config.perception)
+        elif config.perception:
+            if config.perception != TRUTH:
+                raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
+            for scene in load(Path(config.data), config.suffix):
+                read_room(scene.folder)  # all of them, before the run
 
     def runner(self, config: OsrConfig) -> Callable[[Payload], Record]:
-        return work(settings_of(config))
+        questions, agent = questions_of(config.data, config.suffix), open_agent(config)
+
+        def run(payload: Payload) -> Record:
+            scene, question = questions[payload["question"]]
+            return record_of(scene, question, agent(scene, question), config)
+
+        return run
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: OsrConfig) -> Record:
         answer = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
         if not isinstance(answer, str):
             raise FormatError(f'the prediction for {sample.id} has the keys {sorted(prediction)}; wanted "text": words')
-        scenes = load_kept(config.data, config.suffix)
-        scene = next(scene for scene in scenes if scene.id == sample.payload["scene"])
-        return score_reply(scene, scene.by_id[sample.payload["question"]], Reply(answer), settings_of(config))
+        return record_of(*questions_of(config.data, config.suffix)[sample.id], Reply(answer), config)
 
 
 OSR = OsrBench()
-
-
-def _size(image: Path | None) -> str:
-    if image is None:
-        return "missing"
-    size = picture_size(image)
-    return "unreadable" if size is None else f"{size[0]} x {size[1]}"
-
-
-def _check_files(found: Mapping[str, Any]) -> None:
-    """Raise `FormatError` if scenes lack a file that the settings need."""
-    truth = found["perception"].partition(":")[0] == TRUTH
-    wanted = FILE if truth else DEPTH_FILE if found["range"] == "depth" else None
-    if wanted is None:
-        return
-    scenes = load_kept(str(found["data"]), found["suffix"])
-    without = [scene.id for scene in scenes if not (scene.folder / wanted).is_file()]
-    if without:
-        why = "the perception truth reads" if truth else "range=depth reads"
-        raise FormatError(
-            f"{len(without)} of {len(scenes)} scenes have no {wanted}, which {why}, such as {without[0]}; "
-            "give the folder of those that have it, or choose another setting"
-        )

@@ -16,10 +16,11 @@ count, which is the least that the published code can give; `MapScore.f1_most` i
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from eagor.errors import FormatError
 SIZE = 10  # rows and columns of a layout
 Cell = tuple[int, int]
 Layout = Mapping[str, Sequence[Sequence[int]]]
-Grid = list[list[list[str]]]
+Grid = list[list[list[str]]]  # rows of cells, each a list of names, as maps are published
 
 NO_POSITION = "The positioning object is not found in the picture."
 NOT_UNIQUE = "The positioning object is not unique in the picture."
@@ -95,6 +96,22 @@ def is_tied(layout: Layout, P: str, name: str) -> bool:
     return len(near) == 2 and _square(near[0]) == _square(near[1])
 
 
+def tags(layout: Layout | None, names: Sequence[str], label: str) -> list[str]:
+    """What makes a question for a direction hard, known before it is asked; `names`: P, O and Q.
+
+    "absent": the label says that something is absent; "near a border": the dot or the cross product is at most one
+    squared cell, otherwise "clear"; "tied": several things are equally near; "several": several things have the name.
+    """
+    if label in ERRORS:
+        return ["absent"]
+    if layout is None or len(names) != 3 or isinstance(found := steps(layout, *names), str):
+        return []
+    kinds = ["clear" if min(map(abs, products(*found))) > 1 else "near a border"]
+    kinds += ["tied"] if any(is_tied(layout, names[0], name) for name in names[1:]) else []
+    kinds += ["several"] if any(len(layout[name]) > 1 for name in names[1:]) else []
+    return kinds
+
+
 def cells(layout: Layout, name: str) -> list[Cell]:
     """The cells of `name`, row by row, each once."""
     found: set[Cell] = set()
@@ -131,33 +148,19 @@ def swapped(answer: str) -> str:
     return " ".join(_SIDES.get(word, word) for word in answer.split(" ")) if answer in DIRECTIONS else answer
 
 
-def mirrored(grid: Grid) -> Grid:
-    """The grid with left and right exchanged: the real room, from a published grid."""
-    return [row[::-1] for row in grid]
-
-
-def layout_of(grid: Any) -> dict[str, list[list[int]]]:
-    """The layout of a published grid: rows of cells, each a list of names. Raises `FormatError` for anything else."""
-    if not isinstance(grid, list) or not all(isinstance(row, list) for row in grid):
-        raise FormatError(f"a map is {type(grid).__name__}; wanted rows of cells, each a list of names")
+def layout_of(grid: Grid) -> dict[str, list[list[int]]]:
+    """The layout of a published grid."""
     found: dict[str, list[list[int]]] = {}
     for i, row in enumerate(grid):
-        for j, cell in enumerate(row):
-            if not isinstance(cell, list) or not all(isinstance(name, str) for name in cell):
-                raise FormatError(f"the map's cell in row {i}, column {j} is {shown(cell)}; wanted a list of names")
-            for name in cell:
+        for j, names in enumerate(row):
+            for name in names:
                 found.setdefault(name, []).append([i, j])
     return found
 
 
-def grid_of(layout: Layout, size: int = SIZE) -> Grid:
-    """The grid of a layout, without what lies outside it."""
-    grid: Grid = [[[] for _ in range(size)] for _ in range(size)]
-    for name, where in layout.items():
-        for row, column in where:
-            if 0 <= row < size and 0 <= column < size:
-                grid[row][column].append(name)
-    return grid
+def turned(layout: Layout) -> dict[str, list[list[int]]]:
+    """The layout turned clockwise by a quarter."""
+    return {name: sorted([column, SIZE - 1 - row] for row, column in where) for name, where in layout.items()}
 
 
 def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
@@ -190,25 +193,14 @@ def extracted(answer: str, think: bool) -> str:
     return reply if think and opened and closed else answer
 
 
-def lenient(skill: str, truth: Any, answer: str) -> float:
-    """The score of what was probably meant: the last direction, or the first choice, named anywhere in the answer.
-
-    Not the benchmark's; it separates mistakes of format from mistakes about the room. For other skills it is `score`.
-    """
-    if skill not in (DIRECTION, DISTANCE):
-        return score(skill, truth, answer, think=True)
-    reply = extracted(answer, think=True).lower()
-    if skill == DISTANCE:
-        words = re.sub(r"[\s_]+", " ", reply)
-        return float(re.search(rf"\b{re.escape(str(truth).lower().replace('_', ' '))}\b", words) is not None)
-    named = re.findall(r"\b(?:(?:front|back)(?:[ -](?:left|right))?|left|right)\b", reply)
-    return score(DIRECTION, truth, named[-1] if named else reply)
-
-
-def is_direction(answer: str) -> bool:
-    """Whether the scorer can read the answer as a direction at all."""
-    reply = answer.strip().lower()
-    return reply in {word.lower() for word in DIRECTIONS} or reply in _HYPHENS.values()
+def mistake(truth: str, answer: str, think: bool) -> str | None:
+    """What is wrong with a wrong answer to a question for a direction, if it is its form or its side."""
+    answer = extracted(answer, think).strip()
+    readable = answer in ERRORS or answer.lower() in {*map(str.lower, DIRECTIONS), *_HYPHENS.values()}
+    if truth not in ERRORS and not readable:
+        return "format"
+    mirrored = swapped(truth) != truth and score(DIRECTION, swapped(truth), answer)
+    return "left and right exchanged" if mirrored else None
 
 
 def _counted(reply: str, true: str) -> float:
@@ -231,10 +223,10 @@ class MapScore:
     `avg_distance` the mean over pairs in cells.
     """
 
-    rotation: int = 0
-    f1_most: float = 0.0
-    overall: dict[str, Any] = field(default_factory=lambda: _overall(0, 0, 0, FAR, 0.0, 0.0, []))
-    per_class: dict[str, dict[str, float]] = field(default_factory=dict)
+    rotation: int
+    f1_most: float
+    overall: dict[str, Any]
+    per_class: dict[str, dict[str, Any]]
 
     @property
     def f1(self) -> float:
@@ -242,44 +234,28 @@ class MapScore:
         return self.overall["f1"]
 
 
-def _overall(
-    right: int, named: int, true: int, distance: float, chair_i: float, chair_instance: float, absent: list[str]
-) -> dict[str, Any]:
-    """The published figures of a map with `named` things, of which `right` are right, in a room with `true` things."""
-    return {
-        "precision": right / named if named else 0.0,
-        "recall": right / true if true else 0.0,
-        "f1": _f1(right, named, true),
-        "avg_distance": distance,
-        "tp": right,
-        "fp": named - right,
-        "fn": true - right,
-        "chair_s": int(bool(absent)),
-        "chair_i": chair_i,
-        "chair_instance": chair_instance,
-        "hallucinated_classes": absent,
-    }
-
-
 def score_map(truth: Grid, reply: str) -> MapScore:
     """The score of the map in a reply, ``{"name": [[x, y], ...]}`` with x the column and y the row.
 
     The last JSON object of the reply counts. It is turned by the multiple of 90 degrees with the highest F1 (of equal
     ones the smallest), but not mirrored. Things of a category are paired with the smallest sum of distances. A reply
-    without a usable map, or without any category that is present, scores 0. Raises `FormatError` for an invalid
-    `truth`.
+    without a usable map, or without any category that is present, scores 0.
     """
-    there = layout_of(truth)
-    prediction = read_map(reply)
-    if prediction is None:
-        return MapScore()
-    grid = grid_of(prediction)
-    turns = [_compared(there, layout_of(turned(grid, quarter)), 90 * quarter) for quarter in range(4)]
+    there, prediction = layout_of(truth), read_map(reply) or {}
+    turns = []
+    for rotation in (0, 90, 180, 270):
+        turns.append(_compared(there, prediction, rotation))
+        prediction = turned(prediction)
     return max(turns, key=lambda each: each.f1)  # the first of equal ones
 
 
+def map_text(layout: Layout) -> str:
+    """A layout in the benchmark's format: {"name": [[x, y], ...]}, x the column and y the row."""
+    return json.dumps({name: [[column, row] for row, column in where] for name, where in layout.items()})
+
+
 def read_map(reply: str) -> dict[str, list[list[int]]] | None:
-    """The layout, name -> [[row, column], ...], of the last JSON object in a reply; None if there is none."""
+    """The layout, name -> [[row, column], ...] row by row, in the last JSON object of a reply; None without one."""
     end = reply.rfind("}")
     depth, start = 0, -1
     for start in range(end, -1, -1):
@@ -304,45 +280,51 @@ def read_map(reply: str) -> dict[str, list[list[int]]] | None:
             if any(not isinstance(k, int) for k in point):
                 return None  # and rejects fractions
             found.setdefault(name, []).append([int(point[1]), int(point[0])])
-    return found
-
-
-def turned(grid: Grid, quarters: int) -> Grid:
-    """The grid turned clockwise by this many quarters."""
-    for _ in range(quarters):
-        grid = [list(column) for column in zip(*grid[::-1], strict=True)]
-    return grid
+    return {name: sorted(where) for name, where in found.items()}
 
 
 def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list[int]]], rotation: int) -> MapScore:
     from scipy.optimize import linear_sum_assignment
 
-    common = {*there} & {*prediction}
-    if not common:
-        return MapScore(rotation=rotation)
-    categories: dict[str, dict[str, float]] = {}
+    common, absent = {*there} & {*prediction}, sorted({*prediction} - {*there})
+    if not common:  # as published, nothing is counted
+        nothing = {"chair_s": 0, "chair_i": 0.0, "chair_instance": 0.0, "hallucinated_classes": []}
+        return MapScore(rotation, 0.0, _figures(0, 0, 0, FAR, 0.0) | nothing, {})
+    categories: dict[str, dict[str, Any]] = {}
     pairs, total = 0, 0.0
     for name in sorted({*there} | {*prediction}):
-        true, named, right, away = len(there.get(name, ())), len(prediction.get(name, ())), 0, FAR
+        true, named, found = there.get(name, []), prediction.get(name, []), np.zeros(0)
         if name in common:
-            distances = np.linalg.norm(np.array(there[name])[:, None] - np.array(prediction[name])[None], axis=-1)
-            chosen = distances[linear_sum_assignment(distances)]
-            right, away = int((chosen <= NEAR).sum()), float(chosen.mean())
-            pairs, total = pairs + len(chosen), total + float(chosen.sum())
+            distances = np.linalg.norm(np.array(true)[:, None] - np.array(named)[None], axis=-1)
+            found = distances[linear_sum_assignment(distances)]
+            pairs, total = pairs + len(found), total + float(found.sum())
+        right, away = int((found <= NEAR).sum()), float(found.mean()) if len(found) else FAR
         # As published, a category without any thing to find (or named) has the recall (or precision) 1.
-        rates = (right / named if named else 1.0), (right / true if true else 1.0), _f1(right, named, true)
-        categories[name] = dict(zip(("precision", "recall", "f1"), rates, strict=True)) | {
-            "avg_distance": away, "tp": right, "fp": named - right, "fn": true - right,
-        }  # fmt: skip
-    right = int(sum(each["tp"] for each in categories.values()))
+        categories[name] = _figures(right, len(named), len(true), away, 1.0)
+    right = sum(each["tp"] for each in categories.values())
     true, named = sum(map(len, there.values())), sum(map(len, prediction.values()))
-    absent = sorted({*prediction} - {*there})
+    overall = _figures(right, named, true, total / pairs, 0.0) | {
+        "chair_s": int(bool(absent)),
+        "chair_i": len(absent) / len(prediction),
+        "chair_instance": sum(len(prediction[name]) for name in absent) / named,
+        "hallucinated_classes": absent,
+    }
     most = _f1(right, sum(len(prediction[name]) for name in common), sum(len(there[name]) for name in common))
-    strays = sum(len(prediction[name]) for name in absent) / named
-    overall = _overall(right, named, true, total / pairs, len(absent) / len(prediction), strays, absent)
     return MapScore(rotation, most, overall, categories)
 
 
+def _figures(right: int, named: int, true: int, away: float, empty: float) -> dict[str, Any]:
+    """The published figures of `right` things of those `named`, with `true` things there; `empty`: shares of none."""
+    return {
+        "precision": right / named if named else empty,
+        "recall": right / true if true else empty,
+        "f1": _f1(right, named, true),
+        "avg_distance": away,
+        "tp": right,
+        "fp": named - right,
+        "fn": true - right,
+    }
+
+
 def _f1(right: int, named: int, true: int) -> float:
-    """F1 of `right` things of those `named`, with `true` things there."""
     return 2 * right / (named + true) if right else 0.0
