@@ -18,7 +18,7 @@ from processes import alive, sessions_of, wait_for
 from eagor.cli import main
 from eagor.errors import EagorError
 from eagor.lab.eval import log
-from eagor.lab.eval.charts import Curve, Series, line_chart
+from eagor.lab.eval.page import Curve, Series, line_chart
 from eagor.lab.eval.results import label_of, made, summarise
 from eagor.lab.eval.runner import Outcome, Unit, run
 from eagor.lab.eval.tables import as_text, failed_lines, main_table

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from collections import Counter
 from functools import partial
 
@@ -235,19 +234,13 @@ def test_alone_units_go_group_by_group(tmp_path, config):
 
 
 def test_a_worker_keeps_its_group_while_there_are_others_and_nobody_idles():
-    schedule, taken = Scheduler(units(7, groups=2), {}, 1, False, None, lambda _: None, None), []
-
-    def other():
-        taken.append(schedule.take(None)[0].group)
-
-    mine = schedule.take(None)[0].group
-    thread = threading.Thread(target=other)
-    thread.start()
-    thread.join()
-    assert taken != [mine]
+    schedule = Scheduler(units(7, groups=2), {}, 1, False, None, lambda _: None, None)
+    mine = schedule.take(None, ())[0].group
+    other = schedule.take(None, [mine])[0].group
+    assert other != mine
     for _ in range(3):
-        assert schedule.take(mine)[0].group == mine
-    assert [schedule.take(mine)[0].group] == taken  # mine is done: help
+        assert schedule.take(mine, [other])[0].group == mine
+    assert schedule.take(mine, [other])[0].group == other  # mine is done: help
     assert schedule.left == 1
 
 
