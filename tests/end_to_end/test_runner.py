@@ -190,12 +190,6 @@ def test_a_run_can_get_more_episodes(tmp_path):
     assert (description(tmp_path)["episodes"], description(tmp_path)["development"]) == (5, True)
 
 
-def test_records_that_cannot_be_read_are_named(tmp_path):
-    (tmp_path / RECORDS).mkdir()
-    with pytest.raises(FormatError, match=r"records\.jsonl cannot be read"):
-        log.read(tmp_path)
-
-
 def test_a_folder_without_a_run_or_with_a_broken_one_is_named(tmp_path):
     with pytest.raises(FormatError, match=r"no run\.json"):
         description(tmp_path)
@@ -373,12 +367,6 @@ def test_work_that_cannot_be_set_up_ends_the_run(tmp_path, config):
         runner.run(units(2), "units_of_work:hopeless", config, tmp_path / "run", workers=2)
     with pytest.raises(WorkError, match="exit code 3"):
         runner.run(units(2), "units_of_work:stillborn", config, tmp_path / "run", workers=2)
-
-
-def test_a_folder_that_can_be_none_is_named(tmp_path, config):
-    (tmp_path / "run").write_text("a file where the folder should be")
-    with pytest.raises(EagorError, match="run cannot be made a folder"):
-        runner.run(units(4), WORK, config, tmp_path / "run", workers=2)
 
 
 def test_impossible_numbers_and_double_keys_are_refused(tmp_path, config):

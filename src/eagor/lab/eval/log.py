@@ -15,8 +15,9 @@ import os
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
 import eagor
@@ -36,6 +37,14 @@ class AnotherRunError(EagorError):
     def __init__(self, *lines: str) -> None:
         super().__init__("; ".join(lines))
         self.lines = lines
+
+
+class _Head(msgspec.Struct):
+    """What every record has."""
+
+    key: str
+    attempt: Annotated[int, msgspec.Meta(ge=1)]
+    status: Literal["ok", "failed"]
 
 
 class Log:
@@ -168,28 +177,22 @@ def read(folder: Path) -> list[dict[str, Any]]:
         lines = _content(path, "restore it, or let it be read").split(b"\n")
     except FileNotFoundError:
         return []
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Any] = {}
     for number, line in enumerate(lines, start=1):
         record = _parsed(line)
         if record is None and number == len(lines):
             break  # empty, or left half written
-        if not _is_record(record):
+        try:
+            head = msgspec.convert(record, _Head)
+        except msgspec.ValidationError:
             raise FormatError(
                 f"{path}, line {number}: no record; wanted a JSON object with key (text), attempt (1, 2, ...) and "
                 "status ('ok' or 'failed'). Restore the line, or delete it"
-            )
-        rank = record["status"] == "ok", record["attempt"]
-        before = found.get(record["key"])
-        if before is None or rank >= (before["status"] == "ok", before["attempt"]):
-            found[record["key"]] = record
+            ) from None
+        before = found.get(head.key)
+        if before is None or (head.status == "ok", head.attempt) >= (before["status"] == "ok", before["attempt"]):
+            found[head.key] = record
     return [found[key] for key in sorted(found)]
-
-
-def recorded(folder: Path) -> list[dict[str, Any]]:
-    """`read`, of a run that must have records. Raises `EagorError` as well where it has none."""
-    if found := read(folder):
-        return found
-    raise EagorError(f"{folder} has no records yet; run something into it first")
 
 
 def as_line(record: Mapping[str, Any]) -> bytes:
@@ -262,10 +265,3 @@ def _parsed(line: bytes) -> Any:
         return parsed(line)
     except ValueError:
         return None
-
-
-def _is_record(found: Any) -> bool:
-    if not isinstance(found, dict) or not isinstance(found.get("key"), str):
-        return False
-    attempt = found.get("attempt")
-    return type(attempt) is int and attempt >= 1 and found.get("status") in ("ok", "failed")

@@ -43,11 +43,7 @@ LOOKS: dict[str, tuple[str, str, Any, str]] = {
     "best_detection": ("#7b4fb5", "#c0a6ff", (0, (8, 2, 2, 2, 2, 2)), "*"),
     "last_detection": ("#0f7f8c", "#6fd3dd", (0, (4, 1)), ">"),
 }
-SPARE_MARKS = ("o", "s", "^", "D", "v", "x", "+", RING)  # of series that are no methods: x0 to x7
-_COLOURS = (
-    "ink", "quiet", "paper", "rule", "target", *(f"c-{name}" for name in LOOKS),
-    *(f"c-x{k}" for k in range(len(SPARE_MARKS))),
-)  # fmt: skip
+_COLOURS = ("ink", "quiet", "paper", "rule", "target", *(f"c-{name}" for name in LOOKS))
 ALL_MARKED = 10  # points of a line that all have a mark; of more some
 
 
@@ -219,10 +215,8 @@ def _piped(cells: Iterable[str]) -> str:
 
 
 def _palette(dark: int) -> str:
-    """The colours of methods and spare series, by their names in the style sheet."""
-    colours = {name: look[dark] for name, look in LOOKS.items()}
-    spare = {f"x{k}": colour for k, colour in enumerate(list(colours.values())[: len(SPARE_MARKS)])}
-    return "".join(f"--c-{name}:{colour};" for name, colour in {**colours, **spare}.items())
+    """The colours of the looks, by their names in the style sheet."""
+    return "".join(f"--c-{name}:{look[dark]};" for name, look in LOOKS.items())
 
 
 # --- charts -----------------------------------------------------------------------------------------------------------
@@ -249,14 +243,14 @@ class Series:
     strong: bool = False
 
 
-def look_of(name: str) -> str:
-    """The looks of a method; those of others are the first of the spare ones."""
-    return name if name in LOOKS else "x0"
+def look_of(name: str, index: int = 0) -> str:
+    """The looks of a method; others are shown as the method at `index`."""
+    return name if name in LOOKS else list(LOOKS)[index % len(LOOKS)]
 
 
 def style_of(look: str, **more: Any) -> dict[str, Any]:
     """How matplotlib draws a line of these looks, and its marks."""
-    *_, dashes, mark = LOOKS[look] if look in LOOKS else ("-", SPARE_MARKS[int(look[1:])])
+    *_, dashes, mark = LOOKS[look]
     found = {"color": colour_of(f"c-{look}"), "linestyle": dashes, "marker": mark, "clip_on": False}
     if mark == RING:
         found |= {"marker": "o", "markerfacecolor": colour_of("paper")}

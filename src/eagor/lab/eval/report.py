@@ -15,7 +15,6 @@ from eagor.errors import EagorError
 from eagor.lab.envs.places import APARTMENT
 from eagor.lab.eval import replay, steps, tables
 from eagor.lab.eval.page import (
-    SPARE_MARKS,
     Curve,
     Facts,
     Fold,
@@ -295,7 +294,7 @@ def _published(runs: Sequence[Run], summary: Summary) -> list[Section]:
 
 def _line(index: int, name: str, curve: Curve) -> Series:
     """The line of a run in a chart."""
-    return Series(name, curve, f"x{index % len(SPARE_MARKS)}", name.partition(" ")[0] == OURS)
+    return Series(name, curve, look_of("", index), name.partition(" ")[0] == OURS)
 
 
 def _statements(answers: Mapping[str, Any]) -> list[Part]:

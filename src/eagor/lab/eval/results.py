@@ -113,7 +113,9 @@ def read(folder: Path) -> Run:
     for field in msgspec.structs.fields(load(settings["task"]).Config):
         if field.required and field.name not in settings:
             raise FormatError(f"{Path(folder) / log.RUN} does not name its {field.name}; restore it")
-    return made(settings, log.recorded(folder))
+    if not (records := log.read(folder)):
+        raise EagorError(f"{folder} has no records yet; run something into it first")
+    return made(settings, records)
 
 
 def made(settings: Mapping[str, Any], records: Sequence[Record]) -> Run:

@@ -398,6 +398,7 @@ class _Lane:
 
 def _ready(hire: Hire) -> _Here | _Process | _OnRay:
     """A worker; another one if it dies before it is ready. Raises `WorkError` where several do."""
+    died = None
     for _ in range(STARTS):
         try:
             return hire()
