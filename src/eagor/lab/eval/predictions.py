@@ -65,7 +65,7 @@ def keep(run: Run, folder: Path) -> None:
     there = {record["key"]: record for record in log.read(folder)}
     new = [record for record in run.records if record["key"] not in there]
     for record in run.records:
-        plain = json.loads(log.as_line(record))
+        plain: dict[str, Any] = json.loads(log.as_line(record))
         before = there.get(record["key"], plain)
         # The settings do not name the file that was scored: those of another one are the same.
         if any(before.get(name) != value for name, value in plain.items() if name not in ("attempt", "seconds")):
