@@ -20,17 +20,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import EVERY, ORACLE
 from eagor.lab.envs.places import APARTMENT
 from eagor.lab.eval import log
-from eagor.lab.tasks.task import (
-    Metric,
-    Record,
-    Task,
-    check_records,
-    config_of,
-    finished,
-    group_of,
-    load,
-    sample_of,
-)
+from eagor.lab.tasks.task import Metric, Record, Task, check_records, config_of, finished, group_of, load, sample_of
 from eagor.statistics import (
     bootstrap_interval,
     calibration_error,
