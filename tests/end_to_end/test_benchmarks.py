@@ -18,7 +18,7 @@ from processes import alive, sessions_of, wait_for
 from eagor.cli import main
 from eagor.errors import EagorError
 from eagor.lab.eval import log
-from eagor.lab.eval.charts import Curve, Series, line_chart
+from eagor.lab.eval.page import Curve, Series, line_chart
 from eagor.lab.eval.results import label_of, made, summarise
 from eagor.lab.eval.runner import Outcome, Unit, run
 from eagor.lab.eval.tables import as_text, failed_lines, main_table
@@ -246,7 +246,7 @@ def test_few_clusters_are_said(monkeypatch):
 def test_each_point_of_a_reliability_chart_has_its_mark():
     def marks(points):
         x, none = tuple(k / (points - 1) for k in range(points)), (None,) * points
-        line = Series("ours", Curve(x, x, none, none, (1,) * points), "x0")
+        line = Series("ours", Curve(x, x, none, none, (1,) * points), "eagor")
         return line_chart([line], "Reliability", "stated", "found", (0.0, 1.0)).count("<use")
 
     assert marks(9) - marks(5) == 4  # beside those of the ticks and of the legend
@@ -254,7 +254,9 @@ def test_each_point_of_a_reliability_chart_has_its_mark():
 
 def test_a_legend_of_long_names_has_one_column_and_models_go_without_their_address():
     def height(*names):
-        lines = [Series(name, Curve((0.0, 1.0), (0.0, 1.0), (None,) * 2, (None,) * 2, (1, 1)), "x0") for name in names]
+        lines = [
+            Series(name, Curve((0.0, 1.0), (0.0, 1.0), (None,) * 2, (None,) * 2, (1, 1)), "eagor") for name in names
+        ]
         return float(line_chart(lines, "Success", "turn", "success").split('viewBox="0 0 ')[1].split('"')[0].split()[1])
 
     long = [f"vlm · endpoint:Qwen/Qwen2.5-VL-{size}B-Instruct" for size in (3, 7, 72)]

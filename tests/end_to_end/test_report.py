@@ -164,8 +164,8 @@ def test_the_sections_are_those_of_the_task(written):
     _, text, summary = written
     ids = {name for name in Page(text).ids if not re.fullmatch("m[0-9a-f]{10}", name)}  # those are marks in charts
     wanted = {
-        "waypoint": {"parts", "ordering", "turns", "seam", "coverage", "variants"},
-        "navigation": {"parts", "ordering", "steps", "seam", "strata", "coverage", "failed"},
+        "waypoint": {"parts", "ordering", "steps", "coverage", "variants"},
+        "navigation": {"parts", "ordering", "steps", "strata", "coverage", "failed"},
         "tracking": {"parts", "steps", "strata", "coverage"},
     }
     assert ids == wanted[summary["task"]] | {"figures", "episodes"}

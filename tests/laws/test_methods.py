@@ -19,7 +19,7 @@ from eagor.lab.agents.methods import (
     NAMES,
     make_estimator,
 )
-from eagor.lab.eval.charts import DARK, LIGHT, STYLES
+from eagor.lab.eval.page import LOOKS
 from eagor.sphere import world_R_body
 from eagor.tracking.config import TrackerConfig
 
@@ -161,8 +161,7 @@ def test_a_variant_varies_the_detector_of_the_perception():
 
 
 def test_every_method_has_looks_of_its_own():
-    assert set(EVERY) <= set(STYLES)
-    assert set(LIGHT) == set(DARK) == set(STYLES)
-    assert len({str(STYLES[name]) for name in EVERY}) == len(EVERY)
-    assert len({LIGHT[name] for name in EVERY}) == len({DARK[name] for name in EVERY}) == len(EVERY)
+    light, dark, *styles = zip(*(LOOKS[name] for name in EVERY), strict=True)
+    assert len({str(style) for style in zip(*styles, strict=True)}) == len(EVERY)
+    assert len({*light}) == len({*dark}) == len(EVERY)
     assert len(set(CURVES)) >= len(NAMES)

@@ -1,4 +1,4 @@
-"""What the steps of episodes say: curves about events, and what errors are made of."""
+"""What the steps of episodes say: curves, and what errors are made of."""
 
 import numpy as np
 import pytest
@@ -7,37 +7,20 @@ from eagor.lab.eval import steps
 from eagor.lab.eval.results import Result
 
 
-def walk(errors, seam=(), legs=None, seed=1, **more):
-    count = len(errors)
-    answer = {"trace": {"error_deg": errors, **more}}
-    truth = {
-        "seam": [k in seam for k in range(count)],
-        "leg": legs or ["L1"] * count,
-        "visible": [k % 2 == 0 for k in range(count)],
-    }
-    return Result({"episode": {"id": str(seed), "seed": seed}, "truth": truth}, answer)
-
-
-def test_errors_are_aligned_at_the_events():
-    results = [walk([0, 1, 2, 3, 4, 5, 6, 7], seam=[2, 6]), walk([10] * 8, seam=[4], seed=2)]
-    curve = steps.around(results, steps.crossings, 1, 1)
-    assert curve.x == (-1, 0, 1)
-    assert curve.y == pytest.approx((((1 + 5) / 2 + 10) / 2, ((2 + 6) / 2 + 10) / 2, ((3 + 7) / 2 + 10) / 2))
-    assert curve.n == (2, 2, 2)
-    assert steps.around([walk([1, 2])], steps.crossings, 1, 1) is None
-
-
-def test_a_window_about_a_turn_holds_no_step_of_another_turn():
-    result = walk([0, 1, 2, 3, 4, 5, 6, 7, None], legs=["L1"] * 3 + ["L2"] * 2 + ["L3"] * 4)
-    assert steps.turns(result) == [3, 5]
-    curve = steps.around([result], steps.turns, 4, 3, alone=True)
-    assert curve.x == tuple(range(-4, 3))  # nothing is known of the third step after either turn
-    assert curve.y == (None, 0.0, pytest.approx((1 + 3) / 2), pytest.approx((2 + 4) / 2), 4.0, 5.0, 7.0)
+def walk(errors, seed=1, **more):
+    truth = {"visible": [k % 2 == 0 for k in range(len(errors))]}
+    return Result(
+        {"episode": {"id": str(seed), "seed": seed}, "truth": truth}, {"trace": {"error_deg": errors, **more}}
+    )
 
 
 def test_a_curve_by_step_ends_where_fewer_than_half_go_on():
-    curve = steps.by_step([walk([1] * length, seed=length) for length in (3, 5, 5, 9)])
+    curve = steps.by_step([walk([length] * length, seed=length) for length in (3, 5, 5, 9)])
     assert (curve.x, curve.n) == ((0, 1, 2, 3, 4), (4, 4, 4, 3, 3))
+    assert curve.y == pytest.approx((5.5, 5.5, 5.5, 19 / 3, 19 / 3))
+    gap = steps.by_step([walk([1, None, 3]), walk([1, None, 5], seed=2)])
+    assert (gap.y, gap.n) == ((1.0, None, 4.0), (2, 0, 2))
+    assert steps.by_step([walk([None])]) is steps.by_step([]) is None
 
 
 def test_honest_regions_lie_on_the_diagonal():

@@ -125,7 +125,7 @@ def compare(options: BenchCompare) -> int:
 def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
     from eagor.lab.eval import results, tables
-    from eagor.lab.eval.scenes import figures_of
+    from eagor.lab.eval.replay import figures_of
     from eagor.lab.tasks.task import sample_of
 
     if options.limit < 0:
@@ -170,7 +170,7 @@ def failures(options: BenchFailures) -> int:
         terminal.emit(found | {"cases": cases[: options.limit]})
         return terminal.OK
     for table in layers:
-        if table is not None:
+        if table.rows:
             terminal.say(table.title, *table.lines(tables.WIDTH), "")
     if not lines:
         print("No case failed." if summary["episodes"] else "No case has a result.")

@@ -8,25 +8,22 @@ loses nothing that was finished; a last line that it left half written is droppe
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import math
 import os
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
 import eagor
 from eagor._checks import parsed
 from eagor._files import append_all, claimed, open_regular, redacted, written
 from eagor.errors import EagorError, FormatError, StorageError
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system: there is no lock, and two writers are the caller's to avoid
-    fcntl = None
 
 LONGEST = 1 << 28  # bytes: no record is as long
 RUN, RECORDS = "run.json", "records.jsonl"
@@ -42,6 +39,14 @@ class AnotherRunError(EagorError):
         self.lines = lines
 
 
+class _Head(msgspec.Struct):
+    """What every record has."""
+
+    key: str
+    attempt: Annotated[int, msgspec.Meta(ge=1)]
+    status: Literal["ok", "failed"]
+
+
 class Log:
     """Appends records to ``records.jsonl`` in `folder`, which it makes. Raises `StorageError`.
 
@@ -54,7 +59,7 @@ class Log:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = open_regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
             try:
-                self._hold()
+                self._lock()
                 _mend(self._file)
                 _keep_name(self.path.parent)
             except BaseException:
@@ -66,9 +71,7 @@ class Log:
                 "there and let it be written to, then start the same run again; or choose another folder"
             ) from error
 
-    def _hold(self) -> None:
-        if fcntl is None:
-            return
+    def _lock(self) -> None:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -151,12 +154,11 @@ def description(folder: Path) -> dict[str, Any]:
     """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
     path = Path(folder) / RUN
     try:
-        with open(open_regular(path), "rb") as file:
-            found = parsed(file.read())
+        text = _content(path, "name the folder of a run")
     except FileNotFoundError:
         raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
-    except OSError as error:
-        raise FormatError(f"{path} cannot be read ({error.strerror or error}); name the folder of a run") from None
+    try:
+        found = parsed(text)
     except ValueError as error:
         raise FormatError(f"{path} is no JSON ({error}); restore it, or start the run in another folder") from None
     if not isinstance(found, dict):
@@ -170,20 +172,27 @@ def read(folder: Path) -> list[dict[str, Any]]:
     Of several with one key one that is ok counts first, then the highest attempt, then the last. Raises `FormatError`
     for a line that is no record, but for a last one that a kill left half written; names the file and the line.
     """
-    found: dict[str, dict[str, Any]] = {}
-    for record in _records(Path(folder) / RECORDS):
-        rank = record["status"] == "ok", record["attempt"]
-        before = found.get(record["key"])
-        if before is None or rank >= (before["status"] == "ok", before["attempt"]):
-            found[record["key"]] = record
+    path = Path(folder) / RECORDS
+    try:
+        lines = _content(path, "restore it, or let it be read").split(b"\n")
+    except FileNotFoundError:
+        return []
+    found: dict[str, Any] = {}
+    for number, line in enumerate(lines, start=1):
+        record = _parsed(line)
+        if record is None and number == len(lines):
+            break  # empty, or left half written
+        try:
+            head = msgspec.convert(record, _Head)
+        except msgspec.ValidationError:
+            raise FormatError(
+                f"{path}, line {number}: no record; wanted a JSON object with key (text), attempt (1, 2, ...) and "
+                "status ('ok' or 'failed'). Restore the line, or delete it"
+            ) from None
+        before = found.get(head.key)
+        if before is None or (head.status == "ok", head.attempt) >= (before["status"] == "ok", before["attempt"]):
+            found[head.key] = record
     return [found[key] for key in sorted(found)]
-
-
-def recorded(folder: Path) -> list[dict[str, Any]]:
-    """`read`, of a run that must have records. Raises `EagorError` as well where it has none."""
-    if found := read(folder):
-        return found
-    raise EagorError(f"{folder} has no records yet; run something into it first")
 
 
 def as_line(record: Mapping[str, Any]) -> bytes:
@@ -220,6 +229,17 @@ def _text(found: Mapping[str, Any]) -> str:
     return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
 
 
+def _content(path: Path, advice: str) -> bytes:
+    """All of a file of a run. Raises `FileNotFoundError`, and `FormatError` where it cannot be read."""
+    try:
+        with open(open_regular(path), "rb") as file:
+            return file.read()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror or error}); {advice}") from None
+
+
 def _mend(file: int) -> None:
     """Bring the end of `file` to the end of a whole line: what comes next must begin on a line of its own."""
     size = os.lseek(file, 0, os.SEEK_END)
@@ -232,35 +252,11 @@ def _mend(file: int) -> None:
 
 def _keep_name(folder: Path) -> None:
     """Have the disk remember which files the folder has."""
-    if os.name != "posix":
-        return
     place = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(place)
     finally:
         os.close(place)
-
-
-def _records(path: Path) -> Iterator[dict[str, Any]]:
-    try:
-        with open(open_regular(path), "rb") as file:
-            lines = file.read().split(b"\n")
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise FormatError(f"{path} cannot be read ({error.strerror or error}); restore it, or let it be read") from None
-    for number, line in enumerate(lines, start=1):
-        record = _parsed(line)
-        if record is None and number == len(lines):
-            return  # empty, or left half written
-        found: dict[str, Any] = record if isinstance(record, dict) else {}
-        attempt = found.get("attempt") if isinstance(found.get("key"), str) else None
-        if type(attempt) is not int or attempt < 1 or found.get("status") not in ("ok", "failed"):
-            raise FormatError(
-                f"{path}, line {number}: no record; wanted a JSON object with key (text), attempt (1, 2, ...) and "
-                "status ('ok' or 'failed'). Restore the line, or delete it"
-            )
-        yield found
 
 
 def _parsed(line: bytes) -> Any:

@@ -11,7 +11,7 @@ from eagor._checks import parsed, shown
 from eagor._files import read_file
 from eagor.errors import EagorError, FormatError
 from eagor.lab.eval import log
-from eagor.lab.eval.results import Run, made
+from eagor.lab.eval.results import Run, read
 from eagor.lab.tasks.task import Record, finished, load, read_config, settings_of
 
 IDS = ("case", "id", "doc_id")  # what names the sample in a line: its id, or its number in the task's own order
@@ -26,10 +26,11 @@ def score_predictions(
     settings of the run. Raises `EagorError` or `FormatError`, naming the line or the sample.
     """
     source = Path(source)
-    settings: dict[str, Any] = {"agent": "predictions"}
+    settings: Mapping[str, Any] = {"agent": "predictions"}
+    records: Sequence[Record] = ()
     if source.is_dir():
-        settings = log.description(source)
-        task = task or str(settings["task"])
+        run = read(source)
+        settings, records, task = run.settings, run.records, task or run.task.name
     if task is None or (data is None and not source.is_dir()):
         raise EagorError(f"{source} is no run; say with --task and --data what it predicts")
     made_for = load(task)
@@ -40,7 +41,6 @@ def score_predictions(
     config = read_config(made_for, {key: value for key, value in values.items() if key in fields}, changes)
     samples = made_for.samples(config)
     if source.is_dir():
-        records = made(log.description(source), log.recorded(source)).records
         given = {str(record["case"]): _of_record(record) for record in finished(records)}
     else:
         given = _predicted(source, [sample.id for sample in samples])
@@ -63,13 +63,10 @@ def keep(run: Run, folder: Path) -> None:
     """Write the records of a run of predictions. Raises `EagorError` if the folder has others for the same samples."""
     log.begin(folder, run.settings)
     there = {record["key"]: record for record in log.read(folder)}
-    new = []
+    new = [record for record in run.records if record["key"] not in there]
     for record in run.records:
-        before = there.get(record["key"])
-        if before is None:
-            new.append(record)
-            continue
-        plain = json.loads(log.as_line(record))
+        plain: dict[str, Any] = json.loads(log.as_line(record))
+        before = there.get(record["key"], plain)
         # The settings do not name the file that was scored: those of another one are the same.
         if any(before.get(name) != value for name, value in plain.items() if name not in ("attempt", "seconds")):
             raise EagorError(f"{folder} holds another result for {record['case']}; choose another folder")

@@ -5,17 +5,31 @@ Every number in them comes from the runs' records or from what the papers printe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from eagor._files import written
 from eagor.errors import EagorError
 from eagor.lab.envs.places import APARTMENT
-from eagor.lab.eval import scenes, steps, tables
-from eagor.lab.eval.charts import Curve, Series, bands, line_chart, look_of
-from eagor.lab.eval.page import Facts, Fold, Link, List, Part, Pictures, Row, Section, Table, Text, cell, markdown, page
+from eagor.lab.eval import replay, steps, tables
+from eagor.lab.eval.page import (
+    Curve,
+    Facts,
+    Fold,
+    List,
+    Part,
+    Pictures,
+    Section,
+    Series,
+    Table,
+    Text,
+    line_chart,
+    look_of,
+    markdown,
+    page,
+)
 from eagor.lab.eval.predictions import predictions_of
 from eagor.lab.eval.results import (
     FEW,
@@ -32,7 +46,7 @@ from eagor.lab.eval.results import (
     read,
     summarise,
 )
-from eagor.lab.tasks.task import finished
+from eagor.lab.tasks.task import config_of, finished
 
 LISTED = 200  # failed cases in a report
 Results = Mapping[str, Sequence[Result]]
@@ -58,30 +72,27 @@ def write_report(
         raise EagorError("a run of a simulated task is reported alone; name one folder")
     task, summary = runs[0].task, summarise(runs)
     facts = [fact for run, label in zip(runs, labels_of(runs), strict=True) for fact in _facts(run, label, len(runs))]
-    sections = _simulated(runs[0], summary, open_place) if runs[0].simulated else list(_published(runs, summary))
-    sections = [Section("figures", "Figures", _figures(runs[0], summary)), *sections]
+    sections = _simulated(runs[0], summary, open_place) if runs[0].simulated else _published(runs, summary)
+    if summary["episodes"]:
+        columns = [(f"{m.title}{f' ({m.unit})' if m.unit else ''}", m.what) for m in task.metrics]
+        figures = [tables.main_table(task, summary), Fold("What the columns are", [Facts(columns)])]
+        sections.insert(0, Section("figures", "Figures", figures))
     if summary["failed"]:
         lines = [f"{f['key']} (attempt {f['attempt']}): {f['error']}" for f in summary["failures"]]
         errors = Text("These are errors, not wrong answers: they are in no figure above.")
         sections.append(Section("failed", "What could not be run", [errors, List(lines)]))
-    sections = [section for section in sections if section.parts]
     title = f"{task.title}: {_counts(runs, summary)}"
     lead = [*_lead(runs, summary), Fold("What was run", [Facts(facts)])]
     if episode is not None:
-        lead.append(Link("Watch the worst episode, step by step", episode))
+        lead.append(Text("Watch the worst episode, step by step", link=episode))
     place = Path(out or named[0])
-    written(place / "report.html", page(title, lead, sections))
-    written(place / "tables.md", markdown(title, facts, list(_tables(sections))))
+    shown = [part for section in sections for part in section.parts if isinstance(part, Table)]
+    written(place / "report.html", page(title, lead, [section for section in sections if section.parts]))
+    written(place / "tables.md", markdown(title, facts, shown))
     written(place / "tables.csv", tables.csv_of(task, summary))
     if len(runs) == 1 and not runs[0].simulated:
         written(place / "predictions.jsonl", predictions_of(runs[0].records))
     return place / "report.html"
-
-
-def _tables(sections: Sequence[Section]) -> Iterator[Table]:
-    """The tables of the page, but for the numbers of its charts."""
-    for section in sections:
-        yield from (part for part in section.parts if isinstance(part, Table))
 
 
 # --- what was run, and the outcome in a sentence ----------------------------------------------------------------------
@@ -179,19 +190,10 @@ def _lead(runs: Sequence[Run], summary: Summary) -> list[Part]:
 
 def criterion_of(run: Run) -> str:
     """What success means in a run; "" where its task has no such thing, or its rules are not known."""
-    from eagor.lab.tasks.task import config_of
-
     try:
         return str(getattr(config_of(run.task, run.settings).rules, "success_criterion", "")) if run.simulated else ""
     except (EagorError, AttributeError):  # of another version
         return ""
-
-
-def _figures(run: Run, summary: Summary) -> list[Part]:
-    if not summary["episodes"]:
-        return []
-    columns = [(f"{m.title}{f' ({m.unit})' if m.unit else ''}", m.what) for m in run.task.metrics]
-    return [tables.main_table(run.task, summary), Fold("What the columns are", [Facts(columns)])]
 
 
 # --- the sections of a simulated task ---------------------------------------------------------------------------------
@@ -200,101 +202,52 @@ def _figures(run: Run, summary: Summary) -> list[Part]:
 def _simulated(run: Run, summary: Summary, open_place: Any) -> list[Section]:
     task, results = run.task, run.results()
     rivals = {name: found for name, found in results.items() if is_rival(name)}
-    covered = _there(tables.coverage_table(task, summary, results))
+    covered = _filled(tables.coverage_table(task, summary, results))
     return [
-        Section("ordering", "How far the paper's ordering carries over", _there(tables.ordering_table(task, results))),
-        Section("parts", "What the errors are made of", _there(tables.parts_table(results))),
-        *_curves(run, rivals),
+        Section("ordering", "How far the paper's ordering carries over", _filled(tables.ordering_table(task, results))),
+        Section("parts", "What the errors are made of", _filled(tables.parts_table(results))),
+        Section("steps", "Error by step", _curves(rivals)),
         Section("strata", "By kind of episode", tables.strata_tables(task, summary)),
         Section("coverage", "How honest the stated regions are", [*covered, *_regions(rivals)] if covered else []),
         Section("variants", "Variants", tables.variant_tables(task, summary)),
-        Section("episodes", "Three episodes to look at", scenes.three(run, results, open_place)),
+        Section("episodes", "Three episodes to look at", replay.three(run, open_place)),
     ]
 
 
-def _there(table: Table | None) -> list[Part]:
-    return [] if table is None else [table]
+def _filled(*found: Table) -> list[Part]:
+    """The tables that have rows."""
+    return [table for table in found if table.rows]
 
 
-def _curves(run: Run, rivals: Results) -> list[Section]:
-    """Errors against steps, for the methods of the paper and for the others, each beside ours."""
-    walked = any("truth" not in result.record for found in rivals.values() for result in found)
-    legs = any("leg" in steps.truth_of(result) for found in rivals.values() for result in found[:1])
-    seam = partial(steps.around, events=steps.crossings, before=steps.ABOUT_SEAM, after=steps.ABOUT_SEAM)
-    crossed = _panels(rivals, seam, "Error around seam crossings", "steps from the crossing", "seam")
-    around = Section("seam", "Error around seam crossings", crossed)
-    if walked:
-        note = Text(
-            "Every method goes its own way. A line ends where fewer than half of its episodes go on: those that arrive "
-            "early leave it, so the right end of a line is about the harder episodes.",
-            "note",
-        )
-        panels = _panels(rivals, steps.by_step, "Error by step")
-        return [Section("steps", "Error by step", [*panels, note] if panels else []), around]
-    if legs:
-        turn = partial(steps.around, events=steps.turns, before=steps.BEFORE, after=steps.AFTER, alone=True)
-        panels = _panels(rivals, turn, "Error after a turn", "steps from the first step of a leg", "turn")
-        return [Section("turns", "Error after a turn", panels), around]
-    parts: list[Part] = []
-    key = next(iter(getattr(run.task, "strata", {})), "")
-    kinds = dict.fromkeys(record["episode"].get("stratum", {}).get(key) for record in finished(run.records))
-    for kind in kinds:  # each by itself, by the first of the task's strata
-        some = {
-            name: [each for each in found if each.record["episode"].get("stratum", {}).get(key) == kind]
-            for name, found in rivals.items()
-        }
-        title = "all episodes" if kind is None else str(kind)
-        parts += [Text(title, "h3"), *_panels(some, steps.by_step, f"Error by step, {title}")]
-    return [Section("steps", "Error by step", parts)]
-
-
-def _panels(
-    rivals: Results,
-    curve_of: Callable[[Sequence[Result]], Curve | None],
-    title: str,
-    x_label: str = "step",
-    event: str = "",
-) -> list[Part]:
-    """Two charts with one scale: the paper's methods and ours, the further rivals and ours; none without any case."""
-    found = {name: curve for name, each in rivals.items() if (curve := curve_of(each)) is not None}
+def _curves(rivals: Results) -> list[Part]:
+    """Errors against steps, in two charts: the paper's methods and ours, the further rivals and ours."""
+    found = {name: curve for name, each in rivals.items() if (curve := steps.by_step(each)) is not None}
     if not found:
         return []
     top = max(v for curve in found.values() for v in (*curve.y, *curve.high) if v is not None)
     paper = [name for name in found if name in (*RIVALS, PAPERS)]
     further = [name for name in found if name not in (*paper, OURS)]
-    pictures, lines = [], []
+    pictures = []
     for label, group in (("the paper's methods", paper), ("further methods", further)):
-        if not group and pictures:
+        if not group and (pictures or OURS not in found):
             continue
         names = [*group, *([OURS] if OURS in found else [])]
         series = [Series(name, found[name], look_of(name), name == OURS) for name in names]
-        if not series:
-            continue
-        whole = f"{title}: {label} and {OURS}" if group and OURS in names else title
-        chart = line_chart(series, whole, x_label, "error, degrees", (0.0, 1.03 * top), event)
-        pictures.append((chart, f"{whole}. Means over {_episodes(series)}{bands(series)}."))
-        lines += [line for line in series if line not in lines]
-    return [Pictures(pictures), Fold("The numbers", [_numbers(title, x_label, lines)])]
+        whole = f"Error by step: {label} and {OURS}" if group and OURS in names else "Error by step"
+        chart = line_chart(series, whole, "step", "error, degrees", (0.0, max(1.03 * top, 1e-6)))
+        counts = sorted({max(line.curve.n) for line in series})
+        episodes = f"{counts[-1]} episodes" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} episodes, by method"
+        pictures.append((chart, f"{whole}. Means over {episodes}{_bands(series)}."))
+    note = (
+        "A line ends where fewer than half of its episodes go on: where every method goes its own way, those that "
+        "arrive early leave it, so the right end of a line is about the harder episodes."
+    )
+    return [Pictures(pictures), Text(note, "note")]
 
 
-def _numbers(title: str, x_label: str, series: Sequence[Series]) -> Table:
-    """A chart's numbers as a table."""
-    xs = sorted({x for line in series for x in line.curve.x})
-    rows = []
-    for line in series:
-        curve = line.curve
-        known = dict(zip(curve.x, zip(curve.y, curve.low, curve.high, strict=True), strict=True))
-        cells = (known.get(x, (None, None, None)) for x in xs)
-        rows.append(Row(line.name, tuple(cell(y, ends) for y, *ends in cells)))
-    heads = (x_label, *(f"{x:g}".replace("-", "−") for x in xs))
-    return Table(title, heads, tuple(rows), (f"Means over {_episodes(series)}.",))
-
-
-def _episodes(series: Sequence[Series]) -> str:
-    """How many episodes are behind the lines."""
-    counts = [max(line.curve.n) for line in series]
-    low, high = min(counts), max(counts)
-    return f"{high} episodes" if low == high else f"{low} to {high} episodes, by method"
+def _bands(series: Sequence[Series]) -> str:
+    """What a caption says of the bands of these lines; "" where none is drawn."""
+    return "; bands: 95 % intervals" if any(v is not None for line in series for v in line.curve.low) else ""
 
 
 def _regions(rivals: Results) -> list[Part]:
@@ -307,64 +260,53 @@ def _regions(rivals: Results) -> list[Part]:
     labels = "stated mass of the region, %", "steps with the truth inside, %"
     chart = line_chart(series, title, *labels, (0.0, 100.0), diagonal=True)
     caption = "On the dotted line statements are true; below it they are overconfident, above it too cautious."
-    return [Pictures([(chart, f"{title}. {caption}")]), Fold("The numbers", [_numbers(title, "stated, %", series)])]
+    return [Pictures([(chart, f"{title}. {caption}")])]
 
 
 # --- the sections of answers to published data ------------------------------------------------------------------------
 
 
-def _published(runs: Sequence[Run], summary: Summary) -> Iterator[Section]:
+def _published(runs: Sequence[Run], summary: Summary) -> list[Section]:
     task, answers = runs[0].task, summary["answers"]
-    if (turns := tables.turn_table(summary)) is not None:
-
-        def by_turn(part: Mapping[str, Any]) -> Curve | None:
-            found = part.get("by_turn")
-            if not found:
-                return None
-            x = tuple(float(k + 1) for k in range(len(found["success"])))
-            y, low, high = (tuple(found[key]) for key in ("success", "low", "high"))
-            return Curve(x, y, low, high, (summary["episodes"],) * len(x))
-
-        series = _series(answers, by_turn)
+    sections = []
+    if (turns := tables.turn_table(summary)).rows:
+        series = []
+        for index, (name, part) in enumerate(answers.items()):
+            if found := part.get("by_turn"):
+                x = tuple(range(1, len(found["success"]) + 1))
+                y, low, high = (tuple(found[key]) for key in ("success", "low", "high"))
+                series.append(_line(index, name, Curve(x, y, low, high, (summary["episodes"],) * len(x))))
         chart = line_chart(series, "Success by turn", "turn", "success, %", (0.0, 100.0))
-        caption = f"Success had the answer been given at this turn{bands(series)}."
-        yield Section("turns", "By turn", [Pictures([(chart, caption)]), turns])
-    if (views := tables.views_table(summary)) is not None:
-        yield Section("views", "Views, and stopping", [views, *_statements(answers)])
+        caption = f"Success had the answer been given at this turn{_bands(series)}."
+        sections.append(Section("turns", "By turn", [Pictures([(chart, caption)]), turns]))
+    if (views := tables.views_table(summary)).rows:
+        sections.append(Section("views", "Views, and stopping", [views, *_statements(answers)]))
     for number, (run, (name, part)) in enumerate(zip(runs, answers.items(), strict=True)):
         layers = [tables.tag_table(task, part), tables.cause_table(task, part)]
-        parts: list[Part] = [_titled(table, name, len(runs)) for table in layers if table is not None]
+        if len(runs) > 1:
+            layers = [replace(table, title=f"{table.title}: {name}") for table in layers]
+        parts = _filled(*layers)
         if parts and (lines := tables.failed_lines(run)[:LISTED]):
             parts.append(Fold(f"The cases that failed ({len(lines)} shown)", [List(lines)]))
-        yield Section(f"failures-{number}", f"Failures: {name}", parts)
+        sections.append(Section(f"failures-{number}", f"Failures: {name}", parts))
+    return sections
 
 
-def _titled(table: Table, name: str, count: int) -> Table:
-    return Table(f"{table.title}: {name}", table.heads, table.rows, table.notes) if count > 1 else table
-
-
-def _series(answers: Mapping[str, Any], curve_of: Callable[[Mapping[str, Any]], Curve | None]) -> list[Series]:
-    """A line of a chart for each run that has one."""
-    found = ((name, curve_of(part)) for name, part in answers.items())
-    return [
-        Series(name, curve, f"x{index % 8}", name.partition(" ")[0] == OURS)
-        for index, (name, curve) in enumerate(found)
-        if curve is not None
-    ]
+def _line(index: int, name: str, curve: Curve) -> Series:
+    """The line of a run in a chart."""
+    return Series(name, curve, look_of("", index), name.partition(" ")[0] == OURS)
 
 
 def _statements(answers: Mapping[str, Any]) -> list[Part]:
     """Stated against found: of the submissions, and of what would have been submitted at every turn."""
     pictures = []
     for key, title in (("reliability", "of submissions"), ("reliability_by_step", "of the answers at every turn")):
-
-        def curve(part: Mapping[str, Any], key: str = key) -> Curve | None:
-            rows = [row for row in part.get(key, ()) if row[2]]
-            none = (None,) * len(rows)
-            x, y, n = (tuple(row[k] for row in rows) for k in (3, 4, 2))
-            return Curve(x, y, none, none, n) if rows else None
-
-        series = _series(answers, curve)
+        series = []
+        for index, (name, part) in enumerate(answers.items()):
+            if rows := [row for row in part.get(key, ()) if row[2]]:
+                x, y, n = (tuple(row[k] for row in rows) for k in (3, 4, 2))
+                none = (None,) * len(rows)
+                series.append(_line(index, name, Curve(x, y, none, none, n)))
         if any(len(line.curve.x) > 1 for line in series):
             labels = "stated probability of success", "share that succeeded"
             chart = line_chart(series, f"Reliability {title}", *labels, (0.0, 1.0), diagonal=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import EVERY, ORACLE
 from eagor.lab.envs.places import APARTMENT
 from eagor.lab.eval import log
-from eagor.lab.tasks.task import (
-    Metric,
-    Record,
-    Task,
-    check_records,
-    config_of,
-    finished,
-    group_of,
-    load,
-    sample_of,
-)
+from eagor.lab.tasks.task import Metric, Record, Task, check_records, config_of, finished, group_of, load, sample_of
 from eagor.statistics import (
     bootstrap_interval,
     calibration_error,
@@ -70,8 +60,8 @@ class Run:
 
     @property
     def simulated(self) -> bool:
-        """Whether its records have several methods in episodes, and not one agent's answers."""
-        return "agent" not in self.settings
+        """Whether its records have several methods in episodes, and not one agent's answers to published data."""
+        return not hasattr(self.task, "agents")
 
     @property
     def unit(self) -> str:
@@ -113,7 +103,9 @@ def read(folder: Path) -> Run:
     for field in msgspec.structs.fields(load(settings["task"]).Config):
         if field.required and field.name not in settings:
             raise FormatError(f"{Path(folder) / log.RUN} does not name its {field.name}; restore it")
-    return made(settings, log.recorded(folder))
+    if not (records := log.read(folder)):
+        raise EagorError(f"{folder} has no records yet; run something into it first")
+    return made(settings, records)
 
 
 def made(settings: Mapping[str, Any], records: Sequence[Record]) -> Run:
@@ -150,12 +142,13 @@ def ordered(names: Sequence[str] | Mapping[str, Any]) -> list[str]:
     Variants by their number: degree=7 before degree=15.
     """
 
-    def place(name: str) -> tuple[Any, ...]:
+    def place(name: str) -> tuple[int, str, float]:
+        known = ORDER.index(name) if name in ORDER else len(ORDER)
         head, _, value = name.rpartition("=")
         try:
-            return ORDER.index(name) if name in ORDER else len(ORDER), head, float(value)
+            return known, head, float(value)
         except ValueError:
-            return ORDER.index(name) if name in ORDER else len(ORDER), head or name, 0.0
+            return known, head or name, 0.0
 
     return sorted(names, key=place)
 
@@ -208,7 +201,7 @@ class Values:
 
 @dataclass(frozen=True)
 class Difference:
-    """A mean difference over `n` shared samples with its interval, and p before and after Holm's correction."""
+    """A mean difference over `n` shared samples with its interval and p, before any correction."""
 
     difference: float
     low: float
@@ -216,7 +209,6 @@ class Difference:
     p: float
     n: int
     groups: int
-    p_holm: float | None = None
 
 
 def values_of(results: Sequence[Result], metric: Metric) -> Values:
@@ -328,16 +320,6 @@ def holm(p: Sequence[float]) -> list[float]:
     return corrected.tolist()
 
 
-def corrected(found: dict[tuple[str, ...], Difference | None]) -> dict[tuple[str, ...], dict[str, Difference | None]]:
-    """`found` with p_holm filled in over all of them; nested by all but the last part of their names."""
-    there = {name: each for name, each in found.items() if each is not None}
-    p = dict(zip(there, holm([each.p for each in there.values()]), strict=True))
-    nested: dict[tuple[str, ...], dict[str, Difference | None]] = {}
-    for name, each in found.items():
-        nested.setdefault(name[:-1], {})[name[-1]] = None if each is None else replace(each, p_holm=p[name])
-    return nested
-
-
 def small_cluster_warning(count: int, unit: str) -> list[str]:
     """What so few groups of this kind (apartment, cluster) cannot tell; nothing where there are enough, or none."""
     if count == 1:
@@ -367,7 +349,7 @@ def summarise(runs: Run | Sequence[Run]) -> Summary:
     records = [record for run in runs for record in run.records]
     good = finished(records)
     found = {name: {metric.key: values_of(rows, metric) for metric in task.metrics} for name, rows in results.items()}
-    reference = OURS if OURS in found else next((name for name in found if name.startswith(OURS)), OURS)
+    reference = next((name for name in (OURS, *found) if name in found and name.startswith(OURS)), OURS)
     strata = getattr(task, "strata", {})
     summary = {
         "task": task.name,
@@ -405,20 +387,19 @@ def as_json(summary: Summary, run: Run) -> dict[str, Any]:
 
 def _cells(found: Mapping[str, Mapping[str, Values]], metrics: Sequence[Metric]) -> dict[str, Any]:
     """Values, intervals and counts by method and metric."""
-
-    def each(read: Callable[[Values, Metric], Any], nothing: Any = None) -> dict[str, dict[str, Any]]:
-        return {
-            name: {
-                metric.key: read(row[metric.key], metric) if row[metric.key].values else nothing for metric in metrics
-            }
-            for name, row in found.items()
-        }
-
-    return {
-        "methods": each(lambda values, _: float(values.mean)),
-        "intervals": each(lambda values, metric: interval_of(values, metric.scale if metric.share else None)),
-        "counts": each(lambda values, _: len(values.values), 0),
-    }
+    cells: dict[str, dict[str, dict[str, Any]]] = {"methods": {}, "intervals": {}, "counts": {}}
+    for name, row in found.items():
+        for part in cells.values():
+            part[name] = {}
+        for metric in metrics:
+            key, values = metric.key, row[metric.key]
+            there = bool(values.values)
+            cells["methods"][name][key] = float(values.mean) if there else None
+            cells["intervals"][name][key] = (
+                interval_of(values, metric.scale if metric.share else None) if there else None
+            )
+            cells["counts"][name][key] = len(values.values)
+    return cells
 
 
 def _differences(
@@ -434,8 +415,11 @@ def _differences(
             if family(name) and (other := compared_with(name, reference)) in found and other != name
             for key in tested
         }
-        for (name,), row in corrected(pairs).items():
-            result[name] = {key: each and asdict(each) for key, each in row.items()}
+        there = {pair: asdict(each) for pair, each in pairs.items() if each is not None}
+        for each, p in zip(there.values(), holm([each["p"] for each in there.values()]), strict=True):
+            each["p_holm"] = p
+        for name, key in pairs:
+            result.setdefault(name, {})[key] = there.get((name, key))
     return result
 
 

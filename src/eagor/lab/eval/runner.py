@@ -2,8 +2,8 @@
 
 What is recorded decides what is left to do. A unit that raises, or takes its process down, has had an attempt. Workers
 are processes here, threads (for work that waits for servers), or actors on a Ray cluster; each has a thread of this
-process that talks with it, so all three are run by one loop. Not the pools of concurrent.futures and joblib: they break
-as a whole when one worker dies, and do not tell whose unit that was.
+process that talks with it, so all three are run by one loop, which alone decides and writes. Not the pools of
+concurrent.futures: they break as a whole when one worker dies, and do not tell whose unit that was.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from queue import SimpleQueue
+from typing import Any, Literal
 
 from eagor._extras import need
 from eagor._processes import Worker, WorkerEnded
@@ -41,6 +41,7 @@ PATIENCE = 3.0  # seconds that a worker has to leave by itself
 
 Do = Callable[[Any], Mapping[str, Any]]
 Record = dict[str, Any]
+Result = tuple[str, float, Record]  # of an attempt: the status, the seconds, and what to record
 
 
 @dataclass(frozen=True)
@@ -102,10 +103,13 @@ def run(
                 need("--engine ray (the same version on all machines)", "ray", "ray")
                 release()
                 with _cluster(address) as ray:
-                    actor = ray.remote(num_cpus=1, max_restarts=0)(_Actor)
-                    _together(schedule, lambda: _OnRay(ray, actor.remote(work, dict(config)), work), workers)
+                    _together(schedule, lambda: _OnRay(ray, work, dict(config)), workers)
             elif schedule.left and workers == 1:
-                _lane(schedule, lambda: _Here(load(work, config)))
+                do, group = load(work, config), None
+                while schedule.left:
+                    unit, number = schedule.take(group, ())
+                    group = unit.group
+                    schedule.end(unit, number, *attempt(do, unit.payload))
             elif schedule.left and engine == "threads":
                 shared = _Here(load(work, config))
                 _together(schedule, lambda: shared, workers)
@@ -148,7 +152,7 @@ def _samples(units: Sequence[Unit]) -> dict[str, Any]:
 
 
 class Scheduler:
-    """What is left to do, by group; how often it was tried; what came of it. For several threads; writes alone."""
+    """What is left to do, by group; how often it was tried; what came of it."""
 
     def __init__(
         self,
@@ -161,12 +165,9 @@ class Scheduler:
         on_done: Callable[[Record], object] | None,
     ) -> None:
         self.done = self.failed = self.skipped = 0
-        self.fault: BaseException | None = None
         self._task, self._keep, self._on_done = task, keep, on_done
         self._queues: dict[str, deque[tuple[Unit, int]]] = {}
-        self._busy: dict[int, str] = {}  # the group that each thread works on
         self._last: dict[str, int] = {}  # the number of the last attempt that each unit may have
-        self._changed = threading.Condition(threading.RLock())
         for unit in units:
             if unit.key in self._last:
                 raise EagorError(f"the key {unit.key!r} is given to two units; each needs one of its own")
@@ -184,68 +185,39 @@ class Scheduler:
         """How many units wait."""
         return sum(map(len, self._queues.values()))
 
-    def take(self, group: str | None) -> tuple[Unit, int] | None:
-        """The next unit and its attempt, for a worker that has just done one of `group`; None: nothing more will come.
+    def take(self, group: str | None, busy: Collection[str]) -> tuple[Unit, int]:
+        """The next of the units that wait, and its attempt, for a worker that has just done one of `group`.
 
-        Its own group first, then one that no other worker is at, then help with the longest.
+        Its own group first, then one that no other worker is at (`busy` ones are), then help with the longest.
         """
-        with self._changed:
-            while not self.left and self._busy and self.fault is None:
-                self._changed.wait()  # what others do now may have to be tried again
-            if not self.left or self.fault is not None:
-                return None
-            waiting = [name for name, queue in self._queues.items() if queue]
-            if group not in waiting:
-                free = [name for name in waiting if name not in self._busy.values()]
-                group = free[0] if free else max(waiting, key=lambda name: len(self._queues[name]))
-            self._busy[threading.get_ident()] = group
-            return self._queues[group].popleft()
+        waiting = [name for name, queue in self._queues.items() if queue]
+        if group not in waiting:
+            free = [name for name in waiting if name not in busy]
+            group = free[0] if free else max(waiting, key=lambda name: len(self._queues[name]))
+        return self._queues[group].popleft()
 
-    def give_back(self, unit: Unit, attempt: int) -> None:
-        """`unit` has not been begun after all."""
-        with self._changed:
-            self._queues[unit.group].appendleft((unit, attempt))
-            self._over()
+    def end(self, unit: Unit, attempt: int, status: str, seconds: float, body: Record) -> None:
+        """Record what came of an attempt. Raises `StorageError`."""
+        try:
+            record = self._record(unit, attempt, status, seconds, body)
+        except StorageError:
+            raise
+        except EagorError as error:  # JSON cannot hold it
+            record = self._record(unit, attempt, "failed", seconds, {"error": f"{type(error).__name__}: {error}"})
+        if record["status"] == "failed" and attempt < self._last[unit.key]:
+            self._queues[unit.group].append((unit, attempt + 1))
+            return
+        self.done += record["status"] == "ok"
+        self.failed += record["status"] == "failed"
+        if self._on_done is not None:
+            self._on_done({name: value for name, value in record.items() if name not in ("methods", "truth")})
 
-    def end(self, unit: Unit, attempt: int, found: Mapping[str, Any]) -> None:
-        """Record what came of an attempt: "seconds", and a "body" or an "error". Raises `StorageError`."""
-        head = {"key": unit.key, "task": self._task, "attempt": attempt, "status": "ok", "seconds": found["seconds"]}
-        body = found.get("body")
-        with self._changed:
-            try:
-                if body is not None:
-                    record = {**head, "task": body.get("task", self._task)}
-                    record |= {name: value for name, value in body.items() if name not in head}
-                else:
-                    record = _failed(head, found["error"])
-                self._keep(record)
-            except StorageError:
-                raise
-            except EagorError as error:  # JSON cannot hold it
-                record = _failed(head, f"{type(error).__name__}: {error}")
-                self._keep(record)
-            if record["status"] == "failed" and attempt < self._last[unit.key]:
-                self._queues[unit.group].append((unit, attempt + 1))
-            else:
-                self.done += record["status"] == "ok"
-                self.failed += record["status"] == "failed"
-                if self._on_done is not None:
-                    self._on_done({name: value for name, value in record.items() if name not in ("methods", "truth")})
-            self._over()
-
-    def stop(self, fault: BaseException) -> None:
-        """Give nothing more; the first fault counts."""
-        with self._changed:
-            self.fault = self.fault or fault
-            self._over()
-
-    def _over(self) -> None:
-        self._busy.pop(threading.get_ident(), None)
-        self._changed.notify_all()
-
-
-def _failed(head: Record, error: str) -> Record:
-    return {**head, "status": "failed", "error": error[:LONGEST_ERROR]}
+    def _record(self, unit: Unit, attempt: int, status: str, seconds: float, body: Record) -> Record:
+        task = body.get("task", self._task)
+        head = {"key": unit.key, "task": task, "attempt": attempt, "status": status, "seconds": seconds}
+        record = {**head, **body, **head}  # the head stands first, and what the work says changes none of it
+        self._keep(record)
+        return record
 
 
 def load(work: str, config: Mapping[str, Any]) -> Do:
@@ -263,14 +235,13 @@ def load(work: str, config: Mapping[str, Any]) -> Do:
         raise WorkError(f"{work} cannot be set up: {type(error).__name__}: {error}") from error
 
 
-def attempt(do: Do, payload: Any) -> dict[str, Any]:
-    """What came of doing `payload`, for `Scheduler.end`. Raises `StorageError`: no other unit would fare better."""
-    began = time.perf_counter()
+def attempt(do: Do, payload: Any) -> Result:
+    """What came of doing `payload`. Raises `StorageError`: no other unit would fare better."""
+    began, status = time.perf_counter(), "ok"
     try:
         body = do(payload)
         if not isinstance(body, Mapping):
             raise EagorError(f"the work returned a {type(body).__name__}; wanted a dict")
-        found: dict[str, Any] = {"body": dict(body)}
     except StorageError:
         raise
     except Exception as error:
@@ -278,104 +249,32 @@ def attempt(do: Do, payload: Any) -> dict[str, Any]:
         if not isinstance(error, EagorError):  # whoever wrote the plugin wants to know where
             last = traceback.extract_tb(error.__traceback__)[-1]
             text = f"{text[: LONGEST_ERROR - 100]} ({Path(last.filename).name}:{last.lineno})"
-        found = {"error": text}
-    return found | {"seconds": round(time.perf_counter() - began, 3)}
+        status, body = "failed", {"error": text[:LONGEST_ERROR]}
+    return status, round(time.perf_counter() - began, 3), dict(body)
 
 
 # --- workers, and the thread that talks with each ---------------------------------------------------------------------
 
 
 class WorkerDiedError(Exception):
-    """The worker has died. `begun`: whether in the middle of a unit."""
-
-    def __init__(self, how: str, begun: bool = True) -> None:
-        super().__init__(how)
-        self.begun = begun
-
-
-class WorkerHandle(Protocol):
-    """One worker that is ready. Making one raises `WorkerDiedError` if it dies, `EagorError` if it cannot work."""
-
-    def do(self, payload: Any) -> dict[str, Any]:
-        """As `attempt`. Raises `WorkerDiedError`; what pickling raises."""
-        ...
-
-    def close(self, at_once: bool) -> None:
-        """See it leave. From any thread."""
-        ...
-
-
-def _together(schedule: Scheduler, hire: Callable[[], WorkerHandle], count: int) -> None:
-    """All units on at most `count` workers. Raises what ended the run."""
-    hired: list[WorkerHandle] = []
-
-    def keep(make: Callable[[], WorkerHandle]) -> WorkerHandle:
-        worker = make()
-        hired.append(worker)
-        if schedule.fault is not None:  # it came too late to be stopped with the others
-            worker.close(True)
-        return worker
-
-    def lane() -> None:
-        try:
-            _lane(schedule, partial(keep, hire))
-        except BaseException as fault:
-            schedule.stop(fault)
-
-    # Daemons: a thread that waits for a server must not keep the process alive after Ctrl-C.
-    threads = [threading.Thread(target=lane, daemon=True) for _ in range(min(count, schedule.left))]
-    try:
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        if schedule.fault is not None:
-            raise schedule.fault
-    except BaseException as fault:
-        schedule.stop(fault)
-        raise
-    finally:
-        for worker in hired:
-            worker.close(schedule.fault is not None)
-
-
-def _lane(schedule: Scheduler, hire: Callable[[], WorkerHandle]) -> None:
-    """The life of a worker and its successors: one unit after the other."""
-    worker, group, stillborn = None, None, 0
-    while (given := schedule.take(group)) is not None:
-        unit, number = given
-        group, began, ready = unit.group, time.perf_counter(), worker is not None
-        try:
-            worker = worker or hire()
-            ready, stillborn = True, 0
-            found = worker.do(unit.payload)
-        except WorkerDiedError as died:
-            worker = None
-            stillborn += not ready
-            if stillborn >= STARTS:
-                raise WorkError(
-                    f"{STARTS} workers in a row ended before they were ready ({died}); what they wrote to stderr says "
-                    "why. Try workers=1"
-                ) from None
-            if not (ready and died.begun) or schedule.fault is not None:
-                schedule.give_back(unit, number)
-                continue
-            seconds = round(time.perf_counter() - began, 3)
-            found = {"error": f"the worker died in this unit ({died})", "seconds": seconds}
-        schedule.end(unit, number, found)
+    """The worker has died."""
 
 
 class _Here:
-    """This process, or a thread of it."""
+    """This process, or a thread of it.
+
+    As every worker: making one raises `WorkerDiedError` if it dies, `EagorError` if it cannot work.
+    """
 
     def __init__(self, do: Do) -> None:
         self._do = do
 
-    def do(self, payload: Any) -> dict[str, Any]:
+    def do(self, payload: Any) -> Result:
+        """As `attempt`. Raises `WorkerDiedError`; what pickling raises."""
         return attempt(self._do, payload)
 
     def close(self, at_once: bool) -> None:
-        pass
+        """See it leave. From any thread."""
 
 
 class _Process:
@@ -383,32 +282,24 @@ class _Process:
 
     def __init__(self, work: str, config: dict[str, Any]) -> None:
         self._worker = Worker(_serve, work, config)
-        self._ask()
+        self._answer()
 
-    def do(self, payload: Any) -> dict[str, Any]:
-        try:
+    def do(self, payload: Any) -> Result:
+        with suppress(WorkerEnded):  # the answer says how
             self._worker.send(payload)
-        except WorkerEnded:
-            raise WorkerDiedError(self._end(), begun=False) from None
-        except Exception as error:
-            return {"error": f"cannot be sent: {type(error).__name__}: {error}", "seconds": 0.0}
-        return self._ask()
+        return self._answer()
 
     def close(self, at_once: bool) -> None:
         self._worker.close(0.0 if at_once else PATIENCE)
 
-    def _ask(self) -> Any:
+    def _answer(self) -> Any:
         try:
             return self._worker.receive()
         except WorkerEnded:
-            raise WorkerDiedError(self._end()) from None
-
-    def _end(self) -> str:
-        """See it end; how it did."""
-        code = self._worker.close(PATIENCE)
-        if code == -signal.SIGTERM:
-            time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
-        return f"signal {-code}" if code < 0 else f"exit code {code}"
+            code = self._worker.close(PATIENCE)
+            if code == -signal.SIGTERM:
+                time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
+            raise WorkerDiedError(f"signal {-code}" if code < 0 else f"exit code {code}") from None
 
 
 def _serve(line: Connection, work: str, config: dict[str, Any]) -> None:
@@ -423,25 +314,22 @@ def _serve(line: Connection, work: str, config: dict[str, Any]) -> None:
 class _OnRay:
     """An actor somewhere on the cluster."""
 
-    def __init__(self, ray: Any, actor: Any, work: str) -> None:
-        self._ray, self._actor = ray, actor
-        if (fault := self._ask(actor.ready.remote())) is not None:
-            raise WorkError(fault)
+    def __init__(self, ray: Any, work: str, config: dict[str, Any]) -> None:
+        self._ray, self._actor = ray, ray.remote(num_cpus=1, max_restarts=0)(_Actor).remote()
+        self._answer(self._actor.load.remote(work, config))
 
-    def do(self, payload: Any) -> dict[str, Any]:
-        try:
-            promise = self._actor.do.remote(payload)
-        except Exception as error:
-            return {"error": f"cannot be sent: {type(error).__name__}: {error}", "seconds": 0.0}
-        return self._ask(promise)
+    def do(self, payload: Any) -> Result:
+        return self._answer(self._actor.do.remote(payload))
 
     def close(self, at_once: bool) -> None:
         if at_once:
             self._ray.kill(self._actor)
 
-    def _ask(self, promise: Any) -> Any:
+    def _answer(self, promise: Any) -> Any:
         try:
             return self._ray.get(promise)
+        except self._ray.exceptions.RayTaskError as error:  # it lives, and raised this
+            raise error.cause from None
         except self._ray.exceptions.RayError as error:
             raise WorkerDiedError(type(error).__name__) from error
 
@@ -449,20 +337,101 @@ class _OnRay:
 class _Actor:
     """The work, set up once, on some machine of the cluster."""
 
-    def __init__(self, work: str, config: dict[str, Any]) -> None:
-        self._fault = None
-        try:
-            self._do: Any = load(work, config)
-        except Exception as error:
-            self._fault = f"{type(error).__name__}: {error}"
+    def load(self, work: str, config: dict[str, Any]) -> None:
+        self._do = load(work, config)
 
-    def ready(self) -> str | None:
-        """None, or what is wrong."""
-        return self._fault
-
-    def do(self, payload: Any) -> dict[str, Any]:
-        """As `attempt`."""
+    def do(self, payload: Any) -> Result:
         return attempt(self._do, payload)
+
+
+Hire = Callable[[], _Here | _Process | _OnRay]
+
+
+class _Lane:
+    """A worker and its successors, and the thread that talks with them.
+
+    It gives each payload that is put `into` it to the worker, and puts itself and the `Result` into `answers`, or what
+    ends the run.
+    """
+
+    def __init__(self, hire: Hire, answers: SimpleQueue[tuple[_Lane, Any]]) -> None:
+        self.group: str | None = None
+        self.into: SimpleQueue[Any] = SimpleQueue()
+        self._worker: Any = None
+        self._closed = False
+        # A daemon: a thread that waits for a server must not keep the process alive after Ctrl-C.
+        threading.Thread(target=self._talk, args=(hire, answers), daemon=True).start()
+
+    def close(self, at_once: bool) -> None:
+        """See the worker leave."""
+        self._closed = True
+        self.into.put(None)
+        if self._worker is not None:
+            self._worker.close(at_once)
+
+    def _talk(self, hire: Hire, answers: SimpleQueue[tuple[_Lane, Any]]) -> None:
+        while not self._closed:
+            payload = self.into.get()
+            if not self._closed:
+                try:
+                    answers.put((self, self._attempt(hire, payload)))
+                except BaseException as fault:
+                    answers.put((self, fault))
+
+    def _attempt(self, hire: Hire, payload: Any) -> Result:
+        if self._worker is None:
+            self._worker = _ready(hire)
+            if self._closed:  # it came too late to be closed with the others
+                self._worker.close(True)
+        began = time.perf_counter()
+        try:
+            return self._worker.do(payload)
+        except EagorError:
+            raise
+        except WorkerDiedError as died:
+            self._worker = None
+            error = f"the worker died in this unit ({died})"
+            return "failed", round(time.perf_counter() - began, 3), {"error": error}
+        except Exception as error:
+            return "failed", 0.0, {"error": f"cannot be sent: {type(error).__name__}: {error}"}
+
+
+def _ready(hire: Hire) -> _Here | _Process | _OnRay:
+    """A worker; another one if it dies before it is ready. Raises `WorkError` where several do."""
+    died = None
+    for _ in range(STARTS):
+        try:
+            return hire()
+        except WorkerDiedError as error:
+            died = error
+    raise WorkError(
+        f"{STARTS} workers in a row ended before they were ready ({died}); what they wrote to stderr says why. Try "
+        "workers=1"
+    )
+
+
+def _together(schedule: Scheduler, hire: Hire, count: int) -> None:
+    """All units on at most `count` workers. Raises what ended the run."""
+    answers: SimpleQueue[tuple[_Lane, Any]] = SimpleQueue()
+    lanes = [_Lane(hire, answers) for _ in range(min(count, schedule.left))]
+    idle, busy = list(lanes), {}
+    fine = False
+    try:
+        while schedule.left or busy:
+            while idle and schedule.left:
+                lane = idle.pop()
+                unit, number = schedule.take(lane.group, [unit.group for unit, _ in busy.values()])
+                lane.group, busy[lane] = unit.group, (unit, number)
+                lane.into.put(unit.payload)
+            lane, answer = answers.get()
+            if isinstance(answer, BaseException):
+                raise answer
+            schedule.end(*busy.pop(lane), *answer)
+            idle.append(lane)
+        fine = True
+    finally:
+        for lane in lanes:
+            lane.close(at_once=not fine)
 
 
 @contextmanager

@@ -1,8 +1,7 @@
-"""What the steps of episodes say: errors around turns and seam crossings and along the way; where they come from.
+"""What the steps of episodes say: errors along the way, where they come from, and how honest the regions are.
 
 Before the first sighting, errors are the price of the search; in sight, the perception's; hidden, the memory's. Per
-episode first (the mean over its events or steps), then the mean over the episodes, with intervals that resample
-apartments.
+episode first (the mean over its steps), then the mean over the episodes, with intervals that resample apartments.
 """
 
 from __future__ import annotations
@@ -13,26 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from eagor.lab.eval.charts import Curve
+from eagor.lab.eval.page import Curve
 from eagor.lab.eval.results import Result, mean_intervals
 from eagor.lab.tasks.task import group_of
-from eagor.metrics import seam_crossings
-from eagor.sphere import direction
 
-BEFORE, AFTER = 4, 14  # steps shown about a turn
-ABOUT_SEAM = 6
 LEVELS = tuple(round(0.1 * k, 1) for k in range(1, 10))  # masses of the regions in a reliability curve
 UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
 PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
 SEEN = "after it was first seen"  # in sight or hidden again
 BASELINE = 0.1  # of the distance: by so much the camera has to have moved before a distance is asked for
 
-Events = Callable[[Result], Sequence[int]]
-
 
 def numbers(values: Sequence[float | bool | None] | None) -> np.ndarray:
     """A list of a trace as an array, NaN where it has nothing."""
-    return np.array([np.nan if value is None else float(value) for value in values or ()])
+    return np.array(values or (), dtype=float)
 
 
 def truth_of(result: Result) -> dict[str, Any]:
@@ -48,46 +41,23 @@ def errors(result: Result) -> np.ndarray:
     return numbers(result.answer["trace"]["error_deg"])
 
 
-def turns(result: Result) -> list[int]:
-    """The steps at which a leg but the first begins."""
-    legs = truth_of(result).get("leg") or ()
-    return [k for k in range(1, len(legs)) if legs[k] != legs[k - 1]]
-
-
-def crossings(result: Result) -> list[int]:
-    """The steps at which the true bearing crosses the seam."""
-    truth = truth_of(result)
-    if "seam" in truth:
-        return np.flatnonzero(truth["seam"]).tolist()
-    azimuth = np.radians(numbers(truth["azimuth_deg"]))
-    return np.flatnonzero(seam_crossings(direction(azimuth, 0 * azimuth))).tolist()
-
-
-def around(results: Sequence[Result], events: Events, before: int, after: int, alone: bool = False) -> Curve | None:
-    """Error from `before` steps before to `after` steps after the events of each episode; None without any.
-
-    `alone` leaves out steps that belong to the neighbouring events.
-    """
-    rows, labels = [], []
-    for result in results:
-        found, where = errors(result), events(result)
-        windows = np.full((len(where), before + after + 1), np.nan)
-        for index, event in enumerate(where):
-            first = max(event - before, where[index - 1] if alone and index else 0)
-            last = min(event + after, (where[index + 1] if alone and index + 1 < len(where) else len(found)) - 1)
-            windows[index, first - event + before : last - event + before + 1] = found[first : last + 1]
-        if len(windows):
-            rows.append(_mean(windows))
-            labels.append(group_of(result.record))
-    return _curve(range(-before, after + 1), rows, labels)
-
-
 def by_step(results: Sequence[Result]) -> Curve | None:
-    """Error at each step. It ends where fewer than half of the episodes go on."""
+    """Mean error at each step, where at least half of the episodes have one; it ends where fewer go on."""
     found = [errors(result) for result in results]
     longest = max(map(len, found), default=0)
-    rows = [np.pad(values, (0, longest - len(values)), constant_values=np.nan) for values in found]
-    return _curve(range(longest), rows, [group_of(result.record) for result in results])
+    values = np.array([np.pad(row, (0, longest - len(row)), constant_values=np.nan) for row in found])
+    count = np.isfinite(values).sum(axis=0)
+    enough = count >= max(1, len(found) / 2)
+    if not enough.any():
+        return None
+    last = int(np.flatnonzero(enough)[-1]) + 1
+    mean = np.nansum(values, axis=0) / np.maximum(count, 1)
+
+    def cut(row: Sequence[float | None]) -> tuple[float | None, ...]:
+        return tuple(value if there else None for value, there in zip(row[:last], enough[:last], strict=True))
+
+    low, high = mean_intervals(values, [group_of(result.record) for result in results])
+    return Curve(tuple(range(last)), cut(mean.tolist()), cut(low), cut(high), tuple(count[:last].tolist()))
 
 
 def reliability(results: Sequence[Result]) -> Curve | None:
@@ -97,35 +67,13 @@ def reliability(results: Sequence[Result]) -> Curve | None:
         stated = numbers(result.answer["trace"].get("mass_above"))
         stated = stated[np.isfinite(stated)]
         if len(stated):
-            rows.append(np.array([100 * float((stated < level).mean()) for level in LEVELS]))
+            rows.append([100 * float((stated < level).mean()) for level in LEVELS])
             labels.append(group_of(result.record))
-    return _curve([round(100 * level) for level in LEVELS], rows, labels)
-
-
-def _mean(rows: np.ndarray) -> np.ndarray:
-    """Mean over the rows, without NaN; NaN where there is nothing else."""
-    there = np.isfinite(rows)
-    count = there.sum(axis=0)
-    return np.where(count > 0, np.where(there, rows, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
-
-
-def _curve(x: Sequence[float], rows: Sequence[np.ndarray], labels: Sequence[object]) -> Curve | None:
-    """The mean of `rows`; it has a value where at least half of them do."""
     if not rows:
         return None
-    values = np.array(rows)
-    count = np.isfinite(values).sum(axis=0)
-    enough = count >= max(1, len(rows) / 2)
-    if not enough.any():
-        return None
-    last = int(np.flatnonzero(enough)[-1]) + 1
-
-    def cut(found: Sequence[float | None] | np.ndarray) -> tuple[float | None, ...]:
-        pairs = zip(found[:last], enough, strict=False)
-        return tuple(float(v) if there and v is not None else None for v, there in pairs)
-
-    low, high = mean_intervals(values, labels)
-    return Curve(tuple(x[:last]), cut(_mean(values)), cut(low), cut(high), tuple(count[:last].tolist()))
+    low, high = mean_intervals(np.array(rows), labels)
+    x = tuple(round(100 * level) for level in LEVELS)
+    return Curve(x, tuple(np.mean(rows, axis=0).tolist()), tuple(low), tuple(high), (len(rows),) * len(x))
 
 
 @dataclass(frozen=True)
@@ -179,6 +127,7 @@ def coverage(results: Sequence[Result], visible: bool) -> Part | None:
 
 
 def _over(results: Sequence[Result], read: Callable[[Result], tuple[np.ndarray, np.ndarray]]) -> Part | None:
+    """Of the values that `read` gives of the steps of an episode, those that it chooses."""
     means, groups, used, steps = [], [], 0, 0
     for result in results:
         values, chosen = read(result)

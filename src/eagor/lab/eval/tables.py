@@ -8,7 +8,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from itertools import groupby
 from typing import Any
 
 from eagor._tables import as_csv
@@ -25,7 +24,6 @@ from eagor.lab.eval.results import (
     Run,
     Summary,
     compared_with,
-    corrected,
     difference,
     is_rival,
     is_variant,
@@ -88,26 +86,23 @@ def shown_metrics(task: Task, summary: Summary) -> list[Metric]:
     return [metric for metric in task.metrics if any(row[metric.key] is not None for row in rows)]
 
 
-def own_cases(summary: Summary, name: str, metric: Metric) -> str:
-    """How many cases a method has in a metric, where methods differ in that; else nothing."""
-    counts = {count[metric.key] for count in summary["counts"].values()} - {0}
-    return f"({summary['counts'][name][metric.key]})" if len(counts) > 1 else ""
+def row(name: str, cells: Sequence[Cell]) -> Row:
+    """The row of a method; ours is shown as such."""
+    return Row(name, tuple(cells), "ours" if name.partition(" ")[0] == OURS else "")
 
 
 def _cell(summary: Summary, name: str, metric: Metric, rivals: Sequence[str] = ()) -> Cell:
-    ends = summary["intervals"][name][metric.key]
-    small = f"{span(ends, metric.digits, metric.key == 'delta')} {own_cases(summary, name, metric)}".strip()
+    """A figure, its interval, its mark; the number of its cases where methods differ in that."""
+    small = span(summary["intervals"][name][metric.key], metric.digits, metric.key == "delta")
+    counts = {count[metric.key] for count in summary["counts"].values()} - {0}
+    if len(counts) > 1:
+        small = f"{small} ({summary['counts'][name][metric.key]})".strip()
     winner = name in best(summary, metric, rivals)
     return Cell(shown(summary["methods"][name][metric.key], metric), small, DAGGER[mark(summary, name, metric)], winner)
 
 
-def _row(summary: Summary, name: str, metrics: Sequence[Metric], rivals: Sequence[str]) -> Row:
-    return row(name, [_cell(summary, name, metric, rivals) for metric in metrics])
-
-
-def row(name: str, cells: Sequence[Cell]) -> Row:
-    """The row of a method; ours is shown as such."""
-    return Row(name, tuple(cells), "ours" if name.partition(" ")[0] == OURS else "")
+def _rows(summary: Summary, names: Sequence[str], metrics: Sequence[Metric], rivals: Sequence[str]) -> list[Row]:
+    return [row(name, [_cell(summary, name, metric, rivals) for metric in metrics]) for name in names]
 
 
 def _heads(metrics: Sequence[Metric], first: str = "method") -> tuple[str, ...]:
@@ -125,13 +120,13 @@ def main_table(task: Task, summary: Summary) -> Table:
     """The table laid out like the paper's, with the published row below each method that has one."""
     metrics = shown_metrics(task, summary)
     names = [name for name in summary["methods"] if not is_variant(name)]
-    rivals = [name for name in names if is_rival(name)]
+    rivals = list(filter(is_rival, names))
     published = dict(PUBLISHED.get(task.name, {}))
     rows = []
-    for name in names:
-        rows.append(_row(summary, name, metrics, rivals))
-        if name in published:
-            rows.append(_published_row("as published", published.pop(name), metrics))
+    for each in _rows(summary, names, metrics, rivals):
+        rows.append(each)
+        if each.head in published:
+            rows.append(_published_row("as published", published.pop(each.head), metrics))
     rows += [_published_row(f"{name}, published", values, metrics) for name, values in published.items()]
     unit = summary["unit"]
     notes = [_cases(summary, names, metrics)]
@@ -148,16 +143,13 @@ def main_table(task: Task, summary: Summary) -> Table:
             "As published: measured by the papers in their own setting (worlds, models, perception, rules, the whole "
             "data). They cannot be compared with ours one to one."
         )
-    return Table(f"{task.title}: {summary['episodes']} {_plural(task)}", _heads(metrics), tuple(rows), tuple(notes))
+    title = f"{task.title}: {summary['episodes']} {getattr(task, 'case', 'case')}s"
+    return Table(title, _heads(metrics), tuple(rows), tuple(notes))
 
 
 def _published_row(name: str, values: Mapping[str, float], metrics: Sequence[Metric]) -> Row:
     cells = tuple(Cell(f"{values[m.key]:g}".replace("-", "−") if m.key in values else NOTHING) for m in metrics)
     return Row(name, cells, "paper")
-
-
-def _plural(task: Task) -> str:
-    return f"{getattr(task, 'case', 'case')}s"
 
 
 def as_text(run: Run, summary: Summary) -> list[str]:
@@ -229,28 +221,25 @@ def strata_tables(task: Task, summary: Summary) -> list[Table]:
             view = {**summary, **part, "differences": {}}
             metrics = shown_metrics(task, view)
             names = [name for name in part["methods"] if not is_variant(name)]
-            rivals = list(filter(is_rival, names))
-            rows = tuple(_row(view, name, metrics, rivals) for name in names)
+            rows = _rows(view, names, metrics, list(filter(is_rival, names)))
             what = f"{title}: {label} ({part['episodes']} episodes)"
-            found.append(Table(what, _heads(metrics), rows, (_cases(view, names, metrics),)))
+            found.append(Table(what, _heads(metrics), tuple(rows), (_cases(view, names, metrics),)))
     return found
 
 
 def variant_tables(task: Task, summary: Summary) -> list[Table]:
     """One table per varied method and set of settings."""
     metrics = shown_metrics(task, summary)
-
-    def varied(name: str) -> tuple[str, str]:
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name in filter(is_variant, summary["methods"]):
         base, _, text = name.partition(":")
-        return base, ", ".join(item.partition("=")[0] for item in text.split(","))
-
-    variants = sorted(filter(is_variant, summary["methods"]), key=varied)
+        keys = ", ".join(item.partition("=")[0] for item in text.split(","))
+        groups.setdefault((base, keys), []).append(name)
     found = []
-    for (base, keys), group in groupby(variants, key=varied):
-        members = set(group)
-        names = [name for name in summary["methods"] if name == base or name in members]
-        rows = [_row(summary, name, metrics, names) for name in names]
-        rows = [Row(f"{base} (as it is)", r.cells, "ours") if r.head == base else r for r in rows]
+    for (base, keys), variants in sorted(groups.items()):
+        names = [name for name in summary["methods"] if name == base or name in variants]
+        rows = _rows(summary, names, metrics, names)
+        rows = [Row(f"{base} (as it is)", each.cells, "ours") if each.head == base else each for each in rows]
         notes = (
             _cases(summary, names, metrics),
             f"† worse, ‡ better than {base}: p < {SIGNIFICANT}, Holm's correction over all tests of all variants.",
@@ -278,29 +267,22 @@ def csv_of(task: Task, summary: Summary) -> str:
     return as_csv([FIELDS, *rows])
 
 
-# --- of simulated tasks -----------------------------------------------------------------------------------------------
+# --- of simulated tasks; a table without a case has no rows -----------------------------------------------------------
 
 
-def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table | None:
+def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table:
     """How far the paper's ordering carries over: what its method gains over each rival, published and measured."""
     published = PUBLISHED.get(task.name, {})
     metrics = [metric for metric in task.metrics if metric.key in published.get(PAPERS, {})]
-    values = {
-        name: {metric.key: values_of(results.get(name, ()), metric) for metric in metrics} for name in (PAPERS, *RIVALS)
-    }
-    gains: dict[tuple[str, ...], Difference | None] = {}
-    for rival in RIVALS:
-        for metric in metrics:
-            pair = values[rival][metric.key], values[PAPERS][metric.key]
-            gains[rival, metric.key] = difference(*(pair if metric.better == "low" else pair[::-1]))
-    if not any(gains.values()):
-        return None
+    values = {name: [values_of(results.get(name, ()), metric) for metric in metrics] for name in (PAPERS, *RIVALS)}
     rows, verdicts = [], []
-    for (rival,), measured in corrected(gains).items():
+    for rival in RIVALS if metrics else ():
         claimed, cells = [], []
-        for metric in metrics:
+        for metric, theirs, ours in zip(metrics, values[rival], values[PAPERS], strict=True):
+            lower = metric.better == "low"
             ahead = published[rival][metric.key] - published[PAPERS][metric.key]
-            margin, gain = ahead * (1 if metric.better == "low" else -1), measured[metric.key]
+            margin = ahead if lower else -ahead
+            gain = difference(theirs, ours) if lower else difference(ours, theirs)
             claimed.append(Cell(shown(margin, metric, True)))
             verdicts.append(verdict(margin, gain))
             ends = span((gain.low, gain.high), metric.digits, True) if gain else ""
@@ -314,7 +296,8 @@ def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table
         "Each is judged for itself, without a correction for their number.",
         "Measured: paired over the episodes that both have. Published margins are differences of the printed figures.",
     )
-    return Table(f"What {PAPERS} gains over the paper's rivals", _heads(metrics, "margin"), tuple(rows), notes)
+    title = f"What {PAPERS} gains over the paper's rivals"
+    return Table(title, _heads(metrics, "margin"), tuple(rows if any(verdicts) else ()), notes)
 
 
 def verdict(published: float, measured: Difference | None) -> str:
@@ -326,48 +309,40 @@ def verdict(published: float, measured: Difference | None) -> str:
     return "open"
 
 
-def coverage_table(task: Task, summary: Summary, results: Mapping[str, Sequence[Result]]) -> Table | None:
+def coverage_table(task: Task, summary: Summary, results: Mapping[str, Sequence[Result]]) -> Table:
     """How often the truth lay in the 90 % region: all steps, in sight, out of sight."""
-    metric = next((metric for metric in task.metrics if metric.key == "coverage"), None)
-    if metric is None:
-        return None
-    rows = [
-        row(
-            name,
-            [
-                _cell(summary, name, metric),
-                *(_part_cell(steps.coverage(results[name], visible)) for visible in (True, False)),
-            ],
-        )
-        for name, values in summary["methods"].items()
-        if not is_variant(name) and values["coverage"] is not None
-    ]
+    rows = []
+    for metric in task.metrics:
+        for name, values in summary["methods"].items():
+            if metric.key == "coverage" and not is_variant(name) and values["coverage"] is not None:
+                sides = (_part_cell(steps.coverage(results[name], visible)) for visible in (True, False))
+                rows.append(row(name, [_cell(summary, name, metric), *sides]))
     note = (
         "Share of steps, percent, at which the true direction lay in the stated 90 % region; 90 is right, less is "
         "overconfident, more is too cautious. Methods that state no region are left out."
     )
     heads = ("method", "all steps, %", "target in sight, %", "target out of sight, %")
-    return Table("Coverage of the 90 % regions", heads, tuple(rows), (note,)) if rows else None
+    return Table("Coverage of the 90 % regions", heads, tuple(rows), (note,))
 
 
-def parts_table(results: Mapping[str, Sequence[Result]]) -> Table | None:
+def parts_table(results: Mapping[str, Sequence[Result]]) -> Table:
     """What the errors are made of, and how far off the distance is."""
-    rows, shares = [], {}
+    rows, share = [], ""
     for name, found in results.items():
         if is_variant(name):
             continue
-        parts = {part: steps.error_in(found, part) for part in steps.PARTS}
-        shares |= {part: value.share for part, value in parts.items() if value is not None and name == OURS}
-        values = (*parts.values(), steps.error_in(found, steps.SEEN), steps.distance_error(found))
-        rows.append(row(name, list(map(_part_cell, values))))
-    if not rows:
-        return None
-    share = ", ".join(f"{100 * value:.0f} % {part}" for part, value in shares.items())
+        parts = [steps.error_in(found, part) for part in steps.PARTS]
+        rows.append(
+            row(name, list(map(_part_cell, [*parts, steps.error_in(found, steps.SEEN), steps.distance_error(found)])))
+        )
+        if name == OURS:
+            shares = [f"{100 * part.share:.0f} % {what}" for what, part in zip(steps.PARTS, parts, strict=True) if part]
+            share = f" Of the steps of {OURS}: {', '.join(shares)}." if shares else ""
     notes = (
         "Mean direction error over the steps of each kind, over the episodes that have such steps. Before the target "
         "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "
         "an estimator that made no mistake would have the others at 0. The fourth column is the second and the third."
-        + (f" Of the steps of {OURS}: {share}." if share else ""),
+        + share,
         f"Distance: mean relative error once the camera has moved by {100 * steps.BASELINE:.0f} % of it since the "
         "first sighting, for methods that state one.",
     )
@@ -378,7 +353,7 @@ def parts_table(results: Mapping[str, Sequence[Result]]) -> Table | None:
 # --- of answers to published data -------------------------------------------------------------------------------------
 
 
-def turn_table(summary: Summary) -> Table | None:
+def turn_table(summary: Summary) -> Table:
     """Success if the episode had ended at each turn."""
     found = {name: part["by_turn"] for name, part in summary["answers"].items() if "by_turn" in part}
     longest = max((len(part["success"]) for part in found.values()), default=0)
@@ -391,11 +366,10 @@ def turn_table(summary: Summary) -> Table | None:
         "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
         "submission its outcome stands. Small print: 95 % of whole clusters."
     )
-    heads = ("agent", *(str(k + 1) for k in range(longest)))
-    return Table("Success by turn", heads, tuple(rows), (note,)) if rows else None
+    return Table("Success by turn", ("agent", *(str(k + 1) for k in range(longest))), tuple(rows), (note,))
 
 
-def views_table(summary: Summary) -> Table | None:
+def views_table(summary: Summary) -> Table:
     """How many views it took, and whether those that were sure were right."""
     rows = []
     for name, part in summary["answers"].items():
@@ -415,10 +389,10 @@ def views_table(summary: Summary) -> Table | None:
         "calibration error ↓, %",
     )  # fmt: skip
     note = "Calibration error: mean gap between the stated probability of success and the share that succeeded."
-    return Table("Views, and stopping", heads, tuple(rows), (note,)) if rows else None
+    return Table("Views, and stopping", heads, tuple(rows), (note,))
 
 
-def tag_table(task: Task, part: Mapping[str, Any]) -> Table | None:
+def tag_table(task: Task, part: Mapping[str, Any]) -> Table:
     """The first layer of the failures: what was known before the run."""
     published = PUBLISHED_TAGS.get(task.name, {})
     rows = []
@@ -427,17 +401,14 @@ def tag_table(task: Task, part: Mapping[str, Any]) -> Table | None:
         rows.append(Row(tag, cells))
         if tag in published:
             rows.append(Row("published", (Cell(NOTHING), *(Cell(f"{value:g}") for value in published[tag])), "paper"))
-    heads = ("kind", "cases", "of all, %", "success ↑, %")
-    return Table("What was asked", heads, tuple(rows), (_TAGS,)) if rows else None
+    note = (
+        "The kind of a case was known before it was played. Small print: 95 % of whole clusters. Published: the "
+        "paper's, of its own agent and model."
+    )
+    return Table("What was asked", ("kind", "cases", "of all, %", "success ↑, %"), tuple(rows), (note,))
 
 
-_TAGS = (
-    "The kind of a case was known before it was played. Small print: 95 % of whole clusters. Published: the paper's, "
-    "of its own agent and model."
-)
-
-
-def cause_table(task: Task, part: Mapping[str, Any]) -> Table | None:
+def cause_table(task: Task, part: Mapping[str, Any]) -> Table:
     """The second layer: why cases failed, crossed with the first."""
     causes, tags = part["causes"], part["tags"]
     meanings, count = getattr(task, "causes", {}), sum(part["causes"].values())
@@ -446,7 +417,7 @@ def cause_table(task: Task, part: Mapping[str, Any]) -> Table | None:
         crossed = [Cell(str(tag["causes"].get(cause, 0))) for tag in tags.values()]
         rows.append(Row(cause.replace("_", " "), (Cell(str(n)), cell(100 * n / count), *crossed)))
     notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
-    return Table("Why cases failed", ("cause", "cases", "of failures, %", *tags), tuple(rows), notes) if rows else None
+    return Table("Why cases failed", ("cause", "cases", "of failures, %", *tags), tuple(rows), notes)
 
 
 def failed_lines(run: Run) -> list[str]:
