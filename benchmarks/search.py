@@ -36,10 +36,10 @@ from PIL import Image
 from eagor.grids import ErpGrid
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.hstar.agents import make_agent, open_detector, run_episode
+from eagor.lab.tasks.hstar.agents import HStarConfig, make_agent, open_detector
+from eagor.lab.tasks.hstar.bench import run_episode
 from eagor.lab.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episodes
 from eagor.lab.tasks.hstar.rules import View, level_of
-from eagor.lab.tasks.hstar.search import SearchRules
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
@@ -128,12 +128,11 @@ def measured(episodes: Sequence[Episode], noise: Noise, looks: int) -> dict[str,
     """The records of every agent, over all episodes and repetitions."""
     runs: dict[str, list[dict[str, Any]]] = {}
     for agent in AGENTS:
-        began, records = time.process_time(), []
+        began, records, config = time.process_time(), [], HStarConfig(task="hstar-hos", data="", agent=agent)
         for repetition in range(looks):
             for episode in episodes:
-                detector = open_detector(noise, episode, LUCK + repetition, 1080)
-                player = make_agent(agent, episode, detector, SearchRules(), 10, 0)
-                records.append(run_episode(episode, player, "strict"))
+                detector = open_detector(noise, episode, LUCK + repetition)
+                records.append(run_episode(episode, make_agent(config, episode, detector), "strict"))
         views = sum(record["views"] for record in records)
         milliseconds = 1000 * (time.process_time() - began) / views
         runs[agent] = records

@@ -1,7 +1,6 @@
 """Small data sets in H*Bench's layout, made up for tests: coloured squares on a grey panorama."""
 
 import json
-import zipfile
 
 import numpy as np
 from PIL import Image
@@ -45,20 +44,6 @@ def write(folder, split="hos_bench", targets=None, suffix="png", paths=False, st
     return folder
 
 
-def zipped(folder, split="hos_bench"):
-    """The split as the published archive, and nothing else."""
-    archive = folder / f"{split}.zip"
-    with zipfile.ZipFile(archive, "w") as file:
-        for path in sorted((folder / split).rglob("*")):
-            if path.is_file():
-                file.write(path, path.relative_to(folder / split).as_posix())
-                path.unlink()
-    for path in sorted((folder / split).rglob("*"), reverse=True):
-        path.rmdir()
-    (folder / split).rmdir()
-    return folder
-
-
 class Scripted:
     """A model that says what it was given, and keeps what it was shown."""
 
@@ -79,7 +64,7 @@ def patient():
     """A model for the command line: turns right twice, then submits where it looks."""
 
     def reply(messages):
-        from eagor.lab.tasks.hstar.prompts import succeeded
+        from eagor.lab.tasks.hstar.rules import succeeded
         from eagor.perception.vlm import ChatReply
 
         said = messages[-1].text

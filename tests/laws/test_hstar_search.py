@@ -2,20 +2,31 @@
 
 import itertools
 import math
-import re
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.lab.agents.steering import Searcher
-from eagor.lab.tasks.hstar.agents import LENS, SimulatedDetector
+from eagor.lab.tasks.hstar import agents
+from eagor.lab.tasks.hstar.agents import (
+    ALARM,
+    CELLS,
+    HIT,
+    LENS,
+    PITCHES,
+    YAWS,
+    Search,
+    SimulatedDetector,
+    _information,
+    _shown_by,
+    prior_of,
+    stated,
+)
 from eagor.lab.tasks.hstar.rules import View, inside, submit_succeeds
-from eagor.lab.tasks.hstar.search import CELLS, PITCHES, YAWS, Search, SearchRules, _information, _prior, _weights
 from eagor.perception.truth import Noise
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
@@ -32,7 +43,7 @@ def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
     for yaw, pitch in views:
         view = View(float(yaw), float(pitch))
         search = search.update(empty(), view.world_R_view, view)
-    ratio = search.probability / _prior(search.rules, "hos")
+    ratio = search.probability / search.prior
     unseen = search.shown == 0
     assert unseen.any()
     np.testing.assert_allclose(ratio[unseen], ratio[unseen].max(), rtol=1e-9)
@@ -62,9 +73,9 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
     rng = np.random.default_rng(seed)
     p = rng.dirichlet(np.full(CELLS.height * CELLS.width, 0.05)).reshape(CELLS.shape)
     new = rng.uniform(0.2, 1.0, CELLS.shape)
-    hit, alarm = 0.7, 0.2
-    found = _information(p, new, _weights(pitch, 15), hit, alarm)[turn]
-    shown = np.roll(_weights(pitch, 15), int(YAWS[turn]) // 5, axis=1).reshape(-1)
+    hit, alarm = HIT, ALARM
+    found = _information(p, new, _shown_by(View(0.0, float(pitch)))[1])[turn]
+    shown = np.roll(_shown_by(View(0.0, float(pitch)))[1], int(YAWS[turn]) // 5, axis=1).reshape(-1)
     seen = np.flatnonzero(shown)
     share = hit * shown * new.reshape(-1)
     area = CELLS.weights.reshape(-1)[seen]
@@ -82,14 +93,16 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
 
 
 @pytest.mark.parametrize("elsewhere", [0.05, 0.3, 1.0])
-def test_the_prior_is_even_by_the_share_elsewhere(elsewhere):
+def test_the_prior_is_even_by_the_share_elsewhere(elsewhere, monkeypatch):
+    monkeypatch.setattr(agents, "TILT", 5.0)
+    monkeypatch.setattr(agents, "HEIGHT", 80.0)
     even = CELLS.weights / CELLS.weights.sum()
-    prior = _prior(SearchRules(tilt=5, height=80, elsewhere=elsewhere), "hos")
+    prior = prior_of("hos", elsewhere)
     assert prior.sum() == pytest.approx(1)
     assert float((prior / even).min()) == pytest.approx(elsewhere), "far from the mean only the even part is left"
     top = np.degrees(CELLS.latitudes) > 60
     assert prior[top].sum() == pytest.approx(1 - elsewhere * (1 - even[top].sum()), abs=1e-3)
-    np.testing.assert_allclose(_prior(SearchRules(), "hps"), CELLS.weights)
+    np.testing.assert_allclose(prior_of("hps"), CELLS.weights)
 
 
 @pytest.mark.parametrize("pitch", [-60, -30, 0, 30, 50])
@@ -114,7 +127,7 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     detector = SimulatedDetector(
         (item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0
     )
-    searcher, view = Searcher(Search.begin("hos"), commit_threshold=SearchRules().sure), View(float(start), 0.0)
+    searcher, view = Searcher(Search.begin("hos"), commit_threshold=agents.SURE), View(float(start), 0.0)
     beginning = searcher.space.answer().probability
     for _ in range(10):
         searcher.space = searcher.space.update(detector(view).evidence, view.world_R_view, view)
@@ -127,11 +140,12 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
 
 
-def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more():
+def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(monkeypatch):
+    monkeypatch.setattr(agents, "REPEATS", 0.5)
     here, away = View(0.0, 0.0), View(180.0, 0.0)
 
     def fall(*views):
-        search = Search.begin("hos", SearchRules(repeats=0.5))
+        search = Search.begin("hos")
         for view in views:
             search = search.update(empty(), view.world_R_view, view)
         return -float(search.belief.log_ratio(CELLS)[18, 36])  # straight ahead
@@ -142,25 +156,14 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
     assert fall(here, here, here) == pytest.approx(2.0 * once, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("rules", "says"),
-    [
-        ({"sure": math.nan}, "sure = nan; wanted a probability above 0, at most 1"),
-        ({"alarm": 1.0}, "alarm = 1.0; wanted a probability from 0 to below 1"),
-        ({"elsewhere": 0.0}, "elsewhere = 0.0; wanted a share above 0"),
-    ],
-)
-def test_rules_out_of_range_are_refused(rules, says):
-    with pytest.raises(EagorError, match=f"SearchRules: {re.escape(says)}"):
-        SearchRules(**rules)
-
-
-def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief():
+def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief(monkeypatch):
     shares = np.linspace(0, 1, 101).tolist()
-    stated = [SearchRules().stated(share) for share in shares]
-    assert all(0 < p < 1 for p in stated)
-    assert (np.diff(stated) >= 0).all()
-    assert [SearchRules(shift=0.0, slope=1.0).stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
+    said = [stated(share) for share in shares]
+    assert all(0 < p < 1 for p in said)
+    assert (np.diff(said) >= 0).all()
+    monkeypatch.setattr(agents, "SHIFT", 0.0)
+    monkeypatch.setattr(agents, "SLOPE", 1.0)
+    assert [stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
 
 
 def test_truth_misses_and_alarms_at_its_rates_and_its_luck_does_not_depend_on_where_it_looks():
@@ -199,12 +202,8 @@ def test_paths_are_answered_by_yaw_alone():
     assert abs(answer.yaw - 103) <= 5
 
 
-def test_rules_at_their_ends_still_tell_where_to_look():
-    for rules in (
-        SearchRules(hit=1.0, alarm=0.0, repeats=1.0),
-        SearchRules(hit=0.0),
-        SearchRules(tilt=1e-3, slope=100),
-    ):
-        search = Search.begin("hos", rules)
+def test_a_prior_at_its_ends_still_tells_where_to_look():
+    for elsewhere in (1e-12, 1.0):
+        search = Search.begin("hos", elsewhere)
         assert np.isfinite(search.tells()).all()
         assert 0 <= search.answer().probability <= 1

@@ -13,9 +13,8 @@ from eagor.evidence.calibration import Calibration
 from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, angle_size, turn_angle
 from eagor.lab.agents.steering import Searcher
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.hstar.agents import LENS, EagorAgent, SimulatedDetector, ViewEvidence
+from eagor.lab.tasks.hstar.agents import LENS, PITCHES, YAWS, EagorAgent, Search, SimulatedDetector, ViewEvidence
 from eagor.lab.tasks.hstar.rules import View
-from eagor.lab.tasks.hstar.search import PITCHES, YAWS, Search, SearchRules
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 
@@ -144,7 +143,7 @@ def test_a_look_that_was_just_taken_tells_less(name):
 def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
     """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
     nothing = Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
-    agent = EagorAgent("hos", lambda view: ViewEvidence(nothing, view.world_R_view), SearchRules())
+    agent = EagorAgent(Search.begin("hos"), lambda view: ViewEvidence(nothing, view.world_R_view))
     view, seen = View(17.4, 3.0), set()
     for _ in range(6):
         view = view.after(agent(view, False).action)
@@ -158,7 +157,7 @@ def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
 def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_nearest(seed, start, kind):
     """In H*Bench's degrees, yaw to the right: a degree less to turn is worth 1e-5 nats."""
     detector = SimulatedDetector((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
-    agent = EagorAgent(kind, detector, SearchRules(sure=1.0))
+    agent = EagorAgent(Search.begin(kind), detector, sure=1.0)
     view = View(start, 0.0)
     for _ in range(6):
         now, view = view, view.after(agent(view, False).action)

@@ -8,7 +8,7 @@ from pathlib import Path
 import hstar_data
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from eagor.errors import EagorError, FormatError, ImageError
@@ -88,6 +88,7 @@ PIECES = (*TAGS, *TAGS, "<observation>", "</observation>", "<reasoning>", "</rea
 
 @settings(max_examples=1500)
 @given(st.lists(st.sampled_from(PIECES), max_size=14).map("".join), st.sampled_from(FORMS))
+@example("<think><observation>a</observation> <reasoning>b</reasoning></think><answer>a</answer>", "grounding")
 def test_replies_of_any_tags_are_read_as_the_published_parser_reads_them(text, form):
     assert vars(parse_action(text, form)) == published(text, form)
 

@@ -5,13 +5,11 @@ And no file is ever handed to another program.
 
 import gzip
 import io
-import itertools
 import json
 import os
 import struct
 import subprocess
 import sys
-import zipfile
 import zlib
 
 import numpy as np
@@ -20,9 +18,8 @@ from mutations import reads
 from PIL import Image
 from processes import limited
 
-from eagor.errors import FormatError, ImageError, WorldError
-from eagor.lab.tasks.hstar import data as files
-from eagor.lab.tasks.hstar.data import Stored, find_scenes, open_panorama
+from eagor.errors import ImageError, WorldError
+from eagor.lab.tasks.hstar.data import open_panorama
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama
@@ -153,7 +150,7 @@ def eps(size=32):
 def test_no_other_program_is_asked_to_read_a_picture(tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a program is started"))
     (tmp_path / "pano.png").write_bytes(eps())
-    for read in (read_panorama, lambda path: open_panorama(Stored(str(path)))):
+    for read in (read_panorama, lambda path: open_panorama(str(path))):
         with pytest.raises(ImageError, match="cannot be read"):
             read(tmp_path / "pano.png")
     (tmp_path / "eps.glb").write_bytes(glb(*with_pictures([eps()], [0])))
@@ -191,34 +188,6 @@ def test_gzipped_episodes(tmp_path):
         file.write(b'{"episodes": [' + b" " * (20 << 20) + b"]}")
     with pytest.raises(WorldError, match=r"split\.json\.gz cannot be read: it holds more than 16777216 bytes"):
         read_episodes(tmp_path / "split.json.gz")
-
-
-def test_members_of_an_archive(tmp_path):
-    with zipfile.ZipFile(tmp_path / "hos.zip", "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr("a/annotation.json", b" " * (20 << 20))
-        file.writestr("a/pano.png", flat_png(8, 4))
-    (scene,) = find_scenes(tmp_path / "hos.zip")
-    with pytest.raises(FormatError, match="it claims 20971520 bytes, packed in"):
-        scene.annotation.read()
-    assert open_panorama(scene.panorama).shape == (4, 8, 3)
-
-
-def test_an_archive_of_many_folders_is_read_folder_by_folder(tmp_path, monkeypatch):
-    with zipfile.ZipFile(tmp_path / "hos.zip", "w") as file:
-        for number, name in itertools.product(range(50), ("annotation.json", "b.png", "a.png")):
-            file.writestr(f"{number}/{name}", b"")
-    seen = 0
-    choose = files._picture
-
-    def counted(names):
-        nonlocal seen
-        seen += len(names)
-        return choose(names)
-
-    monkeypatch.setattr(files, "_picture", counted)
-    found = find_scenes(tmp_path / "hos.zip")
-    assert seen == 150
-    assert [scene.panorama.member for scene in found[:2]] == ["0/a.png", "1/a.png"]
 
 
 IMPORTS = """

@@ -16,7 +16,7 @@ from PIL import Image
 from processes import limited
 from strategies import HOSTILE
 
-from eagor.lab.tasks.hstar.data import Stored, open_panorama
+from eagor.lab.tasks.hstar.data import open_panorama
 from eagor.lab.worlds.glb import export_glb, import_glb
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.objectnav import read_episodes
@@ -76,7 +76,7 @@ def test_pictures(folder, blob):
         assert image.ndim == 3
         assert image.shape[2] == 3
     open_panorama.cache_clear()
-    again = reads(lambda: open_panorama(Stored(str(path))), "pano.bin")
+    again = reads(lambda: open_panorama(str(path)), "pano.bin")
     assert (again is None) == (image is None)
     assert image is None or np.array_equal(again, image)
 

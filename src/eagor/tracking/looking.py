@@ -42,7 +42,7 @@ class Heights:
     """Where things usually are: elevations about `height` (standard deviation `tilt`, radians), seen from a camera.
 
     A share `elsewhere` of the probability is even over the sphere. The defaults are those of furnished rooms, as in
-    `eagor.lab.tasks.hstar.search.SearchRules`.
+    `eagor.lab.tasks.hstar.agents`.
     """
 
     height: float = math.radians(-15)

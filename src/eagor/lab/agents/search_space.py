@@ -1,6 +1,6 @@
 """What a search knows, and what the next look is expected to tell about where a thing is: one measure for all searches.
 
-The thing is in one of many cells: directions around a camera that only turns (`eagor.lab.tasks.hstar.search`), or
+The thing is in one of many cells: directions around a camera that only turns (`eagor.lab.tasks.hstar.agents`), or
 patches of the ground about a body (`SearchedGround`). Either is a `Space`. A look is worth taking for what it shows:
 cells that no look has shown, and cells that were looked at but where the perception may have missed the thing. A search
 takes the look that tells most for what it costs (`eagor.lab.agents.steering`).

@@ -21,12 +21,11 @@ import numpy as np
 from msgspec import Meta
 
 from eagor._checks import shown
-from eagor.errors import FormatError, QueryError
-from eagor.evidence import Evidence
+from eagor.errors import FormatError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.agents.models import recalibrator, shared, shared_chat
-from eagor.lab.tasks.hstar.prompts import head_of, phrase_of, thing_of
-from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, score_metric
+from eagor.lab.tasks.hstar.data import head_of, phrase_of, thing_of
+from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, first_known, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
 from eagor.media.panorama import read_panorama, resized, view
 from eagor.perception.partial import look_at_view
@@ -174,7 +173,8 @@ def explore(perception: Any, image: np.ndarray, question: str, looks: int, read:
     """Global first, then local: at the belief's best place that was not looked at so closely yet."""
     tracker, views = DirectionTracker(), list[tuple[np.ndarray, float]]()
     words = re.sub(r"\b(in|within|from) (this|the) (panorama|panoramic|image|picture|scene)\b.*", "", question)
-    query, evidence = _first_look(perception, image, [thing_of(words), phrase_of(words), head_of(words)])
+    queries = thing_of(words), phrase_of(words), head_of(words)
+    query, evidence = first_known(queries, lambda query: perception(image, query, stamp=0.0))
     for number in range(looks + 1):
         stamp = 1e-3 * number  # the camera stands still
         tracker.add_pose(stamp, np.eye(3))
@@ -191,16 +191,6 @@ def explore(perception: Any, image: np.ndarray, question: str, looks: int, read:
         if (option := next((option for option in options if option[1] >= NARROWEST), None)) is None:
             return
         views.append(option)
-
-
-def _first_look(perception: Any, image: np.ndarray, queries: Sequence[str]) -> tuple[str, Evidence]:
-    """The first query that the perception knows, and what it sees."""
-    try:
-        return queries[0], perception(image, queries[0], stamp=0.0)
-    except QueryError:
-        if len(queries) == 1:
-            raise
-        return _first_look(perception, image, queries[1:])
 
 
 def _halved(place: np.ndarray, views: Sequence[tuple[np.ndarray, float]]) -> list[float]:

@@ -9,13 +9,14 @@ import warnings
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 from msgspec import Meta
 
 from eagor._version import __version__
-from eagor.errors import EagorError
+from eagor.errors import EagorError, QueryError
+from eagor.evidence import Evidence
 from eagor.lab.tasks.task import Metric, Record, Sample
 
 TALKING = "vlm"  # the agent that asks a model, in every task
@@ -156,12 +157,22 @@ def score_metric(
     return Metric(key, title, what, read, digits=2, share=True, over=over)
 
 
+def first_known(queries: Sequence[str], look: Callable[[str], Evidence]) -> tuple[str, Evidence]:
+    """The first of `queries` that a perception knows, and its `look` for it. Raises `QueryError` if it knows none."""
+    for query in queries[:-1]:
+        try:
+            return query, look(query)
+        except QueryError:
+            continue
+    return queries[-1], look(queries[-1])
+
+
 def case_seed(seed: int, case: str) -> list[int]:
     """The seed of one case; independent of all other cases."""
     return [seed, zlib.crc32(case.encode())]
 
 
-def picture_size(file: Path | IO[bytes], upright: bool = False) -> tuple[int, int] | None:
+def picture_size(file: Path, upright: bool = False) -> tuple[int, int] | None:
     """Width and height of a picture, None if it cannot be read; `upright`: after its orientation tag was followed."""
     from PIL import Image
 

@@ -1,7 +1,8 @@
 """H*Bench: look around in a panorama through a perspective camera, and name the direction of the target.
 
-It has two halves, object search (HOS) and path search (HPS). `rules` (with the camera) are the benchmark's own, quirks
-included; `data` reads its files; `search` is our search, `agents` has all who play; `bench` is for `eagor bench`.
+It has two halves, object search (HOS) and path search (HPS). `rules` (with prompts and the camera) are the
+benchmark's own, quirks included; `data` reads its files; `agents` has all who play, and our search; `bench` is for
+`eagor bench`.
 """
 
 from eagor.lab.tasks.hstar.data import Episode, read_episodes

@@ -1,60 +1,71 @@
-"""The agents of H*Bench, what they see, how they play an episode, its record, and the cause of a failure.
+"""The agents of H*Bench: ours, a fixed sweep, the model alone, single-view baselines, and blind ones.
 
-Agents: ours, a fixed sweep, the model alone, single-view baselines, and blind ones. An agent gets the current view, may
-look, and returns an action. At every turn it also returns the answer that it would submit if the episode ended there,
-so that success by turn needs no further runs. Those that look are given a `Detector`: any perception, or ``truth``, a
-simulated detector of known quality based on the annotations.
+An agent gets the current view, may look, and returns an action. At every turn it also returns the answer that it would
+submit if the episode ended there, so that success by turn needs no further runs. Those that look are given a
+`Detector`: any perception, or ``truth``, a simulated detector of known quality based on the annotations.
+
+Ours is a `Search`: every look updates a `Belief` about the target in the world frame. Directions that were looked at
+without a response lose belief, others keep theirs. What a view tells is the mutual information between the outcome of
+the look and the target's direction; `eagor.lab.agents.steering` chooses by it. The submission is the window with the
+most belief.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from msgspec import Meta
+from scipy.ndimage import convolve1d
 
 from eagor._arrays import to_numpy
-from eagor.baselines import Centroid, CircularCentroid, DirectionFilter, HistogramFilter
-from eagor.conventions import direction_from_hstar, hstar_from_direction
-from eagor.errors import EagorError, QueryError
+from eagor._values import lazy
+from eagor.baselines import Centroid, CircularCentroid, HistogramFilter
+from eagor.belief import Belief
+from eagor.conventions import hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.coverage import looked_at
 from eagor.evidence.detections import resolved
 from eagor.evidence.shapes import MIN_SPREAD
-from eagor.grids import PerspectiveGrid
-from eagor.lab.agents.models import digest, recalibrator, shared, shared_chat
+from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.harmonics.peaks import decoding_grid
+from eagor.lab.agents.models import digest, shared
 from eagor.lab.agents.steering import Searcher
-from eagor.lab.tasks.hstar.data import Episode, open_panorama
-from eagor.lab.tasks.hstar.prompts import first_text, head_of, next_text, phrase_of, system_text, tag_of, thing_of
+from eagor.lab.tasks.hstar.data import Episode, Kind, head_of, open_panorama, phrase_of, thing_of
 from eagor.lab.tasks.hstar.rules import (
     HFOV_DEG,
     MAX_TURNS,
-    SCORINGS,
+    PITCH_TOLERANCE,
+    RESOLUTION,
+    YAW_TOLERANCE,
     Action,
+    Form,
     Reply,
     Scoring,
     View,
     box_points,
-    checked_scoring,
+    headings_of,
     inside,
     parse_action,
     render_view,
-    submit_succeeds,
-    visible_share,
+    size_of,
+    system_text,
+    turn_text,
     window_of,
     without_cross,
 )
-from eagor.lab.tasks.hstar.search import Answer, Search, SearchRules
-from eagor.lab.tasks.published import case_seed
+from eagor.lab.tasks.published import PublishedConfig, case_seed, first_known
 from eagor.perception import Perception
-from eagor.perception.partial import look_at_view
+from eagor.perception.partial import coverage, look_at_view
 from eagor.perception.truth import Noise, Report, displaced, drawn
 from eagor.perception.vlm import Chat, Message
-from eagor.sphere import angular_distance, world_R_body
+from eagor.sphere import world_R_body
+from eagor.tracking.looking import even_and_usual, information
 
 AGENTS = {
     "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
@@ -72,30 +83,37 @@ LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
-# In order of precedence: the first that applies is the cause.
-CAUSES = {
-    "format": "no valid submission: replies could not be read",
-    "budget": "no submission within the turns",
-    "wrong_instance": "submitted another annotated target with the same noun",
-    "stopped_wrongly": "an answer at an earlier turn would have succeeded",
-    "never_in_view": "no part of the target was ever in view",
-    "fusion_error": "some view's strongest response was at the target, the answer was not",
-    "missed": "the target was in view and nothing responded there",
-    "false_detection": "something else responded, or was taken for it",
-}
-NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
-# Tuned on development apartments (benchmarks/search.py --fit of commit 5a35d191).
+# Tuned on development apartments (random trials, benchmarks/search.py --fit of commit 5a35d191): the calibration of
+# truth, the model of a look, and the probability that is stated; the prior on development scenes with things at all
+# heights.
 CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
-LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
-NARROWEST = resolved(15)  # radians, standard deviation of truth's reports: what a belief of the default degree holds
-WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
+DEGREE = 15  # of the harmonics
+HIT, ALARM = 0.7, 0.2  # model of a look: probabilities of a detection of a target in view, and of a false alarm
+# Share of a look that repeats the one before, as a model's errors persist; of the one before that, its square; ...
+REPEATS = 0.48
+HEIGHT, TILT = -15.0, 20.0  # degrees: mean and standard deviation of the elevation where things usually are
+SURE, ELSEWHERE = 0.95, 0.5  # defaults of the settings of these names
+# Of the probability stated for a window with the share p of the belief: logit(stated) = SHIFT + SLOPE logit(p) (Platt
+# 1999), by the log score at each of ten turns. Looks are read cautiously, so the belief is underconfident.
+SHIFT, SLOPE = 1.44, 1.24
+
+
+class HStarConfig(PublishedConfig, kw_only=True):
+    """The settings of a run of H*Bench."""
+
+    scoring: Annotated[Scoring, Meta(description="what counts as success")] = "official"
+    turns: Annotated[int, Meta(ge=1, le=50, description="views at most; the benchmark allows ten")] = MAX_TURNS
+    sure: Annotated[float, Meta(description="probability of success from which on eagor submits")] = SURE
+    elsewhere: Annotated[float, Meta(description="share of eagor's prior that is even over the sphere")] = ELSEWHERE
+    resolution: Annotated[int, Meta(ge=18, le=8640, description="rows of a view; 1080 is official")] = RESOLUTION
+    form: Annotated[Form, Meta(description="of the model's replies")] = "free_think"
+    window: Annotated[int, Meta(ge=1, le=50, description="turns of conversation that the model is shown")] = 5
 
 
 # --- what an agent sees -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class ViewEvidence:
+class ViewEvidence(NamedTuple):
     """The evidence of one view, and the pose ``(3, 3)`` of its frame."""
 
     evidence: Evidence
@@ -115,48 +133,42 @@ def open_perception(spec: str) -> Perception | Noise:
 
 
 def open_detector(
-    perception: Any,
+    perception: Perception | Noise,
     episode: Episode,
     seed: int,
-    resolution: int,
+    resolution: int = RESOLUTION,
     read: Callable[[Evidence], Evidence] = lambda evidence: evidence,
 ) -> Detector:
     """`perception` (from `open_perception`) for one episode; `seed`: of truth's mistakes, `read`: recalibrates."""
     if isinstance(perception, Noise):
-        detect = SimulatedDetector(episode.yaw, episode.pitch, perception, case_seed(seed, episode.id))
-    elif isinstance(perception, Perception):
-        detect = _on_pixels(perception, episode, resolution)
+        yaw, pitch = episode.item["yaw"], episode.item.get("pitch")
+        detect: Detector = SimulatedDetector(yaw, pitch, perception, case_seed(seed, episode.id))
     else:
-        raise EagorError(f"the perception is a {type(perception).__name__}; wanted what open_perception returns")
+        detect = partial(_look, perception, episode, resolution)
 
     def recalibrated(view: View) -> ViewEvidence:
-        look = detect(view)
-        return replace(look, evidence=read(look.evidence))
+        evidence, pose = detect(view)
+        return ViewEvidence(read(evidence), pose)
 
     return recalibrated
 
 
-def _on_pixels(perception: Perception, episode: Episode, resolution: int) -> Detector:
-    """A perception that is shown the view as the benchmark draws it, with the cross filled in: it is no evidence.
+def _look(perception: Perception, episode: Episode, resolution: int, view: View) -> ViewEvidence:
+    """What a perception sees in the view as the benchmark draws it, with the cross filled in: it is no evidence.
 
     It is asked for the target in the task's words; a perception that knows only single nouns gets shorter phrases.
     """
-    queries = list(dict.fromkeys((thing_of(episode.task), phrase_of(episode.task), head_of(episode.task))))
+    image = without_cross(render_view(open_panorama(episode.panorama), view.yaw, view.pitch, resolution))
+    upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
+    grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
+    queries = [words_of(episode.item["task"]) for words_of in (thing_of, phrase_of, head_of)]
+    _, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
+    return ViewEvidence(evidence, world_R_body(-math.radians(view.yaw)))
 
-    def detect(view: View) -> ViewEvidence:
-        image = without_cross(render_view(open_panorama(episode.panorama), view.yaw, view.pitch, resolution))
-        upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
-        grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
-        while True:
-            try:
-                evidence = look_at_view(perception, image, grid, queries[0])
-                return ViewEvidence(evidence, world_R_body(-math.radians(view.yaw)))
-            except QueryError:
-                if len(queries) == 1:
-                    raise
-                del queries[0]
 
-    return detect
+LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
+NARROWEST = resolved(DEGREE)  # radians, standard deviation of truth's reports: what a belief can hold
+WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
 
 
 class SimulatedDetector:
@@ -173,75 +185,234 @@ class SimulatedDetector:
     ) -> None:
         self._points, self._noise = box_points(yaw, pitch), noise
         self._rng = np.random.default_rng(seed)
-        self._started = False
-        self._luck = np.zeros((2, 2))  # of the target and of the false alarm: reported or not, and the score
+        self._persistence = 0.0  # of the first look, which has nothing to keep
+        # Of the target and of the false alarm: reported or not, score, place in the view (of the false alarm), 0 to 1.
+        self._luck = np.zeros((2, 4))
         self._error = np.zeros((2, 3))  # standard normal, in the world's axes
-        self._place = np.zeros(2)  # of the false alarm in its view, 0 to 1
-        self._alarm: np.ndarray | None = None  # its direction in the world, once a view had it
+        self._alarm: np.ndarray | None = None  # direction of the false alarm in the world, once a view had it
 
     def __call__(self, view: View) -> ViewEvidence:
         response = drawn(self.reports(view), LENS, self._noise.floor)
         return ViewEvidence(Evidence.from_response(response, LENS, CALIBRATION), view.world_R_view)
 
     def reports(self, view: View) -> list[Report]:
-        """The next look as a list of reports, in the view's own frame."""
-        self._advance()
-        noise, world_R_view, reports = self._noise, view.world_R_view, []
+        """The next look as a list of reports, in the view's own frame. Mistakes persist or are drawn anew."""
+        draws, error = self._rng.random((2, 5)), self._rng.standard_normal((2, 3))
+        fresh = draws[:, 0] >= self._persistence
+        self._persistence = self._noise.persistence
+        self._luck[fresh], self._error[fresh] = draws[fresh, 1:], error[fresh]
+        if fresh[1]:
+            self._alarm = None
+        noise, pose, reports = self._noise, view.world_R_view, []
         visible = inside(view, self._points)
         share = min(1.0, float(visible.mean()) / WHOLE)
         if visible.any() and self._luck[0, 0] < (1 - noise.miss) * share:
-            centre, covariance = _moments(self._points[visible] @ world_R_view)
-            error = world_R_view.T @ self._error[0] * noise.spread
-            reports.append(self._report("found", 0, centre, covariance, error))
+            error = pose.T @ self._error[0] * noise.spread
+            reports.append(self._report("found", 0, self._points[visible] @ pose, error))
         if self._luck[1, 0] < noise.false_alarm:
             if self._alarm is None:
-                x, y = self._place * (LENS.width, LENS.height)
-                self._alarm = world_R_view @ LENS.unproject(np.array(x), np.array(y))
+                self._alarm = pose @ LENS.unproject(*(self._luck[1, 2:] * (LENS.width, LENS.height)))
             if inside(view, self._alarm[None])[0]:
-                at = self._alarm @ world_R_view
-                reports.append(self._report("false alarm", 1, at, np.zeros((3, 3)), np.zeros(3)))
+                reports.append(self._report("false alarm", 1, (self._alarm @ pose)[None], np.zeros(3)))
         return reports
 
-    def _advance(self) -> None:
-        """Advance by one look: mistakes persist or are drawn anew."""
-        draws, error = self._rng.random((2, 5)), self._rng.standard_normal((2, 3))
-        fresh = draws[:, 0] >= self._noise.persistence if self._started else np.ones(2, dtype=bool)
-        self._luck[fresh], self._error[fresh] = draws[fresh, 1:3], error[fresh]
-        if fresh[1]:
-            self._place, self._alarm = draws[1, 3:5], None
-        self._started = True
-
-    def _report(self, kind: str, row: int, centre: np.ndarray, covariance: np.ndarray, error: np.ndarray) -> Report:
+    def _report(self, kind: str, row: int, points: np.ndarray, error: np.ndarray) -> Report:
+        """A report of a thing at `points` ``(n, 3)``, displaced by `error` ``(3,)``."""
+        centre = points.mean(axis=0)
+        centre /= np.linalg.norm(centre)
+        offsets = points - (points @ centre)[:, None] * centre
         placed, carry = displaced(centre, error)
         # Narrower, a belief could not hold it, and the report would say less the sharper it is.
         width = max(self._noise.spread**2 + MIN_SPREAD**2, NARROWEST**2)
-        covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
+        covariance = carry @ (offsets.T @ offsets / len(points)) @ carry.T
+        covariance = covariance + width * (np.eye(3) - np.outer(placed, placed))
         score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
         return Report(kind, None, placed, covariance, score)
 
 
-def _moments(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean direction ``(3,)`` of points ``(n, 3)``, and their covariance ``(3, 3)`` in the tangent plane there."""
-    centre = points.mean(axis=0)
-    centre /= np.linalg.norm(centre)
-    offsets = points - (points @ centre)[:, None] * centre
-    return centre, offsets.T @ offsets / len(points)
+# --- our search -------------------------------------------------------------------------------------------------------
+
+STEP = 5  # degrees: cells of the map for planning and decisions
+CELLS = PatchGrid(180 // STEP, 360 // STEP)
+YAWS = np.arange(0, 360, 15)
+PITCHES = (-60, -30, 0, 30, 60)
+_HEADINGS = headings_of(np.tile(YAWS, len(PITCHES)), np.repeat(PITCHES, len(YAWS)))
+
+
+class Answer(NamedTuple):
+    """A submission in whole degrees, and its probability of success according to the belief, NaN if it has none."""
+
+    yaw: int
+    pitch: int
+    probability: float = math.nan
+
+
+def prior_of(kind: Kind, elsewhere: float = ELSEWHERE) -> np.ndarray:
+    """Prior probability of each of `CELLS` ``(H, W)``, up to a factor.
+
+    A share `elsewhere` is even over the sphere; the rest has a normal density in the elevation. For paths all is even.
+    """
+    if kind == "hps":
+        return CELLS.weights
+    return even_and_usual(np.degrees(CELLS.latitudes)[:, None], CELLS.weights, HEIGHT, TILT, elsewhere)
+
+
+def stated(share: float) -> float:
+    """The calibrated probability that the window with this share of the belief is right."""
+    share = min(max(share, 1e-6), 1 - 1e-6)
+    return 1 / (1 + math.exp(-SHIFT - SLOPE * math.log(share / (1 - share))))
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The state after some looks: an `eagor.lab.agents.search_space.Space`. Immutable: `update` returns a new one.
+
+    Per cell of `CELLS`: `prior`, up to a factor; `shown`, the visible fraction so far, 0 to 1; `stale`, the fraction of
+    the next look that repeats earlier ones. A look counts for less towards the border of its view, as its evidence does
+    there (`eagor.evidence.coverage.taper`). `headings` ``(n, 2)``: those of the views that are weighed; azimuth and
+    elevation, radians, world frame.
+    """
+
+    kind: Kind
+    prior: np.ndarray
+    belief: Belief
+    shown: np.ndarray
+    stale: np.ndarray
+    headings = _HEADINGS
+
+    @classmethod
+    def begin(cls, kind: Kind, elsewhere: float = ELSEWHERE) -> Search:
+        """The state before the first look; `elsewhere`: of the prior (`prior_of`)."""
+        nothing = np.zeros(CELLS.shape)
+        return cls(kind, prior_of(kind, elsewhere), Belief.uniform(DEGREE), nothing, nothing)
+
+    def update(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
+        """The state after one more look: its evidence, the pose of the evidence's frame, and the view.
+
+        The look counts for less where it repeats recent ones: a model's errors persist.
+        """
+        belief = self.belief
+        if not self.stale.any():
+            belief = belief.update(evidence, world_R_capture)
+        elif evidence.detections is None:
+            new = self._new_at(evidence.grid.directions @ world_R_capture.T)
+            belief = belief.update(replace(evidence, drawn=evidence.log_ratio * new), world_R_capture)
+        else:
+            basis, grid = belief.basis, decoding_grid(DEGREE)
+            new = self._new_at(grid.directions @ world_R_capture.T)
+            log_ratio = basis.synthesise(evidence.coefficients(DEGREE), grid)
+            belief = belief.plus(basis.rotate(basis.analyse(log_ratio * new, grid), world_R_capture))
+        shares, weights = _shown_by(view)
+        shown, stale = np.maximum(self.shown, shares), REPEATS * np.maximum(self.stale, weights)
+        return Search(self.kind, self.prior, belief, shown, stale)
+
+    def _new_at(self, directions: np.ndarray) -> np.ndarray:
+        """The fraction ``(...)`` of a look at directions ``(..., 3)`` of the world that is new."""
+        x, y, _ = CELLS.project(directions)
+        rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
+        return 1 - self.stale[rows, x.astype(np.intp) % CELLS.width]
+
+    @lazy
+    def probability(self) -> np.ndarray:
+        """The probability of each cell of `CELLS` ``(H, W)``; sums to 1.
+
+        The belief counts only where something was looked at: elsewhere it is ringing from its finite degree.
+        """
+        field = np.asarray(self.belief.log_ratio(CELLS)) * self.shown
+        found = np.exp(field - field.max()) * self.prior
+        return found / found.sum()
+
+    def answer(self) -> Answer:
+        """The submission whose window holds most of the belief, centred on that belief."""
+        p = self.probability
+        high, wide = (CELLS.height if self.kind == "hps" else PITCH_TOLERANCE // STEP), YAW_TOLERANCE[self.kind] // STEP
+        # What the smallest window around each cell holds; cells at its border count half.
+        mass = _sums(p, np.r_[0.5, np.ones(2 * high - 1), 0.5], np.r_[0.5, np.ones(2 * wide - 1), 0.5])
+        # Of equal windows the one with its belief in the middle.
+        near = np.where(mass >= mass.max() - 1e-9, _sums(p, np.ones(3), np.ones(3)), -1.0)
+        row, column = np.unravel_index(int(near.argmax()), p.shape)
+        rows = np.arange(max(0, row - high), min(CELLS.height, row + high + 1))
+        columns = np.arange(column - wide, column + wide + 1) % CELLS.width
+        part = p[np.ix_(rows, columns)]
+        yaws = -np.degrees(CELLS.longitudes)[columns]
+        offset = (yaws - yaws[wide] + 180.0) % 360.0 - 180.0
+        yaw = yaws[wide] + float((part * offset).sum() / part.sum())
+        pitch = float((part * np.degrees(CELLS.latitudes)[rows][:, None]).sum() / part.sum())
+        pitch = 0 if self.kind == "hps" else max(-90, min(90, round(pitch)))
+        return Answer(round(yaw) % 360, pitch, stated(float(mass[row, column])))
+
+    def tells(self) -> np.ndarray:
+        """Expected information of each of the views ``(n,)`` about the target's direction, nats."""
+        shown = [_shown_by(View(0.0, pitch))[1] for pitch in PITCHES]
+        return np.concatenate([_information(self.probability, 1 - self.stale, weights) for weights in shown])
+
+
+def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Mutual information (nats) of a look, for each of `YAWS`; `shown`: the fraction of each cell in view from yaw 0.
+
+    A target in view is reported there with the probability `HIT`, less where the look repeats another; otherwise there
+    is a false report with probability `ALARM`, uniform over the view.
+    """
+    rows, columns = np.nonzero(shown)
+    places = (columns[None] + (YAWS // STEP)[:, None]) % CELLS.width  # cells in view, for each yaw
+    here, share = p[rows[None], places], HIT * shown[rows, columns] * new[rows[None], places]
+    area = CELLS.weights[rows, columns]
+    return information(here, share, ALARM, area / area.sum())
+
+
+@lru_cache(maxsize=256)
+def _shown_by(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """The fraction of each cell ``(H, W)`` that a view shows, and its weight: less towards the border.
+
+    The evidence of a view rises from its border as sin^2 and is full pi / (DEGREE + 1) inside.
+    """
+    rays = CELLS.directions @ view.world_R_view
+    rows, columns = size_of()
+    half_width = math.tan(math.radians(HFOV_DEG) / 2)
+    half_height = half_width * rows / columns
+    to_sides = (half_width * rays[..., 0] - np.abs(rays[..., 1])) / math.hypot(1, half_width)
+    to_ends = (half_height * rays[..., 0] - np.abs(rays[..., 2])) / math.hypot(1, half_height)
+    depth = np.arcsin(np.clip(np.minimum(to_sides, to_ends), -1, 1))
+    shares = coverage(*CELLS.shape, view.grid(rows, columns))
+    return shares, shares * np.sin(np.clip(depth * (DEGREE + 1) / 2, 0, math.pi / 2)) ** 2
+
+
+def _sums(p: np.ndarray, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    """The sums of `p` about each cell ``(H, W)``, with these weights of the rows and of the columns around it."""
+    return convolve1d(convolve1d(p, wide, axis=1, mode="wrap"), tall, axis=0, mode="constant")
 
 
 # --- agents -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """One turn: an action (None: an invalid one), the answer it would submit now, and notes for the record."""
 
     action: Action | None
     would: Answer
-    notes: dict[str, Any] = field(default_factory=dict)
+    notes: Mapping[str, Any]
 
 
 Agent = Callable[[View, bool], Turn]  # the turn at this view; True: it is the last one
-Reading = Callable[[ViewEvidence], tuple[np.ndarray, bool]]  # answer ``(3,)``, world frame; whether to stop with it
+
+
+def make_agent(
+    config: HStarConfig, episode: Episode, detector: Detector | None = None, chat: Chat | None = None
+) -> Agent:
+    """The agent of a run for one episode; those in `LOOKING` need a detector, the one that talks a model."""
+    if chat is not None:
+        return VlmAgent(episode, chat, config.form, config.window, config.resolution)
+    if detector is not None:
+        if config.agent == "eagor":
+            return EagorAgent(Search.begin(episode.kind, config.elsewhere), detector, config.sure)
+        return SweepAgent(config.agent, episode.start, detector)
+    if config.agent == "oracle":
+        yaw, pitch = window_of(episode.item).centre
+        return blind(yaw, max(-90, min(90, pitch)), 1.0)
+    if config.agent == "random":
+        rng = np.random.default_rng(case_seed(config.seed, episode.id))
+        return blind(int(rng.integers(360)), float(rng.normal(-10, 15)))
+    return blind(episode.start, 0)
 
 
 def _submit(answer: Answer) -> Action:
@@ -254,14 +425,13 @@ def _rotate(now: View, to: View) -> Action:
 
 
 class EagorAgent:
-    """Our agent: an `eagor.lab.agents.steering.Searcher` over the views of `eagor.lab.tasks.hstar.search`.
+    """Our agent: an `eagor.lab.agents.steering.Searcher` over the views of a `Search`; it submits if it is `sure`.
 
     Every turn of the camera costs one of the episode's turns, whatever its angle.
     """
 
-    def __init__(self, kind: str, detector: Detector, rules: SearchRules) -> None:
-        self._detector = detector
-        self.searcher = Searcher(Search.begin(kind, rules), commit_threshold=rules.sure)
+    def __init__(self, search: Search, detector: Detector, sure: float = SURE) -> None:
+        self._detector, self.searcher = detector, Searcher(search, commit_threshold=sure)
 
     def __call__(self, view: View, last: bool) -> Turn:
         look = self._detector(view)
@@ -283,8 +453,8 @@ class VlmAgent:
         self._reply: Reply | None = None
 
     def __call__(self, view: View, last: bool) -> Turn:
-        task, form = self._episode.task, self._form
-        text = first_text(task, form) if self._reply is None else next_text(task, form, self._reply, view)
+        task, form = self._episode.item["task"], self._form
+        text = turn_text(task, form, view, self._reply)
         picture = render_view(open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution)
         self._messages.append(Message("user", text, (picture,)))
         messages = [self._system, *self._messages[-self._most :]]
@@ -302,107 +472,72 @@ class VlmAgent:
         if answer.prompt_tokens is not None:
             notes["tokens"] = [answer.prompt_tokens, answer.completion_tokens]
         if action is not None and action.kind == "submit":
-            return Turn(action, Answer(action.yaw, action.pitch, math.nan), notes)
-        return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch), math.nan), notes)
+            return Turn(action, Answer(action.yaw, action.pitch), notes)
+        return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch)), notes)
 
 
 def blind(yaw: float, pitch: float, probability: float = math.nan) -> Agent:
     """Submits one direction immediately."""
     answer = Answer(round(yaw) % 360, round(pitch), probability)
-    return lambda view, last: Turn(_submit(answer), answer)
+    return lambda view, last: Turn(_submit(answer), answer, {})
 
 
-def sweep(start: float, detector: Detector, read: Reading, views: int = len(SWEEP)) -> Agent:
-    """Looks along `SWEEP`, passes each look to `read`, and submits after `views` looks or when `read` says so."""
-    offsets = iter(SWEEP[1:views])
+class SweepAgent:
+    """Looks along `SWEEP`, and submits after the last look what it reads then; `name` says how it reads.
 
-    def turn(view: View, last: bool) -> Turn:
-        look = detector(view)
-        direction, content = read(look)
+    ``sweep``: the strongest response of all views so far. ``single``: that of the first view, at once. ``grid``: a
+    Bayes filter on a grid of directions, fixed in the world. ``centroid`` and ``cent-circ``: the mean of the first view
+    that responds, at once; until then the middle of the view.
+    """
+
+    def __init__(self, name: str, start: float, detector: Detector) -> None:
+        self._name, self._start, self._detector = name, start, detector
+        self._left = iter(SWEEP[1:])
+        self._best, self._strongest = np.zeros(3), -1.0
+        self._filter = HistogramFilter()
+
+    def __call__(self, view: View, last: bool) -> Turn:
+        look = self._detector(view)
+        direction, content = self._read(look)
         yaw, pitch = hstar_from_direction(direction)
-        answer = Answer(round(float(yaw)) % 360, round(float(pitch)), math.nan)
-        to = None if last or content else next(offsets, None)
-        action = _submit(answer) if to is None else _rotate(view, View((start + to[0]) % 360, to[1]))
+        answer = Answer(round(float(yaw)) % 360, round(float(pitch)))
+        to = None if last or content else next(self._left, None)
+        action = _submit(answer) if to is None else _rotate(view, View((self._start + to[0]) % 360, to[1]))
         return Turn(action, answer, _peak(look))
 
-    return turn
-
-
-def best_view() -> Reading:
-    """The strongest single response of all views so far; without any, the middle of the first view."""
-    best, where = -1.0, np.zeros(3)
-
-    def read(look: ViewEvidence) -> tuple[np.ndarray, bool]:
-        nonlocal best, where
+    def _read(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:
+        """The answer ``(3,)``, world frame, and whether to stop with it."""
+        evidence, pose = look
         direction, height = peak_of(look)
-        if height > best + 1e-6:
-            best, where = height, direction
-        return where, False
-
-    return read
-
-
-def per_view(baseline: DirectionFilter) -> Reading:
-    """A per-frame baseline; it stops at the first view that responds."""
-
-    def read(look: ViewEvidence) -> tuple[np.ndarray, bool]:
-        if peak_of(look)[1] >= RESPONDS:
-            return look.world_R_capture @ baseline.update(_without_floor(look)).direction(), True
-        return look.world_R_capture @ np.asarray(look.evidence.grid.directions[_middle(look)]), False
-
-    return read
+        if self._name == "grid":
+            turned = replace(self._filter, body_R_grid=pose.T, calibration=evidence.calibration)
+            self._filter = turned.update(evidence)
+            return pose @ self._filter.direction(), False
+        if self._name in MEANS:
+            if height < RESPONDS:
+                return pose @ np.asarray(evidence.grid.directions[_middle(_response(evidence))]), False
+            return pose @ MEANS[self._name].update(_without_floor(evidence)).direction(), True
+        if height > self._strongest + 1e-6:
+            self._best, self._strongest = direction, height
+        return self._best, self._name == "single"
 
 
-def on_grid() -> Reading:
-    """A Bayes filter on a grid of directions, fixed in the world."""
-    state: HistogramFilter | None = None
-
-    def read(look: ViewEvidence) -> tuple[np.ndarray, bool]:
-        nonlocal state
-        calibration = look.evidence.calibration
-        start = state or HistogramFilter(calibration=calibration, mixing=1e-4)
-        turned = HistogramFilter(
-            start.log_map, look.world_R_capture.T, calibration, diffusion=start.diffusion, mixing=start.mixing
-        )
-        state = turned.update(look.evidence)
-        return look.world_R_capture @ state.direction(), False
-
-    return read
+MEANS = {"centroid": Centroid(), "cent-circ": CircularCentroid()}
 
 
-_READINGS: dict[str, Callable[[], Reading]] = {
-    "sweep": best_view,
-    "grid": on_grid,
-    "centroid": lambda: per_view(Centroid()),
-    "cent-circ": lambda: per_view(CircularCentroid()),
-    "single": lambda: lambda look: (peak_of(look)[0], True),
-}
-
-
-def make_agent(
-    name: str, episode: Episode, detector: Detector | None, rules: SearchRules, views: int, seed: int
-) -> Agent:
-    """The agent with this name for one episode, for agents that ask no model; those in `LOOKING` need a detector."""
-    if detector is not None:
-        if name == "eagor":
-            return EagorAgent(episode.kind, detector, rules)
-        return sweep(episode.start, detector, _READINGS[name](), views)
-    if name == "oracle":
-        yaw, pitch = window_of(episode.item).centre
-        return blind(yaw, max(-90, min(90, pitch)), 1.0)
-    if name == "random":
-        rng = np.random.default_rng(case_seed(seed, episode.id))
-        return blind(int(rng.integers(360)), float(rng.normal(-10, 15)))
-    return blind(episode.start, 0)
+def _without_floor(evidence: Evidence) -> Evidence:
+    """The evidence minus its lowest response; otherwise means would be biased towards the middle."""
+    response = _response(evidence)
+    floor = float(response[response >= 0].min())
+    cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)
+    return Evidence.from_response(np.clip(cleared, 0, 1), evidence.grid, evidence.calibration)
 
 
 def peak_of(look: ViewEvidence) -> tuple[np.ndarray, float]:
     """Direction ``(3,)`` in the world frame and value of the response's maximum; the middle of the view if flat."""
-    response = _response(look)
-    if np.ptp(response[response >= 0]) < 1e-6:
-        place = _middle(look)
-    else:
-        place = np.unravel_index(int(response.argmax()), response.shape)
+    response = _response(look.evidence)
+    flat = np.ptp(response[response >= 0]) < 1e-6
+    place = _middle(response) if flat else np.unravel_index(int(response.argmax()), response.shape)
     direction = look.world_R_capture @ np.asarray(look.evidence.grid.directions[place])
     return direction, max(float(response.max()), 0.0)
 
@@ -416,165 +551,14 @@ def _peak(look: ViewEvidence) -> dict[str, Any]:
     return {"peak": peak} | ({"source": dict(source)} if source else {})
 
 
-def _response(look: ViewEvidence) -> np.ndarray:
+def _response(evidence: Evidence) -> np.ndarray:
     """The response ``(H, W)``, -1 in cells that were not looked at."""
-    response, seen = to_numpy(look.evidence.response).astype(np.float64), look.evidence.seen
+    response, seen = to_numpy(evidence.response).astype(np.float64), evidence.seen
     return response if seen is None or not seen[-1] else np.where(looked_at(seen), response, -1.0)
 
 
-def _middle(look: ViewEvidence) -> tuple[int, int]:
+def _middle(response: np.ndarray) -> tuple[int, int]:
     """The middle cell of the part that was looked at."""
-    rows, columns = np.nonzero(_response(look) >= 0)
+    rows, columns = np.nonzero(response >= 0)
     nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
     return int(rows[nearest]), int(columns[nearest])
-
-
-def _without_floor(look: ViewEvidence) -> Evidence:
-    """The evidence minus its lowest response; otherwise per-view means would be biased towards the middle."""
-    response = _response(look)
-    floor = float(response[response >= 0].min())
-    cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)
-    return Evidence.from_response(np.clip(cleared, 0, 1), look.evidence.grid, look.evidence.calibration)
-
-
-# --- an episode and its record ----------------------------------------------------------------------------------------
-
-
-def work(settings: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """The function that plays each episode of a run with these settings; the perception is made once."""
-    name, seed, resolution = settings["agent"], settings["seed"], settings["resolution"]
-    perception = open_perception(settings["perception"]) if name in LOOKING else None
-    chat = shared_chat(settings["model"]) if name == "vlm" else None
-    rules, read = SearchRules.of(settings), recalibrator(settings)
-
-    def do(payload: Mapping[str, Any]) -> dict[str, Any]:
-        episode = Episode.from_json(payload["episode"])
-        detector = None if perception is None else open_detector(perception, episode, seed, resolution, read)
-        if chat is not None:
-            agent: Agent = VlmAgent(episode, chat, settings["form"], settings["window"], resolution)
-        else:
-            agent = make_agent(name, episode, detector, rules, settings["views"], seed)
-        return run_episode(episode, agent, settings["scoring"], settings["turns"], payload.get("siblings", ()))
-
-    return do
-
-
-def run_episode(
-    episode: Episode, agent: Agent, scoring: str = "official", turns: int = MAX_TURNS, siblings: Any = ()
-) -> dict[str, Any]:
-    """The record of one episode; see `eagor.lab.tasks.published.Benchmark` for the common keys.
-
-    `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most; `siblings`: the scene's other
-    entries of annotation.json, for causes and tags.
-
-    Each step has "turn", "view" (yaw, pitch), "shown" (visible fraction of the target), "action" (as text, None if
-    invalid), "would" (its answer at this turn: yaw, pitch, official, strict, p), "ms", and the agent's notes.
-    """
-    way, view = checked_scoring(scoring), episode.first_view
-    steps: list[dict[str, Any]] = []
-    answer = None
-    while answer is None and len(steps) < turns:
-        began = time.perf_counter()
-        turn = agent(view, len(steps) + 1 == turns)
-        yaw, pitch, p = turn.would.yaw, turn.would.pitch, turn.would.probability
-        succeeds = {each: submit_succeeds(episode.item, yaw, pitch, each) for each in SCORINGS}
-        steps.append(
-            {
-                "turn": len(steps) + 1,
-                "view": {"yaw": view.yaw, "pitch": view.pitch},
-                "shown": round(visible_share(view, episode.yaw, episode.pitch), 3),
-                "action": None if turn.action is None else str(turn.action),
-                "would": {"yaw": yaw, "pitch": pitch, **succeeds, "p": None if math.isnan(p) else round(p, 4)},
-                "ms": round(1000 * (time.perf_counter() - began), 2),
-                **turn.notes,
-            }
-        )
-        if turn.action is not None and turn.action.kind == "submit":
-            answer = {"yaw": turn.action.yaw, "pitch": turn.action.pitch}
-        view = view.after(turn.action)
-    record = score_submission(episode, answer, way, siblings, steps)
-    by_turn = [int(step["would"][way]) for step in steps]
-    return record | {
-        "scoring": way,
-        "by_turn": by_turn + [int(record["score"])] * (turns - len(steps)),
-        "views": len(steps),
-        "stated": steps[-1]["would"]["p"] if answer is not None else None,
-        "sure": bool(steps[-1].get("sure", False)) and answer is not None,
-        "steps": steps,
-    }
-
-
-def score_submission(
-    episode: Episode,
-    answer: Mapping[str, Any] | None,
-    scoring: Scoring,
-    siblings: Any,
-    steps: Sequence[Mapping[str, Any]],
-    reason: str | None = None,
-) -> dict[str, Any]:
-    """The part of a record about the submission (None: none, for the `reason`), with the errors in degrees."""
-    scores = dict.fromkeys(SCORINGS, 0.0)
-    errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
-    if answer is not None:
-        at = answer["yaw"], answer["pitch"]
-        scores = {way: float(submit_succeeds(episode.item, *at, way)) for way in SCORINGS}
-        middle = window_of(episode.item).centre
-        turn = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0)
-        lift = None if episode.pitch is None else round(abs(at[1] - middle[1]), 2)
-        errors = {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(_apart(at, middle), 2)}
-    reason = reason or ("submitted" if answer is not None else cause_of(episode.item, steps, None, (), scoring))
-    cause = None
-    if not scores[scoring]:
-        cause = reason if answer is None else cause_of(episode.item, steps, answer, siblings, scoring)
-    return {
-        "case": episode.id,
-        "cluster": episode.cluster,
-        "level": episode.level_name,
-        "tags": [tag_of(episode.item, siblings)],
-        "words": episode.task,
-        "start": episode.start,
-        "target": {"yaw": list(episode.yaw), "pitch": None if episode.pitch is None else list(episode.pitch)},
-        "score": scores[scoring],
-        "scores": scores,
-        "cause": cause,
-        "reason": reason,
-        "answer": answer,
-        **errors,
-    }
-
-
-def cause_of(
-    item: Mapping[str, Any],
-    steps: Sequence[Mapping[str, Any]],
-    answer: Mapping[str, Any] | None,
-    others: Sequence[Mapping[str, Any]],
-    scoring: Scoring,
-) -> str:
-    """The cause of a failure, one of `CAUSES`.
-
-    `item` and `others` are entries of annotation.json, the target and the rest of its scene; `steps` and `answer` (None
-    if there was none) are those of the record.
-    """
-    if answer is None:
-        return "format" if any(step.get("valid") is False for step in steps) else "budget"
-    at = answer["yaw"], answer["pitch"]
-    same = [other for other in others if head_of(str(other["task"])) == head_of(str(item["task"]))]
-    if any(window_of(other).contains(*at, "strict") for other in same):
-        return "wrong_instance"
-    if any((step.get("would") or {}).get(scoring) for step in steps):
-        return "stopped_wrongly"
-    if all(step["shown"] == 0 for step in steps):
-        return "never_in_view"
-    peaks = [step["peak"] for step in steps if "peak" in step]
-    if not peaks:
-        return "false_detection"
-    loud = [(peak["yaw"], peak["pitch"]) for peak in peaks if peak["score"] >= RESPONDS]
-    if any(window_of(item).contains(*peak, "strict") for peak in loud):
-        return "fusion_error"
-    return "false_detection" if any(_apart(peak, at) <= NEAR for peak in loud) else "missed"
-
-
-def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Degrees between two directions (yaw, pitch) on the great circle."""
-    ends = direction_from_hstar(*np.array([a, b], dtype=np.float64).T)
-    return float(np.degrees(angular_distance(ends[0], ends[1])))

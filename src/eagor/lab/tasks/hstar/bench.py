@@ -1,66 +1,67 @@
-"""H*Bench for `eagor bench`: object search (HOS) and path search (HPS)."""
+"""H*Bench for `eagor bench`: object search (HOS) and path search (HPS); episodes, their records, causes of failures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar
 
-from msgspec import Meta
+import msgspec
+import numpy as np
 
-from eagor._checks import shown
+from eagor._checks import above, require, shown
+from eagor.conventions import direction_from_hstar
 from eagor.errors import FormatError
+from eagor.lab.agents.models import recalibrator, shared_chat
 from eagor.lab.tasks.hstar import data as files
-from eagor.lab.tasks.hstar.agents import AGENTS, CAUSES, LOOKING, SWEEP, open_perception, score_submission, work
-from eagor.lab.tasks.hstar.data import LEVELS, Episode, Kind
-from eagor.lab.tasks.hstar.prompts import WINDOW
+from eagor.lab.tasks.hstar.agents import (
+    AGENTS,
+    LOOKING,
+    RESPONDS,
+    Agent,
+    HStarConfig,
+    make_agent,
+    open_detector,
+    open_perception,
+)
+from eagor.lab.tasks.hstar.data import LEVELS, Episode, Kind, head_of, tag_of
 from eagor.lab.tasks.hstar.rules import (
     FARTHEST_ANSWER,
     MAX_TURNS,
-    RESOLUTION,
+    SCORINGS,
     Scoring,
-    checked_scoring,
+    View,
     parse_action,
+    submit_succeeds,
+    visible_share,
+    window_of,
 )
-from eagor.lab.tasks.hstar.search import SearchRules
-from eagor.lab.tasks.published import PublishedConfig, PublishedTask, score_metric
+from eagor.lab.tasks.published import PublishedTask, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
+from eagor.sphere import angular_distance
 
-DEFAULT = SearchRules()
-
-
-class HStarConfig(PublishedConfig, kw_only=True):
-    """The settings of a run of H*Bench."""
-
-    scoring: Annotated[Scoring, Meta(description="what counts as success")] = "official"
-    turns: Annotated[int, Meta(ge=1, le=50, description="views at most; the benchmark allows ten")] = MAX_TURNS
-    sure: Annotated[float, Meta(description="probability from which on eagor submits")] = DEFAULT.sure
-    degree: Annotated[int, Meta(ge=3, le=63, description="of eagor's harmonics")] = DEFAULT.degree
-    tilt: Annotated[float, Meta(description="spread of eagor's prior of the elevation, degrees; 0: even")] = (
-        DEFAULT.tilt
-    )
-    height: Annotated[float, Meta(description="mean of that prior, degrees")] = DEFAULT.height
-    elsewhere: Annotated[float, Meta(description="share of that prior that is even over the sphere")] = (
-        DEFAULT.elsewhere
-    )
-    views: Annotated[int, Meta(ge=1, le=len(SWEEP), description="views of the fixed sweep")] = len(SWEEP)
-    resolution: Annotated[int, Meta(ge=18, le=8640, description="rows of a view; 1080 is official")] = RESOLUTION
-    form: Annotated[Literal["free_think", "no_think", "grounding"], Meta(description="of the model's replies")] = (
-        "free_think"
-    )
-    window: Annotated[int, Meta(ge=1, le=50, description="turns of conversation that the model is shown")] = WINDOW
+# In order of precedence: the first that applies is the cause.
+CAUSES = {
+    "format": "no valid submission: replies could not be read",
+    "budget": "no submission within the turns",
+    "wrong_instance": "submitted another annotated target with the same noun",
+    "stopped_wrongly": "an answer at an earlier turn would have succeeded",
+    "never_in_view": "no part of the target was ever in view",
+    "fusion_error": "some view's strongest response was at the target, the answer was not",
+    "missed": "the target was in view and nothing responded there",
+    "false_detection": "something else responded, or was taken for it",
+}
+NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
 
 
-def _at(level: str) -> Callable[[Record], float | None]:
-    return lambda record: record["score"] if record.get("level") == level else None
+def _at(level: str, record: Record) -> float | None:
+    return record["score"] if record.get("level") == level else None
 
 
-def _scored(way: str) -> Callable[[Record], float | None]:
-    return lambda record: record.get("scores", {}).get(way)
-
-
-def _views(record: Record) -> float | None:
-    return record.get("views")
+def _by(way: Scoring, record: Record) -> float | None:
+    return record.get("scores", {}).get(way)
 
 
 class HStar(PublishedTask):
@@ -76,70 +77,188 @@ class HStar(PublishedTask):
         self.metrics: tuple[Metric, ...] = (
             score_metric("overall", "Overall", "success of all episodes", lambda record: record["score"]),
             *(
-                score_metric(level, level.capitalize(), f"success of episodes of level {level}", _at(level))
+                score_metric(level, level.capitalize(), f"success of episodes of level {level}", partial(_at, level))
                 for level in LEVELS[kind]
             ),
-            score_metric("official", "Official", "success by the published rule", _scored("official")),
-            score_metric("strict", "Strict", "success with the pitch always counted", _scored("strict")),
-            Metric("views", "Views", "number of views", _views, unit="", better="low", scale=1.0, digits=2),
+            score_metric("official", "Official", "success by the published rule", partial(_by, "official")),
+            score_metric("strict", "Strict", "success with the pitch always counted", partial(_by, "strict")),
+            Metric("views", "Views", "number of views", lambda r: r.get("views"), "", "low", 1.0, 2),
         )
 
     def info(self, data: Path) -> dict[str, Any]:
         return files.info(data)
 
     def samples(self, config: HStarConfig) -> list[Sample]:
-        entries = {scene.name: scene.items for scene in files.read_scenes(Path(config.data))}
-        found = []
-        for episode in files.read_episodes(Path(config.data), self.kind):
-            others = [
-                {key: item[key] for key in ("task", "yaw", "pitch") if item.get(key) is not None}
-                for index, item in enumerate(entries[episode.scene])
-                if index != episode.entry
-            ]
-            found.append(Sample(episode.id, episode.scene, {"episode": episode.as_json(), "siblings": others}))
-        return found
+        episodes = files.read_episodes(Path(config.data), self.kind)
+        return [Sample(episode.id, episode.scene, msgspec.to_builtins(episode)) for episode in episodes]
 
     def check(self, config: HStarConfig) -> None:
-        SearchRules.of(settings_of(config))  # complains about what nothing can be searched with
+        wanted = {
+            "sure": (above(config.sure, 0, 1), "a probability above 0, at most 1"),
+            "elsewhere": (above(config.elsewhere, 0, 1), "a share above 0 (nowhere is a target impossible), at most 1"),
+        }
+        require(config, wanted)
         if config.perception:
             open_perception(config.perception)
 
     def runner(self, config: HStarConfig) -> Callable[[Payload], Record]:
-        return work(settings_of(config))
+        perception = open_perception(config.perception) if config.perception else None
+        chat, read = shared_chat(config.model) if config.model else None, recalibrator(settings_of(config))
+
+        def run(payload: Payload) -> Record:
+            episode = msgspec.convert(payload, Episode)
+            detector = None
+            if perception is not None:
+                detector = open_detector(perception, episode, config.seed, config.resolution, read)
+            return run_episode(episode, make_agent(config, episode, detector, chat), config.scoring, config.turns)
+
+        return run
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: HStarConfig) -> Record:
         answer, reason = _submission(prediction, config.form)
-        episode, scoring = Episode.from_json(sample.payload["episode"]), checked_scoring(config.scoring)
-        return score_submission(episode, answer, scoring, sample.payload["siblings"], [{"shown": 1.0}], reason)
+        return record_of(msgspec.convert(sample.payload, Episode), config.scoring, answer, [{"shown": 1.0}], reason)
 
 
-def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str | None]:
-    """The submission of a prediction, or the reason why there is none."""
-    found = prediction.get("submit")
-    if found is None and "yaw" in prediction:
-        found = prediction["yaw"], prediction.get("pitch", 0)
-    if found is not None:
-        try:
-            yaw, pitch = (round(float(value)) for value in found)
-        except (TypeError, ValueError, OverflowError):
-            raise FormatError(f"a prediction submits {shown(found)}; wanted yaw and pitch in degrees") from None
-        if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:
-            raise FormatError(f"a prediction submits {shown(found)}; wanted degrees, at most {FARTHEST_ANSWER}")
-        return {"yaw": yaw, "pitch": pitch}, None
-    texts = prediction.get("replies", prediction.get("text"))
-    if texts is None:
-        raise FormatError(
-            f"a prediction has {shown(', '.join(prediction), 200)}; wanted submit: [yaw, pitch], or yaw and "
-            "pitch, or text (the model's last reply), or replies (all of them)"
-        )
-    if not isinstance(texts, str | list):
-        raise FormatError(f"a prediction says {shown(texts)}; wanted the model's reply, or a list of all of them")
-    read = [parse_action(str(text), form).action for text in ([texts] if isinstance(texts, str) else texts)]
-    for action in read[:MAX_TURNS]:
-        if action is not None and action.kind == "submit":
-            return {"yaw": action.yaw, "pitch": action.pitch}, None
-    return None, "format" if None in read else "budget"
+def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str]:
+    """The submission of a prediction, or None and the reason why there is none."""
+    given = prediction.get("submit")
+    if given is None and "yaw" in prediction:
+        given = prediction["yaw"], prediction.get("pitch", 0)
+    if given is None:
+        text = prediction.get("text")
+        if not isinstance(text, str):
+            raise FormatError(
+                f"a prediction has {shown(', '.join(prediction), 200)}; wanted submit: [yaw, pitch], or yaw and pitch, "
+                "or text, the model's last reply"
+            )
+        action = parse_action(text, form).action
+        if action is None or action.kind != "submit":
+            return None, "format" if action is None else "budget"
+        return {"yaw": action.yaw, "pitch": action.pitch}, "submitted"
+    try:
+        yaw, pitch = (round(float(value)) for value in given)
+    except (TypeError, ValueError, OverflowError):
+        raise FormatError(f"a prediction submits {shown(given)}; wanted yaw and pitch in degrees") from None
+    if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:
+        raise FormatError(f"a prediction submits {shown(given)}; wanted degrees, at most {FARTHEST_ANSWER}")
+    return {"yaw": yaw, "pitch": pitch}, "submitted"
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)", "look around in a photograph for a thing, and name its direction")
 HPS = HStar("hps", "H*Bench: path search (HPS)", "look around in a photograph for the way to go, and name it")
+
+
+# --- an episode and its record ----------------------------------------------------------------------------------------
+
+
+def run_episode(episode: Episode, agent: Agent, scoring: Scoring = "official", turns: int = MAX_TURNS) -> Record:
+    """The record of one episode; see `eagor.lab.tasks.published.PublishedRecord` for the common keys.
+
+    `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most.
+
+    Each step has "turn", "view" (yaw, pitch), "shown" (visible fraction of the target), "action" (as text, None if
+    invalid), "would" (its answer at this turn: yaw, pitch, official, strict, p), and the agent's notes.
+    """
+    item, view, answer = episode.item, View(float(episode.start), 0.0), None
+    steps: list[dict[str, Any]] = []
+    while answer is None and len(steps) < turns:
+        turn = agent(view, len(steps) + 1 == turns)
+        yaw, pitch, p = turn.would
+        succeeds = {each: submit_succeeds(item, yaw, pitch, each) for each in SCORINGS}
+        steps.append(
+            {
+                "turn": len(steps) + 1,
+                "view": {"yaw": view.yaw, "pitch": view.pitch},
+                "shown": round(visible_share(view, item["yaw"], item.get("pitch")), 3),
+                "action": None if turn.action is None else str(turn.action),
+                "would": {"yaw": yaw, "pitch": pitch, **succeeds, "p": None if math.isnan(p) else round(p, 4)},
+                **turn.notes,
+            }
+        )
+        if turn.action is not None and turn.action.kind == "submit":
+            answer = {"yaw": turn.action.yaw, "pitch": turn.action.pitch}
+        view = view.after(turn.action)
+    unread = any(step.get("valid") is False for step in steps)
+    reason = "submitted" if answer is not None else "format" if unread else "budget"
+    record = record_of(episode, scoring, answer, steps, reason)
+    by_turn = [int(step["would"][scoring]) for step in steps]
+    return record | {
+        "scoring": scoring,
+        "by_turn": by_turn + [int(record["score"])] * (turns - len(steps)),
+        "views": len(steps),
+        "stated": steps[-1]["would"]["p"] if answer is not None else None,
+        "sure": bool(steps[-1].get("sure", False)) and answer is not None,
+        "steps": steps,
+    }
+
+
+def record_of(
+    episode: Episode,
+    scoring: Scoring,
+    answer: Mapping[str, Any] | None,
+    steps: Sequence[Mapping[str, Any]],
+    reason: str,
+) -> dict[str, Any]:
+    """The part of a record about the submission, with the errors in degrees.
+
+    `answer`: None if there was none, for the `reason`, which is then also the cause of the failure.
+    """
+    item, pitch = episode.item, episode.item.get("pitch")
+    scores = dict.fromkeys(SCORINGS, 0.0)
+    errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
+    cause: str | None = reason
+    if answer is not None:
+        at, middle = (answer["yaw"], answer["pitch"]), window_of(item).centre
+        scores = {way: float(submit_succeeds(item, *at, way)) for way in SCORINGS}
+        turn = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0)
+        lift = None if pitch is None else round(abs(at[1] - middle[1]), 2)
+        errors = {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(_apart(at, middle), 2)}
+        cause = None if scores[scoring] else cause_of(item, steps, at, episode.others, scoring)
+    return {
+        "case": episode.id,
+        "cluster": episode.cluster,
+        "level": episode.level_name,
+        "tags": [tag_of(item, episode.others)],
+        "words": item["task"],
+        "start": episode.start,
+        "target": {"yaw": item["yaw"], "pitch": pitch},
+        "score": scores[scoring],
+        "scores": scores,
+        "cause": cause,
+        "reason": reason,
+        "answer": answer,
+        **errors,
+    }
+
+
+def cause_of(
+    item: Mapping[str, Any],
+    steps: Sequence[Mapping[str, Any]],
+    at: tuple[float, float],
+    others: Sequence[Mapping[str, Any]],
+    scoring: Scoring,
+) -> str:
+    """The cause of a failure of an answer `at` (yaw, pitch), one of `CAUSES`.
+
+    `item` and `others` are entries of annotation.json, the target and the rest of its scene; `steps`: of the record.
+    """
+    same = [other for other in others if head_of(other["task"]) == head_of(item["task"])]
+    if any(window_of(other).contains(*at, "strict") for other in same):
+        return "wrong_instance"
+    if any((step.get("would") or {}).get(scoring) for step in steps):
+        return "stopped_wrongly"
+    if all(step["shown"] == 0 for step in steps):
+        return "never_in_view"
+    peaks = [step["peak"] for step in steps if "peak" in step]
+    if not peaks:
+        return "false_detection"
+    loud = [(peak["yaw"], peak["pitch"]) for peak in peaks if peak["score"] >= RESPONDS]
+    if any(window_of(item).contains(*peak, "strict") for peak in loud):
+        return "fusion_error"
+    return "false_detection" if any(_apart(peak, at) <= NEAR for peak in loud) else "missed"
+
+
+def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Degrees between two directions (yaw, pitch) on the great circle."""
+    ends = direction_from_hstar(*np.array([a, b], dtype=np.float64).T)
+    return float(np.degrees(angular_distance(ends[0], ends[1])))

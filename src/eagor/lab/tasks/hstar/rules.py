@@ -1,8 +1,13 @@
-"""The rules of H*Bench and its camera: which submissions succeed, which replies count as actions, what a view shows.
+"""The protocol of H*Bench: which submissions succeed, what models are told, what their replies mean, what a view shows.
 
 Yaw in degrees: 0 is the middle of the panorama, positive to the RIGHT, 0 to 360. Pitch in degrees, positive up, -90 to
 90. It reproduces the published environment (H*Bench, humanoid-vstar/hstar at 7a52247), quirks included, and is tested
 against vectors that it produced.
+
+Of the prompts, everything that the protocol defines is verbatim: names of the actions and their arguments, tags, order
+of a turn's parts, "Human Instruction:", and the environment's feedback. The explanations and the worked example are in
+our own words (texts.toml). Figures of models that were tuned on the published wording can therefore differ a little:
+report that with them.
 
 The camera is 100 degrees wide, rendered pixel for pixel like the published one. In two places it is half a pixel off
 our conventions: the ray of column j is (j - w / 2) / f, and a panorama's column centres lie at whole numbers.
@@ -13,9 +18,11 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -23,20 +30,25 @@ import numpy as np
 from eagor._checks import number, shown
 from eagor._values import lazy
 from eagor.conventions import direction_from_hstar, hstar_from_direction
-from eagor.errors import EagorError, FormatError, ImageError
+from eagor.errors import EagorError, FormatError
 from eagor.grids import PerspectiveGrid
+from eagor.media.panorama import checked_picture
+from eagor.perception.vlm import IMAGE
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
 Scoring = Literal["official", "strict"]
+Form = Literal["free_think", "no_think", "grounding"]
 SCORINGS: tuple[Scoring, ...] = get_args(Scoring)
-FORMS = ("free_think", "no_think", "grounding")
+FORMS: tuple[Form, ...] = get_args(Form)
 
 MAX_TURNS = 10
 YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of the middle, for narrower targets
 PITCH_TOLERANCE = 20
-SEPARATOR = "|"
 FARTHEST = 3600.0  # degrees in an annotation; more is taken for a mistake
 FARTHEST_ANSWER = 10**6  # degrees in an answer
+
+
+# --- success ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -73,6 +85,108 @@ class Window:
         return self.yaw[0] <= yaw <= self.yaw[1] and high_enough
 
 
+def normalised(yaw: float) -> float:
+    """`yaw` (degrees) in [0, 360)."""
+    return (yaw + 360) % 360
+
+
+def window_of(item: Mapping[str, Any]) -> Window:
+    """The window of successful submissions for one entry of annotation.json; without ``pitch`` it is one of HPS.
+
+    A target narrower than the tolerances is widened about its middle. Raises `FormatError` if the angles are not pairs
+    of finite numbers.
+    """
+    path = item.get("pitch") is None
+    left, right = _pair(item, "yaw")
+    right += 360 if left > right else 0
+    tolerance = YAW_TOLERANCE["hps" if path else "hos"]
+    if right - left < 2 * tolerance:
+        middle = (left + right) / 2
+        left, right = middle - tolerance, middle + tolerance
+    low, high = (-90.0, 90.0) if path else _pair(item, "pitch")
+    if high - low < 2 * PITCH_TOLERANCE:
+        middle = (low + high) / 2
+        low, high = max(-90.0, middle - PITCH_TOLERANCE), min(90.0, middle + PITCH_TOLERANCE)
+    return Window((normalised(left), normalised(right)), (low, high))
+
+
+def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
+    value = item.get(key)
+    try:
+        low, high = map(number, value if isinstance(value, list | tuple) else ())
+    except ValueError:  # not two values, or not numbers
+        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles in degrees, finite numbers") from None
+    if max(abs(low), abs(high)) > FARTHEST:
+        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")
+    return low, high
+
+
+def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: str = "official") -> bool:
+    """Whether submitting (yaw, pitch), degrees, finds the target of one entry of annotation.json.
+
+    `item` has ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]. `scoring`: see `Window.contains`. Raises
+    `EagorError` for another scoring, `FormatError` for an item without usable angles.
+    """
+    if scoring not in SCORINGS:
+        raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(SCORINGS)}")
+    return window_of(item).contains(yaw, pitch, scoring)
+
+
+# --- what models are told ---------------------------------------------------------------------------------------------
+
+TEXTS = tomllib.loads(Path(__file__).with_name("texts.toml").read_text(encoding="utf-8"))
+
+
+def system_text(kind: str, form: str) -> str:
+    """The system message for ``hos`` or ``hps`` and a form of replies."""
+    lines = [TEXTS["goal"][kind], TEXTS["actions"], "", "Example:"]
+    feedback: list[str] = []
+    for index, (thought, action, pose) in enumerate(TEXTS["example"], start=1):
+        lines += [f"Round {index}:", *feedback, f"image_{index}", _reply(thought, action, form)]
+        feedback = [f"Env_feedback: {succeeded(pose)}."]
+    thought, action, _ = TEXTS["example"][0]
+    lines += ["Round 4:", "Env_feedback: Success", _form_text(form), f"e.g. {_reply(thought, action, form)}"]
+    return "\n".join(lines)
+
+
+def turn_text(task: str, form: str, view: View, reply: Reply | None) -> str:
+    """The text with a view: after a `reply` the action as understood, its outcome, and the camera's direction now."""
+    instruction = f"{IMAGE}\nHuman Instruction: {task}\nDecide your next action.\n{_form_text(form)}"
+    if reply is None:
+        return f"[initial observation]:\n{instruction}"
+    valid, feedback = "[]", "Last action is not executed successfully."
+    if reply.action is not None:
+        valid, feedback = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
+    return (
+        f"After your answer, the extracted valid action is {valid}.\nThe environment feedback is: {feedback}\n"
+        f"done: False\nAfter that, the observation is:\n{instruction}"
+    )
+
+
+def succeeded(pose: str) -> str:
+    """The environment's feedback after a successful turn."""
+    return f"Last action executed successfully, your current direction (yaw,pitch) is {pose}"
+
+
+def _form_text(form: str) -> str:
+    """The required form of replies, which ends every turn."""
+    manner, example = TEXTS["forms"][form]
+    return f"You can take 1 action(s) at a time.\n{manner}\nYour response should be in the format of:\n{example}"
+
+
+def _reply(thought: str, action: str, form: str) -> str:
+    answer = f"<answer>{action}</answer>"
+    if form == "no_think":
+        return answer
+    if form == "grounding":
+        seen, _, reason = thought.partition(". ")
+        thought = f"<observation>{seen.rstrip('.')}.</observation><reasoning>{reason or 'So this is it.'}</reasoning>"
+    return f"<think>{thought}</think>{answer}"
+
+
+# --- what their replies mean ------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Action:
     """An action: ``rotate`` by, or ``submit``, (yaw, pitch) in whole degrees."""
@@ -99,57 +213,18 @@ class Reply:
         return read_action(self.actions[0]) if len(self.actions) == 1 else None
 
 
-def normalised(yaw: float) -> float:
-    """`yaw` (degrees) in [0, 360)."""
-    return (yaw + 360) % 360
-
-
-def window_of(item: Mapping[str, Any]) -> Window:
-    """The window of successful submissions for one entry of annotation.json; without ``pitch`` it is one of HPS.
-
-    A target narrower than the tolerances is widened about its middle. Raises `FormatError` if the angles are not pairs
-    of finite numbers.
-    """
-    path = item.get("pitch") is None
-    left, right = _pair(item, "yaw")
-    right += 360 if left > right else 0
-    tolerance = YAW_TOLERANCE["hps" if path else "hos"]
-    if right - left < 2 * tolerance:
-        middle = (left + right) / 2
-        left, right = middle - tolerance, middle + tolerance
-    low, high = (-90.0, 90.0) if path else _pair(item, "pitch")
-    if high - low < 2 * PITCH_TOLERANCE:
-        middle = (low + high) / 2
-        low, high = max(-90.0, middle - PITCH_TOLERANCE), min(90.0, middle + PITCH_TOLERANCE)
-    return Window((normalised(left), normalised(right)), (low, high))
-
-
-def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: str = "official") -> bool:
-    """Whether submitting (yaw, pitch), degrees, finds the target of one entry of annotation.json.
-
-    `item` has ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]. `scoring`: see `Window.contains`. Raises
-    `EagorError` for another scoring, `FormatError` for an item without usable angles.
-    """
-    return window_of(item).contains(yaw, pitch, checked_scoring(scoring))
-
-
-def checked_scoring(scoring: str) -> Scoring:
-    """`scoring`, checked. Raises `EagorError`."""
-    if scoring not in SCORINGS:
-        raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(SCORINGS)}")
-    return scoring  # type: ignore[return-value]
-
-
-# The marks between the lazy dots of the published patterns, in order. Searching for one after the other finds the same
-# as the whole pattern, in linear time: if the first occurrence of a mark fails, no later one succeeds.
-_MARKS = {
-    "free_think": ("<think>", r"</think>\s*<answer>"),
-    "no_think": ("<answer>",),
-    "grounding": (r"<think>\s*<observation>", r"</observation>\s*<reasoning>", r"</reasoning>\s*</think>\s*<answer>"),
+# The published patterns, of the whole reply if it keeps the form and of what is read of it, with atomic groups: where
+# the first occurrence of a mark fails, no later one succeeds, and to try them all would take minutes for some replies.
+_SEEN = r"(?>(?P<seen>.*?)</observation>\s*<reasoning>)(?>(?P<reason>.*?)</reasoning>\s*</think>\s*<answer>)"
+_ANSWER = "(?>(?P<answer>.*?)</answer>)"
+_PATTERNS = {
+    "free_think": (
+        r"<think>(?>.*?</think>\s*<answer>).*</answer>",
+        f"(?:<think>(?>(?P<thought>.*?)</think>))?(?>.*?<answer>){_ANSWER}",
+    ),
+    "no_think": ("<answer>.*</answer>", f"(?>.*?<answer>){_ANSWER}"),
+    "grounding": (rf"<think>\s*<observation>{_SEEN}.*</answer>", rf"(?>.*?<think>\s*<observation>){_SEEN}{_ANSWER}"),
 }
-_THOUGHT = ("<think>", "</think>", "<answer>")
-_END = "</answer>"
-_STRAY = ("<think>", "</think>", "<answer>", "</answer>")  # taken out of thoughts and answers, in this order
 
 
 def parse_action(text: str, form: str = "free_think") -> Reply:
@@ -162,50 +237,23 @@ def parse_action(text: str, form: str = "free_think") -> Reply:
     if form not in FORMS:
         raise EagorError(f"the form of replies is {form!r}; wanted one of {', '.join(FORMS)}")
     text = text.replace("<image>", "")
-    whole = text.strip()
-    kept = _along(whole, _MARKS[form], at_start=True)
-    if kept is not None and not (whole.endswith(_END) and kept[-1].end() <= len(whole) - len(_END)):
-        kept = None
-    if form == "no_think":
-        read = None if kept is None else ("", whole[kept[-1].end() :].partition(_END)[0])
-    elif form == "grounding":
-        read = _between(text, _along(text, _MARKS[form]), "<observation>", "</reasoning>")
-    else:
-        read = _between(text, _along(text, _THOUGHT, at_start=True)) or _between(text, _along(text, _THOUGHT[-1:]))
-    if read is None:
-        return Reply("", [], kept is not None)
-    thought, answer = map(_without_tags, read)
-    actions = [part.strip() for part in answer.split(SEPARATOR) if part.strip()]
-    return Reply(thought, actions[:1], kept is not None)
+    whole, read = _PATTERNS[form]
+    kept = re.fullmatch(whole, text.strip(), re.DOTALL) is not None
+    found = re.match(read, text, re.DOTALL)
+    if found is None or (form == "no_think" and not kept):
+        return Reply("", [], kept)
+    parts = found.groupdict(default="")
+    if form == "grounding":
+        parts["thought"] = f"<observation>{parts['seen']}</observation><reasoning>{parts['reason']}</reasoning>"
+    thought, answer = _without_tags(parts.get("thought", "")), _without_tags(parts["answer"])
+    actions = [part.strip() for part in answer.split("|") if part.strip()]
+    return Reply(thought, actions[:1], kept)
 
 
 def _without_tags(text: str) -> str:
-    for tag in _STRAY:
+    for tag in ("<think>", "</think>", "<answer>", "</answer>"):
         text = text.replace(tag, "").strip()
     return text
-
-
-def _along(text: str, marks: tuple[str, ...], at_start: bool = False) -> list[re.Match[str]] | None:
-    """The first place of each mark after the one before; None if one is missing."""
-    places: list[re.Match[str]] = []
-    for mark in marks:
-        find = re.compile(mark).match if at_start and not places else re.compile(mark).search
-        place = find(text, places[-1].end() if places else 0)
-        if place is None:
-            return None
-        places.append(place)
-    return places
-
-
-def _between(text: str, marks: list[re.Match[str]] | None, first: str = "", last: str = "") -> tuple[str, str] | None:
-    """Thought and answer; the thought with the tags `first` and `last`, which belong to the outer marks."""
-    end = -1 if marks is None else text.find(_END, marks[-1].end())
-    if marks is None or end < 0:
-        return None
-    # In free_think the thought ends at the second of three marks, in grounding at the last.
-    close = marks[-1 if last else -2] if len(marks) > 1 else None
-    thought = "" if close is None else text[marks[0].end() - len(first) : close.start() + len(last)]
-    return thought, text[marks[-1].end() : end]
 
 
 def read_action(text: str) -> Action | None:
@@ -224,17 +272,6 @@ def read_action(text: str) -> Action | None:
                 yaw, pitch = yaw % 360, max(-FARTHEST_ANSWER, min(FARTHEST_ANSWER, pitch))
             return Action(kind, yaw, pitch)
     return None
-
-
-def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
-    value = item.get(key)
-    try:
-        low, high = map(number, value if isinstance(value, list | tuple) else ())
-    except ValueError:  # not two values, or not numbers
-        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles in degrees, finite numbers") from None
-    if max(abs(low), abs(high)) > FARTHEST:
-        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")
-    return low, high
 
 
 # --- the camera -------------------------------------------------------------------------------------------------------
@@ -268,7 +305,7 @@ class View:
         yaw, pitch = hstar_from_direction(direction(heading[0], heading[1]))
         return cls(round(float(yaw), 6) % 360, round(float(pitch), 6))
 
-    @lazy
+    @property
     def heading(self) -> np.ndarray:
         """Where the camera looks ``(2,)``: azimuth and elevation, radians, world frame."""
         return headings_of(np.array(self.yaw), np.array(self.pitch))
@@ -300,7 +337,7 @@ def render_view(
     """
     from scipy.ndimage import map_coordinates
 
-    panorama = _checked_picture(panorama, "a panorama")
+    panorama = checked_picture(panorama)
     rows, columns = size_of(resolution)
     height, width = panorama.shape[:2]
     longitude, latitude = _rays(rows, columns, float(pitch))
@@ -314,12 +351,20 @@ def render_view(
     return out
 
 
+@lru_cache(maxsize=8)
+def _rays(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """Longitude (right of the view's yaw) and latitude (DOWN) of each pixel's ray ``(rows, columns)``, degrees."""
+    rays = View(0.0, pitch).grid(rows, columns).unproject(np.arange(columns), np.arange(rows)[:, None])
+    longitude, latitude = (-np.degrees(angle).astype(np.float32) for angle in azimuth_elevation(rays))
+    return longitude, latitude
+
+
 def without_cross(picture: np.ndarray) -> np.ndarray:
     """A view ``(rows, columns, 3)`` uint8 with its cross filled in by the mean of the pixels beside each line.
 
     For perceptions: a query for something green would find the cross. Raises `ImageError` for anything but a picture.
     """
-    pixels = _checked_picture(picture, "a view", least=3).astype(np.float64)
+    pixels = checked_picture(picture, "a view").astype(np.float64)
     rows, columns = _cross(*pixels.shape[:2])
     row, column = pixels.shape[0] // 2, pixels.shape[1] // 2
     out = pixels.copy()
@@ -327,13 +372,6 @@ def without_cross(picture: np.ndarray) -> np.ndarray:
     out[rows, column] = (pixels[rows, column - 1] + pixels[rows, column + 1]) / 2
     out[row, column] = pixels[row - 1 : row + 2 : 2, column - 1 : column + 2 : 2].mean(axis=(0, 1))
     return np.rint(out).astype(np.uint8)
-
-
-def _checked_picture(picture: np.ndarray, what: str, least: int = 1) -> np.ndarray:
-    picture = np.asarray(picture)
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or min(picture.shape[:2]) < least:
-        raise ImageError(f"{what} is (rows, columns, 3) uint8; got shape {picture.shape}, {picture.dtype}")
-    return picture
 
 
 def _cross(rows: int, columns: int) -> tuple[slice, slice]:
@@ -358,19 +396,11 @@ def inside(view: View, directions: np.ndarray) -> np.ndarray:
     return view.grid(*size_of()).project(directions)[2]
 
 
-def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None, steps: int = 24) -> np.ndarray:
-    """Directions ``(n, 3)`` that sample a box evenly by solid angle."""
+def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None) -> np.ndarray:
+    """Directions ``(576, 3)`` that sample a box evenly by solid angle."""
     width = (yaw[1] - yaw[0]) % 360.0
     low, high = pitch if pitch is not None else (-10.0, 10.0)
-    parts = (np.arange(steps) + 0.5) / steps
+    parts = (np.arange(24) + 0.5) / 24
     sines = np.sin(np.radians(low)) + parts * (np.sin(np.radians(high)) - np.sin(np.radians(low)))
     yaws, pitches = np.meshgrid(yaw[0] + parts * width, np.degrees(np.arcsin(np.clip(sines, -1, 1))))
     return direction_from_hstar(yaws, pitches).reshape(-1, 3)
-
-
-@lru_cache(maxsize=8)
-def _rays(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
-    """Longitude (right of the view's yaw) and latitude (DOWN) of each pixel's ray ``(rows, columns)``, degrees."""
-    rays = View(0.0, pitch).grid(rows, columns).unproject(np.arange(columns), np.arange(rows)[:, None])
-    longitude, latitude = (-np.degrees(angle).astype(np.float32) for angle in azimuth_elevation(rays))
-    return longitude, latitude
