@@ -129,14 +129,14 @@ def test_an_ideal_eye_finds_what_is_there(box, start):
     )
     searcher, view = Searcher(Search.begin("hos"), commit_threshold=agents.SURE), View(float(start), 0.0)
     beginning = searcher.space.answer().probability
-    for _ in range(10):
+    for _ in range(16):  # ten views may leave out what is high up: one start in a hundred
         searcher.space = searcher.space.update(detector(view).evidence, view.world_R_view, view)
         answer = searcher.space.answer()
         to = searcher.face(view.heading, answer.probability)
         if to is None:
             break
         view = View.facing(to)
-    assert answer.probability > 2 * beginning
+    assert answer.probability > 4 * beginning
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
 
 
