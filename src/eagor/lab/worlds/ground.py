@@ -183,7 +183,7 @@ class Ground:
 
     # --- points ---
 
-    @lazy
+    @property
     def points(self) -> np.ndarray:
         return self.centres(self._nodes)
 
@@ -333,7 +333,7 @@ class Ground:
             count = len(self._nodes)
             goal = csr_array((np.maximum(offsets, 1e-9), seeds, [0, len(seeds)]), shape=(1, count))
             joined = vstack([self._edges, goal], format="csr")
-            joined.resize(count + 1, count + 1)
+            joined.resize((count + 1, count + 1))
             found[self.free] = dijkstra(joined, indices=count)[:count]
         return DistanceField(self.origin, self.cell, found * self.cell)
 
