@@ -500,7 +500,7 @@ def test_a_camera_that_never_was_there_is_an_error_at_once():
 def test_a_damaged_stream_goes_on(tmp_path):
     """Bytes in the middle of a transport stream are overwritten: some pictures are lost and counted."""
     data = bytearray(clips.clip(tmp_path / "a.ts", clips.rolled(60)).read_bytes())
-    for at in range(len(data) // 3, len(data) // 2, 500):
+    for at in range(len(data) // 3, len(data) // 2, 700):
         data[at : at + 60] = bytes(60)
     (tmp_path / "b.ts").write_bytes(data)
     lost = []

@@ -24,39 +24,7 @@ BALL_COLOURS = {
 }  # fmt: skip
 EYE = (0.0, 0.0, 1.3)  # default position of the camera
 SIZE = np.array([7.0, 5.6, 2.7])  # metres: length of the room along x, width along y, height
-LOW, HIGH = SIZE * [-0.5, -0.5, 0.0], SIZE * [0.5, 0.5, 1.0]
 LAMP = SIZE * [0.06, 0.04, 0.88]  # position of the light, world frame
-
-# The six faces of the room: the colour of each, and the rectangles on it, the last on top. A rectangle is its middle
-# and half its size along the two axes of the face, in the order x, y, z, metres, and its colour; colours are sRGB.
-_SKIRTING = ((0.0, 0.0), (3.5, 0.12), (230, 228, 224))
-_FLOOR = 4  # of the faces
-_FACES = (
-    ((190, 188, 196), (  # the back wall: a panelled door, right of the middle as one faces it
-        _SKIRTING, ((1.1, 1.0), (0.56, 1.12), (234, 232, 228)), ((1.1, 1.0), (0.46, 1.02), (140, 134, 128)),
-        ((1.1, 0.55), (0.33, 0.36), (124, 118, 113)), ((1.1, 1.45), (0.33, 0.42), (124, 118, 113)),
-        ((0.72, 1.0), (0.04, 0.04), (200, 196, 186)),
-    )),
-    ((206, 197, 184), (  # the front wall: a framed picture, left of the middle
-        _SKIRTING, ((0.7, 1.54), (0.72, 0.48), (74, 68, 64)), ((0.7, 1.54), (0.66, 0.42), (232, 230, 224)),
-        ((0.7, 1.54), (0.55, 0.32), (205, 208, 210)), ((0.7, 1.4), (0.55, 0.18), (140, 146, 140)),
-        ((0.45, 1.32), (0.3, 0.1), (112, 116, 110)),
-    )),
-    ((170, 178, 188), (  # the right wall: broad upright stripes
-        *(((x, 1.35), (0.175, 1.35), (208, 206, 200)) for x in np.arange(-3.325, 3.5, 0.7)), _SKIRTING,
-    )),
-    ((184, 192, 182), (  # the left wall: a window of two by three panes
-        _SKIRTING, ((-0.5, 1.57), (1.28, 0.73), (236, 235, 230)),
-        *(((x, 1.25), (0.37, 0.3), (168, 176, 166)) for x in (-1.3, -0.5, 0.3)),
-        *(((x, 1.35), (0.37, 0.2), (255, 255, 255)) for x in (-1.3, -0.5, 0.3)),
-        *(((x, 1.9), (0.37, 0.3), (250, 255, 255)) for x in (-1.3, -0.5, 0.3)),
-    )),
-    ((190, 172, 150), (  # the floor: boards, and a rug with borders
-        ((0.3, -0.2), (1.7, 1.15), (150, 152, 158)), ((0.3, -0.2), (1.5, 0.95), (196, 190, 180)),
-        ((0.3, -0.2), (1.2, 0.65), (150, 152, 158)), ((0.3, -0.2), (0.6, 0.3), (196, 190, 180)),
-    )),
-    ((228, 226, 220), ((tuple(LAMP[:2]), (0.25, 0.25), (255, 255, 255)),)),  # the ceiling, bright where the lamp hangs
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -115,8 +83,9 @@ def paint(
     Each pixel is the mean of samples x samples rays. A ball around the camera is invisible. Raises `PoseError` if the
     camera is not in the room, `RotationError`, `GridError`.
     """
-    eye = np.asarray(position, dtype=float)
-    if eye.shape != (3,) or not ((eye > LOW) & (eye < HIGH)).all():
+    eye, half = np.asarray(position, dtype=float), SIZE / 2
+    inside = eye.shape == (3,) and (np.abs(eye[:2]) < half[:2]).all() and 0 < eye[2] < SIZE[2]
+    if not inside:
         raise PoseError(
             f"the camera stands at {position}, outside the room of {tuple(SIZE.tolist())} m; move it inside"
         )
@@ -125,73 +94,168 @@ def paint(
     image = np.empty((height, width, 3), dtype=np.uint8)
     for top in range(0, height, 8):  # in bands, so that their data fits in the cache
         band = rays[top * samples : (top + 8) * samples]
-        linear = np.minimum(_seen(room, eye, band.reshape(-1, 3)), 1.0)  # samples, before they are averaged
+        linear = np.minimum(_shade(room, eye, band.reshape(-1, 3)), 1.0)  # samples, before they are averaged
         linear = linear.reshape(len(band) // samples, samples, width, samples, 3).mean(axis=(1, 3))
         image[top : top + 8] = np.rint(255 * to_coded(linear))
     return image
 
 
-def _seen(room: Room, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def _shade(room: Room, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Linear light ``(n, 3)`` that arrives along `rays` ``(n, 3)``, unit vectors in the world frame."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(rays == 0, np.inf, (np.where(rays > 0, HIGH, LOW) - eye) / rays)
-    axis, nearest = reach.argmin(axis=1), reach.min(axis=1)
-    forward = np.take_along_axis(rays, axis[:, None], axis=1)[:, 0] > 0
-    point = eye + nearest[:, None] * rays
-    normal = np.eye(3)[axis] * np.where(forward, -1.0, 1.0)[:, None]
-    colour = _painted(point, 2 * axis + forward)
+    point, normal, colour = _hit_walls(eye, rays)
+    gloss = np.zeros(len(rays))
+    nearest = np.linalg.norm(point - eye, axis=-1)
     for ball in room.balls:
-        offset = np.asarray(ball.position, dtype=float) - eye
-        along = rays @ offset
-        square = ball.radius**2 - (offset @ offset - along**2)
-        entry = along - np.sqrt(np.maximum(square, 0.0))
-        hit = (square > 0) & (entry > 0) & (entry < nearest)
+        entry = _entry(ball, eye, rays)
+        hit = entry < nearest
         nearest[hit] = entry[hit]
         point[hit] = eye + rays[hit] * entry[hit, None]
         normal[hit] = (point[hit] - ball.position) / ball.radius
-        colour[hit] = to_linear(np.array(ball.rgb) / 255)
-    return colour * _light(room, point, normal)[:, None]
+        colour[hit] = _srgb(*ball.rgb)
+        gloss[hit] = 0.35
+    light, highlight = _light(room, point, normal, rays, gloss)
+    return colour * light + highlight
 
 
-def _painted(point: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """Linear colours ``(n, 3)`` of points ``(n, 3)`` on the faces ``(n,)``, which are indices of `_FACES`."""
-    colour = np.empty_like(point)
-    for index, (plain, rectangles) in enumerate(_FACES):
-        on = np.flatnonzero(face == index)
-        place = np.delete(point[on], index // 2, axis=1)
-        found = np.full((len(on), 3), plain, dtype=float)
-        if index == _FLOOR:
-            board = np.floor(place[:, 1] / 0.18)
-            piece = np.floor((place[:, 0] + 0.7 * board) / 1.3)
-            found *= 0.93 + 0.07 * np.sin(12.9 * board + 78.2 * piece)[:, None]
-        for middle, half, paint in rectangles:
-            found[(np.abs(place - middle) < half).all(axis=1)] = paint
-        colour[on] = to_linear(found / 255)
+def _hit_walls(eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the rays leave the box: points, inward normals and the colours there (linear light), each ``(n, 3)``."""
+    low = np.array([-SIZE[0] / 2, -SIZE[1] / 2, 0.0])
+    high = low + SIZE
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = np.where(rays > 0, high - eye, low - eye) / rays
+    axis = np.argmin(np.where(rays == 0, np.inf, reach), axis=-1)
+    rows = np.arange(len(rays))
+    point = eye + rays * reach[rows, axis][:, None]
+    positive = rays[rows, axis] > 0
+    normal = np.zeros_like(rays)
+    normal[rows, axis] = np.where(positive, -1.0, 1.0)
+    colour = np.empty_like(rays)
+    for face, texture in enumerate((_back, _front, _right, _left, _floor, _ceiling)):
+        on = (axis == face // 2) & (positive == bool(face % 2))
+        colour[on] = texture(point[on])
+    return point, normal, colour
+
+
+def _entry(ball: Ball, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Distance along each ray to `ball`, metres ``(n,)``; infinite if the ray misses it."""
+    offset = np.asarray(ball.position, dtype=float) - eye
+    along = rays @ offset
+    square = ball.radius**2 - (offset @ offset - along**2)
+    entry = along - np.sqrt(np.maximum(square, 0.0))
+    return np.where((square > 0) & (entry > 0), entry, np.inf)
+
+
+def _light(
+    room: Room, point: np.ndarray, normal: np.ndarray, rays: np.ndarray, gloss: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The factor of the colour, and the highlights added to it, each ``(n, 1)``: lamp, daylight, corners."""
+    to_lamp = LAMP - point
+    distance = np.linalg.norm(to_lamp, axis=-1)
+    to_lamp /= distance[:, None]
+    facing = np.sum(normal * to_lamp, axis=-1)
+    lamp = (0.7 * np.clip(facing, 0, None) + 0.3 * np.clip(0.5 + 0.5 * facing, 0, 1)) / (1 + 0.06 * distance**2)
+    # Corners get less indirect light: a product over the three pairs of walls.
+    bounce = 0.42 + 0.1 * normal[:, 2]
+    for axis, size in enumerate(SIZE):
+        gap = size / 2 - np.abs(point[:, axis] - (size / 2 if axis == 2 else 0))
+        bounce *= 0.72 + 0.28 * _smooth(np.where(np.abs(normal[:, axis]) > 0.99, 1.0, gap), 0.0, 0.9)
+    for ball in room.balls:  # a soft shadow, and the part of the sky that the ball hides
+        centre = ball.position - point
+        away = np.linalg.norm(centre, axis=-1)
+        along = np.clip(np.sum(centre * to_lamp, axis=-1), 0, distance)
+        miss = np.linalg.norm(centre - along[:, None] * to_lamp, axis=-1) / ball.radius
+        own = away < 1.001 * ball.radius
+        lamp *= np.where(own, 1.0, 0.25 + 0.75 * _smooth(miss, 0.7, 1.4))
+        hidden = np.clip(np.sum(normal * centre, axis=-1) / away, 0, 1) * np.minimum(ball.radius / away, 1) ** 2
+        bounce *= np.where(own, 1.0, 1 - 0.85 * hidden)
+    daylight = 0.16 * np.clip(0.4 + 0.6 * normal[:, 1], 0, None) * (0.5 + point[:, 1] / SIZE[1])
+    mirrored = rays - 2 * np.sum(rays * normal, axis=-1)[:, None] * normal
+    highlight = gloss * np.clip(np.sum(mirrored * to_lamp, axis=-1), 0, None) ** 40
+    return (lamp + bounce + daylight)[:, None], highlight[:, None]
+
+
+def _floor(p: np.ndarray) -> np.ndarray:
+    """Boards along x, and an oval rug with rings."""
+    board = np.floor(p[:, 1] / 0.18)
+    tone = 0.82 + 0.18 * _noise(board + 31 * np.floor((p[:, 0] + 0.7 * board) / 1.3))
+    colour = _srgb(190, 172, 150) * (tone * (0.8 + 0.2 * _smooth(_to_line(p[:, 1], 0.18), 0.0, 0.012)))[:, None]
+    ring = np.hypot((p[:, 0] - 0.3) / 1.9, (p[:, 1] + 0.2) / 1.25)
+    rug = _over(_srgb(150, 152, 158), (np.floor(ring * 7) % 2 == 0, _srgb(196, 190, 180)))
+    return _over(colour, (ring < 1, rug))
+
+
+def _ceiling(p: np.ndarray) -> np.ndarray:
+    """Plain, with a bright disc where the lamp hangs."""
+    glow = 1 - _smooth(np.hypot(p[:, 0] - LAMP[0], p[:, 1] - LAMP[1]), 0.22, 0.3)
+    return _srgb(228, 226, 220) * (1 + 0.9 * glow[:, None])
+
+
+def _front(p: np.ndarray) -> np.ndarray:
+    """A sand-coloured wall with a framed landscape, left of the middle."""
+    y, z = p[:, 1] - 0.7, p[:, 2] - 0.57 * SIZE[2]
+    near, far = z > 0.06 * np.sin(5 * y + 2) - 0.22, z > 0.1 * np.sin(3 * y) - 0.05
+    hills = _over(_srgb(112, 116, 110), (near, _srgb(140, 146, 140)), (near & far, _srgb(205, 208, 210)))
+    frame, mount = (_box(y, z, 0.72, 0.48), _srgb(74, 68, 64)), (_box(y, z, 0.66, 0.42), _srgb(232, 230, 224))
+    return _over(_wall(p, (206, 197, 184)), frame, mount, (_box(y, z, 0.55, 0.32), hills))
+
+
+def _left(p: np.ndarray) -> np.ndarray:
+    """A grey-green wall with a window of two by three panes."""
+    x, z = p[:, 0] + 0.5, p[:, 2] - 0.58 * SIZE[2]
+    sky = _srgb(226, 232, 238) * (1.5 - 0.35 * np.clip(z + 0.4, 0, 1))[:, None]
+    outside = _over(_srgb(168, 176, 166), (z > -0.38 + 0.08 * np.sin(2.5 * x) + 0.03 * np.sin(9 * x), sky))
+    panes = _box(x, z, 1.2, 0.65) & (_to_line(x + 0.4, 0.8) > 0.025) & (_to_line(z, 1.3) > 0.025)
+    frame = _box(x, z, 1.28, 0.73), _srgb(236, 235, 230)
+    return _over(_wall(p, (184, 192, 182)), frame, (panes, outside))
+
+
+def _back(p: np.ndarray) -> np.ndarray:
+    """A grey wall with a panelled door, right of the middle as one faces it."""
+    y, z = p[:, 1] - 1.1, p[:, 2]
+    frame = _box(y, z - 1.0, 0.56, 1.12), _srgb(234, 232, 228)
+    door = _box(y, z - 1.0, 0.46, 1.02), _srgb(140, 134, 128)
+    panels = [(_box(y, z - centre, 0.33, high), _srgb(124, 118, 113)) for centre, high in ((0.55, 0.36), (1.45, 0.42))]
+    handle = np.hypot(y + 0.38, z - 1.0) < 0.045, _srgb(200, 196, 186)
+    return _over(_wall(p, (190, 188, 196)), frame, door, *panels, handle)
+
+
+def _right(p: np.ndarray) -> np.ndarray:
+    """Broad upright stripes."""
+    return _over(_wall(p, (170, 178, 188)), (np.floor(p[:, 0] / 0.35) % 2 == 0, _wall(p, (208, 206, 200))))
+
+
+def _wall(p: np.ndarray, rgb: tuple[int, int, int]) -> np.ndarray:
+    """Paint with a white skirting board below."""
+    return _over(_srgb(*rgb), (p[:, 2] < 0.12, _srgb(230, 228, 224)))
+
+
+def _over(colour: np.ndarray, *layers: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Layers, each where its mask ``(n,)`` holds, over a colour ``(n, 3)`` or ``(3,)``, the last on top."""
+    for mask, layer in layers:
+        colour = np.where(mask[:, None], layer, colour)
     return colour
 
 
-def _light(room: Room, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """The factor ``(n,)`` of the colours: the lamp with soft shadows of the balls, and what walls reflect."""
-    to_lamp = LAMP - point
-    distance = np.linalg.norm(to_lamp, axis=1)
-    to_lamp /= distance[:, None]
-    lamp = (0.15 + 0.85 * np.clip(np.sum(normal * to_lamp, axis=1), 0, None)) / (1 + 0.06 * distance**2)
-    # Corners get less light from the walls: a product over the distances to the three pairs of walls.
-    gap = np.minimum(point - LOW, HIGH - point)
-    gap[np.abs(normal) > 0.99] = 1.0
-    bounce = (0.45 + 0.1 * normal[:, 2]) * np.prod(0.72 + 0.28 * _smooth(gap, 0.0, 0.9), axis=1)
-    for ball in room.balls:
-        centre = ball.position - point
-        away = np.linalg.norm(centre, axis=1)
-        along = np.clip(np.sum(centre * to_lamp, axis=1), 0, distance)
-        miss = np.linalg.norm(centre - along[:, None] * to_lamp, axis=1) / ball.radius
-        own = away < 1.001 * ball.radius
-        lamp *= np.where(own, 1.0, 0.25 + 0.75 * _smooth(miss, 0.7, 1.4))
-        bounce *= np.where(own, 1.0, 1 - 0.5 * np.minimum(ball.radius / away, 1) ** 2)
-    return lamp + bounce
+def _box(a: np.ndarray, b: np.ndarray, half_a: float, half_b: float) -> np.ndarray:
+    return (np.abs(a) < half_a) & (np.abs(b) < half_b)
+
+
+def _to_line(a: np.ndarray, period: float) -> np.ndarray:
+    """Distance to the nearest multiple of `period`."""
+    return np.abs(a - period * np.round(a / period))
 
 
 def _smooth(a: np.ndarray, low: float, high: float) -> np.ndarray:
     """0 below `low`, 1 above `high`, a smooth cubic between."""
     t = np.clip((a - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
+
+
+def _noise(index: np.ndarray) -> np.ndarray:
+    """A repeatable value in [0, 1) for each whole number."""
+    return (np.sin(12.9898 * index) * 43758.5453) % 1.0
+
+
+def _srgb(r: float, g: float, b: float) -> np.ndarray:
+    """sRGB 0 to 255 in linear light."""
+    return to_linear(np.array([r, g, b]) / 255)
