@@ -102,7 +102,7 @@ CALLS = [
     "from eagor.lab.tasks import task; task.load('waypoint')",
     "from eagor.perception.scout import ScoutPerception; ScoutPerception()",
     "from eagor.lab import worlds; worlds.load('scene.glb')(0)",
-    "import numpy as np; from eagor.lab.worlds.raycast import Raycaster; Raycaster(np.eye(3), [[0, 1, 2]])",
+    "import numpy as np; from eagor.lab.worlds.scene import Raycaster; Raycaster(np.eye(3), [[0, 1, 2]])",
 ]
 # One after the other in one process, as each costs a second to start: what they said, and how they ended.
 ALL = """

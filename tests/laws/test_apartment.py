@@ -17,8 +17,7 @@ from eagor.lab.worlds.apartment.placement import corners, distances, from_rectan
 from eagor.lab.worlds.apartment.plans import FAMILIES, LINING, OUTSIDE, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
 from eagor.lab.worlds.light import mean_colour
-from eagor.lab.worlds.raycast import Raycaster
-from eagor.lab.worlds.scene import STRUCTURE
+from eagor.lab.worlds.scene import STRUCTURE, Raycaster
 
 SEEDS = (0, 3, 5, 1007)
 MORE = tuple(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 21))

@@ -10,7 +10,7 @@ from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment.furniture import KINDS, build
 from eagor.lab.worlds.apartment.mesh import Part, merged
 from eagor.lab.worlds.apartment.textures import TONES
-from eagor.lab.worlds.raycast import Raycaster
+from eagor.lab.worlds.scene import Raycaster
 from eagor.queries import COLOURS, parse_query
 
 PLACEMENTS = ("floor", "top", "hung", "ceiling")

@@ -12,7 +12,7 @@ from strategies import at_most
 
 from eagor.errors import WorldError
 from eagor.lab.worlds.ground import Ground, rasterize
-from eagor.lab.worlds.navmesh import Walls
+from eagor.lab.worlds.navmesh import sees, walls_below
 from eagor.lab.worlds.scene import Room
 
 CELL, RADIUS = 0.05, 0.18
@@ -159,9 +159,9 @@ def test_no_way_leads_through_a_closed_corner():
         end, collided = ground.move([0.56, 0.56], [0.08, 0.08], slide)
         assert collided
         assert (end < 0.6).all()
-    walls = Walls(ground.free.astype(np.uint8).tobytes(), [], 24)
-    assert not walls.sees((11.5, 11.5), (12.5, 12.5))
-    assert walls.sees((2.5, 2.5), (11.5, 11.5))
+    walls = walls_below(ground.free)
+    assert not sees(walls, np.array([11.5, 11.5]), np.array([[12.5, 12.5]]))
+    assert sees(walls, np.array([2.5, 2.5]), np.array([[11.5, 11.5]]))
     # Open from one side, it is a way.
     ground.free[12, 11] = True
     opened = Ground(np.zeros(2), 0.05, 0.0, 0.0, ground.free, ground.clearance, ground.structure)

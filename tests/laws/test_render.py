@@ -12,9 +12,9 @@ from strategies import at_most, rotations
 from eagor.errors import GridError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.lab.worlds import light as light_module
-from eagor.lab.worlds.light import SKY_GAIN, bake, hemisphere, light_of, sky_radiance
+from eagor.lab.worlds.light import SKY_GAIN, Lattice, bake, hemisphere, light_of, sky_radiance
 from eagor.lab.worlds.render import Renderer
-from eagor.lab.worlds.scene import Instance, Lamp, Lattice, Material, Room, Scene
+from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
 from eagor.sphere import rotation, world_R_body
 
 SIZE = np.array([5.0, 4.0, 2.6])

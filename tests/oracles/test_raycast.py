@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import random_directions
 
 from eagor.errors import MissingExtraError, WorldError
-from eagor.lab.worlds.raycast import Raycaster
+from eagor.lab.worlds.scene import Raycaster
 
 LOW, HIGH = np.array([-3.0, -2.0, 0.0]), np.array([4.0, 2.5, 2.6])
 

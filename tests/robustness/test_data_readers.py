@@ -1,6 +1,5 @@
 """Readers of benchmarks' files and of what models answer: a right value, or an error with a name."""
 
-import io
 import json
 import math
 

@@ -74,8 +74,8 @@ def make(job: tuple[int, Path, int, int, bool]) -> tuple[int, float]:
     from eagor.lab.worlds import light
     from eagor.lab.worlds.apartment import generate
     from eagor.lab.worlds.ground import Ground
+    from eagor.lab.worlds.light import STEP, Lattice
     from eagor.lab.worlds.render import Renderer, Shader
-    from eagor.lab.worlds.scene import STEP, Lattice
     from eagor.queries import COLOURS
 
     scene = generate(seed)

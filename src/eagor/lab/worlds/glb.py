@@ -240,38 +240,40 @@ def import_glb(path: Path | str) -> Scene:
             f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {str(error)[:300]}); is it complete? "
             "Export it again"
         ) from error
-    instances: list[Instance] = []
-    for part in parts:
-        corners = part.vertices[part.triangles].reshape(-1, 3)
-        instances.append(Instance(*name_from_nodes(part.names), None, corners.min(axis=0), corners.max(axis=0)))
-    owners, looks, more = list(range(len(parts))), [part.material for part in parts], {}
-    companion = path.with_suffix(".semantic.json")
-    if companion.is_file():
-        try:
-            known = read_semantics(companion.read_bytes())
-            facts = dict(known.facts)
-            if known.glb_sha256 == hashlib.sha256(blob).hexdigest():
-                facts["exported hash"] = known.scene_hash
-            parts, owners, looks = _matched(known, parts, materials)
-            textures = {material.name: material.texture for material in materials}
-            gltf = _names(known.materials)
-            materials = [replace(m, texture=textures.get(n)) for m, n in zip(known.materials, gltf, strict=True)]
-            instances, more = known.instances, {
-                "rooms": tuple(known.rooms), "lamps": tuple(known.lamps), "daylight": known.daylight, "facts": facts,
-            }  # fmt: skip
-        except (WorldError, ValueError) as error:
-            raise WorldError(
-                f"{companion} cannot be used ({str(error)[:300]}); wanted what export_glb writes; export again, or "
-                "remove it to import the GLB by itself"
-            ) from error
+    source, companion = f"glb {path.name}", path.with_suffix(".semantic.json")
+    if not companion.is_file():
+        bounds = [(c.min(axis=0), c.max(axis=0)) for c in (p.vertices[p.triangles].reshape(-1, 3) for p in parts)]
+        things = [Instance(*name_from_nodes(p.names), None, *b) for p, b in zip(parts, bounds, strict=True)]
+        return _joined(parts, range(len(parts)), instances=tuple(things), materials=tuple(materials), source=source)
+    try:
+        known = read_semantics(companion.read_bytes())
+        parts, owners = _matched(known, parts, materials)
+        textures = {material.name: material.texture for material in materials}
+        named = zip(known.materials, _names(known.materials), strict=True)
+        unchanged = known.glb_sha256 == hashlib.sha256(blob).hexdigest()
+        return _joined(
+            parts, owners, instances=tuple(known.instances), source=source,
+            materials=tuple(replace(material, texture=textures.get(name)) for material, name in named),
+            rooms=tuple(known.rooms), lamps=tuple(known.lamps), daylight=known.daylight,
+            facts=known.facts | ({"exported hash": known.scene_hash} if unchanged else {}),
+        )  # fmt: skip
+    except (WorldError, ValueError) as error:
+        raise WorldError(
+            f"{companion} cannot be used ({str(error)[:300]}); wanted what export_glb writes; export again, or "
+            "remove it to import the GLB by itself"
+        ) from error
+
+
+def _joined(parts: list[_Part], owners: Sequence[int], **more: Any) -> Scene:
+    """The scene of these parts, which belong to the instances `owners`; `more`: whatever else a scene has."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    counts = [len(part.triangles) for part in parts]
+    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
+    count = [len(part.triangles) for part in parts]
     return Scene(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]).astype(np.int32),
-        np.repeat(owners, counts).astype(np.int32), np.repeat(looks, counts).astype(np.int32),
-        np.concatenate([part.uv for part in parts]), tuple(instances), tuple(materials), source=f"glb {path.name}",
-        **more,
+        np.concatenate([part.vertices for part in parts]), np.concatenate(triangles).astype(np.int32),
+        np.repeat(owners, count).astype(np.int32),
+        np.repeat([part.material for part in parts], count).astype(np.int32),
+        np.concatenate([part.uv for part in parts]), **more,
     )  # fmt: skip
 
 
@@ -382,10 +384,6 @@ def _check_pictures(pictures: Iterable[Any], size: int) -> None:
 # --- the semantic JSON ------------------------------------------------------------------------------------------------
 
 
-class _Nodes(msgspec.Struct):
-    nodes: list[str] = []
-
-
 @dataclass(frozen=True, eq=False)
 class Semantics:
     """What a semantic JSON, or a file of boxes, says of a scene."""
@@ -410,11 +408,12 @@ def read_semantics(text: bytes) -> Semantics:
         if isinstance(tree, dict) and isinstance(tree.get(kind), list):
             tree[kind] = [{"colour": None, "room": None} | e if isinstance(e, dict) else e for e in tree[kind]]
     known = msgspec.convert(tree, Semantics, dec_hook=_array)
-    shapes = [(a, 3) for t in (*known.instances, *known.boxes) for a in (t.low, t.high)]
-    shapes += [(a, 3) for lamp in known.lamps for a in (lamp.position, lamp.power)]
-    if any(a.shape != (n,) for a, n in shapes) or any(r.rectangles.shape[1:] != (4,) for r in known.rooms):
+    triples = [a for thing in (*known.instances, *known.boxes) for a in (thing.low, thing.high)]
+    triples += [a for lamp in known.lamps for a in (lamp.position, lamp.power)]
+    if any(a.shape != (3,) for a in triples) or any(r.rectangles.shape[1:] != (4,) for r in known.rooms):
         raise ValueError("a corner, a lamp or a room without its three or four numbers")
-    return replace(known, nodes=[each.nodes for each in msgspec.convert(tree.get("instances", []), list[_Nodes])])
+    nodes = [entry.get("nodes", []) for entry in tree.get("instances", [])]
+    return replace(known, nodes=msgspec.convert(nodes, list[list[str]]))
 
 
 def _array(_: type, value: Any) -> np.ndarray:
@@ -424,10 +423,8 @@ def _array(_: type, value: Any) -> np.ndarray:
     return array
 
 
-def _matched(
-    known: Semantics, parts: list[_Part], materials: list[Material]
-) -> tuple[list[_Part], list[int], list[int]]:
-    """The parts in the order of the semantic JSON, and for each its instance and its material."""
+def _matched(known: Semantics, parts: list[_Part], materials: list[Material]) -> tuple[list[_Part], list[int]]:
+    """The parts in the order of the semantic JSON, with its materials, and the instance of each."""
     owner = {name: index for index, names in enumerate(known.nodes) for name in names}
     by_name = {part.names[0]: part for part in parts}
     place = {name: index for index, name in enumerate(_names(known.materials))}
@@ -437,5 +434,5 @@ def _matched(
             "the GLB and its semantic JSON do not have the same nodes and materials: "
             f"{shown(', '.join(sorted(strange)[:3]), 200)} only in one of the two"
         )
-    parts = [by_name[name] for name in owner]
-    return parts, list(owner.values()), [place[materials[part.material].name] for part in parts]
+    parts = [replace(by_name[name], material=place[materials[by_name[name].material].name]) for name in owner]
+    return parts, list(owner.values())

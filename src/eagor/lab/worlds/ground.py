@@ -4,22 +4,29 @@ A grid of square cells in the world frame (x along columns, y along rows, metres
 and no obstacle within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts. All
 distances are of paths over free cells.
 
-Which cells a triangle touches between two heights is exact and conservative (`rasterize`): clipped to the slab and
-projected, and a cell counts if its square meets the projection (separating axes). So neither a thin wall nor a chair
-leg falls between samples. A face exactly between two cells, as walls on round numbers, counts for the one behind it.
+Which cells a triangle touches between two heights is exact and conservative (`rasterize`): a cell counts if the
+triangle meets the box above it (separating axes). So neither a thin wall nor a chair leg falls between samples. A face
+exactly between two cells, as walls on round numbers, counts for the one behind it.
+
+In the graph of the free cells, each is joined to 32 neighbours (steps of up to three cells that are not a multiple of a
+shorter one) if all cells that the straight step touches are free. Directions are at most 18.4 degrees apart, so a path
+over the graph is at most 1.3 % longer than the straight one, 0.6 % on average.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+from scipy.sparse import csr_array, vstack
+from scipy.sparse.csgraph import dijkstra
 
 from eagor._values import lazy
 from eagor.errors import WorldError
-from eagor.lab.worlds.navmesh import CellGraph, DistanceField, Walls, cells_of, string_pull
+from eagor.lab.worlds.navmesh import DistanceField, cells_of, string_pull, walls_below
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Room, Scene
 
 _INWARD = 1e-3  # in cells: shift of a face to its back
@@ -32,6 +39,7 @@ _LARGEST = 4_000_000  # cells; 100 m x 100 m at 5 cm
 _CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are closed
 _AROUND = np.array([(c, r) for r in (-1, 0, 1) for c in (-1, 0, 1)])
 _BESIDE_CORNER = {0: (1, 3), 2: (1, 5), 6: (3, 7), 8: (5, 7)}  # places in _AROUND: no way leads through a closed corner
+_REACH = 3  # cells: length of the steps of the graph along an axis
 
 
 def rasterize(
@@ -43,14 +51,42 @@ def rasterize(
     """
     mask = np.zeros(shape, dtype=bool)
     z = corners[:, :, 2]
-    bottom, top = z.min(axis=1), z.max(axis=1)
-    flat = top - bottom < 1e-9
-    meets = np.where(flat, (bottom > low) & (bottom < high), (top > low) & (bottom < high))
-    inside = meets & (bottom >= low) & (top <= high)
-    whole, cut = (_in_cells(corners[chosen], origin, cell) for chosen in (inside, meets & ~inside))
-    _mark(mask, whole[:, :, :2])
-    _mark(mask, _clip(_clip(cut, low, 1.0), -high, -1.0)[:, :, :2])
+    corners = corners[(z.max(axis=1) > low) & (z.min(axis=1) < high)].astype(np.float64)
+    # In cells, shifted a little to their back.
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    corners[:, :, :2] = (corners[:, :, :2] - origin) / cell - (_INWARD * normal[:, :2] / length)[:, None]
+    limit = np.array(shape[::-1])
+    first, last = np.floor(corners[:, :, :2].min(axis=1) + _TOUCH), np.floor(corners[:, :, :2].max(axis=1) - _TOUCH)
+    last = np.maximum(first, last)
+    near = ((last >= 0) & (first < limit)).all(axis=1)
+    corners, first = corners[near], np.clip(first[near], 0, limit - 1).astype(np.int64)
+    size = np.clip(last[near], 0, limit - 1).astype(np.int64) - first + 1
+    count = size.prod(axis=1)
+    for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(np.cumsum(count) // _AT_ONCE)) + 1):
+        owner = np.repeat(part, count[part])
+        within = np.arange(len(owner)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
+        col, row = first[owner].T + np.stack([within % size[owner, 0], within // size[owner, 0]])
+        centre = np.stack([col + 0.5, row + 0.5, np.full(len(owner), (low + high) / 2)], axis=1)
+        met = _meets(corners, owner, centre, np.array([0.5 - _TOUCH, 0.5 - _TOUCH, (high - low) / 2]))
+        mask[row[met], col[met]] = True
     return mask
+
+
+def _meets(corners: np.ndarray, owner: np.ndarray, centre: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Whether boxes, `half` their size ``(3,)`` about `centre` ``(k, 3)``, meet the triangles `owner` ``(k,)``.
+
+    No axis separates the two: the normal of the triangle, or one that is normal to an edge of each (Akenine-Moeller,
+    JGT 6, 2001). The bounds of the two are known to overlap.
+    """
+    edges = np.roll(corners, -1, axis=1) - corners
+    axes = [np.cross(edges[:, 0], edges[:, 1]), *(np.cross(edges[:, k], side) for k in range(3) for side in np.eye(3))]
+    met = np.ones(len(owner), dtype=bool)
+    for axis in axes:
+        along, reach = np.einsum("nkj,nj->nk", corners, axis), np.abs(axis) @ half
+        place = np.einsum("kj,kj->k", centre, axis[owner])
+        met &= (place >= (along.min(axis=1) - reach)[owner]) & (place <= (along.max(axis=1) + reach)[owner])
+    return met
 
 
 def level_triangles(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,88 +109,6 @@ def floor_height(corners: np.ndarray, level: np.ndarray, upward: np.ndarray, are
         return 0.0
     within = levels[bins] == large[0]
     return float(np.average(heights[within], weights=areas[within]))
-
-
-def _in_cells(corners: np.ndarray, origin: np.ndarray, cell: float) -> np.ndarray:
-    """Triangles with x and y in cells, z in metres, shifted a little to their back."""
-    corners = corners.astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    inward = _INWARD * normal[:, :2] / np.where(length > 0, length, 1.0)
-    corners[:, :, :2] = (corners[:, :, :2] - origin) / cell - inward[:, None]
-    return corners
-
-
-def _clip(polygons: np.ndarray, limit: float, sign: float) -> np.ndarray:
-    """The parts ``(n, k + 1, 3)`` with sign z >= limit of convex polygons ``(n, k, 3)``; the last corner repeats."""
-    count, sides = polygons.shape[:2]
-    if count == 0:
-        return np.zeros((0, sides + 1, 3))
-    height = sign * polygons[:, :, 2] - limit
-    following = np.roll(height, -1, axis=1)
-    inside = height >= 0
-    crossing = inside != (following >= 0)
-    step = np.where(crossing, height - following, 1.0)
-    share = (height / step)[:, :, None]
-    between = polygons + share * (np.roll(polygons, -1, axis=1) - polygons)
-    # Sutherland and Hodgman: every edge gives its start if that is inside, then its crossing. Valid ones go first.
-    points = np.stack([polygons, between], axis=2).reshape(count, 2 * sides, 3)
-    valid = np.stack([inside, crossing], axis=2).reshape(count, 2 * sides)
-    order = np.argsort(~valid, axis=1, kind="stable")[:, : sides + 1]
-    last = np.clip(valid.sum(axis=1) - 1, 0, sides)
-    order = np.take_along_axis(order, np.minimum(np.arange(sides + 1), last[:, None]), axis=1)
-    return np.take_along_axis(points, order[:, :, None], axis=1)[valid.any(axis=1)]
-
-
-def _mark(mask: np.ndarray, polygons: np.ndarray) -> None:
-    """Mark the cells that convex polygons ``(n, k, 2)``, in cells, touch."""
-    rows, cols = mask.shape
-    limit = np.array([cols, rows])
-    first = np.floor(polygons.min(axis=1) + _TOUCH)
-    last = np.maximum(first, np.floor(polygons.max(axis=1) - _TOUCH))
-    near = ((last >= 0) & (first < limit)).all(axis=1)
-    polygons = polygons[near]
-    first = np.clip(first[near], 0, limit - 1).astype(np.int64)
-    size = np.clip(last[near], 0, limit - 1).astype(np.int64) - first + 1
-    # A polygon within one row or one column of cells touches all cells of its box.
-    simple = (size == 1).any(axis=1)
-    _each_cell(mask, first[simple], size[simple], None)
-    _each_cell(mask, first[~simple], size[~simple], polygons[~simple])
-
-
-def _each_cell(mask: np.ndarray, first: np.ndarray, size: np.ndarray, polygons: np.ndarray | None) -> None:
-    ends = np.cumsum(size[:, 0] * size[:, 1])
-    start = 0
-    while start < len(first):
-        before = ends[start - 1] if start else 0
-        stop = max(start + 1, int(np.searchsorted(ends, before + _AT_ONCE, side="right")))
-        width, height = size[start:stop, 0], size[start:stop, 1]
-        counts = width * height
-        owner = np.repeat(np.arange(stop - start), counts)
-        local = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-        col = first[start:stop, 0][owner] + local % width[owner]
-        row = first[start:stop, 1][owner] + local // width[owner]
-        if polygons is not None:
-            met = _meets(polygons[start:stop], owner, col + 0.5, row + 0.5)
-            col, row = col[met], row[met]
-        mask[row, col] = True
-        start = stop
-
-
-def _meets(polygons: np.ndarray, owner: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Whether the unit square about (x, y) meets polygon `owner`: no edge normal separates the two."""
-    met = np.ones(len(owner), dtype=bool)
-    for side in range(polygons.shape[1]):
-        edge = np.roll(polygons, -1, axis=1)[:, side] - polygons[:, side]
-        length = np.hypot(edge[:, 0], edge[:, 1])
-        normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1) / np.where(length > 1e-12, length, 1.0)[:, None]
-        normal[length <= 1e-12] = 0.0  # a repeated corner separates nothing
-        along = np.einsum("nkj,nj->nk", polygons, normal)
-        half = 0.5 * np.abs(normal).sum(axis=1) - _TOUCH * (length > 1e-12)
-        low, high = along.min(axis=1) - half, along.max(axis=1) + half
-        place = x * normal[owner, 0] + y * normal[owner, 1]
-        met &= (place >= low[owner]) & (place <= high[owner])
-    return met
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +185,7 @@ class Ground:
 
     @property
     def points(self) -> np.ndarray:
-        return self._centres
+        return self.centres(self._nodes)
 
     def height(self, xy: np.ndarray) -> float:
         return self.floor
@@ -250,7 +204,7 @@ class Ground:
             return None
         if self.is_free(xy):
             return xy.copy()
-        low = self.origin + self._graph.nodes[:, ::-1] * self.cell
+        low = self.origin + self._nodes[:, ::-1] * self.cell
         margin = 1e-6 * self.cell  # off the edge of the cell, which belongs to its neighbour
         nearest = np.clip(xy, low + margin, low + self.cell - margin)
         away = np.hypot(*(nearest - xy).T)
@@ -276,7 +230,7 @@ class Ground:
         place = (points - self.origin) / self.cell
         around = np.floor(place).astype(np.intp)[:, None] + _AROUND
         away = np.hypot(*np.moveaxis(around + 0.5 - place[:, None], -1, 0)) + starts[:, None] / self.cell
-        index = self._graph.index[around[..., 1], around[..., 0]]
+        index = self._index[around[..., 1], around[..., 0]]
         usable = index >= 0
         for corner, (one, other) in _BESIDE_CORNER.items():
             usable[:, corner] &= usable[:, one] & usable[:, other]
@@ -290,8 +244,9 @@ class Ground:
         return way.metres[self.free]
 
     def footprint(self, instance: Instance) -> DistanceField:
-        seeds, away = self._beside(instance)
-        return self._spread(seeds, away / self.cell)
+        points, away = self.beside(instance)
+        _, own, _ = cells_of(points, self.origin, self.cell, self.free.shape)
+        return self._spread(self._index[own], away / self.cell)
 
     def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
         """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint, metres.
@@ -302,11 +257,6 @@ class Ground:
         middle of a large table), the result is the points of the same room that are at most 0.75 m farther than the
         nearest of them; without rooms, those with a clear line.
         """
-        places, away = self._beside(instance)
-        return self.points[places], away
-
-    def _beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of the points `beside` an instance among the free cells, and their distances."""
         points = self.points
         nearest = np.clip(points, instance.low[:2], instance.high[:2])
         away = np.hypot(*(nearest - points).T)
@@ -316,17 +266,17 @@ class Ground:
         clear = ~early
         if room is not None:
             clear &= ~anywhere | room.contains(*points[close].T)
-        seeds = close[clear]
-        if len(seeds) == 0:
+        chosen = close[clear]
+        if len(chosen) == 0:
             x, y, _ = instance.centre
             room = room or next((other for other in self.rooms if other.contains(x, y)), None)
             if room is not None:
-                seeds = np.flatnonzero(room.contains(*points.T))
+                chosen = np.flatnonzero(room.contains(*points.T))
             else:
-                seeds = np.argsort(away, kind="stable")[:_NEAREST]
-                seeds = seeds[~self._crossings(points[seeds], nearest[seeds])[1]]
-            seeds = seeds[away[seeds] <= away[seeds].min(initial=np.inf) + BESIDE]
-        return seeds, away[seeds]
+                chosen = np.argsort(away, kind="stable")[:_NEAREST]
+                chosen = chosen[~self._crossings(points[chosen], nearest[chosen])[1]]
+            chosen = chosen[away[chosen] <= away[chosen].min(initial=np.inf) + BESIDE]
+        return points[chosen], away[chosen]
 
     def _crossings(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whether lines ``(n, 2)`` cross structure: anywhere, and farther than a cell and a half from their ends."""
@@ -340,20 +290,66 @@ class Ground:
         early = (1 - share) * gap[:, None] > 1.5 * self.cell
         return np.any(hit, axis=1), np.any(hit & early, axis=1)
 
+    @lazy
+    def _nodes(self) -> np.ndarray:
+        """Rows and columns ``(n, 2)`` of the free cells, in reading order: the nodes of the graph."""
+        return np.argwhere(self.free)
+
+    @lazy
+    def _index(self) -> np.ndarray:
+        """Index in `_nodes` of each cell ``(rows, cols)``, -1 for those that are not free."""
+        return np.where(self.free, np.cumsum(self.free).reshape(self.free.shape) - 1, -1).astype(np.int32)
+
+    @lazy
+    def _edges(self) -> csr_array:
+        """Lengths in cells ``(n, n)`` of the steps between free cells."""
+        starts, ends, lengths = [], [], []
+
+        def shifted(grid: np.ndarray, cell: tuple[int, int]) -> np.ndarray:
+            # It may wrap: a step over the border touches cells of it, which are not free.
+            return np.roll(grid, (-cell[0], -cell[1]), axis=(0, 1))
+
+        for r, c in itertools.product(range(_REACH + 1), range(-_REACH, _REACH + 1)):
+            if (r, c) > (0, 0) and math.gcd(r, c) == 1:  # one of each opposite pair
+                box = itertools.product(range(r + 1), range(min(0, c), max(0, c) + 1))
+                touched = [(a, b) for a, b in box if 2 * abs(r * b - c * a) <= r + abs(c)]
+                open_ = np.all([shifted(self.free, cell) for cell in touched], axis=0)
+                here, there = self._index[open_], shifted(self._index, (r, c))[open_]
+                starts += [here, there]
+                ends += [there, here]
+                lengths.append(np.full(2 * len(here), math.hypot(r, c)))
+        entries = np.concatenate(lengths), (np.concatenate(starts), np.concatenate(ends))
+        return csr_array(entries, shape=(len(self._nodes), len(self._nodes)))
+
+    @lazy
+    def _walls(self) -> np.ndarray:
+        return walls_below(self.free)
+
     def _spread(self, seeds: np.ndarray, offsets: np.ndarray) -> DistanceField:
-        return DistanceField(self.origin, self.cell, self._graph.spread(seeds, offsets) * self.cell)
+        """Distances from seeds, indices of `_nodes` ``(k,)`` that start at `offsets` ``(k,)``, in cells."""
+        found = np.full(self.free.shape, np.inf)
+        if len(seeds):
+            # A virtual node joined to every seed by an edge of its offset stands for the goal.
+            count = len(self._nodes)
+            goal = csr_array((np.maximum(offsets, 1e-9), seeds, [0, len(seeds)]), shape=(1, count))
+            joined = vstack([self._edges, goal], format="csr")
+            joined.resize((count + 1, count + 1))
+            found[self.free] = dijkstra(joined, indices=count)[:count]
+        return DistanceField(self.origin, self.cell, found * self.cell)
 
-    @lazy
-    def _graph(self) -> CellGraph:
-        return CellGraph(self.free)
-
-    @lazy
-    def _centres(self) -> np.ndarray:
-        return self.centres(self._graph.nodes)
-
-    @lazy
-    def _walls(self) -> Walls:
-        return Walls(self.free.astype(np.uint8).tobytes(), self.clearance.ravel().tolist(), self.free.shape[1])
+    def _descend(self, distances: np.ndarray, row: int, col: int) -> np.ndarray:
+        """Cells ``(n, 2)`` from (row, col) down to the seed of its path; `distances` ``(rows, cols)`` are in cells."""
+        values, edges = distances[self.free], self._edges
+        here = int(self._index[row, col])
+        way = [here]
+        while True:
+            part = slice(edges.indptr[here], edges.indptr[here + 1])
+            through = values[edges.indices[part]] + edges.data[part]
+            # A seed starts below every path through a neighbour, up to rounding.
+            if len(through) == 0 or through.min() > values[here] + 1e-7:
+                return self._nodes[way]
+            here = int(edges.indices[part][through.argmin()])
+            way.append(here)
 
     def path(self, start: np.ndarray, goal: np.ndarray | DistanceField) -> np.ndarray:
         """The shortest path ``(n, 2)`` from a free point to another, or down a field to its goal.
@@ -368,13 +364,11 @@ class Ground:
             raise WorldError(
                 f"there is no path from ({x:.2f}, {y:.2f}) to the goal; is it free ground? snap() finds some"
             )
-        cells = self._graph.descend(field.metres / self.cell, row, col)
-        ox, oy = float(self.origin[0]), float(self.origin[1])
-        points = [((x - ox) / self.cell, (y - oy) / self.cell), *((c + 0.5, r + 0.5) for r, c in cells)]
-        if not isinstance(goal, DistanceField):
-            points.append(((float(goal[0]) - ox) / self.cell, (float(goal[1]) - oy) / self.cell))
-        taut = string_pull(points, self._walls.sees)
-        return self.origin + np.array(taut) * self.cell
+        cells = self._descend(field.metres / self.cell, row, col)
+        ends = [start] if isinstance(goal, DistanceField) else [start, goal]
+        first, *last = (np.asarray(ends, dtype=np.float64) - self.origin) / self.cell
+        taut = string_pull(np.array([first, *(cells[:, ::-1] + 0.5), *last]), self._walls)
+        return self.origin + taut * self.cell
 
     # --- steps ---
 
@@ -389,10 +383,45 @@ class Ground:
             raise WorldError(f"step = ({dx}, {dy}); wanted two finite numbers, metres")
         self._cell_of(x, y)
         (ox, oy), cell = self.origin.tolist(), self.cell
-        x, y, collided = self._walls.move((x - ox) / cell, (y - oy) / cell, dx / cell, dy / cell, slide)
+        x, y, dx, dy = (x - ox) / cell, (y - oy) / cell, dx / cell, dy / cell
+        parts = math.ceil(math.hypot(dx, dy) * 2)  # of at most half a cell
+        collided = False
+        for _ in range(parts):
+            ways = [(dx / parts, dy / parts)]
+            if not self._leads(x, y, *ways[0]):
+                collided = True
+                ways = [way for way in self._along(x, y, *ways[0]) if slide and self._leads(x, y, *way)]
+            if not ways:
+                break
+            x, y = x + ways[0][0], y + ways[0][1]
         # Away from the edges of the cell, where rounding would lead into its neighbours.
         x, y = (min(max(value, int(value) + 1e-9), int(value) + 1 - 1e-9) for value in (x, y))
         return np.array((ox + x * cell, oy + y * cell)), collided
+
+    def _leads(self, x: float, y: float, dx: float, dy: float) -> bool:
+        """Whether a step of at most half a cell, in cells, leads from a free cell to itself or another.
+
+        The two share an edge, or a corner that is not closed from both sides.
+        """
+        row, col, to_row, to_col = int(y), int(x), int(y + dy), int(x + dx)
+        return bool(self.free[to_row, to_col] and (self.free[row, to_col] or self.free[to_row, col]))
+
+    def _along(self, x: float, y: float, dx: float, dy: float) -> list[tuple[float, float]]:
+        """A step without its component into the wall, in cells, the best candidate first.
+
+        The wall is normal to the gradient of the clearance; if that leads nowhere, along one of the axes.
+        """
+        clearance, row, col = self.clearance, int(y), int(x)
+        slope_x = float(clearance[row, col + 1] - clearance[row, col - 1])
+        slope_y = float(clearance[row + 1, col] - clearance[row - 1, col])
+        into = dx * slope_x + dy * slope_y
+        found = [(dx, 0.0), (0.0, dy)] if abs(dx) > abs(dy) else [(0.0, dy), (dx, 0.0)]
+        if into < 0:
+            into /= slope_x * slope_x + slope_y * slope_y
+            found.insert(0, (dx - into * slope_x, dy - into * slope_y))
+        # In a head-on collision only rounding errors are left; they give no direction along the wall.
+        least = 0.01 * math.hypot(dx, dy)
+        return [(a, b) for a, b in found if math.hypot(a, b) > least]
 
     def _cell_of(self, x: float, y: float) -> tuple[int, int]:
         """Row and column of a free point; raises `WorldError` for any other."""

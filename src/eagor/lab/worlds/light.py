@@ -8,27 +8,32 @@ Light is irradiance over pi, so that a white surface has this radiance; linear R
 a lamp of power 1. All points of the scene use the same few points of each source, and send their rays along one shared
 spiral of directions (Vogel 1979), rotated about the normal from point to point. Neighbours thus complement each other
 when the light is smoothed over a surface; independent samples would leave blotches.
+
+It is computed at a `Lattice` of samples on every triangle. A triangle with the edges
+e1 and e2 from its corner 0 carries (nu + 1) x (nv + 1) samples at corner + i/nu e1 + j/nv e2. Neighbouring samples are
+at most a step apart; small triangles have only their corners. Corner 0 is opposite the longest edge, so that the two
+halves of a rectangle have the same samples. The triangles for rays stay whole: there are no cracks, and light can be
+finer than the mesh. The cells that straddle the longest edge need the part of the lattice beyond it. That part lies on
+the other half if the triangle is half of a parallelogram; otherwise it is moved back to the edge.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from eagor._files import cache_folder, written
 from eagor._srgb import to_linear
+from eagor._values import lazy
 from eagor.errors import StorageError
-from eagor.lab.worlds.raycast import Raycaster
-from eagor.lab.worlds.scene import Lattice, Material, Scene
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+from eagor.lab.worlds.scene import Material, Raycaster, Scene
 
 ROWS, COLUMNS = 512, 1024
 _HORIZON = np.array([0.93, 0.95, 0.97])
@@ -96,20 +101,6 @@ def _skyline(image: np.ndarray, rng: np.random.Generator, azimuth: np.ndarray, e
     return _put(image, (elevation < crowns) & (elevation > -1.8 - 0.6 * shade), trees)
 
 
-def look_up(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """The colours ``(n, 3)`` of an equirectangular `image` ``(ROWS, COLUMNS, 3)`` in these directions ``(n, 3)``."""
-    x, y, z = directions.astype(np.float64).T
-    column = (0.5 - np.arctan2(y, x) / (2 * np.pi)) * COLUMNS - 0.5
-    row = np.clip((0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * ROWS - 0.5, 0, ROWS - 1)
-    left, top = np.floor(column), np.minimum(np.floor(row), ROWS - 2)
-    right_share, lower_share = (column - left)[:, None], (row - top)[:, None]
-    left, top = left.astype(np.intp) % COLUMNS, top.astype(np.intp)
-    right = (left + 1) % COLUMNS
-    upper = image[top, left] * (1 - right_share) + image[top, right] * right_share
-    lower = image[top + 1, left] * (1 - right_share) + image[top + 1, right] * right_share
-    return upper * (1 - lower_share) + lower * lower_share
-
-
 def _house(image: np.ndarray, rng: np.random.Generator, azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
     """A house with a pitched roof and rows of windows."""
     middle, half, top = rng.uniform(-np.pi, np.pi), rng.uniform(0.04, 0.11), rng.uniform(3.5, 8.0)
@@ -128,7 +119,7 @@ def _house(image: np.ndarray, rng: np.random.Generator, azimuth: np.ndarray, ele
 def _put(image: np.ndarray, where: np.ndarray, colour: np.ndarray) -> np.ndarray:
     """`colour`, faded by the air between, where `where` is true."""
     pale = 0.86 * colour + 0.14 * np.array([0.78, 0.84, 0.90])
-    return np.where(np.broadcast_to(where, image.shape[:2])[..., None], pale, image)
+    return np.where(where[..., None], pale, image)
 
 
 def _waves(rng: np.random.Generator, phase: np.ndarray, band: tuple[int, int]) -> np.ndarray:
@@ -137,6 +128,181 @@ def _waves(rng: np.random.Generator, phase: np.ndarray, band: tuple[int, int]) -
     for _ in range(7):
         total += np.sin(rng.integers(band[0], band[1]) * phase + rng.uniform(0, 2 * np.pi))
     return total / 3
+
+
+# --- the points at which its light is computed ------------------------------------------------------------------------
+
+STEP = 0.13  # metres between samples
+_OUTSIDE = 0.8  # the same on walls that no room can see
+_MOST = 1_500_000  # samples; huge scenes get a coarser step
+_CREASE = np.cos(np.radians(40.0))  # surfaces that meet at a sharper angle do not share their light
+_INSET = 0.02  # metres from samples to the rim of their surface, where walls meet
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """The samples of a scene, "slots", triangle by triangle.
+
+    `triangles` ``(T, 3)`` int32: those of the scene, each rotated so that its longest edge is opposite corner 0, and
+    `turned` ``(T,)``, by how many corners; `cells` ``(T, 2)`` int32, nu and nv; `base` ``(T,)`` int32, the first slot.
+    """
+
+    scene: Scene
+    triangles: np.ndarray
+    turned: np.ndarray
+    cells: np.ndarray
+    base: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, step: float = STEP) -> Lattice:
+        """The lattice with samples about `step` metres apart."""
+        corners = scene.vertices[scene.triangles]
+        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        turned = (edges.argmax(axis=1) + 2) % 3  # edge k joins the corners k and k + 1; corner k + 2 is opposite
+        places = (turned[:, None] + np.arange(3)) % 3
+        lengths = np.take_along_axis(edges, places, axis=1)[:, [0, 2]].astype(np.float64)
+        lengths[unseen(scene)] *= STEP / _OUTSIDE
+        while True:
+            cells = np.maximum(np.ceil(lengths / step - 1e-3), 1).astype(np.int64)
+            sizes = (cells + 1).prod(axis=1)
+            if sizes.sum() <= _MOST + 5 * len(sizes):
+                break
+            step *= 1.25
+        base = np.cumsum(sizes) - sizes
+        triangles = np.take_along_axis(scene.triangles, places, axis=1).astype(np.int32)
+        return cls(scene, triangles, turned, cells.astype(np.int32), base.astype(np.int32))
+
+    @property
+    def size(self) -> int:
+        """The number of slots."""
+        return int(self.base[-1] + (self.cells[-1] + 1).prod())
+
+    @lazy
+    def slots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Triangle, i and j of every slot."""
+        sizes = (self.cells.astype(np.int64) + 1).prod(axis=1)
+        triangle = np.repeat(np.arange(len(sizes)), sizes)
+        within = np.arange(len(triangle)) - self.base[triangle]
+        j, i = np.divmod(within, self.cells[triangle, 0] + 1)
+        return triangle, i, j
+
+    @lazy
+    def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Corner 0, e1, e2 and the unit normal of every triangle, ``(T, 3)`` float64 each (the normal may be 0)."""
+        corners = self.scene.vertices[self.triangles].astype(np.float64)
+        e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        normal = np.cross(e1, e2)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        return corners[:, 0], e1, e2, normal / np.maximum(length, 1e-20)
+
+    @lazy
+    def points(self) -> Points:
+        """The slots, merged where they are the same point of the same smooth surface."""
+        corner, e1, e2, _ = self.frame
+        triangle, i, j = self.slots
+        u, v = i / self.cells[triangle, 0], j / self.cells[triangle, 1]
+        beyond = (u + v > 1) & ~self._is_half()[triangle]
+        excess = np.where(beyond, np.maximum(u + v, 1.0), 1.0)
+        u, v = u / excess, v / excess
+        place = corner[triangle] + u[:, None] * e1[triangle] + v[:, None] * e2[triangle]
+        smooth = self._smooth_normals()
+        away = sum(smooth[triangle, k] * share[:, None] for k, share in enumerate((1 - u - v, u, v)))
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-20)
+        _, first, index = np.unique(_key(place, away), return_index=True, return_inverse=True)
+        order = first.argsort()  # neighbours stay neighbours: consecutive rays then hit the same things
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        index = rank[index]
+        # Away from the rim, towards the middle of the triangle (of the parallelogram, beyond its diagonal).
+        middle = corner + (e1 + e2) / 3
+        middle = np.where((u + v > 1 + 1e-9)[:, None], (corner + (e1 + e2) * 2 / 3)[triangle], middle[triangle])
+        inwards = middle - place
+        distance = np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+        place = place + inwards * np.minimum(_INSET / distance, 0.25)
+        count = np.bincount(index).astype(np.float64)
+        position = np.stack([np.bincount(index, place[:, k]) for k in range(3)], axis=1) / count[:, None]
+        facing = np.stack([np.bincount(index, away[:, k]) for k in range(3)], axis=1)
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
+        return Points(position, facing, index)
+
+    def neighbours(self) -> csr_array:
+        """The number of times that points are neighbours on the same surface, ``(P, P)``."""
+        triangle, i, j = self.slots
+        nu, nv = self.cells[triangle, 0], self.cells[triangle, 1]
+        slot, point = np.arange(len(i)), self.points.of_slot
+        inside = i / nu + j / nv <= 1 + 1e-9
+        right = slot[(i < nu) & inside]
+        down = slot[(j < nv) & inside]
+        across = slot[(i < nu) & (j < nv) & inside]
+        a = np.concatenate([point[right], point[down], point[across + 1]])
+        b = np.concatenate([point[right + 1], point[down + nu[down] + 1], point[across + nu[across] + 1]])
+        a, b = a[a != b], b[a != b]
+        count = len(self.points.position)
+        ones = np.ones(2 * len(a), dtype=np.float32)
+        return csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
+
+    def _is_half(self) -> np.ndarray:
+        """Which triangles are halves of a parallelogram along their longest edge, ``(T,)`` bool."""
+        corner, e1, e2, normal = self.frame
+        sides = np.stack([np.linalg.norm(e, axis=1) for e in (e1, e2)], axis=1)
+        key = _key(corner + (e1 + e2) / 2, normal) ^ _key(np.pad(sides, ((0, 0), (0, 1))), np.zeros_like(normal))
+        _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+        return count[index] >= 2
+
+    def _smooth_normals(self) -> np.ndarray:
+        """Normals at the corners ``(T, 3, 3)``: the mean over the triangles there that meet below the crease angle."""
+        corner, e1, e2, normal = self.frame
+        place = np.stack([corner, corner + e1, corner + e2], axis=1).reshape(-1, 3)
+        weight = np.repeat(np.linalg.norm(np.cross(e1, e2), axis=1), 3)
+        owner = np.repeat(np.arange(len(corner)), 3)
+        key = _key(place, np.zeros_like(place))
+        order = np.argsort(key, kind="stable")
+        start, size = np.unique(key[order], return_index=True, return_counts=True)[1:]
+        offset = np.arange(len(key)) - np.repeat(start, size)
+        length = np.repeat(size, size)
+        total = np.zeros((len(place), 3))
+        # Every corner is compared with every other one of its group: the k-th neighbour of all corners at once.
+        for k in range(min(int(size.max()), 64)):
+            here = np.flatnonzero(k < length)
+            other = order[here - offset[here] + (offset[here] + k) % length[here]]
+            mine = order[here]
+            smooth = np.einsum("nk,nk->n", normal[owner[mine]], normal[owner[other]]) >= _CREASE
+            total[mine] += np.where(smooth, weight[other], 0.0)[:, None] * normal[owner[other]]
+        lost = np.linalg.norm(total, axis=1) < 1e-12
+        total[lost] = normal[owner[lost]]
+        return (total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """`position` and unit `normal` ``(P, 3)`` of the points that light is computed at, and `of_slot` ``(S,)``."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    of_slot: np.ndarray
+
+
+def unseen(scene: Scene) -> np.ndarray:
+    """Which triangles ``(T,)`` lie deep in or beyond the walls around the rooms; none without known rooms."""
+    x, y, _ = scene.vertices[scene.triangles].mean(axis=1).T
+    outside = np.full(len(x), bool(scene.rooms))
+    for room in scene.rooms:
+        outside &= ~replace(room, rectangles=room.rectangles - np.array([1, 1, -1, -1]) * 0.2).contains(x, y)
+    return outside
+
+
+def _key(place: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """A hash ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees."""
+    # Shifted by a third of a step, since coordinates are often round values.
+    steps = np.concatenate([np.floor(place * 1000 + 0.3137), np.floor(normal * 6 + 0.3137)], axis=1).astype(np.int64)
+    key = np.zeros(len(steps), dtype=np.uint64)
+    for column in steps.T:  # a mixing step of splitmix64 (Steele, Lea, Flood 2014) for every number
+        key = (key ^ column.view(np.uint64)) * np.uint64(0xBF58476D1CE4E5B9)
+        key ^= key >> np.uint64(29)
+    return key
+
+
+# --- sources ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,9 +450,8 @@ def leave_through(portal: Source, origin: np.ndarray, way: np.ndarray) -> np.nda
 def mean_colour(material: Material) -> np.ndarray:
     """The mean reflectance ``(3,)`` of a material, linear."""
     tint = to_linear(np.asarray(material.colour, dtype=np.float64))
-    if material.texture is None:
-        return tint
-    return tint * to_linear(material.texture[::2, ::2, :3] / 255).mean(axis=(0, 1))
+    texture = material.texture
+    return tint if texture is None else tint * to_linear(texture[::2, ::2, :3] / 255).mean(axis=(0, 1))
 
 
 def light_of(scene: Scene, lattice: Lattice, cache: Path | None = None) -> np.ndarray:
@@ -295,22 +460,27 @@ def light_of(scene: Scene, lattice: Lattice, cache: Path | None = None) -> np.nd
     `cache`: a folder; None means `cache_folder`. A `UserWarning` says so if it cannot be written.
     """
     folder = cache_folder() if cache is None else Path(cache)
-    file = folder / f"light-{VERSION}-{scene.hash}-{_rooms(scene)}.npz"
-    found = _read(file, lattice.size)
-    if found is None:
-        found = np.minimum(bake(scene, lattice), _HIGHEST).astype(np.float16)
-        packed = io.BytesIO()
-        np.savez_compressed(packed, light=found)
-        try:
-            written(file, packed.getvalue())
-        except StorageError as error:
-            warnings.warn(
-                f"the light of the scene could not be kept and will be computed again next time: {error}, or set "
-                "EAGOR_CACHE to a folder that can be written",
-                UserWarning,
-                stacklevel=3,
-            )
-    return found.astype(np.float32)
+    # Rooms are not in the hash of a scene, but decide which windows lead outdoors.
+    rooms = b"".join(np.asarray(room.rectangles, dtype=np.float64).tobytes() + b";" for room in scene.rooms)
+    file = folder / f"light-{VERSION}-{scene.hash}-{hashlib.sha256(rooms).hexdigest()[:6]}.npz"
+    with contextlib.suppress(Exception):  # missing, damaged, or not an archive: zipfile and NumPy may raise anything
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            light = stored["light"]
+        if light.shape == (lattice.size, 3) and light.dtype == np.float16 and np.isfinite(light).all():
+            return light.astype(np.float32)
+    light = np.minimum(bake(scene, lattice), _HIGHEST).astype(np.float16)
+    packed = io.BytesIO()
+    np.savez_compressed(packed, light=light)
+    try:
+        written(file, packed.getvalue())
+    except StorageError as error:
+        warnings.warn(
+            f"the light of the scene could not be kept and will be computed again next time: {error}, or set "
+            "EAGOR_CACHE to a folder that can be written",
+            UserWarning,
+            stacklevel=3,
+        )
+    return light.astype(np.float32)
 
 
 def bake(scene: Scene, lattice: Lattice) -> np.ndarray:
@@ -331,11 +501,10 @@ def bake(scene: Scene, lattice: Lattice) -> np.ndarray:
     for source in sources:
         source.add_to(direct, origin, normal, shadows)
     indirect, close, buried = _gather(scene, lattice, origin, normal, direct, everything, windows, dark=not sources)
-    neighbours = _neighbours(lattice)
-    direct = _smoothed(_filled(direct, buried, neighbours), neighbours, 2)
-    indirect = _smoothed(_filled(indirect, buried, neighbours), neighbours, SMOOTHING)
-    contact = 1 - CONTACT * _smoothed(_filled(close[:, None], buried, neighbours), neighbours, 1)
-    return ((direct + indirect) * contact)[points.of_slot]
+    neighbours = lattice.neighbours()
+    total = _smoothed(direct, buried, neighbours, 2) + _smoothed(indirect, buried, neighbours, SMOOTHING)
+    contact = 1 - CONTACT * _smoothed(close[:, None], buried, neighbours, 1)
+    return (total * contact)[points.of_slot]
 
 
 def _gather(
@@ -408,18 +577,11 @@ def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([1 + sign * x * x * a, sign * b, -sign * x], 1), np.stack([b, sign + y * y * a, -y], 1)
 
 
-def _neighbours(lattice: Lattice) -> csr_array:
-    """The number of times that points are neighbours on the same surface, ``(P, P)``."""
-    from scipy.sparse import csr_array
+def _smoothed(light: np.ndarray, buried: np.ndarray, neighbours: csr_array, passes: int) -> np.ndarray:
+    """`light` ``(P, n)`` averaged with its neighbours on the same surface, `passes` times.
 
-    a, b = lattice.links
-    count = len(lattice.points.position)
-    ones = np.ones(2 * len(a), dtype=np.float32)
-    return csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
-
-
-def _filled(light: np.ndarray, buried: np.ndarray, neighbours: csr_array) -> np.ndarray:
-    """`light`, with points that are shut in other things replaced by the mean of their open neighbours."""
+    Before that, points that are shut in other things (`buried`) take the mean of their open neighbours.
+    """
     light, missing = np.where(buried[:, None], light.dtype.type(0), light), np.flatnonzero(buried)
     known = (~buried).astype(np.float32)
     for _ in range(4):
@@ -429,30 +591,8 @@ def _filled(light: np.ndarray, buried: np.ndarray, neighbours: csr_array) -> np.
         light[missing[reached]] = (around @ light)[reached] / count[reached, None]
         known[missing[reached]] = 1
         missing = missing[~reached]
-    return light
-
-
-def _smoothed(light: np.ndarray, neighbours: csr_array, passes: int) -> np.ndarray:
-    """`light` ``(P, 3)`` averaged with its neighbours on the same surface, `passes` times."""
     weight = np.maximum(neighbours.sum(axis=1), np.float32(1e-9))[:, None]
-    alone = weight < 0.5
     half = np.float32(0.5)
     for _ in range(passes):
-        light = np.where(alone, light, half * light + half * (neighbours @ light) / weight)
+        light = np.where(weight < 0.5, light, half * light + half * (neighbours @ light) / weight)
     return light
-
-
-def _rooms(scene: Scene) -> str:
-    """Six hexadecimal digits for the rooms, which decide which windows lead outdoors and are not in `Scene.hash`."""
-    blob = b"".join(np.asarray(room.rectangles, dtype=np.float64).tobytes() + b";" for room in scene.rooms)
-    return hashlib.sha256(blob).hexdigest()[:6]
-
-
-def _read(file: Path, size: int) -> np.ndarray | None:
-    """The light in a file, or None if there is none that fits."""
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            light = stored["light"]
-    except Exception:  # missing, damaged, or not an archive: zipfile and NumPy may raise anything
-        return None
-    return light if light.shape == (size, 3) and light.dtype == np.float16 and np.isfinite(light).all() else None

@@ -7,7 +7,6 @@ is not part of a scene, but drawn into rendered frames in closed form (`with_bal
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,14 +14,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from eagor._arrays import frozen
 from eagor._srgb import to_coded, to_linear
 from eagor._values import lazy
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
-from eagor.lab.worlds.light import light_of, look_up, painted_sky
-from eagor.lab.worlds.raycast import Hits, Raycaster
-from eagor.lab.worlds.scene import Lattice, Material, Scene, unseen
+from eagor.lab.worlds.light import Lattice, light_of, painted_sky, unseen
+from eagor.lab.worlds.scene import Hits, Material, Raycaster, Scene
 from eagor.media.panorama import checked_picture, turn
 from eagor.sphere import check_rotation
 
@@ -38,8 +35,10 @@ _LEVELS = 12  # of textures: sides up to 2048 texels, halved down to 1
 
 def exposure(scene: Scene, lattice: Lattice, light: np.ndarray) -> float:
     """The factor from `light` ``(S, 3)`` to display values, from the median light in the rooms."""
-    brightness = light.mean(axis=1)
-    weight = np.where(unseen(scene)[lattice.slots[0]], 0.0, lattice.areas)
+    brightness, triangle = light.mean(axis=1), lattice.slots[0]
+    _, e1, e2, _ = lattice.frame
+    area = np.linalg.norm(np.cross(e1, e2), axis=1) / 2 / (lattice.cells + 1).prod(axis=1)  # of each sample
+    weight = np.where(unseen(scene), 0.0, area)[triangle]
     order = np.argsort(brightness)
     total = np.cumsum(weight[order])
     median = brightness[order[min(np.searchsorted(total, total[-1] / 2), len(order) - 1)]]
@@ -57,15 +56,21 @@ class Shader:
     """The appearance of a scene, in tables."""
 
     def __init__(self, scene: Scene, lattice: Lattice, light: np.ndarray) -> None:
-        self._texels = Texels.of(scene.materials)
+        self._texels, self._pyramid_base, self._log_side = texels_of(scene.materials)
         emission = np.array([m.emission for m in scene.materials])[scene.material][lattice.slots[0]]
-        self._slots = _packed(light * exposure(scene, lattice, light) + emission[:, None], int(lattice.cells.max()) + 3)
-        self._tone = _tone_table()
+        shown = light * exposure(scene, lattice, light) + emission[:, None]
+        # One number per sample, red, green and blue in lanes of it; a weight of 0 may point beyond the last.
+        levels = np.rint(2047 * np.sqrt(np.clip(shown / BRIGHTEST, 0, 1))).astype(np.int64)
+        packed = levels[:, 0] | levels[:, 1] << _LANE | levels[:, 2] << 2 * _LANE
+        self._slots = np.append(packed, np.zeros(int(lattice.cells.max()) + 3, dtype=np.int64))
+        # sRGB of light level and coded reflectance, which runs fastest.
+        radiance = BRIGHTEST * ((np.arange(512)[:, None] + 0.5) / 512) ** 2 * to_linear(np.arange(256) / 255)
+        self._tone = np.rint(255 * to_coded(tone(radiance))).astype(np.uint8).ravel()
         view = tone(_OUTDOORS * painted_sky(int(scene.hash[:8], 16)))
         self._outdoors = np.rint(255 * to_coded(view)).astype(np.uint8)
         # The tables of the triangles; an additional last row serves rays without a hit.
         _, e1, e2, _ = lattice.frame
-        side = (1 << self._texels.log_side[scene.material * _LEVELS].astype(np.int64))[:, None].astype(np.float64)
+        side = (1 << self._log_side[scene.material * _LEVELS].astype(np.int64))[:, None].astype(np.float64)
         uv = np.take_along_axis(scene.uv, ((lattice.turned[:, None] + np.arange(3)) % 3)[..., None], axis=1)
         uv = uv.astype(np.float64)
         uv -= np.floor(uv.min(axis=1, keepdims=True))  # whole repeats do not matter; this makes all values positive
@@ -80,46 +85,35 @@ class Shader:
 
     def shade(self, hits: Hits, directions: np.ndarray, pixel: float) -> np.ndarray:
         """Colours ``(n, 3)`` uint8 sRGB of the hits of rays with `directions` ``(n, 3)``; `pixel`: angle, radians."""
-        count = len(directions)
-        colours = np.empty((count, 3), dtype=np.uint8)
-        for first in range(0, count, _BLOCK):
-            part = slice(first, min(first + _BLOCK, count))
-            self._block(hits.triangle[part], hits.distance[part], hits.u[part], hits.v[part], pixel, colours[part])
+        colours = np.empty((len(directions), 3), dtype=np.uint8)
+        for first in range(0, len(directions), _BLOCK):
+            part = slice(first, first + _BLOCK)
+            row, u, v = hits.triangle[part].astype(np.intp), hits.u[part], hits.v[part]
+            x0, y0, ax, ay, bx, by, nu, nv, density = (column[row] for column in self._rows)
+            footprint = hits.distance[part] * density * np.float32(pixel)
+            texel = self._texel(row, x0 + u * ax + v * bx, y0 + u * ay + v * by, footprint)
+            light = self._light(row, u * nu, v * nv, nu)
+            for k in range(3):
+                level = (light >> (_LANE * k + 12)).astype(np.int32) & 511
+                colours[part, k] = self._tone[level << 8 | (texel >> (8 * k)) & 255]
         missed = np.flatnonzero(hits.triangle < 0)
         if len(missed):
-            colours[missed] = np.rint(look_up(self._outdoors, directions[missed]))
+            colours[missed] = np.rint(_look_up(self._outdoors, directions[missed]))
         return colours
 
-    def _block(
-        self, triangle: np.ndarray, distance: np.ndarray, u: np.ndarray, v: np.ndarray, pixel: float, out: np.ndarray
-    ) -> None:
-        row = triangle.astype(np.intp)
-        x0, y0, ax, ay, bx, by, nu, nv, density = (column[row] for column in self._rows)
-        texel = self._texel(row, u, v, x0, y0, ax, ay, bx, by, distance * density * np.float32(pixel))
-        light = self._light(row, u, v, nu, nv)
-        for k in range(3):
-            level = (light >> (_LANE * k + 12)).astype(np.int32) & 511
-            level <<= 8
-            level |= (texel >> (8 * k)) & 255
-            out[:, k] = self._tone[level]
-
-    def _texel(self, row, u, v, x0, y0, ax, ay, bx, by, footprint) -> np.ndarray:
-        """The texel at each pixel, from the level whose texels are about as large as the pixel."""
+    def _texel(self, row: np.ndarray, x: np.ndarray, y: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+        """The texel at places of the textures, from the level whose texels are about as large as the `footprint`."""
         # The exponent of a float is the whole part of its logarithm; times sqrt(2), to round instead of truncating.
         level = (footprint * np.float32(1.4142135)).view(np.int32) >> 23
-        level -= 127
-        np.clip(level, 0, _LEVELS - 1, out=level)
-        place = self._pyramid[row]
-        place += level
-        log_side = self._texels.log_side[place]
+        level = np.clip(level - 127, 0, _LEVELS - 1)
+        place = self._pyramid[row] + level
+        log_side = self._log_side[place]
         mask = (np.int32(1) << log_side) - np.int32(1)
-        x = (x0 + u * ax + v * bx).astype(np.int32) >> level
-        y = (y0 + u * ay + v * by).astype(np.int32) >> level
-        return self._texels.texels[self._texels.base[place] + ((y & mask) << log_side) + (x & mask)]
+        x, y = x.astype(np.int32) >> level, y.astype(np.int32) >> level
+        return self._texels[self._pyramid_base[place] + ((y & mask) << log_side) + (x & mask)]
 
-    def _light(self, row, u, v, nu, nv) -> np.ndarray:
-        """The light at each pixel, three lanes in one number: linear on each half of a lattice cell."""
-        x, y = u * nu, v * nv
+    def _light(self, row: np.ndarray, x: np.ndarray, y: np.ndarray, nu: np.ndarray) -> np.ndarray:
+        """The light at places of the lattice, in lanes: linear on each half of a cell."""
         i, j = x.astype(np.int32), y.astype(np.int32)
         along, across = ((x - i) * 1024).astype(np.int32), ((y - j) * 1024).astype(np.int32)
         stride = nu.astype(np.int32) + 1
@@ -133,52 +127,47 @@ class Shader:
         return total
 
 
-def _packed(light: np.ndarray, spare: int) -> np.ndarray:
-    """Display light ``(S, 3)`` as one number per slot, followed by `spare` zeros (a weight of 0 may point there)."""
-    levels = np.rint(2047 * np.sqrt(np.clip(light / BRIGHTEST, 0, 1))).astype(np.int64)
-    packed = levels[:, 0] | levels[:, 1] << _LANE | levels[:, 2] << 2 * _LANE
-    return np.append(packed, np.zeros(spare, dtype=np.int64))
+def _look_up(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The colours ``(n, 3)`` of an equirectangular image ``(H, W, 3)`` in these directions ``(n, 3)``, bilinear."""
+    height, width = image.shape[:2]
+    x, y, z = directions.astype(np.float64).T
+    column = (0.5 - np.arctan2(y, x) / (2 * np.pi)) * width - 0.5
+    row = np.clip((0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * height - 0.5, 0, height - 1)
+    left, top = np.floor(column), np.minimum(np.floor(row), height - 2)
+    right_share, lower_share = (column - left)[:, None], (row - top)[:, None]
+    left, top = left.astype(np.intp) % width, top.astype(np.intp)
+    right = (left + 1) % width
+    upper = image[top, left] * (1 - right_share) + image[top, right] * right_share
+    lower = image[top + 1, left] * (1 - right_share) + image[top + 1, right] * right_share
+    return upper * (1 - lower_share) + lower * lower_share
 
 
-def _tone_table() -> np.ndarray:
-    """sRGB of light level and coded reflectance, ``(512 * 256,)`` uint8, reflectance running fastest."""
-    light = BRIGHTEST * ((np.arange(512) + 0.5) / 512) ** 2
-    reflectance = to_linear(np.arange(256) / 255)
-    return np.rint(255 * to_coded(tone(light[:, None] * reflectance))).astype(np.uint8).ravel()
-
-
-@dataclass(frozen=True, eq=False)
-class Texels:
-    """All textures in one flat array, each in a pyramid of halved sizes, tinted beforehand.
+def texels_of(materials: tuple[Material, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All textures in one flat array ``(n,)`` int32, each in a pyramid of halved sizes, tinted beforehand.
 
     A texel is one number: red + green 2^8 + blue 2^16, sRGB-coded reflectance. Pyramids are square with sides that are
-    powers of two, so that a place in them is found by shifts and masks alone. `texels` ``(n,)`` int32; for material m
-    at level l (0: full size), at place m * _LEVELS + l, `base` ``(M * _LEVELS,)`` int32 is where its rows begin, and
-    `log_side` the logarithm of its side to base 2; levels beyond the last repeat it.
+    powers of two, so that a place in them is found by shifts and masks alone. For material m at level l (0: full size),
+    the second array ``(M * _LEVELS,)`` has at m * _LEVELS + l where its rows begin, and the third the logarithm of its
+    side to base 2; levels beyond the last repeat it.
     """
-
-    texels: np.ndarray
-    base: np.ndarray
-    log_side: np.ndarray
-
-    @classmethod
-    def of(cls, materials: tuple[Material, ...]) -> Texels:
-        """The pyramids of `materials`."""
-        pyramids: dict[int, list[np.ndarray]] = {}
-        texels, base, log_side, start = [], [], [], 0
-        for material in materials:
-            key = 0 if material.texture is None else id(material.texture)
-            if key not in pyramids:
-                pyramids[key] = _pyramid(material.texture)
-            tint = to_linear(np.clip(np.asarray(material.colour, dtype=np.float64), 0, 1))
-            levels = [_tinted(level, tint) for level in pyramids[key]]
-            for k in range(_LEVELS):
-                level = levels[min(k, len(levels) - 1)]
-                base.append(start + sum(len(other) for other in levels[: min(k, len(levels) - 1)]))
-                log_side.append(len(level).bit_length() // 2)
-            texels.extend(levels)
-            start += sum(len(level) for level in levels)
-        return cls(np.concatenate(texels), np.array(base, dtype=np.int32), np.array(log_side, dtype=np.int32))
+    pyramids: dict[int, list[np.ndarray]] = {}  # textures are shared by materials
+    texels, base, log_side, start = [], [], [], 0
+    for material in materials:
+        key = id(material.texture)
+        if key not in pyramids:
+            pyramids[key] = _pyramid(material.texture)
+        tint = to_linear(np.clip(np.asarray(material.colour, dtype=np.float64), 0, 1))
+        table = np.rint(255 * to_coded(to_linear(np.arange(256) / 255)[:, None] * tint)).astype(np.int32)
+        for level in pyramids[key]:
+            r, g, b = (table[level[:, k], k] for k in range(3))
+            texels.append(r | g << 8 | b << 16)
+            base.append(start)
+            log_side.append(len(level).bit_length() // 2)
+            start += len(level)
+        repeated = _LEVELS - len(pyramids[key])
+        base += base[-1:] * repeated
+        log_side += log_side[-1:] * repeated
+    return np.concatenate(texels), np.array(base, dtype=np.int32), np.array(log_side, dtype=np.int32)
 
 
 def _pyramid(texture: np.ndarray | None) -> list[np.ndarray]:
@@ -197,13 +186,6 @@ def _pyramid(texture: np.ndarray | None) -> list[np.ndarray]:
         level = (level[::2, ::2] + level[1::2, ::2] + level[::2, 1::2] + level[1::2, 1::2]) / 4
         levels.append(encode[np.rint(level * 4095).astype(np.int32)].reshape(-1, 3))
     return levels
-
-
-def _tinted(level: np.ndarray, tint: np.ndarray) -> np.ndarray:
-    """Packed texels of a level, times a linear colour."""
-    table = np.rint(255 * to_coded(to_linear(np.arange(256) / 255)[:, None] * tint)).astype(np.int32)
-    r, g, b = (table[level[:, k], k] for k in range(3))
-    return r | g << 8 | b << 16
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------
@@ -283,13 +265,8 @@ class Renderer:
         columns rolls the image exactly. Raises `PoseError`, `RotationError`, `GridError`, `WorldError`.
         """
         place, rotation = checked_pose(position, world_R_body, height)
-        yaw = _pure_yaw(rotation)
-        if yaw is None:
-            directions = _erp_directions(height) @ rotation.T.astype(np.float32)
-        else:
-            directions = _turned_directions(height, yaw)
-        parts = self._seen(place, directions, math.pi / height, rgb, range, ids)
-        return _shaped(parts, (height, 2 * height))
+        directions = _erp_directions(height, rotation)
+        return self._seen(place, directions, math.pi / height, rgb, range, ids)
 
     def view(
         self, position: Position, world_R_view: np.ndarray, grid: Grid, *,
@@ -304,75 +281,51 @@ class Renderer:
             return self.panorama(position, world_R_view, grid.height, rgb=rgb, range=range, ids=ids)
         place, rotation = checked_pose(position, world_R_view, name="world_R_view")
         weights = np.asarray(grid.weights)
-        seen = weights.ravel() > 0
-        directions = (grid.directions.reshape(-1, 3)[seen] @ rotation.T).astype(np.float32)
         # The angle of a pixel selects the level of textures; cells of a panorama have the same height in elevation.
         separable = isinstance(grid, ErpGrid | PatchGrid)
         pixel = math.pi / grid.shape[0] if separable else math.sqrt(float(np.median(weights[weights > 0])))
-        whole = []
-        for part, nothing in zip(self._seen(place, directions, pixel, rgb, range, ids), (0, np.inf, -1), strict=True):
-            if part is not None and not seen.all():
-                spread = np.full((len(seen), *part.shape[1:]), nothing, dtype=part.dtype)
-                spread[seen] = part
-                part = spread
-            whole.append(part)
-        return _shaped(whole, grid.shape)
+        directions = (grid.directions @ rotation.T).astype(np.float32)
+        frame = self._seen(place, directions, pixel, rgb, range, ids)
+        for part, nothing in ((frame.rgb, 0), (frame.range, np.inf), (frame.ids, -1)):
+            if part is not None:
+                part[weights <= 0] = nothing
+        return frame
 
     def _seen(
         self, place: np.ndarray, directions: np.ndarray, pixel: float, rgb: bool, range: bool, ids: bool
-    ) -> tuple[np.ndarray | None, ...]:
-        """What these rays ``(n, 3)`` hit, ``(n, ...)`` each; `pixel`: the angle between neighbours, radians."""
-        origins = np.broadcast_to(place.astype(np.float32), directions.shape)
-        hits = self.raycaster.cast(origins, directions)
-        return (
-            self._shader.shade(hits, directions, pixel) if rgb else None,
-            hits.distance if range else None,
-            self._owners.take(hits.triangle) if ids else None,
+    ) -> Frame:
+        """What rays ``(H, W, 3)`` float32 hit; `pixel`: the angle between neighbours, radians."""
+        shape, rays = directions.shape[:2], directions.reshape(-1, 3)
+        hits = self.raycaster.cast(np.broadcast_to(place.astype(np.float32), rays.shape), rays)
+        return Frame(
+            self._shader.shade(hits, rays, pixel).reshape(*shape, 3) if rgb else None,
+            hits.distance.reshape(shape) if range else None,
+            self._owners.take(hits.triangle).reshape(shape) if ids else None,
         )
 
 
-def _shaped(parts: Iterable[np.ndarray | None], shape: tuple[int, ...]) -> Frame:
-    return Frame(*(None if part is None else part.reshape(*shape, *part.shape[1:]) for part in parts))
+_erp_grid = lru_cache(maxsize=4)(ErpGrid)  # keeps the directions
 
 
-def _pure_yaw(rotation: np.ndarray) -> float | None:
-    """The yaw (radians, left) of a rotation about the vertical; None for any other rotation."""
-    tilt = max(abs(rotation[0, 2]), abs(rotation[1, 2]), abs(rotation[2, 0]), abs(rotation[2, 1]))
-    return math.atan2(rotation[1, 0], rotation[0, 0]) if tilt < 1e-9 and rotation[2, 2] > 0 else None
-
-
-@lru_cache(maxsize=4)
-def _erp_directions(height: int) -> np.ndarray:
-    """Directions of a panorama's pixels, body frame, ``(n, 3)`` float32."""
-    return frozen(ErpGrid(height, 2 * height).directions.reshape(-1, 3).astype(np.float32))
-
-
-def _turned_directions(height: int, yaw: float) -> np.ndarray:
-    """The same, turned by `yaw`: a table that depends only on the remainder, with its columns rolled."""
+def _erp_directions(height: int, rotation: np.ndarray) -> np.ndarray:
+    """The directions of a panorama's pixels in the world ``(H, W, 3)`` float32, at the pose `rotation`."""
     width = 2 * height
-    # The offset keeps common yaws (0, halves and quarters of a column) off the edge of a step, where the last digit of
+    grid = _erp_grid(height, width)
+    if max(abs(rotation[[0, 1, 2, 2], [2, 2, 0, 1]])) >= 1e-9 or rotation[2, 2] <= 0:
+        return grid.directions.astype(np.float32) @ rotation.T.astype(np.float32)
+    # A rotation about the vertical alone: a table that depends only on the remainder, with its columns rolled. The
+    # offset keeps common yaws (0, halves and quarters of a column) off the edge of a step, where the last digit of
     # atan2 would decide.
-    steps = math.floor(yaw * width / (2 * math.pi) * _QUANTA + 0.37)
-    columns, remainder = divmod(steps, _QUANTA)
-    azimuth, cosine, sine = _columns(height, remainder)
-    directions = np.empty((height, width, 3), dtype=np.float32)
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+    columns, remainder = divmod(math.floor(yaw * width / (2 * math.pi) * _QUANTA + 0.37), _QUANTA)
     # Column j looks at azimuth a[j] + yaw = a[j - columns] + remainder.
-    around = np.roll(azimuth, columns, axis=1)
-    np.multiply(cosine, around[0], out=directions[..., 0])
-    np.multiply(cosine, around[1], out=directions[..., 1])
-    directions[..., 2] = sine
-    return directions.reshape(-1, 3)
-
-
-@lru_cache(maxsize=64)
-def _columns(height: int, remainder: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cosine and sine of the azimuths ``(2, W)``, cosine and sine of the elevations ``(H, 1)``, float32."""
-    grid = ErpGrid(height, 2 * height)
-    azimuth = grid.longitudes + remainder / _QUANTA * (math.pi / height)
+    azimuth = np.roll(grid.longitudes, columns) + remainder / _QUANTA * (math.pi / height)
+    around = np.stack([np.cos(azimuth), np.sin(azimuth)]).astype(np.float32)
     latitude = grid.latitudes[:, None]
-    found = np.stack([np.cos(azimuth), np.sin(azimuth)]), np.cos(latitude), np.sin(latitude)
-    first, second, third = (frozen(array.astype(np.float32)) for array in found)
-    return first, second, third
+    directions = np.empty((height, width, 3), dtype=np.float32)
+    directions[..., :2] = np.cos(latitude).astype(np.float32)[..., None] * around.T
+    directions[..., 2] = np.sin(latitude)
+    return directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,9 +349,8 @@ def with_ball(frame: Frame, position: np.ndarray, world_R_body: np.ndarray, ball
     # |t d - offset|^2 = radius^2 for the nearer t.
     along = grid.directions @ offset
     inside = along**2 - (offset @ offset - ball.radius**2)
-    hit = (inside > 0) & (along > 0)
-    distance = np.where(hit, along - np.sqrt(np.maximum(inside, 0.0)), np.inf)
-    hit &= (distance > 0) & (distance < frame.range)
+    distance = along - np.sqrt(np.maximum(inside, 0.0))
+    hit = (inside > 0) & (distance > 0) & (distance < frame.range)
     if not hit.any():
         return frame
     rgb = None
@@ -407,9 +359,7 @@ def with_ball(frame: Frame, position: np.ndarray, world_R_body: np.ndarray, ball
         shade = 0.35 + 0.65 * np.clip(normal @ _LIGHT, 0.0, None)  # in display values: suggests form, not physical
         rgb = frame.rgb.copy()
         rgb[hit] = np.clip(shade[:, None] * np.array(PAINTS[ball.colour]), 0, 255).astype(np.uint8)
-    ids = None
-    if frame.ids is not None:
-        ids = np.where(hit, np.int32(id), frame.ids)
+    ids = None if frame.ids is None else np.where(hit, np.int32(id), frame.ids)
     return Frame(rgb=rgb, range=np.where(hit, distance, frame.range).astype(np.float32), ids=ids)
 
 

@@ -3,24 +3,18 @@
 World frame: x and y horizontal, z up, right-handed, metres; the floor is at z = 0. The built-in apartments and any
 imported GLB become the same `Scene`, which the renderer (`eagor.lab.worlds.render`), the ground plan
 (`eagor.lab.worlds.ground`) and the exporters use. A scene is immutable.
-
-Its light (`eagor.lab.worlds.light`) is computed at a `Lattice` of samples on every triangle. A triangle with the edges
-e1 and e2 from its corner 0 carries (nu + 1) x (nv + 1) samples at corner + i/nu e1 + j/nv e2. Neighbouring samples are
-at most a step apart; small triangles have only their corners. Corner 0 is opposite the longest edge, so that the two
-halves of a rectangle have the same samples. The triangles for rays stay whole: there are no cracks, and light can be
-finer than the mesh. The cells that straddle the longest edge need the part of the lattice beyond it. That part lies on
-the other half if the triangle is half of a parallelogram; otherwise it is moved back to the edge.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from eagor._extras import how_to_install
 from eagor._values import lazy
-from eagor.errors import WorldError
+from eagor.errors import MissingExtraError, WorldError
 
 STRUCTURE = ("wall", "floor", "ceiling", "door", "window")  # categories that are part of the building
 
@@ -165,181 +159,80 @@ class Scene:
         return next((room for room in self.rooms if room.contains(x, y)), None)
 
 
-# --- the points at which its light is computed ------------------------------------------------------------------------
+# --- rays -------------------------------------------------------------------------------------------------------------
 
-STEP = 0.13  # metres between samples
-_OUTSIDE = 0.8  # the same on walls that no room can see
-_MOST = 1_500_000  # samples; huge scenes get a coarser step
-_CREASE = np.cos(np.radians(40.0))  # surfaces that meet at a sharper angle do not share their light
-_INSET = 0.02  # metres from samples to the rim of their surface, where walls meet
+_FAR = np.float32(1e37)  # distance that embreex reports for a miss
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
-    """The samples of a scene, "slots", triangle by triangle.
+class Hits:
+    """The first hit of each of n rays.
 
-    `triangles` ``(T, 3)`` int32: those of the scene, each rotated so that its longest edge is opposite corner 0, and
-    `turned` ``(T,)``, by how many corners; `cells` ``(T, 2)`` int32, nu and nv; `base` ``(T,)`` int32, the first slot.
+    `distance` ``(n,)`` float32, in lengths of the ray's direction (metres for unit directions), inf for a miss;
+    `triangle` ``(n,)`` int32, -1 for a miss; `u` and `v` ``(n,)`` float32, the barycentric weights of the triangle's
+    corners 1 and 2 (corner 0 has 1 - u - v; 0 for a miss).
     """
 
-    scene: Scene
-    triangles: np.ndarray
-    turned: np.ndarray
-    cells: np.ndarray
-    base: np.ndarray
-
-    @classmethod
-    def of(cls, scene: Scene, step: float = STEP) -> Lattice:
-        """The lattice with samples about `step` metres apart."""
-        corners = scene.vertices[scene.triangles]
-        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        turned = (edges.argmax(axis=1) + 2) % 3  # edge k joins the corners k and k + 1; corner k + 2 is opposite
-        places = (turned[:, None] + np.arange(3)) % 3
-        lengths = np.take_along_axis(edges, places, axis=1)[:, [0, 2]].astype(np.float64)
-        lengths[unseen(scene)] *= STEP / _OUTSIDE
-        while True:
-            cells = np.maximum(np.ceil(lengths / step - 1e-3), 1).astype(np.int64)
-            sizes = (cells + 1).prod(axis=1)
-            if sizes.sum() <= _MOST + 5 * len(sizes):
-                break
-            step *= 1.25
-        base = np.cumsum(sizes) - sizes
-        triangles = np.take_along_axis(scene.triangles, places, axis=1).astype(np.int32)
-        return cls(scene, triangles, turned, cells.astype(np.int32), base.astype(np.int32))
-
-    @property
-    def size(self) -> int:
-        """The number of slots."""
-        return int(self.base[-1] + (self.cells[-1] + 1).prod())
-
-    @lazy
-    def slots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Triangle, i and j of every slot."""
-        sizes = (self.cells.astype(np.int64) + 1).prod(axis=1)
-        triangle = np.repeat(np.arange(len(sizes)), sizes)
-        within = np.arange(len(triangle)) - self.base[triangle]
-        j, i = np.divmod(within, self.cells[triangle, 0] + 1)
-        return triangle, i, j
-
-    @lazy
-    def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Corner 0, e1, e2 and the unit normal of every triangle, ``(T, 3)`` float64 each (the normal may be 0)."""
-        corners = self.scene.vertices[self.triangles].astype(np.float64)
-        e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        normal = np.cross(e1, e2)
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        return corners[:, 0], e1, e2, normal / np.maximum(length, 1e-20)
-
-    @lazy
-    def areas(self) -> np.ndarray:
-        """Square metres that each slot stands for, ``(S,)``."""
-        _, e1, e2, _ = self.frame
-        sizes = (self.cells + 1).prod(axis=1)
-        return np.repeat(np.linalg.norm(np.cross(e1, e2), axis=1) / 2 / sizes, sizes)
-
-    @lazy
-    def points(self) -> Points:
-        """The slots, merged where they are the same point of the same smooth surface."""
-        corner, e1, e2, _ = self.frame
-        triangle, i, j = self.slots
-        u, v = i / self.cells[triangle, 0], j / self.cells[triangle, 1]
-        beyond = (u + v > 1) & ~self._is_half()[triangle]
-        excess = np.where(beyond, np.maximum(u + v, 1.0), 1.0)
-        u, v = u / excess, v / excess
-        place = corner[triangle] + u[:, None] * e1[triangle] + v[:, None] * e2[triangle]
-        smooth = self._smooth_normals()
-        shares = zip((1 - u - v, u, v), (0, 1, 2), strict=True)
-        first, second, third = (smooth[triangle, k] * share[:, None] for share, k in shares)
-        away = first + second + third
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-20)
-        _, first, index = np.unique(_key(place, away), return_index=True, return_inverse=True)
-        order = first.argsort()  # neighbours stay neighbours: consecutive rays then hit the same things
-        rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        index = rank[index]
-        # Away from the rim, towards the middle of the triangle (of the parallelogram, beyond its diagonal).
-        middle = corner + (e1 + e2) / 3
-        middle = np.where((u + v > 1 + 1e-9)[:, None], (corner + (e1 + e2) * 2 / 3)[triangle], middle[triangle])
-        inwards = middle - place
-        distance = np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
-        place = place + inwards * np.minimum(_INSET / distance, 0.25)
-        count = np.bincount(index).astype(np.float64)
-        position = np.stack([np.bincount(index, place[:, k]) for k in range(3)], axis=1) / count[:, None]
-        facing = np.stack([np.bincount(index, away[:, k]) for k in range(3)], axis=1)
-        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
-        return Points(position, facing, index)
-
-    @lazy
-    def links(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of neighbouring points, as two index arrays."""
-        triangle, i, j = self.slots
-        nu, nv = self.cells[triangle, 0], self.cells[triangle, 1]
-        slot, point = np.arange(len(i)), self.points.of_slot
-        inside = i / nu + j / nv <= 1 + 1e-9
-        right = slot[(i < nu) & inside]
-        down = slot[(j < nv) & inside]
-        across = slot[(i < nu) & (j < nv) & inside]
-        a = np.concatenate([point[right], point[down], point[across + 1]])
-        b = np.concatenate([point[right + 1], point[down + nu[down] + 1], point[across + nu[across] + 1]])
-        return a[a != b], b[a != b]
-
-    def _is_half(self) -> np.ndarray:
-        """Which triangles are halves of a parallelogram along their longest edge, ``(T,)`` bool."""
-        corner, e1, e2, normal = self.frame
-        sides = np.stack([np.linalg.norm(e, axis=1) for e in (e1, e2)], axis=1)
-        key = _key(corner + (e1 + e2) / 2, normal) ^ _key(np.pad(sides, ((0, 0), (0, 1))), np.zeros_like(normal))
-        _, index, count = np.unique(key, return_inverse=True, return_counts=True)
-        return count[index] >= 2
-
-    def _smooth_normals(self) -> np.ndarray:
-        """Normals at the corners ``(T, 3, 3)``: the mean over the triangles there that meet below the crease angle."""
-        corner, e1, e2, normal = self.frame
-        place = np.stack([corner, corner + e1, corner + e2], axis=1).reshape(-1, 3)
-        weight = np.repeat(np.linalg.norm(np.cross(e1, e2), axis=1), 3)
-        owner = np.repeat(np.arange(len(corner)), 3)
-        order = np.argsort(_key(place, np.zeros_like(place)), kind="stable")
-        key = _key(place, np.zeros_like(place))[order]
-        start = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
-        size = np.diff(np.append(start, len(key)))
-        total = np.zeros((len(place), 3))
-        # Every corner is compared with every other one of its group: the k-th neighbour of all corners at once.
-        offset = np.arange(len(key)) - np.repeat(start, size)
-        length = np.repeat(size, size)
-        for k in range(min(int(size.max()), 64)):
-            here = np.flatnonzero(k < length)
-            other = order[here - offset[here] + (offset[here] + k) % length[here]]
-            mine = order[here]
-            smooth = np.einsum("nk,nk->n", normal[owner[mine]], normal[owner[other]]) >= _CREASE
-            total[mine] += np.where(smooth, weight[other], 0.0)[:, None] * normal[owner[other]]
-        lost = np.linalg.norm(total, axis=1) < 1e-12
-        total[lost] = normal[owner[lost]]
-        return (total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3)
+    distance: np.ndarray
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
-    """`position` and unit `normal` ``(P, 3)`` of the points that light is computed at, and `of_slot` ``(S,)``."""
+class Raycaster:
+    """`triangles` ``(T, 3)`` over `vertices` ``(V, 3)``, metres, to cast rays at, one at a time on one thread.
 
-    position: np.ndarray
-    normal: np.ndarray
-    of_slot: np.ndarray
+    Rays are float32 arrays ``(n, 3)``, world frame, metres; their directions need not have unit length. Without
+    `watertight`, they are one seventh faster, but a rare ray slips through the edge between two triangles. Raises
+    `MissingExtraError` without embreex, `WorldError` for triangles with indices outside the vertices.
+    """
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray, watertight: bool = True) -> None:
+        try:
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore_scene import EmbreeScene
+        except ImportError as error:
+            raise MissingExtraError(
+                f"a rendered picture needs embreex: {how_to_install('sim')} (for Linux on ARM there is "
+                "no wheel of it: use the rooms of eagor.lab.worlds.painted there, or photographs)"
+            ) from error
+        vertices = np.ascontiguousarray(vertices, dtype=np.float32)
+        triangles = np.ascontiguousarray(triangles, dtype=np.int32)
+        if vertices.ndim != 2 or triangles.ndim != 2 or vertices.shape[1:] != (3,) or triangles.shape[1:] != (3,):
+            raise WorldError(
+                f"rays need vertices (V, 3) and triangles (T, 3) to hit; got {vertices.shape} and {triangles.shape}"
+            )
+        if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= len(vertices):
+            raise WorldError(
+                f"{len(triangles)} triangles over {len(vertices)} vertices: wanted at least one, with corners in "
+                f"0..{len(vertices) - 1}"
+            )
+        self._scene = EmbreeScene(robust=watertight)
+        self._mesh = TriangleMesh(self._scene, vertices, triangles)
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """The nearest triangle along each ray."""
+        found = self._scene.run(*_checked(origins, directions), output=True)
+        missed = found["primID"] < 0
+        if missed.any():  # embreex leaves the values of the previous ray in u and v
+            for name, value in (("tfar", np.inf), ("u", 0.0), ("v", 0.0)):
+                np.copyto(found[name], value, where=missed)
+        return Hits(found["tfar"], found["primID"], found["u"], found["v"])
+
+    def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
+        """Whether anything lies within `reach` (in lengths of the direction, a number or ``(n,)``), bool ``(n,)``."""
+        origins, directions = _checked(origins, directions)
+        # embreex writes into the array of limits and does not support infinity.
+        limits = np.minimum(np.broadcast_to(np.asarray(reach, dtype=np.float32), len(origins)), _FAR)
+        return self._scene.run(origins, directions, dists=limits, query="OCCLUDED") >= 0
 
 
-def unseen(scene: Scene) -> np.ndarray:
-    """Which triangles ``(T,)`` lie deep in or beyond the walls around the rooms; none without known rooms."""
-    x, y, _ = scene.vertices[scene.triangles].mean(axis=1).T
-    outside = np.full(len(x), bool(scene.rooms))
-    for room in scene.rooms:
-        outside &= ~replace(room, rectangles=room.rectangles - np.array([1, 1, -1, -1]) * 0.2).contains(x, y)
-    return outside
-
-
-def _key(place: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """A hash ``(n,)`` uint64 that is the same for places within a millimetre and normals within a few degrees."""
-    # Shifted by a third of a step, since coordinates are often round values.
-    steps = np.concatenate([np.floor(place * 1000 + 0.3137), np.floor(normal * 6 + 0.3137)], axis=1).astype(np.int64)
-    key = np.zeros(len(steps), dtype=np.uint64)
-    for column in steps.T:  # a mixing step of splitmix64 (Steele, Lea, Flood 2014) for every number
-        key = (key ^ column.view(np.uint64)) * np.uint64(0xBF58476D1CE4E5B9)
-        key ^= key >> np.uint64(29)
-    return key
+def _checked(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both as float32 ``(n, 3)``. Raises `WorldError` if their shapes differ."""
+    origins, directions = np.asarray(origins, dtype=np.float32), np.asarray(directions, dtype=np.float32)
+    if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
+        raise WorldError(
+            f"rays have origins {origins.shape} and directions {directions.shape}; wanted both (n, 3). One origin for "
+            "all rays: np.broadcast_to(origin, directions.shape)"
+        )
+    return origins, directions
