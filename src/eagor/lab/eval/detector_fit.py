@@ -12,8 +12,9 @@ Electronic Systems 50(4), 2014), exact for one target in a look; given them, eac
 - Look-alikes: a Poisson process of places. False detections that lie near each other in the world are of one
   look-alike, or transient and met by chance. Places that were never detected count as well.
 
-Priors say little, as if a few looks had been counted before. The intervals are of a bootstrap that draws whole groups,
-and what the priors stand for, anew. What the fit is worth is judged on groups that were left out in turn.
+Priors say little, as if a few looks had been counted before. The intervals are those of the Bayesian bootstrap (Rubin,
+Annals of Statistics 9(1), 1981): it draws the weights of whole groups, and what the priors stand for. What the fit is
+worth is judged on groups that were left out in turn.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from scipy.optimize import minimize
 from scipy.special import betaln, digamma, logit
 
 from eagor.evidence.detections import bump_norms
-from eagor.evidence.detector import LEAST_OF_SIZE, LOOK_ALIKES, Alarms, DetectorModel, model_as_json
+from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Alarms, DetectorModel, model_as_json
 from eagor.grids import ErpGrid
 from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, in_time, sums
 from eagor.sphere import angular_distance, unit
@@ -39,8 +40,8 @@ __all__ = ["DetectorFit", "HeldOut", "expected_look_alikes", "fit_detector", "fi
 
 NEAR = 2.5  # deviations: a detection nearer to a target is beside it
 SKY = ErpGrid(8, 16)  # directions at which it is counted how many looks covered them
-KNOTS, SCORES = 7, (0.01, 0.99)  # most places of the score curve; beyond these, scores count as these
-DEVIATION = 4.0  # of the logarithm of the ratio between the lowest and the highest score, in the prior
+KNOTS = 7  # most places of the score curve
+DEVIATION = 2.0  # of the logarithm of the ratio between the lowest and the highest score, in the prior
 NARROWEST, WIDEST = math.radians(0.2), math.radians(40)  # spreads that are tried
 WIDE = 2.5  # times the stated spread: what is far from a narrow start would stay a false alarm
 STEPS, SETTLED = 60, 1e-3  # most steps, and the change of every probability at which they end
@@ -219,14 +220,15 @@ def fitted_habit(
 def fitted_curve(scores: np.ndarray, right: np.ndarray, weights: np.ndarray) -> Curve:
     """The curve for scores ``(n,)``, of which `right` ``(n,)`` says how probably each is of a target.
 
-    `weights` ``(n,)``: how often each counts.
+    `weights` ``(n,)``: how often each counts. Scores beyond `LEAST_SCORE` count as that, as where a model has no curve.
     """
     positive, negative = weights * right, weights * (1 - right)
+    scores = np.clip(scores, LEAST_SCORE, 1 - LEAST_SCORE)
     knots = np.unique(np.quantile(scores, np.linspace(0, 1, KNOTS))) if len(scores) else scores
     if len(knots) < 2 or min(positive.sum(), negative.sum()) < 1:
         return FLAT
-    lowest, *_, highest = logit(np.clip(knots, *SCORES))
-    through, at_knots = ((logit(np.clip(each, *SCORES)) - lowest) / (highest - lowest) for each in (scores, knots))
+    lowest, highest = logit(knots[[0, -1]])
+    through, at_knots = ((logit(each) - lowest) / (highest - lowest) for each in (scores, knots))
 
     def loss(values: np.ndarray) -> float:
         odds = values[0] + values[1] * through
@@ -468,7 +470,7 @@ def fit_detector(
 
     `base` (default: `DetectorModel()`): the prior of each number. What the looks cannot tell is taken from it: the
     habit without a target in view, the offset and the look-alikes without orientations, `kept_for` and `kept_within`
-    always. `resamples`: draws of whole groups, for the intervals; `on_step` is called after each.
+    always. `resamples`: draws of the groups' weights, for the intervals; `on_step` is called after each.
 
     Raises `EagorError` without looks.
     """
@@ -478,8 +480,7 @@ def fit_detector(
     parts, resampled = _parts(looks), []
     count, rng = int(parts.max()) + 1, np.random.default_rng(0)
     for _ in range(resamples):
-        weights = np.bincount(rng.integers(count, size=count), minlength=count)[parts].astype(float)
-        prior = Prior.drawn(base, rng)
+        weights, prior = count * rng.dirichlet(np.ones(count))[parts], Prior.drawn(base, rng)
         drawn = _estimate(table, weights, prior, estimate)
         alikes = None if candidates is None else candidates.fitted(table, weights, prior)
         resampled.append(replace(drawn, alikes=alikes).numbers)
@@ -526,8 +527,8 @@ def _interval(values: Sequence[float], parts: int) -> tuple[float, float]:
     """
     parts = max(parts, 2)
     levels = stats.norm.cdf(math.sqrt(parts / (parts - 1)) * np.array(stats.t(parts - 1).interval(LEVEL)))
-    low, high = np.quantile(values, levels).tolist()
-    return low, high
+    low, high = np.quantile(values, levels)
+    return float(low), float(high)
 
 
 def _held_out(looks: Sequence[LabelledLook], base: DetectorModel, parts: np.ndarray) -> HeldOut:

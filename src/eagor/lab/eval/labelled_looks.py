@@ -211,7 +211,7 @@ def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequenc
             continue
         known = anchors.setdefault(number, [])
         apart = angular_distance(directions[:, None], np.reshape(known, (-1, 3)))
-        pairs = {row: column for row, column in zip(*linear_sum_assignment(apart), strict=True)}
+        pairs = dict(zip(*linear_sum_assignment(apart), strict=True))
         for row, at in enumerate(directions):
             if row not in pairs or apart[row, pairs[row]] >= APART:
                 pairs[row] = len(known)
