@@ -15,14 +15,11 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid
 from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.eval.calibration import (
-    DETECTING,
-    LEARNT,
     MOVING,
     READING,
     counted,
     development_specs,
     fit,
-    habit_values,
     make_runners,
     motion_values,
     record,
@@ -30,6 +27,7 @@ from eagor.lab.eval.calibration import (
 )
 from eagor.lab.tasks.sim.play import Rollout, Step
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
+from eagor.perception.truth import TruthPerception
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
 
@@ -84,12 +82,11 @@ def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105, height=0.0):
 
 DEFAULTS = {
     READING: vars(Calibration()),
-    DETECTING: vars(DetectorModel()) | habit_values(DetectorModel()) | {"stated": LEARNT},
     MOVING: motion_values(MotionModel()),
 }
 
 
-@pytest.mark.parametrize("group", DEFAULTS, ids=["reading", "detecting", "moving"])
+@pytest.mark.parametrize("group", DEFAULTS, ids=["reading", "moving"])
 @given(place=st.floats(0, 1))
 def test_every_parameter_has_its_place(group, place):
     for parameter in group:
@@ -115,30 +112,32 @@ def fitted(found, base):
 
 
 @pytest.mark.parametrize(
-    "made", [pytest.param(recording, marks=pytest.mark.slow), detecting], ids=["maps", "detections"]
+    ("made", "episodes", "draws", "slack"),
+    [
+        pytest.param(recording, 8, 8, 0.0, marks=pytest.mark.slow, id="maps"),
+        # What this detector does is counted before the search, and nothing moves: what is searched is chance.
+        pytest.param(detecting, 6, 4, 0.15, id="detections"),
+    ],
 )
-def test_the_fit_is_judged_on_apartments_that_it_has_not_seen(made, monkeypatch):
+def test_the_fit_is_judged_on_apartments_that_it_has_not_seen(made, episodes, draws, slack, monkeypatch):
     monkeypatch.setattr("eagor.lab.eval.calibration.BASE", SMALL)
-    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", 4)
+    monkeypatch.setattr("eagor.lab.eval.calibration.DRAWS", draws)
     rounds, trials = [], []
-    best = fit("a detector", [made(seed, 12) for seed in range(6)], 8, 1, lambda: trials.append(1), rounds.append)
-    assert (len(trials), len(rounds)) == (8, 2)
+    looked = [made(seed, 12) for seed in range(episodes)]
+    best = fit("a detector", looked, 2 * draws, 1, lambda: trials.append(1), rounds.append)
+    assert (len(trials), len(rounds)) == (2 * draws, 2)
     before, after = best.found_by["before"], best.found_by["after"]
-    assert after["log score"][0] > before["log score"][0] - 0.15, "chance, of three episodes"
-    assert best.found_by["judged by"] == [1, 3, 5]
+    assert after["log score"][0] > before["log score"][0] - slack
+    assert best.found_by["judged by"] == list(range(1, episodes, 2))
     assert (best.calibration is None) == (made is detecting)
     if made is detecting:
         assert best.detector.detection_probability is None
-        assert habit_values(best.detector)["share"] == pytest.approx(best.detector.habit[0] / sum(best.detector.habit))
+        assert 0.2 < best.detector.habits.mean < 0.97
+        assert best.detector.score_ratios is not None
     config = fitted(best, SMALL)
     assert config.detector == (best.detector or SMALL.detector)
     assert config.calibration == (best.calibration or SMALL.calibration)
     assert config.target_motion.wander == best.forgetting["wander"]
-
-
-def test_a_stated_detection_probability_is_the_strongest_habit():
-    stated = habit_values(DetectorModel(detection_probability=0.9))
-    assert (stated["share"], stated["strength"]) == (0.9, DETECTING[-1].high)
 
 
 def test_what_a_detector_does_is_counted():
@@ -154,6 +153,26 @@ def test_what_a_detector_does_is_counted():
     assert ratios == sorted(ratios)
     assert ratios[0] < 0.6 < 1.6 < ratios[-1]
     assert counted([recording(0)]) is None, "response maps are not counted"
+
+
+def test_posters_and_what_a_place_keeps_are_counted():
+    """A poster in each recording, and boxes that sit beside the thing: in axes of the world, the camera rolls."""
+    recordings, rng = [], np.random.default_rng(0)
+    for seed in range(20):
+        target, poster = unit(rng.normal(size=(2, 3)))
+        beside, moments = 0.08 * rng.normal(size=3), []
+        for k in range(20):
+            turn = world_R_body(0.1 * k, 0.0, 0.3 * k)
+            places = [target + beside + 0.03 * rng.normal(size=3), poster + 0.03 * rng.normal(size=3)]
+            seen = np.array(places)[rng.random(2) < (0.8, 0.5)] @ turn
+            moments.append(Step(0.5 * k, turn, np.zeros(3), Evidence.from_points(seen, stamp=0.5 * k)))
+        recordings.append(episode_of(seed, moments, target))
+    model = counted(recordings)
+    assert model.look_alikes == pytest.approx(1, abs=0.2)
+    assert model.look_alike_habit[0] / sum(model.look_alike_habit) == pytest.approx(0.5, abs=0.1)
+    assert model.false_alarms_per_look < 0.05
+    assert model.spread == pytest.approx(0.03, rel=0.2)
+    assert model.offset == pytest.approx(0.08, rel=0.25)
 
 
 def test_one_apartment_cannot_judge_itself():
@@ -172,10 +191,12 @@ def test_episodes_alternate_and_stay_among_the_development_seeds():
 
 
 def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
-    found = record(make_runners("truth:ideal")["waypoint"], development_specs(1, 100)[0])
+    runner = make_runners("truth:ideal")["waypoint"]
+    runner.perception = TruthPerception("ideal", rows=72)  # finer than things: coarse cells lie beside their middles
+    found = record(runner, development_specs(1, 100)[0])
     peaks = np.array([[np.max(m.evidence.response), np.max(m.other.response)] for m in found.steps])
     seen = np.array(found.truth["visible"])
-    assert peaks[seen, 0].min() > 0.5
+    assert peaks[seen, 0].mean() > 0.9
     assert peaks[:, 1].max() == 0
 
 

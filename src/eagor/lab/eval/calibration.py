@@ -1,14 +1,14 @@
 """Fitting how the looks of a perception are read, and how its targets come to move, by log score.
 
-Development episodes are recorded once: poses, and looks for two queries, one of which nothing there answers. A trial
-reads them with other settings; its score (nats) is the log density given to the true direction plus the log of the
-probability given to the truth about presence, which only honest beliefs maximise (Good, 1952). `READING` and
-`DETECTING` are the numbers of response maps and detections, `MOVING` those of `MotionModel`; what can be counted is
-`counted`.
+Development episodes are recorded once: poses, and looks for two queries, one of which nothing there answers. What a
+detector does is counted on them (`counted`). How response maps are read (`READING`) and how targets move (`MOVING`) is
+searched: a trial reads the recordings with other settings; its score (nats) is the log density given to the true
+direction plus the log of the probability given to the truth about presence, which only honest beliefs maximise (Good,
+1952).
 
-`fit` searches. Draws come from a normal distribution in the logarithms of the parameters, which moves to the best
-quarter of each round (cross-entropy method; Rubinstein, 1999). Tried once, with 48 trials on maps: scipy's differential
-evolution hardly left the start. Half of the apartments are searched on, the others judge.
+Draws come from a normal distribution in the logarithms of the parameters, which moves to the best quarter of each round
+(cross-entropy method; Rubinstein, 1999). Tried once, with 48 trials on maps: scipy's differential evolution hardly left
+the start. Half of the apartments are searched on, the others judge.
 """
 
 from __future__ import annotations
@@ -26,14 +26,13 @@ import numpy as np
 
 from eagor._version import __version__
 from eagor.errors import EagorError, QueryError, WorldError
-from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.lab.agents.methods import BASE
 from eagor.lab.agents.models import is_privileged
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera, NoiseModel, as_dict
-from eagor.lab.eval.detector_fit import expected_look_alikes, fitted_model, short
+from eagor.lab.eval.detector_fit import fitted_model, short
 from eagor.lab.eval.labelled_looks import LabelledLook, check_development
 from eagor.lab.tasks.sim.play import MASS, Rollout, Runner
 from eagor.lab.tasks.sim.tracking import TrackingEpisode
@@ -53,8 +52,6 @@ EVERY = 3  # steps between the readings that are scored: neighbours say nearly t
 SMALLEST = 1e-9  # a probability of presence below it counts as this
 DRAWS, ELITE = 16, 4  # settings in a round, of which so many are kept
 SPREAD, LEAST = 0.25, 0.03  # standard deviation of the first round, of the range of each parameter; the least of any
-LEARNT = 0.4  # of `stated`: the search begins with false alarms that are learnt
-STRONGEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -89,14 +86,6 @@ READING = (  # of `Calibration`
     Parameter("temperature", 0.03, 30.0),
     Parameter("persistence", 0.05, 1.0, flipped=True),
     Parameter("spread", math.radians(2), math.radians(12), or_none=True),
-)
-DETECTING = (  # of `DetectorModel`; `share` and `strength` are mean and sum of the two numbers of its habit
-    Parameter("stated", 0.1, 10.0),  # above 1: false alarms as they were counted; below: learnt with the belief
-    Parameter("spread", math.radians(0.5), math.radians(20)),
-    Parameter("offset", math.radians(0.5), math.radians(12), or_none=True),
-    Parameter("look_alikes", 0.01, 5.0),
-    Parameter("share", 0.02, 0.98, flipped=True),
-    Parameter("strength", 0.3, STRONGEST),
 )
 MOVING = (  # of `MotionModel`; its `wander` is the slow and the fast kind
     Parameter("slow", math.radians(0.5), math.radians(6)),
@@ -256,12 +245,16 @@ def fit(
     halves = [[index for index, seed in enumerate(of) if seeds.index(seed) % 2 == half] for half in (0, 1)]
     if not all(halves):
         raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
-    space = _Space.of(perception, [recordings[index] for index in halves[0]])
-    start = best = space.start()
+    fitted = Calibrated(perception, None, detector=counted([recordings[index] for index in halves[0]]))
+    if fitted.detector is None:
+        looks = (moment.evidence for index in halves[0] for moment in recordings[index].steps)
+        now = next(evidence.calibration for evidence in looks if evidence is not None)
+        fitted = replace(fitted, calibration=replace(now, scale_to_max=False))
+    start = best = places(fitted)
     with _mapping(workers, recordings) as run:
-        for best in _rounds(partial(_scores, space, halves[0], False), start, trials, run, on_trial):
-            on_round(space.at(best))
-        before, after = run(partial(_scores, space, halves[1], True), [start, best])
+        for best in _rounds(partial(_scores, fitted, halves[0], False), start, trials, run, on_trial):
+            on_round(settings(fitted, best))
+        before, after = run(partial(_scores, fitted, halves[1], True), [start, best])
     groups = [of[index] for index in halves[1]]
     found_by = {
         "apartments": seeds,
@@ -272,15 +265,7 @@ def fit(
         "after": _means(after, groups),
         "version": __version__,
     }
-    return space.at(best, found_by)
-
-
-def habit_values(model: DetectorModel) -> dict[str, float]:
-    """`share` and `strength` of its habit, and the number of `look_alikes`, also where it is not stated."""
-    share, strength = model.habit[0] / sum(model.habit), sum(model.habit)
-    if model.detection_probability is not None:
-        share, strength = model.detection_probability, STRONGEST
-    return {"look_alikes": expected_look_alikes(model), "share": share, "strength": strength}
+    return replace(settings(fitted, best), found_by=found_by)
 
 
 def motion_values(motion: MotionModel) -> dict[str, float]:
@@ -290,41 +275,25 @@ def motion_values(motion: MotionModel) -> dict[str, float]:
     return {"slow": min(wander), "fast": max(wander), **rates}
 
 
-@dataclass(frozen=True)
-class _Space:
-    """What is searched: the `parameters`, and how looks are `read` before that."""
+def parameters(start: Calibrated) -> tuple[Parameter, ...]:
+    """What is searched from there."""
+    return MOVING if start.calibration is None else READING + MOVING
 
-    perception: str
-    parameters: tuple[Parameter, ...]
-    read: Calibration | DetectorModel
 
-    @classmethod
-    def of(cls, perception: str, recordings: Sequence[Rollout]) -> _Space:
-        """The space of a perception that gave these recordings."""
-        if model := counted(recordings):
-            return cls(perception, DETECTING + MOVING, model)
-        looks = (moment.evidence for recording in recordings for moment in recording.steps)
-        now = next(evidence.calibration for evidence in looks if evidence is not None)
-        return cls(perception, READING + MOVING, replace(now, scale_to_max=False))
+def places(start: Calibrated) -> np.ndarray:
+    """Where the search begins ``(parameters,)``: looks are read as `start` says, targets move as in `BASE`."""
+    values = (vars(start.calibration) if start.calibration else {}) | motion_values(BASE.target_motion)
+    return np.array([parameter.place(values[parameter.name]) for parameter in parameters(start)])
 
-    def start(self) -> np.ndarray:
-        """Where the search begins ``(parameters,)``: how looks are read, as above, and how targets move now."""
-        habit = habit_values(self.read) if isinstance(self.read, DetectorModel) else {}
-        values = {"stated": LEARNT, **vars(self.read), **habit, **motion_values(BASE.target_motion)}
-        return np.array([parameter.place(values[parameter.name]) for parameter in self.parameters])
 
-    def at(self, places: np.ndarray, found_by: dict[str, Any] | None = None) -> Calibrated:
-        """The settings at `places` ``(parameters,)``."""
-        pairs = zip(self.parameters, places.tolist(), strict=True)
-        values: dict[str, Any] = {parameter.name: short(parameter.value(place)) for parameter, place in pairs}
-        moving = {parameter.name: values.pop(parameter.name) for parameter in MOVING}
-        forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
-        if isinstance(self.read, Calibration):
-            return Calibrated(self.perception, replace(self.read, **values), forgetting, found_by or {})
-        share, strength = values.pop("share"), values.pop("strength")
-        values |= {"detection_probability": None, "habit": (short(share * strength), short((1 - share) * strength))}
-        values |= {"false_alarms_per_look": None} if values.pop("stated") < 1 else {}
-        return Calibrated(self.perception, None, forgetting, found_by or {}, replace(self.read, **values))
+def settings(start: Calibrated, at: np.ndarray) -> Calibrated:
+    """The settings at places `at` ``(parameters,)``; else they are those of `start`."""
+    pairs = zip(parameters(start), at.tolist(), strict=True)
+    values: dict[str, Any] = {parameter.name: short(parameter.value(place)) for parameter, place in pairs}
+    moving = {parameter.name: values.pop(parameter.name) for parameter in MOVING}
+    forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
+    calibration = None if start.calibration is None else replace(start.calibration, **values)
+    return replace(start, calibration=calibration, forgetting=forgetting)
 
 
 Run = Callable[[Callable[[np.ndarray], list[Score]], Sequence[np.ndarray]], Any]
@@ -374,10 +343,10 @@ def _begin(recordings: Sequence[Rollout]) -> None:
     _recordings[:] = recordings
 
 
-def _scores(space: _Space, indices: Sequence[int], regions: bool, places: np.ndarray) -> list[Score]:
-    """The scores of the settings at `places`, of the recordings with these indices."""
-    settings = space.at(places)
-    config = BASE.fitted(settings.calibration, settings.detector, settings.forgetting)
+def _scores(start: Calibrated, indices: Sequence[int], regions: bool, at: np.ndarray) -> list[Score]:
+    """The scores of the settings at places `at`, of the recordings with these indices."""
+    tried = settings(start, at)
+    config = BASE.fitted(tried.calibration, tried.detector, tried.forgetting)
     return [score(_recordings[index], config, regions) for index in indices]
 
 
@@ -387,7 +356,6 @@ def _mapping(workers: int, recordings: Sequence[Rollout]) -> Iterator[Run]:
     if workers == 1:
         _begin(recordings)
         yield map
-        _begin([])
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the processes that start now
     with multiprocessing.get_context("spawn").Pool(workers, _begin, (recordings,)) as pool:

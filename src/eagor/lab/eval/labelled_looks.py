@@ -1,4 +1,4 @@
-"""Looks with known truth: from a replay file and a file of true directions; and labelled panoramas of apartments."""
+"""Looks with known truth, from a replay file and a file of true directions, as tables; panoramas of apartments."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.optimize import linear_sum_assignment
 
 from eagor._checks import checked_stamp
 from eagor.errors import DirectionError, EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
-from eagor.evidence.detections import Detections
+from eagor.evidence.detections import Detections, tangent_frames
+from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, load_place
@@ -24,11 +27,13 @@ from eagor.perception.calibrated import Labelled, cap_radius
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.records import words_of
 from eagor.perception.replay import ReplayPerception
-from eagor.sphere import checked_pose, direction, unit, world_R_body
+from eagor.sphere import angular_distance, checked_pose, direction, unit, world_R_body
 
-__all__ = ["LabelledLook", "Truth", "apartment_labels", "read_truth", "replayed_looks"]
+__all__ = ["DetectionTable", "LabelledLook", "Truth", "apartment_labels", "read_truth", "replayed_looks"]
 
 IN_VIEW = 0.5  # share v of a target's direction from which on the look counts as having looked at it
+APART = math.radians(10)  # from where it was first seen: the same thing, seen from elsewhere, is another place
+FAR = 3.5  # deviations: mean distance of the detections of one place
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +95,130 @@ class LabelledLook:
     def covers(self, directions: np.ndarray) -> np.ndarray:
         """Which of the directions ``(n, 3)``, body frame, it looked at ``(n,)``."""
         return np.broadcast_to(np.asarray(self.detections.share(directions)) >= IN_VIEW, len(directions))
+
+
+# --- the looks as flat tables -----------------------------------------------------------------------------------------
+
+
+class DetectionTable:
+    """Labelled `looks` as flat tables: L looks, D detections, T targets in view, P pairs of both in one look.
+
+    - Of looks: `posed` (whether the orientation is known), `areas` (covered, steradians), `segment` (`segments`).
+    - Of detections: `look`; `directions` ``(D, 3)`` in the axes of the world, or of the body without a pose; `scores`,
+      relative `clutter`; `own`: the mean variance of a box's area along its axes, 0 for points; `score_weights`: one
+      over the number of detections at its place, since a score is a habit, too.
+    - Of targets: `target_look`, and `place`, the same number for one thing in one segment, of `places`.
+    - Of pairs: `detection`, `target`; `offsets` ``(P, 2)`` of the detection in the target's tangent plane (Lambert's);
+      `home`, of `homes`: where errors are kept. That is the place; each pair without a pose has a home of its own.
+
+    `revisits`: whether any place was looked at again, with poses. `base`: the model by which boxes and habits are read,
+    the prior of a fit. Raises `EagorError` without looks.
+    """
+
+    def __init__(self, looks: Sequence[LabelledLook], base: DetectorModel) -> None:
+        if not looks:
+            raise EagorError("there are no looks with detections; wanted at least one")
+        sets = [look.detections.read(base).turned(look.world) for look in looks]
+        targets = [look.in_view @ look.world.T for look in looks]
+        self.looks, self.base = tuple(looks), base
+        self.posed = np.array([look.world_R_body is not None for look in looks])
+        self.areas = np.array([each.area for each in sets])
+        self.segment = segments(looks, base)
+        self.look, self.target_look = (np.repeat(np.arange(len(looks)), list(map(len, of))) for of in (sets, targets))
+        self.directions, self.scores, self.clutter = (
+            np.concatenate([getattr(each, name) for each in sets]) for name in ("directions", "scores", "clutter")
+        )
+        self.own = np.concatenate([each.own.mean(axis=1) for each in sets])
+        self.place = _places(looks, self.segment, targets)
+        self.places = int(self.place.max(initial=-1)) + 1
+        self.target, self.detection = np.nonzero(self.target_look[:, None] == self.look)
+        self.offsets = _offsets(np.concatenate(targets)[self.target], self.directions[self.detection])
+        posed = self.posed[self.target_look]
+        names = np.where(posed[self.target], self.place[self.target], -1 - np.arange(len(self.target)))
+        self.home = np.unique(names, return_inverse=True)[1]
+        self.homes = int(self.home.max(initial=-1)) + 1
+        self.revisits = int(posed.sum()) > len(np.unique(self.place[posed]))
+        self.score_weights = np.ones(len(self.scores))
+        for members in self.clusters(self.score_weights > 0, base.spread**2 + base.spread_of_size**2 * self.own):
+            self.score_weights[members] = 1 / len(members)
+
+    def clusters(self, wanted: np.ndarray, variances: np.ndarray) -> list[np.ndarray]:
+        """Indices of the `wanted` detections ``(D,)`` in looks with poses, place by place of each segment.
+
+        `variances` ``(D,)``, per axis, of their errors.
+        """
+        found = []
+        segment = np.where(self.posed, self.segment, -1)[self.look]
+        for number in np.unique(segment[wanted & (segment >= 0)]):
+            members = np.flatnonzero(wanted & (segment == number))
+            one, other = np.triu_indices(len(members), 1)
+            apart = np.linalg.norm(self.directions[members[one]] - self.directions[members[other]], axis=1)
+            apart /= np.sqrt((variances[members[one]] + variances[members[other]]) / 2)
+            labels = fcluster(linkage(apart, "average"), FAR, "distance") if len(members) > 1 else np.ones(1)
+            found += [members[labels == label] for label in np.unique(labels)]
+        return found
+
+    def right(self, shares: np.ndarray) -> np.ndarray:
+        """The probability of each detection ``(D,)`` to be of any target, from `shares` ``(P,)``."""
+        return np.minimum(sums(self.detection, shares, len(self.scores)), 1.0)
+
+
+def sums(groups: np.ndarray, values: np.ndarray, count: int = 0) -> np.ndarray:
+    """The sum of the `values` ``(n,)`` of each of `count` groups."""
+    return np.bincount(groups, values, count).astype(np.float64)
+
+
+def _offsets(centres: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Where `directions` ``(n, 3)`` lie about `centres` ``(n, 3)``: ``(n, 2)`` in Lambert's plane, radians."""
+    near = np.maximum(1 + np.einsum("ni,ni->n", directions, centres), 1e-9)
+    return np.einsum("nij,nj->ni", tangent_frames(centres), directions) * np.sqrt(2 / near)[:, None]
+
+
+def segments(looks: Sequence[LabelledLook], base: DetectorModel) -> np.ndarray:
+    """A number for each look ``(L,)``, the same as long as a group's view stays the same.
+
+    A view ends where places have lost their habits, by `kept_for` and `kept_within` of `base`.
+    """
+    numbers, starts = np.empty(len(looks), dtype=int), {}
+    for index in in_time(looks):
+        look = looks[index]
+        first = looks[starts.setdefault(look.group, index)]
+        elapsed = (look.stamp or 0.0) - (first.stamp or 0.0)
+        here, there = look.position, first.position
+        moved = 0.0 if here is None or there is None else float(np.linalg.norm(here - there))
+        if elapsed / (base.kept_for or math.inf) + moved / (base.kept_within or math.inf) > 1:
+            starts[look.group] = index
+        numbers[index] = starts[look.group]
+    return np.unique(numbers, return_inverse=True)[1]
+
+
+def in_time(looks: Sequence[LabelledLook]) -> list[int]:
+    """Indices of the looks by stamp; without stamps, as they came."""
+    return sorted(range(len(looks)), key=lambda index: looks[index].stamp or 0.0)
+
+
+def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequence[np.ndarray]) -> np.ndarray:
+    """A number for each target in view ``(T,)``, the same for one thing in one segment.
+
+    `targets`: their directions ``(m, 3)`` of each look. Where poses are known, the thing is what is nearest in the
+    world to where it first was, within `APART`; else it is what has the same index.
+    """
+    anchors: dict[int, list[np.ndarray]] = {}
+    names: list[tuple[int, int]] = []
+    for look, number, directions in zip(looks, segment.tolist(), targets, strict=True):
+        if look.world_R_body is None:
+            names += [(number, -1 - index) for index in np.flatnonzero(look.covers(look.targets)).tolist()]
+            continue
+        known = anchors.setdefault(number, [])
+        apart = angular_distance(directions[:, None], np.reshape(known, (-1, 3)))
+        pairs = dict(zip(*linear_sum_assignment(apart), strict=True))
+        for row, at in enumerate(directions):
+            if row not in pairs or apart[row, pairs[row]] >= APART:
+                pairs[row] = len(known)
+                known.append(at)
+            names.append((number, int(pairs[row])))
+    numbers = {name: index for index, name in enumerate(dict.fromkeys(names))}
+    return np.array([numbers[name] for name in names], dtype=int)
 
 
 # --- labelled looks from a replay file (docs/replay-format.md) and a file of true directions --------------------------
