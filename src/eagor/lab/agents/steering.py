@@ -41,14 +41,17 @@ from eagor.lab.agents.search_space import (
 from eagor.lab.envs.rules import Camera
 from eagor.tracking import TrackerConfig
 
-SPACING = 0.15  # metres between the nodes of the planning lattice
+ARRIVED = 0.8  # how sure a belief has to be to stop for it, as `commit_threshold`: a stop ends the search
+RANGE = 5.0  # metres along the estimate to the assumed goal, where the distance to the target is unknown
 TOUCH = 0.07  # a step that falls short by more than this share collided
+
+# --- along the estimate -----------------------------------------------------------------------------------------------
+
+SPACING = 0.15  # metres between the nodes of the planning lattice
 STANDOFF, HALF = 0.1, 0.3  # metres from the colliding body to the noted wall, and half of the wall's length
 WALL, HIGHEST = 5.0, 20.0  # metres that one collision adds to an edge, and that all of them add at most
 VISIT, AROUND = 0.2, 2  # metres that planning at a node adds to paths through it and this many nodes around
 KEPT = 0.9  # share of that after the next plan
-ARRIVED = 0.8  # how sure a belief has to be to stop for it, as `commit_threshold`: a stop ends the search
-RANGE = 5.0  # metres along the estimate to the assumed goal, where the distance to the target is unknown
 LOOK, WINDOW = 1.5, 10.0  # metres: longest straight stretch of a path, and farthest that paths stray from the body
 _NEIGHBOURS = [(i, j, math.hypot(i, j) * SPACING) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _EDGES = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # every edge of the lattice once, from one of its ends
@@ -102,8 +105,7 @@ class Policy:
 
     def _learn(self, before: np.ndarray, intended: np.ndarray, here: np.ndarray) -> None:
         """Learn from a step: a wall where the body was blocked, no wall where it passed."""
-        moved = here - before
-        crossed = self._crosses(before, here)
+        crossed = _cross(before, here, self._walls)
         if crossed.any():
             self._walls, self._extra = self._walls[~crossed], {}
             for wall in self._walls:
@@ -115,7 +117,7 @@ class Policy:
         # The body goes straight, then slides along the wall, which removes the component of each step normal to it.
         normal, slid = lost / size, min(size * size / into, 1.0)
         along = np.array([-normal[1], normal[0]])
-        first = here - (moved - (1 - slid) * intended)
+        first = here - ((here - before) - (1 - slid) * intended)
         if (here - first) @ along < 0:
             along = -along
         wall = np.array([first - HALF * along, here + HALF * along]) + STANDOFF * normal
@@ -127,24 +129,20 @@ class Policy:
         low = np.floor(wall.min(axis=0) / SPACING).astype(int) - 1
         size = np.ceil(wall.max(axis=0) / SPACING).astype(int) + 2 - low
         ones = low + np.indices(size).reshape(2, -1).T[:, None] + np.zeros_like(_EDGES)
-        hit = _cross(ones * SPACING, (ones + _EDGES) * SPACING, wall[0], wall[1])
+        hit = _cross(ones * SPACING, (ones + _EDGES) * SPACING, wall)
         for one, other in zip(ones[hit].tolist(), (ones + _EDGES)[hit].tolist(), strict=True):
             a, b = (one[0], one[1]), (other[0], other[1])
             self._extra[a, b] = self._extra[b, a] = min(self._extra.get((a, b), 0.0) + WALL, HIGHEST)
 
-    def _crosses(self, here: np.ndarray, there: np.ndarray) -> np.ndarray:
-        """Which walls ``(n,)`` are between two points."""
-        return _cross(here, there, self._walls[:, 0], self._walls[:, 1])
-
     def _step_cost(self, here: np.ndarray, there: np.ndarray) -> float:
         """The cost of walls on the line to a point, extended to a whole step: steps cannot be shortened."""
         share = max(1.0, self.step / float(np.hypot(*(there - here))))
-        return WALL * int(self._crosses(here, here + share * (there - here)).sum())
+        return WALL * int(_cross(here, here + share * (there - here), self._walls).sum())
 
     def _way(self, here: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """The direction ``(2,)`` (of any length) in which the cheapest path to the goal begins."""
         target = None
-        for node in self._plan(here, goal) if self._crosses(here, goal).any() else ():
+        for node in self._plan(here, goal) if _cross(here, goal, self._walls).any() else ():
             point = np.array(node) * SPACING
             in_line = np.hypot(*(point - here)) < LOOK and not self._step_cost(here, point)
             if target is not None and not in_line:
@@ -190,22 +188,6 @@ class Policy:
         return way[::-1]
 
 
-def _arrived(now: SteeringInput, near: float, stands: bool = False) -> bool:
-    """Whether the thing is surely less than `near` metres away, as believed, or is what the body `stands` beside."""
-    if not near or now.distance is None or now.progress * now.presence < ARRIVED:
-        return False
-    return stands or now.distance < near
-
-
-def _lost(before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
-    """The part ``(2,)`` of an intended movement that a body could not make on its way to `here`; None: no collision.
-
-    Metres; `step`: the length of a whole step.
-    """
-    lost = intended - (here - before)
-    return lost if float(np.hypot(*lost)) > TOUCH * step and float(lost @ intended) > 0 else None
-
-
 def _node(point: np.ndarray) -> Node:
     return round(float(point[0]) / SPACING), round(float(point[1]) / SPACING)
 
@@ -222,14 +204,31 @@ def _octile(one: Node, other: Node) -> float:
     return SPACING * (max(a, b) + (math.sqrt(2) - 1) * min(a, b))
 
 
-def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Whether lines from a to b cross those from c to d; all ``(..., 2)``, broadcast."""
+def _cross(start: np.ndarray, end: np.ndarray, walls: np.ndarray) -> np.ndarray:
+    """Whether lines ``(..., 2)`` from start to end cross walls ``(..., 2, 2)``, broadcast."""
+    one, other = walls[..., 0, :], walls[..., 1, :]
 
     def left(o: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
         turn = (p[..., 0] - o[..., 0]) * (q[..., 1] - o[..., 1]) - (p[..., 1] - o[..., 1]) * (q[..., 0] - o[..., 0])
         return turn > 0
 
-    return (left(a, b, c) != left(a, b, d)) & (left(c, d, a) != left(c, d, b))
+    return (left(start, end, one) != left(start, end, other)) & (left(one, other, start) != left(one, other, end))
+
+
+def _lost(before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
+    """The part ``(2,)`` of an intended movement that a body could not make on its way to `here`; None: no collision.
+
+    Metres; `step`: the length of a whole step.
+    """
+    lost = intended - (here - before)
+    return lost if float(np.hypot(*lost)) > TOUCH * step and float(lost @ intended) > 0 else None
+
+
+def _arrived(now: SteeringInput, near: float, stands: bool = False) -> bool:
+    """Whether the thing is surely less than `near` metres away, as believed, or is what the body `stands` beside."""
+    if not near or now.distance is None or now.progress * now.presence < ARRIVED:
+        return False
+    return stands or now.distance < near
 
 
 # --- a search --------------------------------------------------------------------------------------------------------

@@ -39,39 +39,6 @@ def _no_picture(rows: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class EpisodeResult:
-    """The results of one method in one episode of n steps, for `SimTask.measure` (`eagor.lab.tasks.sim.task`).
-
-    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, optionally leg. For a
-      walked task they are in `trace`, with the prefix true_.
-    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
-      inside, distance_m.
-    - `directions`, `estimates` ``(n, 3)``: the true ones (held while the target is away) and the method's, body frame.
-    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
-      (`eagor.metrics.ego_motion`).
-    - `info`: the environment's last one; metres `walked` and `shortest`. Only for a walked task.
-    """
-
-    truth: dict[str, list[Any]]
-    trace: dict[str, list[Any]]
-    directions: np.ndarray
-    estimates: np.ndarray
-    rotations: np.ndarray
-    translations: np.ndarray
-    rules: Any
-    camera: Camera
-    info: Mapping[str, Any] = field(default_factory=dict)
-    walked: float = 0.0
-    shortest: float = math.inf
-
-    @property
-    def coverage(self) -> float | None:
-        """The share of steps with the truth inside the stated 90 % region; None for methods without regions."""
-        inside = [value for value in self.trace["inside"] if value is not None]
-        return metrics.credible_coverage(inside) if inside else None
-
-
-@dataclass(frozen=True, eq=False)
 class Step:
     """One step of an episode: pose by odometry, evidence that arrives, and that of the `other` query.
 
@@ -110,8 +77,12 @@ Act = Callable[[Step, np.ndarray, Evidence | None, dict[str, Any]], np.ndarray]
 class Rollout:
     """An episode of n steps.
 
-    `truth`: lists for the record; `directions` ``(n, 3)``: to the target, body frame (held while away); `rotations`,
-    `translations`: the camera's true motions; `looked`: metadata and cost of the perception.
+    - `truth`: lists of n values for the record: pose, azimuth_deg, elevation_deg, range_m, visible, present, seam,
+      optionally leg.
+    - `directions` ``(n, 3)``: the true ones, body frame, held while the target is away.
+    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
+      (`eagor.metrics.ego_motion`).
+    - `looked`: metadata and cost of the perception.
     """
 
     episode: Episode
@@ -121,6 +92,30 @@ class Rollout:
     rotations: np.ndarray
     translations: np.ndarray
     looked: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EpisodeResult(Rollout):
+    """An episode and what one method made of it, for `SimTask.measure` (`eagor.lab.tasks.sim.task`).
+
+    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
+      inside, distance_m.
+    - `estimates` ``(n, 3)``: the method's directions, body frame.
+    - `info`: the environment's last one, and the metres `walked`. Only for a walked task.
+    """
+
+    trace: dict[str, list[Any]]
+    estimates: np.ndarray
+    rules: Any
+    camera: Camera
+    info: Mapping[str, Any] = field(default_factory=dict)
+    walked: float = 0.0
+
+    @property
+    def coverage(self) -> float | None:
+        """The share of steps with the truth inside the stated 90 % region; None for methods without regions."""
+        inside = [value for value in self.trace["inside"] if value is not None]
+        return metrics.credible_coverage(inside) if inside else None
 
 
 class Runner:
@@ -182,20 +177,19 @@ class Runner:
         A walked episode ends with its last action, another one with the last observation.
         """
         observation, info = self.env.reset(options={"episode": episode})
-        labels = info["instances"]["labels"]
-        eye = EpisodePerception(self.perception, episode.spec, labels)
-        second = EpisodePerception(self.perception, episode.spec, labels, "other")
+        labels, mask = info["instances"]["labels"], mask_of(self.camera)
+        eye = EpisodePerception(self.perception, episode.spec, labels, mask=mask)
+        second = EpisodePerception(self.perception, episode.spec, labels, "other", mask)
         truth: dict[str, list[Any]] = defaultdict(list)
         steps, under_way, directions, poses, over = list[Step](), list[Evidence | None](), [], [], False
         while not (over and self.task.walked):
-            look = self._look(eye, observation, info)
+            stamp, pose, true = info["num_steps"] * self.camera.seconds, observation["pose"], info["truth"]
+            look = eye.look(observation, info, stamp)
             under_way.append(look)
             due = under_way.pop(0) if len(under_way) > self.noise.latency else None
-            also = self._look(second, observation, info, other) if other else None
-            pose, stamp = observation["pose"], info["num_steps"] * self.camera.seconds
+            also = second.look(observation, info, stamp, other) if other else None
             picture = self.env.picture() if watched else _no_picture
             steps.append(Step(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, picture))
-            true = info["truth"]
             directions.append(true["direction"] if true["present"] else directions[-1])
             poses.append((true["world_R_body"], true["position"]))
             _note_truth(truth, info)
@@ -208,12 +202,6 @@ class Runner:
         rollout = Rollout(episode, dict(truth), tuple(steps), np.array(directions), *motion, eye.account() or None)
         return rollout, info
 
-    def _look(self, eye: EpisodePerception, observation: dict, info: dict, query: str = "") -> Evidence | None:
-        """The evidence of this step, stamped with the time of capture; None if an answer could not be read."""
-        found = eye.look(observation, info, info["num_steps"] * self.camera.seconds, query)
-        mask = mask_of(self.camera)
-        return found if found is None or mask is None else found.covered(mask)
-
     def _walk(self, episode: Episode, name: str, watch: Watch | None) -> dict[str, Any]:
         """One estimator through one episode in which it steers the body."""
         method = None if name == ORACLE else self.method(name, episode.spec)
@@ -221,8 +209,11 @@ class Runner:
         trace: dict[str, list[Any]] = defaultdict(list)
         answers, path = list[np.ndarray](), list[list[float]]()
 
+        def note_feet() -> None:
+            path.append([round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)])
+
         def act(step: Step, true: np.ndarray, look: Evidence | None, info: dict[str, Any]) -> np.ndarray:
-            path.append(self._feet())
+            note_feet()
             answers.append(_answer(method, step, true, trace, watch))
             now = self._steering_input(answers[-1], method, look, step, info, steering.needs_floor_mask)
             turn, metres = steering.walk(now)
@@ -231,20 +222,18 @@ class Runner:
             return np.array([turn, 0.0 if steering.arrived else max(metres, STANDS)])
 
         rollout, info = self._roll_out(episode, act, "", watch is not None)
-        path.append(self._feet())
+        note_feet()
         trace |= {key: rollout.truth[key] for key in ("pose", "visible")}
         trace |= {f"true_{key}": rollout.truth[key] for key in ("azimuth_deg", "elevation_deg", "range_m")}
-        found = self._measured(rollout, trace, trace, answers, info, self.env.body.walked, episode.shortest)
+        found = self._measured(rollout, trace, answers, info=info, walked=self.env.body.walked)
         if isinstance(episode.spec, FileEpisodeSpec):
             found["path"] = path  # for habitat-lab to score, too
         return found | ({"looked": rollout.looked} if rollout.looked else {})
 
-    def _measured(self, rollout: Rollout, truth: dict, trace: dict, answers: Sequence, *walk: Any) -> dict[str, Any]:
+    def _measured(self, rollout: Rollout, trace: dict, answers: Sequence, **walk: Any) -> dict[str, Any]:
         """The metrics and trace of an estimator."""
-        motion = rollout.rotations, rollout.translations
-        result = EpisodeResult(
-            truth, trace, rollout.directions, np.array(answers), *motion, self.rules, self.camera, *walk
-        )
+        given = {"rules": self.rules, "camera": self.camera} | walk
+        result = EpisodeResult(**vars(rollout), trace=trace, estimates=np.array(answers), **given)
         figures = self.task.measure(result).items()
         rounded = {key: round(value, 7) if isinstance(value, float) else value for key, value in figures}
         return {"metrics": rounded, "trace": dict(trace)}
@@ -269,10 +258,6 @@ class Runner:
             chance=Chance.of(look, self.camera.seconds) if look is not None and with_floor else None,
         )
 
-    def _feet(self) -> list[float]:
-        """Where the body stands: x, y, z."""
-        return [round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)]
-
     def score(
         self, rollout: Rollout, method: Estimator, regions: bool = True, watch: Watch | None = None
     ) -> dict[str, Any]:
@@ -287,7 +272,7 @@ class Runner:
                 rollout.steps, rollout.directions, rollout.truth["present"], strict=True
             )
         ]
-        return self._measured(rollout, rollout.truth, trace, answers)
+        return self._measured(rollout, trace, answers)
 
 
 def _answer(

@@ -177,10 +177,7 @@ class WaypointFollowingEnv(AnsweringEnv):
     """The body is carried along a route of four legs; name the direction at each step. ``info["leg"]``: the leg."""
 
     task = "waypoint"
-
-    def __init__(self, rules: WaypointRules | None = None, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.rules = rules or WaypointRules()
+    rules = WaypointRules()
 
     def plan(self, spec: EpisodeSpec) -> Episode:
         return plan(spec, self.camera, self.rules)
