@@ -107,8 +107,8 @@ class Task(Protocol):
     - ``defaults(values)``: the values of a run with those that follow from them;
     - ``resolve(config)``: the config completed and checked (a perception that cannot be made fails the run, no sample);
     - ``Record``: a `msgspec.Struct` that says what its metrics read; each record is checked before it is counted;
-    - ``agents`` {name: what it does} and ``info(data)``, ``score(sample, prediction, config)``: of published data
-      (`eagor.lab.tasks.published`);
+    - ``agents`` {name: what it does}, where one of them plays a run instead of several methods, and ``info(data)``,
+      ``score(sample, prediction, config)``: of published data (`eagor.lab.tasks.published`);
     - ``causes`` {cause: meaning}, ``strata`` {key: title}, ``ranked_by``: keys of the metrics that rank results.
     """
 

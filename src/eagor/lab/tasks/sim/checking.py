@@ -42,7 +42,6 @@ def check_simulation(
     config = {"task": task.name, "perception": "truth:ideal", "camera": {}, "disturbances": {}, "rules": rules}
     runner = Runner(config, kind=task)
     episode = _check_plan(task, runner, EpisodeSpec(task.name, world, seed, index, index))
-    _check_start(runner, episode)
     _check_path(task, runner, episode)
     return _check_figures(task, runner, episode)
 
@@ -85,7 +84,7 @@ def _check_rules(task: SimTask, settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_plan(task: SimTask, runner: Runner, spec: EpisodeSpec) -> Episode:
-    """A spec always gives the same episode, whatever was planned before, and other specs other ones."""
+    """A spec always gives the same episode, other specs other ones; the body can stand there, and the target exists."""
     episode, other = runner.plan(spec), runner.plan(dataclasses.replace(spec, index=spec.index + 1))
     require(isinstance(episode, Episode), f"plans a {type(episode).__name__}; wanted an eagor.lab.envs.Episode")
     require(
@@ -103,11 +102,6 @@ def _check_plan(task: SimTask, runner: Runner, spec: EpisodeSpec) -> Episode:
     missing, has = sorted(set(task.strata) - set(episode.stratum)), sorted(episode.stratum) or "none"
     wanted = "wanted those keys in Episode.stratum"
     require(not missing, f"reports the strata {missing}, but its episode has {has}; {wanted}")
-    return episode
-
-
-def _check_start(runner: Runner, episode: Episode) -> None:
-    """The body can stand at the start, and the target exists."""
     labels = runner.env.reset(options={"episode": episode})[1]["instances"]["labels"]  # also checks the scene's hash
     require(
         runner.env.place.ground.is_free(np.array(episode.start)) and math.isfinite(episode.yaw),
@@ -123,6 +117,7 @@ def _check_start(runner: Runner, episode: Episode) -> None:
         f"asks for {episode.query!r}, which means things {meant}, but has the targets {episode.targets}; wanted the "
         "same: place.nameable() lists the queries with a unique target",
     )
+    return episode
 
 
 def _check_path(task: SimTask, runner: Runner, episode: Episode) -> None:
@@ -201,15 +196,11 @@ class _Known(Estimator):
 def _check_figures(task: SimTask, runner: Runner, episode: Episode) -> dict[str, Any]:
     """There are figures for every metric, and better answers get better figures."""
     if task.walked:
-        figures = runner.run_episode(episode.spec, [ORACLE])["methods"][ORACLE]["metrics"]
-        _check_metrics(task, figures)
-        return figures
+        return _checked(task, runner.run_episode(episode.spec, [ORACLE])["methods"][ORACLE])["metrics"]
     rollout = runner.record(episode)
-    right, wrong = (runner.score(rollout, _Known(sign * rollout.directions))["metrics"] for sign in (1.0, -1.0))
-    _check_metrics(task, right)
-    _check_metrics(task, wrong)
+    right, wrong = (_checked(task, runner.score(rollout, _Known(sign * rollout.directions))) for sign in (1.0, -1.0))
     for metric in task.metrics:
-        good, bad = metric.of({"metrics": right}), metric.of({"metrics": wrong})
+        good, bad = metric.of(right), metric.of(wrong)
         if metric.better is None or good is None or bad is None:
             continue
         require(
@@ -217,11 +208,12 @@ def _check_figures(task: SimTask, runner: Runner, episode: Episode) -> dict[str,
             f"gives an estimator that is always right {good:g} in the metric {metric.key}, and one that is always "
             f"wrong {bad:g}, though {metric.better} is better; wanted the reverse: change `better`, or measure()",
         )
-    return right
+    return right["metrics"]
 
 
-def _check_metrics(task: SimTask, figures: dict[str, Any]) -> None:
-    """Every metric has a plain figure."""
+def _checked(task: SimTask, result: dict[str, Any]) -> dict[str, Any]:
+    """`result`, which has a plain figure for every metric."""
+    figures = result["metrics"]
     for key, value in figures.items():
         plain = value is None or (isinstance(value, int | float) and math.isfinite(value))
         require(plain, f"measures {key} = {value!r}; wanted a finite number, or None if it does not apply")
@@ -229,8 +221,9 @@ def _check_metrics(task: SimTask, figures: dict[str, Any]) -> None:
     missing = sorted(wanted - figures.keys())
     require(not missing, f"measures {', '.join(figures)}; wanted also {', '.join(missing)}, which its table shows")
     for metric in task.metrics:
-        value = metric.of({"metrics": figures})
+        value = metric.of(result)
         require(
             not metric.share or value in (0, metric.scale, None),
             f"measures {value} in the metric {metric.key}, which is a share; wanted 0 or 1 per episode, or share=False",
         )
+    return result

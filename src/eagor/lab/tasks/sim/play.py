@@ -21,7 +21,7 @@ from eagor.lab.agents.models import EpisodePerception, is_privileged, shared
 from eagor.lab.agents.search_space import Chance, SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisodeSpec
-from eagor.lab.envs.places import in_view, mask_of
+from eagor.lab.envs.places import mask_of
 from eagor.lab.envs.rules import Camera, NoiseModel, from_dict
 from eagor.lab.tasks.task import load
 from eagor.perception.calibrated import from_json
@@ -243,8 +243,8 @@ class Runner:
         with_floor: bool,
     ) -> SteeringInput:  # fmt: skip
         """What steers the body at a step; only a policy that asks for the floor gets it, and what is believed."""
-        true, ids = info["truth"], info["instances"]["ids"]
-        belief = method if with_floor else None  # the oracle is sure
+        true, belief = info["truth"], method if with_floor else None  # the oracle is sure
+        pose = true["position"], true["world_R_body"]
         distance = true["distance"] if method is None else method.sure_distance()
         return SteeringInput(
             azimuth=float(azimuth_elevation(direction)[0]),
@@ -253,8 +253,7 @@ class Runner:
             distance=None if distance is None else distance * math.hypot(float(direction[0]), float(direction[1])),
             position=np.array([*step.position[:2], self.camera.height]),
             world_R_body=step.world_R_body,
-            floor=self.env.place.floor_in(ids, true["position"], true["world_R_body"]) if with_floor else None,
-            seen=in_view(self.camera, len(ids)),
+            floor=self.env.place.floor_in(info["instances"]["ids"], *pose) if with_floor else None,
             chance=Chance.of(look, self.camera.seconds) if look is not None and with_floor else None,
         )
 
