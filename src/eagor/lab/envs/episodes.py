@@ -55,7 +55,7 @@ class EpisodeSpec:
         """An independent generator for each purpose, wherever the file of the scene is."""
         file, world = scene_file(self.world), self.world
         if file and Path(file).is_file():
-            world = world.replace(file, _digest(file, _state(Path(file))), 1)
+            world = world.replace(file, _digest(_state(Path(file))), 1)
         name = f"{self.task}/{world}/{self.id}/{purpose}"
         return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
 
@@ -170,24 +170,22 @@ def file_episode_specs(
     for seed, (scene, listed) in enumerate(by_scene.items(), SEEDS):
         if world == HABITAT:
             homes[scene] = [(home, seed) for home in _storeys(scene, listed, options, Path(file), scenes)]
-        elif world == APARTMENT:
-            homes[scene] = [_home_of_ours(scene, listed, seed, Path(file), scenes)] * len(listed.episodes)
-        else:
-            homes[scene] = [(world, seed)] * len(listed.episodes)
+            continue
+        home = _home_of_ours(scene, listed, seed, Path(file), scenes) if world == APARTMENT else (world, seed)
+        homes[scene] = [home] * len(listed.episodes)
     paths = [scene_file(each[0][0]) for each in homes.values()]
     if all(paths) and not any(Path(path).exists() for path in paths):  # a part of them is what many people have
         raise WorldError(
             f"none of the {len(paths)} scenes of {file} is there, such as {paths[0]}; --scenes names the folder that "
             f"holds {next(iter(homes)).removeprefix(_PREFIX)}"
         )
-    order = list(by_scene)
-    turns = [(index, scene) for scene, each in by_scene.items() for index in range(len(each.episodes))]
-    chosen = sorted(turns, key=lambda turn: turn[0])[:count]
+    turns = [(index, order, scene) for order, scene in enumerate(homes) for index in range(len(homes[scene]))]
+    chosen = sorted(turns)[:count]
     # One scene after the other, and of a scene one storey after the other: opening one takes seconds.
-    chosen.sort(key=lambda turn: (order.index(turn[1]), homes[turn[1]][turn[0]][0], turn[0]))
+    chosen.sort(key=lambda turn: (turn[1], homes[turn[2]][turn[0]][0], turn[0]))
     return [
         FileEpisodeSpec(task, *homes[scene][index], index, number, scene, index)
-        for number, (index, scene) in enumerate(chosen)
+        for number, (index, _, scene) in enumerate(chosen)
     ]
 
 
@@ -250,23 +248,23 @@ def scene_file(world: str) -> str:
 def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
     """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
     path = Path(file)
-    return _read(path, *map(_state, (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+    return _read(*map(_state, (path, *sorted((path.parent / "content").glob("*.json.gz")))))
 
 
 def _state(path: Path) -> tuple[Path, int, int]:
-    """What changes with a file."""
+    """A file, and what changes with its content."""
     found = path.stat() if path.exists() else None
     return path, found.st_mtime_ns if found else 0, found.st_size if found else 0
 
 
 @lru_cache(maxsize=64)
-def _digest(path: str, *states: tuple[Path, int, int]) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+def _digest(file: tuple[Path, int, int]) -> str:
+    return hashlib.sha256(file[0].read_bytes()).hexdigest()
 
 
 @lru_cache(maxsize=2)
-def _read(path: Path, *states: tuple[Path, int, int]) -> tuple[SceneEpisodes, ...]:
-    return read_episodes(path)
+def _read(file: tuple[Path, int, int], *content: tuple[Path, int, int]) -> tuple[SceneEpisodes, ...]:
+    return read_episodes(file[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,10 +39,12 @@ def _no_picture(rows: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class StepInfo:
     """One step of an episode: pose by odometry, evidence that arrives, and that of the `other` query.
 
     `picture` renders what the camera shows, with so many rows as it is asked for, whatever the perception looked at.
+    For whoever watches also the `method` after its answer (None: the oracle), and the `truth` ``(3,)``: the true
+    direction in the body frame, None while the target is away.
     """
 
     stamp: float
@@ -51,15 +53,6 @@ class Step:
     evidence: Evidence | None
     other: Evidence | None = None
     picture: Picture = _no_picture
-
-
-@dataclass(frozen=True, eq=False)
-class StepInfo(Step):
-    """A step for whoever watches: the `method` after its answer (None: the oracle).
-
-    `truth` ``(3,)``: the true direction in the body frame, None while the target is away.
-    """
-
     method: Estimator | None = None
     truth: np.ndarray | None = None
 
@@ -70,7 +63,7 @@ class StepInfo(Step):
 
 
 Watch = Callable[[StepInfo], object]
-Act = Callable[[Step, np.ndarray, Evidence | None, dict[str, Any]], np.ndarray]
+Act = Callable[[StepInfo, np.ndarray, Evidence | None, dict[str, Any]], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +80,7 @@ class Rollout:
 
     episode: Episode
     truth: dict[str, list[Any]]
-    steps: tuple[Step, ...]
+    steps: tuple[StepInfo, ...]
     directions: np.ndarray
     rotations: np.ndarray
     translations: np.ndarray
@@ -181,7 +174,7 @@ class Runner:
         eye = EpisodePerception(self.perception, episode.spec, labels, mask=mask)
         second = EpisodePerception(self.perception, episode.spec, labels, "other", mask)
         truth: dict[str, list[Any]] = defaultdict(list)
-        steps, under_way, directions, poses, over = list[Step](), list[Evidence | None](), [], [], False
+        steps, under_way, directions, poses, over = list[StepInfo](), list[Evidence | None](), [], [], False
         while not (over and self.task.walked):
             stamp, pose, true = info["num_steps"] * self.camera.seconds, observation["pose"], info["truth"]
             look = eye.look(observation, info, stamp)
@@ -189,7 +182,7 @@ class Runner:
             due = under_way.pop(0) if len(under_way) > self.noise.latency else None
             also = second.look(observation, info, stamp, other) if other else None
             picture = self.env.picture() if watched else _no_picture
-            steps.append(Step(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, picture))
+            steps.append(StepInfo(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, picture))
             directions.append(true["direction"] if true["present"] else directions[-1])
             poses.append((true["world_R_body"], true["position"]))
             _note_truth(truth, info)
@@ -212,7 +205,7 @@ class Runner:
         def note_feet() -> None:
             path.append([round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)])
 
-        def act(step: Step, true: np.ndarray, look: Evidence | None, info: dict[str, Any]) -> np.ndarray:
+        def act(step: StepInfo, true: np.ndarray, look: Evidence | None, info: dict[str, Any]) -> np.ndarray:
             note_feet()
             answers.append(_answer(method, step, true, trace, watch))
             now = self._steering_input(answers[-1], method, look, step, info, steering.needs_floor_mask)
@@ -239,7 +232,7 @@ class Runner:
         return {"metrics": rounded, "trace": dict(trace)}
 
     def _steering_input(
-        self, direction: np.ndarray, method: Estimator | None, look: Evidence | None, step: Step, info: dict,
+        self, direction: np.ndarray, method: Estimator | None, look: Evidence | None, step: StepInfo, info: dict,
         with_floor: bool,
     ) -> SteeringInput:  # fmt: skip
         """What steers the body at a step; only a policy that asks for the floor gets it, and what is believed."""
@@ -275,7 +268,7 @@ class Runner:
 
 
 def _answer(
-    method: Estimator | None, step: Step, true: np.ndarray | None, trace: dict[str, list[Any]], watch: Watch | None,
+    method: Estimator | None, step: StepInfo, true: np.ndarray | None, trace: dict[str, list[Any]], watch: Watch | None,
     regions: bool = True,
 ) -> np.ndarray:  # fmt: skip
     """The estimator's direction at a step (None: the oracle's), noted in `trace`, and shown to `watch`.
@@ -299,7 +292,7 @@ def _answer(
     trace["inside"].append(None if mass is None else bool(mass < MASS))
     trace["distance_m"].append(None if distance is None else round(distance, 3))
     if watch is not None:
-        watch(StepInfo(**vars(step), method=method, truth=true))
+        watch(replace(step, method=method, truth=true))
     return direction
 
 
