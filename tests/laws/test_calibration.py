@@ -25,7 +25,7 @@ from eagor.lab.eval.calibration import (
     record,
     score,
 )
-from eagor.lab.tasks.sim.play import Rollout, Step
+from eagor.lab.tasks.sim.play import Rollout, StepInfo
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.perception.truth import TruthPerception
 from eagor.sphere import direction, unit, world_R_body
@@ -47,7 +47,7 @@ def recording(seed, steps=16, right=0.6):
             np.exp(30 * (GRID.directions @ at - 1)) * high for at, high in ((seen, 0.8), (other, 0.8 * rng.random()))
         ]
         evidence = [Evidence.from_response(look.astype(np.float32), GRID, stamp=0.5 * k) for look in looks]
-        moments.append(Step(0.5 * k, world_R_body(0.1 * k), np.zeros(3), *evidence))
+        moments.append(StepInfo(0.5 * k, world_R_body(0.1 * k), np.zeros(3), *evidence))
     return episode_of(seed, moments, target)
 
 
@@ -76,7 +76,7 @@ def detecting(seed, steps=24, pd=0.7, alarms=0.5, spread=0.105, height=0.0):
             scores.append(rng.beta(4, 2))
         looks = ((seen, scores), (others, other_scores))
         evidence = [Evidence.from_points(np.array(at).reshape(-1, 3), None, s, stamp=0.5 * k) for at, s in looks]
-        moments.append(Step(0.5 * k, turn, np.array([0.0, 0.0, height]), *evidence))
+        moments.append(StepInfo(0.5 * k, turn, np.array([0.0, 0.0, height]), *evidence))
     return episode_of(seed, moments, target)
 
 
@@ -165,7 +165,7 @@ def test_posters_and_what_a_place_keeps_are_counted():
             turn = world_R_body(0.1 * k, 0.0, 0.3 * k)
             places = [target + beside + 0.03 * rng.normal(size=3), poster + 0.03 * rng.normal(size=3)]
             seen = np.array(places)[rng.random(2) < (0.8, 0.5)] @ turn
-            moments.append(Step(0.5 * k, turn, np.zeros(3), Evidence.from_points(seen, stamp=0.5 * k)))
+            moments.append(StepInfo(0.5 * k, turn, np.zeros(3), Evidence.from_points(seen, stamp=0.5 * k)))
         recordings.append(episode_of(seed, moments, target))
     model = counted(recordings)
     assert model.look_alikes == pytest.approx(1, abs=0.2)

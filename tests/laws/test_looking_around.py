@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, angle_size, turn_angle
+from eagor.lab.agents.search_space import RAYS, Chance, SearchedGround, Space, SteeringInput, turn_angle
 from eagor.lab.agents.steering import Searcher
 from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.hstar.agents import LENS, PITCHES, YAWS, EagorAgent, Search, SimulatedDetector, ViewEvidence
@@ -89,13 +89,11 @@ def test_it_hands_over_when_it_is_sure_and_comes_back_with_a_fresh_choice():
     assert searcher.searching
 
 
-def situation(yaw=0.0, chance=None, hfov=2 * math.pi):
-    """A level body on an endless floor, and what its camera shows of it."""
-    below = np.arange(ROWS)[:, None] >= ROWS // 2
-    azimuths = math.pi - (np.arange(2 * ROWS) + 0.5) * math.pi / ROWS
-    seen = np.broadcast_to(angle_size(azimuths) <= hfov / 2, (ROWS, 2 * ROWS))
+def situation(yaw=0.0, chance=None):
+    """A level body on an endless floor."""
+    below = np.broadcast_to(np.arange(ROWS)[:, None] >= ROWS // 2, (ROWS, 2 * ROWS))
     position = np.array([0.0, 0.0, HEIGHT])
-    return SteeringInput(0.0, UNSURE, 1.0, None, position, world_R_body(yaw), below & seen, seen, chance)
+    return SteeringInput(0.0, UNSURE, 1.0, None, position, world_R_body(yaw), below, chance)
 
 
 def hstar_space(looked):
@@ -107,7 +105,7 @@ def hstar_space(looked):
 
 def ground_space(looked, hfov):
     ground = SearchedGround(Camera(hfov=math.degrees(hfov)))
-    ground.look(situation(chance=Chance() if looked else None, hfov=hfov))
+    ground.look(situation(chance=Chance() if looked else None))
     return ground, np.zeros(2)
 
 
@@ -173,11 +171,10 @@ def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_
 
 def test_a_robot_that_stands_turns_to_what_the_searcher_faces():
     """The steps of `walk` with the step 0 lead to the headings of `face`, by at most `turn` each."""
-    hfov = math.radians(100)
     one, other = (Searcher(SearchedGround(Camera(hfov=100.0)), turn=TURN) for _ in range(2))
     yaw = 0.0
     for _ in range(30):
-        now = situation(yaw, chance=Chance(), hfov=hfov)
+        now = situation(yaw, chance=Chance())
         turn, metres = one.walk(now)
         other.space.look(now)
         wanted = math.remainder(float(other.face(np.array([now.yaw, 0.0]), now.progress)[0]) - now.yaw, 2 * math.pi)

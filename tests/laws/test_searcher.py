@@ -18,7 +18,7 @@ from eagor.lab.agents.search_space import (
     SteeringInput,
 )
 from eagor.lab.agents.steering import Searcher, search_config, steering_for
-from eagor.lab.envs.places import Place, in_view
+from eagor.lab.envs.places import Place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim.navigation import backtracking_rate
 from eagor.lab.worlds.ground import Ground
@@ -49,9 +49,7 @@ class World:
     def situation(self, azimuth=0.0, progress=0.0, distance=None, presence=1.0, chance=CHANCE):
         position = np.array([*self.xy, HEIGHT])
         floor = self.place.floor_in(self.place.ids(position, self.rotation), position, self.rotation)
-        seen = in_view(self.camera, len(floor))
-        floor = floor if seen is None else floor & seen
-        return SteeringInput(azimuth, progress, presence, distance, position, self.rotation, floor, seen, chance)
+        return SteeringInput(azimuth, progress, presence, distance, position, self.rotation, floor, chance)
 
     def towards(self, goal):
         """The situation of a body that knows where the thing is, and whether it is there."""

@@ -7,6 +7,7 @@ counts for the time of its panorama: our tracker handles that itself, filters ar
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -96,12 +97,6 @@ class _Step:
     before: DirectionFilter
     evidence: list[Evidence] = field(default_factory=list)
 
-    def after(self) -> DirectionFilter:
-        state = self.before
-        for evidence in self.evidence:
-            state = state.update(evidence)
-        return state
-
 
 class FilterEstimator(Estimator):
     """A filter of `eagor.baselines`, with a bounded history of its steps for rewinding."""
@@ -121,10 +116,13 @@ class FilterEstimator(Estimator):
             raise TimeError(f"evidence of t = {evidence.stamp} s fits none of the last {len(self._steps)} steps")
         last = self._steps[index]
         last.evidence.append(evidence)
-        self.filter = last.after()
-        for step in self._steps[index + 1 :]:
-            step.before = self.filter.predict(step.world_R_body.T @ last.world_R_body)
-            self.filter, last = step.after(), step
+        self.filter = last.before
+        for step in self._steps[index:]:
+            if step is not last:
+                self.filter = step.before = self.filter.predict(step.world_R_body.T @ last.world_R_body)
+            for each in step.evidence:
+                self.filter = self.filter.update(each)
+            last = step
 
     def direction(self) -> np.ndarray:
         return np.asarray(self.filter.direction())
@@ -209,13 +207,13 @@ def make_estimator(
         )
     try:
         settings = _settings(fitted(perception, base)) | _settings(text)
-        known = _FILTERS[base][1] if base in _FILTERS else tuple(_OURS)
+        make, known = _FILTERS.get(base, (None, tuple(_PART_OF)))
         if unknown := [key for key in settings if key not in known]:
             raise EagorError(f"there is no setting {unknown[0]!r}; known for {base}: {', '.join(known) or 'none'}")
-        if base in _FILTERS:
-            return FilterEstimator(_set(_FILTERS[base][0](rng), settings))
+        if make is not None:
+            return FilterEstimator(_with_settings(make(rng), settings))
         config = TrackerConfig.paper() if base == "eagor_paper" else ours or TrackerConfig()
-        return TrackerEstimator(tracker_config(config, settings, calibration, detector))
+        return TrackerEstimator(_with_settings(config, settings, calibration, detector))
     except EagorError as error:
         raise EagorError(f"method {name!r}: {error}") from None
 
@@ -228,66 +226,11 @@ def answer_at(method: Estimator, stamp: float, pose: np.ndarray, evidence: Evide
     return method.direction()
 
 
-def _settings(text: str) -> dict[str, str]:
-    pairs = [item.partition("=") for item in text.split(",") if item]
-    found = {key: value for key, _, value in pairs}
-    if any(not (key and equals and value) for key, equals, value in pairs) or len(found) < len(pairs):
-        raise EagorError("wanted name:key=value,key=value, each key once, such as eagor:degree=7,decode=mean")
-    return found
-
-
-# --- the values of settings: each function reads a text, or raises ValueError ---------------------------------------
-
-Read = Callable[[str], Any]
-_ANGLES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "offset", "drift")
-
-
-def _number(text: str) -> float:
-    if math.isnan(found := float(text)):
-        raise ValueError(text)
-    return found
-
-
-def _count(text: str) -> int:
-    if (found := int(text)) < 0:
-        raise ValueError(text)
-    return found
-
-
-def _shells(text: str) -> tuple[float, ...] | None:
-    return tuple(log_ranges(count=count).tolist()) if (count := _count(text)) else None
-
-
-def _heights(text: str) -> float | None:
-    return (None, FLOOR)[_count(text)]
-
-
-def _rate(text: str) -> float | None:
-    return None if text == "?" else _number(text)
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(_number(each) for each in text.split("+"))
-
-
-def _kinds(text: str) -> tuple[float, ...]:
-    return () if _numbers(text) == (0.0,) else _numbers(text)
-
-
-def _value(read: Read, key: str, text: str) -> Any:
-    """The value of a setting, an angle in radians. Raises `EagorError`."""
-    try:
-        found = read(text)
-    except (ValueError, IndexError):
-        wanted = {_count: "a whole number, 0 or more", _shells: "a whole number, 0 or more", _heights: "0 or 1"}
-        raise EagorError(f"{key} = {text}; wanted {wanted.get(read, 'a number')}") from None
-    if key not in _ANGLES or found is None:
-        return found
-    return tuple(math.radians(angle) for angle in found) if isinstance(found, tuple) else math.radians(found)
-
+# --- the settings of variants ----------------------------------------------------------------------------------------
 
 _READING = ("floor", "neutral", "temperature")
-_FILTERS: dict[str, tuple[Callable[[np.random.Generator], Any], tuple[str, ...]]] = {  # and their settings
+# What makes each filter, and its settings.
+_FILTERS: dict[str, tuple[Callable[[np.random.Generator], DirectionFilter], tuple[str, ...]]] = {
     "plain": (lambda rng: baselines.Plain(), ()),
     "centroid": (lambda rng: baselines.Centroid(), ()),
     "cent_circ": (lambda rng: baselines.CircularCentroid(), ()),
@@ -301,65 +244,81 @@ _FILTERS: dict[str, tuple[Callable[[np.random.Generator], Any], tuple[str, ...]]
         (*_READING, "roughening", "reborn", "kernel"),
     ),
 }
-# The settings of our tracker: the part of its configuration that each belongs to, its field there, and its reader.
-_OURS: dict[str, tuple[str, str, Read]] = {
-    "degree": ("", "degree", _count),
-    "decode": ("answers", "decode", str),
-    **{key: ("calibration", key, _number) for key in (*_READING, "persistence", "spread")},
-    **{key: ("detector", key, _rate) for key in ("detection_probability", "false_alarms_per_look")},
-    **{key: ("detector", key, _rate) for key in ("kept_for", "kept_within")},
-    **{key: ("detector", key, _numbers) for key in ("habit", "look_alike_habit")},
-    **{key: ("detector", key, _number) for key in ("look_alikes", "offset", "spread_of_size", "offset_of_size")},
-    "parts": ("detector", "parts", _number),
-    "dspread": ("detector", "spread", _number),
-    "shells": ("", "ranges", _shells),
-    "heights": ("", "floor_height", _heights),
-    **{key: ("target_motion", key, _kinds) for key in ("wander", "turn")},
-    **{key: ("target_motion", key, _number) for key in ("start", "stop", "jump", "birth", "death")},
-    "drift": ("", "drift", _rate),
-}
+# The settings of our tracker, by the part of its configuration ("": itself). shells=0: directions only; heights=0: the
+# floor's height is unknown; dspread: the spread of detections, spread: that of response maps.
+_TRACKER = {
+    "": ("degree", "shells", "heights", "drift"),
+    "answers": ("decode",),
+    "target_motion": ("wander", "turn", "start", "stop", "jump", "birth", "death"),
+    "calibration": (*_READING, "persistence", "spread"),
+    "detector": (
+        "detection_probability", "false_alarms_per_look", "kept_for", "kept_within", "habit", "look_alike_habit",
+        "look_alikes", "offset", "spread_of_size", "offset_of_size", "parts", "dspread",
+    ),
+}  # fmt: skip
+_PART_OF = {key: part for part, keys in _TRACKER.items() for key in keys}
+_FIELDS = {"shells": "ranges", "heights": "floor_height", "dspread": "spread"}  # those with another name
+_DEGREES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "offset", "drift")
+_SEVERAL = ("wander", "turn", "habit", "look_alike_habit")  # numbers joined by +; of motion, 0: no such kind
+_LEARNT = ("drift", "detection_probability", "false_alarms_per_look", "kept_for", "kept_within")  # where they are ?
 
 
-def _set(state: Any, settings: dict[str, str]) -> Any:
-    """A filter with these settings."""
-    changes = {key: _value(_number, key, text) for key, text in settings.items()}
-    reading = {key: changes.pop(key) for key in _READING if key in changes}
-    if reading:
-        changes["calibration"] = replace(state.calibration, **reading)
-    return replace(state, **changes)
+def _settings(text: str) -> dict[str, str]:
+    pairs = [item.partition("=") for item in text.split(",") if item]
+    found = {key: value for key, _, value in pairs}
+    if any(not (key and equals and value) for key, equals, value in pairs) or len(found) < len(pairs):
+        raise EagorError("wanted name:key=value,key=value, each key once, such as eagor:degree=7,decode=mean")
+    return found
 
 
-def tracker_config(
-    config: TrackerConfig,
+def _value(key: str, text: str) -> Any:
+    """The value of a setting, an angle in radians. Raises `EagorError`."""
+    if key == "decode":
+        return text
+    if text == "?" and key in _LEARNT:
+        return None
+    if key in ("degree", "shells", "heights"):
+        count, most = int(text) if text.isdecimal() else -1, 1 if key == "heights" else math.inf
+        if not 0 <= count <= most:
+            raise EagorError(f"{key} = {text}; wanted {'0 or 1' if most == 1 else 'a whole number, 0 or more'}")
+        if key == "heights":
+            return FLOOR if count else None
+        return count if key == "degree" else tuple(log_ranges(count=count).tolist()) if count else None
+    try:
+        numbers = tuple(float(each) for each in (text.split("+") if key in _SEVERAL else [text]))
+    except ValueError:
+        numbers = (math.nan,)
+    if any(map(math.isnan, numbers)):
+        raise EagorError(f"{key} = {text}; wanted a number")
+    if key in _DEGREES:
+        numbers = tuple(map(math.radians, numbers))
+    if key not in _SEVERAL:
+        return numbers[0]
+    return () if key in ("wander", "turn") and numbers == (0.0,) else numbers
+
+
+def _with_settings(
+    made: Any,
     settings: dict[str, str],
     calibration: Calibration | None = None,
     detector: DetectorModel | None = None,
-) -> TrackerConfig:
-    """`config` with settings from text. Raises `EagorError` for a wrong value.
+) -> Any:
+    """A filter, or the configuration of a tracker, with settings from text. Raises `EagorError` for a wrong value.
 
-    - degree, decode; shells (0: directions only), heights (0: unknown floor height);
-    - target motion: wander (degrees per root second) and turn (degrees per second; several kinds are joined by +,
-      0: none), and start, stop, jump, birth, death (rates per second); drift (degrees per root second, ?: learnt);
-    - response maps: floor, neutral, temperature, persistence, spread (degrees). They change `calibration` if the config
-      has none of its own;
-    - detections: detection_probability (?: differs from place to place), false_alarms_per_look (?: learnt online),
-      dspread and offset (degrees), spread_of_size and offset_of_size (shares of a box's deviation), parts (a share of
-      the boxes), look_alikes, habit and look_alike_habit (two numbers joined by +), kept_for (seconds), kept_within
-      (metres). They change `detector` if the config has none of its own.
+    They change `calibration` and `detector` if it has none of its own.
     """
-    found: dict[str, dict[str, Any]] = {}
+    changes: dict[str, dict[str, Any]] = defaultdict(dict)
     for key, text in settings.items():
-        part, name, read = _OURS[key]
-        found.setdefault(part, {})[name] = _value(read, key, text)
-    changes = found.pop("", {})
-    for part, values in found.items():
-        own: Any = getattr(config, part)
+        changes[_PART_OF.get(key, "")][_FIELDS.get(key, key)] = _value(key, text)
+    own = changes.pop("", {})
+    for part, values in changes.items():
+        before: Any = getattr(made, part)
         if part == "calibration":
-            own, values["scale_to_max"] = own or calibration or Calibration(), False
+            before = replace(before or calibration or Calibration(), scale_to_max=False)
         elif part == "detector":
-            own = own or detector or DetectorModel()
-        changes[part] = replace(own, **values)
-    return replace(config, **changes)
+            before = before or detector or DetectorModel()
+        own[part] = replace(before, **values)
+    return replace(made, **own)
 
 
 FITTED: dict[str, dict[str, str]] = {

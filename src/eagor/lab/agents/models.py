@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import AnswerError, EagorError
-from eagor.evidence import Evidence
+from eagor.evidence import BodyMask, Evidence
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.perception import Perception, load, local_model, look, parse_options
 from eagor.perception.calibrated import from_json
@@ -32,12 +32,18 @@ class EpisodePerception:
     """A perception in the episode of a spec: it looks once per step.
 
     One that reads instance ids begins an episode among `things` (indexed by instance id). Its mistakes are the same
-    each time, and others for another `purpose`.
+    each time, and others for another `purpose`. `mask`: what the camera can see; None: everything.
     """
 
     def __init__(
-        self, perception: Any, spec: EpisodeSpec, things: Sequence[Named], purpose: str = "perception"
+        self,
+        perception: Any,
+        spec: EpisodeSpec,
+        things: Sequence[Named],
+        purpose: str = "perception",
+        mask: BodyMask | None = None,
     ) -> None:
+        self._mask = mask
         self._privileged = is_privileged(perception)
         self._sees: Callable[..., Evidence] = partial(look, perception)
         if self._privileged:
@@ -65,7 +71,7 @@ class EpisodePerception:
         if evidence.source is not None:
             self.source = dict(evidence.source)
             self.milliseconds.append(float(self.source.pop("milliseconds", 0.0)))
-        return evidence
+        return evidence if self._mask is None else evidence.covered(self._mask)
 
     def account(self) -> dict[str, Any]:
         """Number of looks and of unreadable answers, the mean time of a look, and the source of the last one.
@@ -135,7 +141,14 @@ def load_chat(spec: str) -> Chat:
             make = bring(EntryPoint(spec, spec, ""), "model")
         except EagorError as error:
             raise EagorError(f"{error}, or {spec}@http://localhost:11434 for a model on a server") from None
-        return _made(spec, make)
+        try:
+            inspect.signature(make).bind()
+        except (TypeError, ValueError) as error:  # ValueError: it has no signature
+            raise EagorError(
+                f"the model {spec!r} cannot be made ({error}); wanted a function without arguments that returns the "
+                "model"
+            ) from error
+        return make()
     place, _, options = spec.partition("?")
     here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
     if here or ("/" in place and "@" not in place and "://" not in place):
@@ -145,17 +158,6 @@ def load_chat(spec: str) -> Chat:
     from eagor.perception.endpoint.server import chat_from_text
 
     return chat_from_text(spec)
-
-
-def _made(spec: str, make: Any) -> Chat:
-    """The result of `make`. Raises `EagorError` if it takes arguments, as a model itself does."""
-    try:
-        inspect.signature(make).bind()
-    except (TypeError, ValueError) as error:  # ValueError: it has no signature
-        raise EagorError(
-            f"the model {spec!r} cannot be made ({error}); wanted a function without arguments that returns the model"
-        ) from error
-    return make()
 
 
 @lru_cache(maxsize=1)

@@ -316,8 +316,7 @@ class SteeringInput:
       floor, metres, None if not known.
     - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
-      `seen` ``(H, W)`` bool: which of them the camera shows; None: all. `chance`: to find, of that look; None if
-      it could not be read.
+      `chance`: to find, of that look; None if it could not be read.
     - `here` ``(2,)``: where the body is on the floor; `yaw`, `bearing`: azimuths of the world, radians, of the body and
       of the estimate; `ahead` ``(2,)``: a unit vector along the floor to the estimate. All in the world frame.
     """
@@ -329,7 +328,6 @@ class SteeringInput:
     position: np.ndarray
     world_R_body: np.ndarray
     floor: np.ndarray | None = None
-    seen: np.ndarray | None = None
     chance: Chance | None = field(default_factory=Chance)
 
     def __post_init__(self) -> None:
@@ -346,7 +344,7 @@ class SearchedGround:
     """
 
     def __init__(self, camera: Camera) -> None:
-        self.radius, self.hfov, self.around = camera.radius, math.radians(camera.hfov), camera.around
+        self.camera, self.radius, self.around = camera, camera.radius, camera.around
         self.known, self.here = FloorMap(), np.zeros(2)
         self.headings = AHEAD if self.around else HEADINGS  # level ones
         self._chance = Chance()
@@ -356,7 +354,9 @@ class SearchedGround:
         """Take in what a look shows of the floor, and that it had its chance to find the thing."""
         here = self.here = now.here
         assert now.floor is not None
-        self.known.look(now.floor, now.world_R_body, now.position, now.seen)
+        seen = in_view(self.camera, len(now.floor))
+        floor = now.floor if seen is None else now.floor & seen
+        self.known.look(floor, now.world_R_body, now.position, seen)
         self.known.stand(here, self.radius)
         if now.chance is None:
             return
@@ -411,7 +411,7 @@ class SearchedGround:
     def _in_view(self, count: int, azimuths: np.ndarray) -> np.ndarray:
         """Which of `count` rays ``(..., count)`` a camera shows that faces `azimuths` ``(...)``, 1 or 0."""
         off = _angles(count) - np.asarray(azimuths)[..., None]
-        return (angle_size(off) <= self.hfov / 2).astype(np.float64)
+        return (angle_size(off) <= math.radians(self.camera.hfov) / 2).astype(np.float64)
 
     def _finds(self) -> np.ndarray:
         """The probability ``(rows, cols)`` that a look finds a thing there, in full sight, after those that missed it.
@@ -459,8 +459,6 @@ def explored_floor(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
     for pose in poses:
         eye, world_R_body = pose[:3], rotation_from_wxyz(pose[3:] / np.linalg.norm(pose[3:]))
         floor = place.floor_in(place.ids(eye, world_R_body), eye, world_R_body)
-        seen = in_view(camera, len(floor))
-        floor = floor if seen is None else floor & seen
         position = eye - [0.0, 0.0, place.ground.height(eye[:2])]
-        ground.look(SteeringInput(0.0, 0.0, 0.0, None, position, world_R_body, floor, seen))  # nothing is believed
+        ground.look(SteeringInput(0.0, 0.0, 0.0, None, position, world_R_body, floor))  # nothing is believed
     return ground.known

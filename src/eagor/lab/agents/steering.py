@@ -13,14 +13,14 @@ The body begins to walk to the thing when that is likely to bring it nearer. It 
 as long as that may be hidden from here, by the floor that is known. It comes to the place from another side where it
 stood beside it and did not meet it: a wall may be between. A place around which it has tried all sides is given up.
 Where it was blocked too often on the way, nothing is learnt of the place: it searches for as many steps as it has
-tried, and then, if the thing is still believed to be there, it tries again (`GoToGoal`).
+tried, and then, if the thing is still believed to be there, it tries again.
 """
 
 from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -41,14 +41,17 @@ from eagor.lab.agents.search_space import (
 from eagor.lab.envs.rules import Camera
 from eagor.tracking import TrackerConfig
 
-SPACING = 0.15  # metres between the nodes of the planning lattice
+ARRIVED = 0.8  # how sure a belief has to be to stop for it, as `commit_threshold`: a stop ends the search
+RANGE = 5.0  # metres along the estimate to the assumed goal, where the distance to the target is unknown
 TOUCH = 0.07  # a step that falls short by more than this share collided
+
+# --- along the estimate -----------------------------------------------------------------------------------------------
+
+SPACING = 0.15  # metres between the nodes of the planning lattice
 STANDOFF, HALF = 0.1, 0.3  # metres from the colliding body to the noted wall, and half of the wall's length
 WALL, HIGHEST = 5.0, 20.0  # metres that one collision adds to an edge, and that all of them add at most
 VISIT, AROUND = 0.2, 2  # metres that planning at a node adds to paths through it and this many nodes around
 KEPT = 0.9  # share of that after the next plan
-ARRIVED = 0.8  # how sure a belief has to be to stop for it, as `commit_threshold`: a stop ends the search
-RANGE = 5.0  # metres along the estimate to the assumed goal, where the distance to the target is unknown
 LOOK, WINDOW = 1.5, 10.0  # metres: longest straight stretch of a path, and farthest that paths stray from the body
 _NEIGHBOURS = [(i, j, math.hypot(i, j) * SPACING) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _EDGES = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # every edge of the lattice once, from one of its ends
@@ -102,8 +105,7 @@ class Policy:
 
     def _learn(self, before: np.ndarray, intended: np.ndarray, here: np.ndarray) -> None:
         """Learn from a step: a wall where the body was blocked, no wall where it passed."""
-        moved = here - before
-        crossed = self._crosses(before, here)
+        crossed = _cross(before, here, self._walls)
         if crossed.any():
             self._walls, self._extra = self._walls[~crossed], {}
             for wall in self._walls:
@@ -115,7 +117,7 @@ class Policy:
         # The body goes straight, then slides along the wall, which removes the component of each step normal to it.
         normal, slid = lost / size, min(size * size / into, 1.0)
         along = np.array([-normal[1], normal[0]])
-        first = here - (moved - (1 - slid) * intended)
+        first = here - ((here - before) - (1 - slid) * intended)
         if (here - first) @ along < 0:
             along = -along
         wall = np.array([first - HALF * along, here + HALF * along]) + STANDOFF * normal
@@ -127,24 +129,20 @@ class Policy:
         low = np.floor(wall.min(axis=0) / SPACING).astype(int) - 1
         size = np.ceil(wall.max(axis=0) / SPACING).astype(int) + 2 - low
         ones = low + np.indices(size).reshape(2, -1).T[:, None] + np.zeros_like(_EDGES)
-        hit = _cross(ones * SPACING, (ones + _EDGES) * SPACING, wall[0], wall[1])
+        hit = _cross(ones * SPACING, (ones + _EDGES) * SPACING, wall)
         for one, other in zip(ones[hit].tolist(), (ones + _EDGES)[hit].tolist(), strict=True):
             a, b = (one[0], one[1]), (other[0], other[1])
             self._extra[a, b] = self._extra[b, a] = min(self._extra.get((a, b), 0.0) + WALL, HIGHEST)
 
-    def _crosses(self, here: np.ndarray, there: np.ndarray) -> np.ndarray:
-        """Which walls ``(n,)`` are between two points."""
-        return _cross(here, there, self._walls[:, 0], self._walls[:, 1])
-
     def _step_cost(self, here: np.ndarray, there: np.ndarray) -> float:
         """The cost of walls on the line to a point, extended to a whole step: steps cannot be shortened."""
         share = max(1.0, self.step / float(np.hypot(*(there - here))))
-        return WALL * int(self._crosses(here, here + share * (there - here)).sum())
+        return WALL * int(_cross(here, here + share * (there - here), self._walls).sum())
 
     def _way(self, here: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """The direction ``(2,)`` (of any length) in which the cheapest path to the goal begins."""
         target = None
-        for node in self._plan(here, goal) if self._crosses(here, goal).any() else ():
+        for node in self._plan(here, goal) if _cross(here, goal, self._walls).any() else ():
             point = np.array(node) * SPACING
             in_line = np.hypot(*(point - here)) < LOOK and not self._step_cost(here, point)
             if target is not None and not in_line:
@@ -190,22 +188,6 @@ class Policy:
         return way[::-1]
 
 
-def _arrived(now: SteeringInput, near: float, stands: bool = False) -> bool:
-    """Whether the thing is surely less than `near` metres away, as believed, or is what the body `stands` beside."""
-    if not near or now.distance is None or now.progress * now.presence < ARRIVED:
-        return False
-    return stands or now.distance < near
-
-
-def _lost(before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
-    """The part ``(2,)`` of an intended movement that a body could not make on its way to `here`; None: no collision.
-
-    Metres; `step`: the length of a whole step.
-    """
-    lost = intended - (here - before)
-    return lost if float(np.hypot(*lost)) > TOUCH * step and float(lost @ intended) > 0 else None
-
-
 def _node(point: np.ndarray) -> Node:
     return round(float(point[0]) / SPACING), round(float(point[1]) / SPACING)
 
@@ -222,14 +204,31 @@ def _octile(one: Node, other: Node) -> float:
     return SPACING * (max(a, b) + (math.sqrt(2) - 1) * min(a, b))
 
 
-def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Whether lines from a to b cross those from c to d; all ``(..., 2)``, broadcast."""
+def _cross(start: np.ndarray, end: np.ndarray, walls: np.ndarray) -> np.ndarray:
+    """Whether lines ``(..., 2)`` from start to end cross walls ``(..., 2, 2)``, broadcast."""
+    one, other = walls[..., 0, :], walls[..., 1, :]
 
     def left(o: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
         turn = (p[..., 0] - o[..., 0]) * (q[..., 1] - o[..., 1]) - (p[..., 1] - o[..., 1]) * (q[..., 0] - o[..., 0])
         return turn > 0
 
-    return (left(a, b, c) != left(a, b, d)) & (left(c, d, a) != left(c, d, b))
+    return (left(start, end, one) != left(start, end, other)) & (left(one, other, start) != left(one, other, end))
+
+
+def _lost(before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float) -> np.ndarray | None:
+    """The part ``(2,)`` of an intended movement that a body could not make on its way to `here`; None: no collision.
+
+    Metres; `step`: the length of a whole step.
+    """
+    lost = intended - (here - before)
+    return lost if float(np.hypot(*lost)) > TOUCH * step and float(lost @ intended) > 0 else None
+
+
+def _arrived(now: SteeringInput, near: float, stands: bool = False) -> bool:
+    """Whether the thing is surely less than `near` metres away, as believed, or is what the body `stands` beside."""
+    if not near or now.distance is None or now.progress * now.presence < ARRIVED:
+        return False
+    return stands or now.distance < near
 
 
 # --- a search --------------------------------------------------------------------------------------------------------
@@ -244,109 +243,6 @@ WORTH = 0.4  # a goal is given up when it is worth less than this share of what 
 FACED = 1e-6  # radians
 STANDING = 0.25  # metres that a standing body counts for a step of a turn
 NEARER = 1e-5  # nats per degree: where every turn costs the same, the nearest of looks that tell as much
-
-
-@dataclass
-class GoToGoal:
-    """Where the thing should be, and what became of going there. For one episode.
-
-    `place` ``(2,)``, metres, world frame. `tried`: where the body stood beside it, and did not meet it.
-    `blocked_count`: how often the body was blocked on its way; `steps`: of the way so far.
-    `given_up`: places ``(2,)`` where the thing should have been, and was not, each with the step from which it is tried
-    again; `clock`: the steps so far. `stands`: whether the body stands beside the place, as near as it comes.
-    """
-
-    place: np.ndarray | None = None
-    tried: list[np.ndarray] = field(default_factory=list)
-    blocked_count: int = 0
-    steps: int = 0
-    given_up: list[tuple[np.ndarray, float]] = field(default_factory=list)
-    clock: int = 0
-    stands: bool = False
-
-    def hides(self, ground: SearchedGround, now: SteeringInput) -> bool:
-        """Whether the thing, if it is where it should be, cannot be seen from here: looks that miss it say nothing."""
-        return self.place is not None and _agrees(now, self.place) and ground.sight(self.place) < OPEN_SIGHT
-
-    def target(self, ground: SearchedGround, now: SteeringInput) -> np.ndarray | None:
-        """Where the thing should be ``(2,)``, as believed; None if the body has been there, and it was not.
-
-        The way to it is kept until the belief moves away from it.
-        """
-        place = self.place if self.place is not None and _agrees(now, self.place) else None
-        if place is None:
-            self._begin()
-            place = now.here + (now.distance if now.distance is not None else _free(ground.known, now)) * now.ahead
-        if self.goal_falsified(place) and now.distance is None:
-            place = now.here + RANGE * now.ahead  # not in front of the next obstacle: behind it
-        self.place = place
-        return None if self.goal_falsified(place) else place
-
-    def beside(
-        self, ground: SearchedGround, now: SteeringInput, ways: Ways, target: np.ndarray
-    ) -> tuple[int, int] | None:
-        """The cell from which to come to the target: another one than where the body stood and did not meet it.
-
-        None if there is no other: where the target's distance is not known, or it is close and nothing stands between.
-        """
-        self.steps += 1
-        self.stands = False
-        end = ways.nearest(target, self.tried)
-        if end is not None and float(np.hypot(*(ground.known.centres(np.array(end)) - now.here))) < REACHED:
-            self.tried.append(now.here)
-            close = float(np.hypot(*(target - now.here))) < BESIDE
-            self.stands = now.distance is not None and close
-            there = now.distance is not None and (not close or ground.sight(target) < OPEN_SIGHT)
-            end = ways.nearest(target, self.tried) if there else None
-        if end is None:
-            self.given_up.append((target, math.inf))
-        elif self.blocked_count > PATIENCE:
-            self.given_up.append((target, self.clock + self.steps))
-            self._begin()
-            return None
-        return end
-
-    def _begin(self) -> None:
-        """The way to a place begins, for the first time or anew."""
-        self.tried, self.blocked_count, self.steps = [], 0, 0
-
-    def learn(self, known: FloorMap, before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float) -> None:
-        """Learn from a step ``(2,)`` of the body: something stands where it was blocked.
-
-        All in metres, world frame; `step`: the length of a whole step.
-        """
-        lost = _lost(before, intended, here, step)
-        if lost is None:
-            return
-        self.blocked_count += 1
-        normal = lost / float(np.hypot(*lost))
-        along = np.array([-normal[1], normal[0]])
-        ahead = np.linspace(0.5, 1.2, 3)[:, None, None] * step * normal
-        aside = np.linspace(-TOUCHED, TOUCHED, 3)[None, :, None] * along
-        points = (here + ahead + aside).reshape(-1, 2)
-        known.block(points[np.any(known.cells(points) != known.cells(here), axis=1)])
-
-    def goal_falsified(self, place: np.ndarray) -> bool:
-        """Whether a place ``(2,)`` is given up, at this step."""
-        return any(self.clock < until and float(np.hypot(*(place - at))) < NEAR for at, until in self.given_up)
-
-
-def _agrees(now: SteeringInput, place: np.ndarray) -> bool:
-    """Whether what is believed now still means this place ``(2,)``."""
-    to = place - now.here
-    away = float(np.hypot(*to))
-    if now.distance is not None and abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) > FARTHER:
-        return False
-    return float(to @ now.ahead) > math.cos(ALIKE) * away
-
-
-def _free(known: FloorMap, now: SteeringInput) -> float:
-    """Metres to where something stands first towards the estimate, as far as is known; `RANGE` if nothing does."""
-    metres = np.arange(0.3, RANGE, CELL / 2)
-    cells = known.cells(now.here + metres[:, None] * now.ahead)
-    metres, cells = metres[known.inside(cells)], cells[known.inside(cells)]
-    stands = known.state[tuple(cells.T)] == CONTACT
-    return float(metres[stands.argmax()]) if stands.any() else RANGE
 
 
 class Searcher:
@@ -376,7 +272,14 @@ class Searcher:
         self._goal: np.ndarray | None = None  # a place to look from
         self._promise = 0.0  # of the goal: nats per metre
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
-        self._approach = GoToGoal()
+        # Where the thing should be ``(2,)``, metres, world frame; where the body stood beside it and did not meet it;
+        # how often it was blocked on its way there, and the steps of that way.
+        self._place: np.ndarray | None = None
+        self._tried: list[np.ndarray] = []
+        self._blocked_count = self._way_steps = 0
+        # Places ``(2,)`` where it should have been and was not, with the step from which each is tried again.
+        self._given_up: list[tuple[np.ndarray, float]] = []
+        self._clock = 0  # the steps so far
 
     def face(self, facing: np.ndarray, sure: float) -> np.ndarray | None:
         """The heading ``(2,)`` to turn to for the next look; None: what is believed is sure enough to act on it.
@@ -395,17 +298,17 @@ class Searcher:
         """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
         ground: SearchedGround = self.space
         ground.look(now)
-        self._approach.clock += 1
+        self._clock += 1
         if self._last is not None:
-            self._approach.learn(ground.known, *self._last, now.here, self.step)
-        target = self._approach.target(ground, now) if self._believes(now) else None
+            self._learn(*self._last, now.here)
+        target = self._target(now) if self._believes(now) else None
         self.searching = target is None
         if target is not None:
             self._goal = self._facing = None
             ground.known.cover(np.minimum(now.here, target) - 1.0, np.maximum(now.here, target) + 1.0)
         ways = Ways(ground.known, ground.radius, now.here)
-        end = None if target is None else self._approach.beside(ground, now, ways, target)
-        self.arrived = target is not None and _arrived(now, self.near, self._approach.stands)
+        end, stands = (None, False) if target is None else self._beside(now, ways, target)
+        self.arrived = target is not None and _arrived(now, self.near, stands)
         if end is None:
             end = self._search(ways.metres, now)
         if end is None or not self.step:
@@ -423,7 +326,66 @@ class Searcher:
         """Whether the body goes where the thing should be: it is likely there, or was, and cannot be seen from here."""
         if now.progress * now.presence >= self.commit_threshold:
             return True
-        return not self.searching and now.progress >= self.commit_threshold and self._approach.hides(self.space, now)
+        if self.searching or now.progress < self.commit_threshold or self._place is None:
+            return False
+        # Looks that miss the thing say nothing where it would be hidden.
+        return _agrees(now, self._place) and self.space.sight(self._place) < OPEN_SIGHT
+
+    def _learn(self, before: np.ndarray, intended: np.ndarray, here: np.ndarray) -> None:
+        """Learn from a step ``(2,)``, metres, world frame: something stands where the body was blocked."""
+        lost = _lost(before, intended, here, self.step)
+        if lost is None:
+            return
+        self._blocked_count += 1
+        normal = lost / float(np.hypot(*lost))
+        along = np.array([-normal[1], normal[0]])
+        ahead = np.linspace(0.5, 1.2, 3)[:, None, None] * self.step * normal
+        aside = np.linspace(-TOUCHED, TOUCHED, 3)[None, :, None] * along
+        points, known = (here + ahead + aside).reshape(-1, 2), self.space.known
+        known.block(points[np.any(known.cells(points) != known.cells(here), axis=1)])
+
+    def _target(self, now: SteeringInput) -> np.ndarray | None:
+        """Where the thing should be ``(2,)``, as believed; None if the body has been there, and it was not.
+
+        The way to it is kept until the belief moves away from it.
+        """
+        if self._place is None or not _agrees(now, self._place):
+            away = now.distance if now.distance is not None else _free(self.space.known, now)
+            self._place = now.here + away * now.ahead
+            self._begin()
+        if self._goal_falsified(self._place) and now.distance is None:
+            self._place = now.here + RANGE * now.ahead  # not in front of the next obstacle: behind it
+        return None if self._goal_falsified(self._place) else self._place
+
+    def _begin(self) -> None:
+        """The way to a place begins, for the first time or anew."""
+        self._tried, self._blocked_count, self._way_steps = [], 0, 0
+
+    def _goal_falsified(self, place: np.ndarray) -> bool:
+        """Whether a place ``(2,)`` is given up, at this step."""
+        return any(self._clock < until and float(np.hypot(*(place - at))) < NEAR for at, until in self._given_up)
+
+    def _beside(self, now: SteeringInput, ways: Ways, target: np.ndarray) -> tuple[tuple[int, int] | None, bool]:
+        """The cell from which to come to the target: another one than where the body stood and did not meet it.
+
+        None if there is no other: where the target's distance is not known, or it is close and nothing stands between.
+        And whether the body stands beside the target, as near as it comes.
+        """
+        self._way_steps += 1
+        stands, end = False, ways.nearest(target, self._tried)
+        if end is not None and float(np.hypot(*(self.space.known.centres(np.array(end)) - now.here))) < REACHED:
+            self._tried.append(now.here)
+            close = float(np.hypot(*(target - now.here))) < BESIDE
+            stands = now.distance is not None and close
+            there = now.distance is not None and (not close or self.space.sight(target) < OPEN_SIGHT)
+            end = ways.nearest(target, self._tried) if there else None
+        if end is None:
+            self._given_up.append((target, math.inf))
+        elif self._blocked_count > PATIENCE:
+            self._given_up.append((target, self._clock + self._way_steps))
+            self._begin()
+            end = None
+        return end, stands
 
     def _search(self, metres: np.ndarray, now: SteeringInput) -> tuple[int, int] | None:
         """The cell to go to while nothing is believed: the old goal as long as it is worth it, or the best one.
@@ -487,6 +449,24 @@ class Searcher:
     def _costs(self, angles: np.ndarray) -> np.ndarray:
         """Metres that one could walk in the time that it takes to turn by angles (radians)."""
         return np.ceil(angles / self.turn - 1e-9) * (self.step or STANDING)
+
+
+def _agrees(now: SteeringInput, place: np.ndarray) -> bool:
+    """Whether what is believed now still means this place ``(2,)``."""
+    to = place - now.here
+    away = float(np.hypot(*to))
+    if now.distance is not None and abs(math.log(max(now.distance, 0.1) / max(away, 0.1))) > FARTHER:
+        return False
+    return float(to @ now.ahead) > math.cos(ALIKE) * away
+
+
+def _free(known: FloorMap, now: SteeringInput) -> float:
+    """Metres to where something stands first towards the estimate, as far as is known; `RANGE` if nothing does."""
+    metres = np.arange(0.3, RANGE, CELL / 2)
+    cells = known.cells(now.here + metres[:, None] * now.ahead)
+    metres, cells = metres[known.inside(cells)], cells[known.inside(cells)]
+    stands = known.state[tuple(cells.T)] == CONTACT
+    return float(metres[stands.argmax()]) if stands.any() else RANGE
 
 
 def search_config(rules: Any, tracker: TrackerConfig) -> TrackerConfig:

@@ -14,7 +14,7 @@ import hashlib
 import math
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -53,7 +53,10 @@ class EpisodeSpec:
 
     def rng(self, purpose: str) -> np.random.Generator:
         """An independent generator for each purpose, wherever the file of the scene is."""
-        name = f"{self.task}/{_content(self.world)}/{self.id}/{purpose}"
+        file, world = scene_file(self.world), self.world
+        if file and Path(file).is_file():
+            world = world.replace(file, _digest(_state(Path(file))), 1)
+        name = f"{self.task}/{world}/{self.id}/{purpose}"
         return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
 
 
@@ -156,54 +159,49 @@ def file_episode_specs(
     name, _, options = world.partition("?")
     whole = HABITAT if name.partition(":")[0] == HABITAT else APARTMENT
     if whole == HABITAT:
-        options = "&".join(filter(None, (options, BODY * ("body=" not in options))))
+        options = "&".join(filter(None, (options, "" if "body=" in options else BODY)))
         world = HABITAT if name in (HABITAT, f"{HABITAT}:") else f"{name}?{options}"
     if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
         raise WorldError(
             f"{file} has episodes in {len(by_scene)} scenes, but --world {world} is one of them; name the world "
             f"{whole} alone, and their folder with --scenes"
         )
-    homes = {
-        scene: _homes(scene, each, world, options, SEEDS + number, Path(file), scenes)
-        for number, (scene, each) in enumerate(by_scene.items())
-    }
-    paths = [_file(worlds[0][0]) for worlds in homes.values()]
+    homes: dict[str, list[tuple[str, int]]] = {}  # world and seed of each episode of a scene
+    for seed, (scene, listed) in enumerate(by_scene.items(), SEEDS):
+        if world == HABITAT:
+            homes[scene] = [(home, seed) for home in _storeys(scene, listed, options, Path(file), scenes)]
+            continue
+        home = _home_of_ours(scene, listed, seed, Path(file), scenes) if world == APARTMENT else (world, seed)
+        homes[scene] = [home] * len(listed.episodes)
+    paths = [scene_file(each[0][0]) for each in homes.values()]
     if all(paths) and not any(Path(path).exists() for path in paths):  # a part of them is what many people have
         raise WorldError(
             f"none of the {len(paths)} scenes of {file} is there, such as {paths[0]}; --scenes names the folder that "
             f"holds {next(iter(homes)).removeprefix(_PREFIX)}"
         )
-    order = list(by_scene)
-    turns = [(index, scene) for scene, each in by_scene.items() for index in range(len(each.episodes))]
-    chosen = sorted(turns, key=lambda turn: turn[0])[:count]
+    turns = [(index, order, scene) for order, scene in enumerate(homes) for index in range(len(homes[scene]))]
+    chosen = sorted(turns)[:count]
     # One scene after the other, and of a scene one storey after the other: opening one takes seconds.
-    chosen.sort(key=lambda turn: (order.index(turn[1]), homes[turn[1]][turn[0]][0], turn[0]))
+    chosen.sort(key=lambda turn: (turn[1], homes[turn[2]][turn[0]][0], turn[0]))
     return [
         FileEpisodeSpec(task, *homes[scene][index], index, number, scene, index)
-        for number, (index, scene) in enumerate(chosen)
+        for number, (index, _, scene) in enumerate(chosen)
     ]
 
 
-def scene_files(specs: Sequence[EpisodeSpec]) -> list[Path]:
-    """The files of the scenes in which these are played; none of apartments."""
-    return [Path(path) for path in dict.fromkeys(_file(spec.world) for spec in specs) if path]
-
-
-def _homes(
-    scene: str, listed: SceneEpisodes, world: str, options: str, seed: int, file: Path, scenes: Path | None
-) -> list[tuple[str, int]]:
-    """World and seed of each episode of a scene; `seed` is for what is no apartment."""
-    if world == HABITAT:
-        path = _below(scene, file, scenes)
-        _, found, rest = listed.episodes[0].dataset_config.rpartition("scene_datasets/")
-        config = _below(rest, file, scenes) if found else None
-        dataset = f"dataset={config}&" if config is not None and config.is_file() else ""
-        world = f"{HABITAT}:{path}?{dataset}{options}"
-        heights = np.array([float(episode.position[2]) for episode in listed.episodes])
-        return [(f"{world}&storey={height:.2f}", seed) for height in _storeys(heights)]
-    if world == APARTMENT:
-        world, seed = _home_of_ours(scene, listed, seed, file, scenes)
-    return [(world, seed)] * len(listed.episodes)
+def _storeys(scene: str, listed: SceneEpisodes, options: str, file: Path, scenes: Path | None) -> list[str]:
+    """The world of each episode of a scene in Habitat: the storey of its start."""
+    _, found, rest = listed.episodes[0].dataset_config.rpartition("scene_datasets/")
+    config = _below(rest, file, scenes) if found else None
+    dataset = f"dataset={config}&" if config is not None and config.is_file() else ""
+    heights = np.array([float(episode.position[2]) for episode in listed.episodes])
+    lowest: list[float] = []  # near starts share a storey, as to open one takes seconds
+    for height in np.sort(heights):
+        if not lowest or height - lowest[-1] > STOREY:  # starts on stairs must not join the storeys that these join
+            lowest.append(height)
+    group = np.searchsorted(lowest, heights, side="right")
+    world = f"{HABITAT}:{_below(scene, file, scenes)}?{dataset}{options}"
+    return [f"{world}&storey={np.median(heights[group == each]):.2f}" for each in group]
 
 
 def _home_of_ours(scene: str, listed: SceneEpisodes, seed: int, file: Path, scenes: Path | None) -> tuple[str, int]:
@@ -227,16 +225,6 @@ def _home_of_ours(scene: str, listed: SceneEpisodes, seed: int, file: Path, scen
     return APARTMENT, int(match[2])
 
 
-def _storeys(heights: np.ndarray) -> np.ndarray:
-    """The height of the storey ``(n,)`` of each start: near ones share it, as to open a storey takes seconds."""
-    lowest: list[float] = []
-    for height in np.sort(heights):
-        if not lowest or height - lowest[-1] > STOREY:  # starts on stairs must not join the storeys that these join
-            lowest.append(height)
-    group = np.searchsorted(lowest, heights, side="right")
-    return np.array([np.median(heights[group == each]) for each in group])
-
-
 def _below(scene: str, file: Path, scenes: Path | None) -> Path:
     """The file of a scene below the folder of scenes."""
     scene = scene.removeprefix(_PREFIX)
@@ -251,40 +239,32 @@ def _below(scene: str, file: Path, scenes: Path | None) -> Path:
     return Path(scenes) / scene
 
 
-def _file(world: str) -> str:
+def scene_file(world: str) -> str:
     """The file of a world that is a scene in a file; empty for others."""
     name = world.removeprefix(f"{HABITAT}:").partition("?")[0]
     return name if name != world or Path(name).suffix.lower() in FILES else ""
 
 
-def _content(world: str) -> str:
-    """A world with the digest of the scene's file in place of its path."""
-    path = _file(world)
-    return world.replace(path, _digest(_mark(Path(path))), 1) if path and Path(path).is_file() else world
-
-
 def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
     """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
     path = Path(file)
-    return _read(tuple(_mark(each) for each in (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+    return _read(*map(_state, (path, *sorted((path.parent / "content").glob("*.json.gz")))))
 
 
-_Mark = tuple[Path, int, int]  # of a file: changes with it
-
-
-def _mark(path: Path) -> _Mark:
+def _state(path: Path) -> tuple[Path, int, int]:
+    """A file, and what changes with its content."""
     found = path.stat() if path.exists() else None
     return path, found.st_mtime_ns if found else 0, found.st_size if found else 0
 
 
 @lru_cache(maxsize=64)
-def _digest(mark: _Mark) -> str:
-    return hashlib.sha256(mark[0].read_bytes()).hexdigest()
+def _digest(file: tuple[Path, int, int]) -> str:
+    return hashlib.sha256(file[0].read_bytes()).hexdigest()
 
 
 @lru_cache(maxsize=2)
-def _read(marks: tuple[_Mark, ...]) -> tuple[SceneEpisodes, ...]:
-    return read_episodes(marks[0][0])
+def _read(file: tuple[Path, int, int], *content: tuple[Path, int, int]) -> tuple[SceneEpisodes, ...]:
+    return read_episodes(file[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,16 +126,20 @@ class MobileBase:
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     """Base class of the environments: a camera in a place, and a target.
 
-    Args of all: `world` ("apartment", or the path of a GLB file); `seeds`, the apartments to draw from; `panorama`,
-    rows of the image (None: none); `with_range`; `instances`: whether to fill ``info["instances"]``; `camera`;
-    `disturbances`; `render_mode` "rgb_array". ``reset(options={"episode": episode})`` plays a given episode.
+    Args of all: `rules` of the task; `world` ("apartment", or the path of a GLB file); `seeds`, the apartments to draw
+    from; `panorama`, rows of the image (None: none); `with_range`; `instances`: whether to fill ``info["instances"]``;
+    `camera`; `disturbances`; `render_mode` "rgb_array". ``reset(options={"episode": episode})`` plays a given episode.
+
+    A task says its name, its default `rules`, its `action_space`, and implements `plan`, `step` and `_measures`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's own form)
     task = ""
+    rules: Any = None
 
     def __init__(
         self,
+        rules: Any = None,
         world: str = APARTMENT,
         seeds: range = DEVELOPMENT,
         panorama: int | None = 128,
@@ -149,6 +153,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
             raise WorldError(f"render_mode = {render_mode!r}; wanted None or 'rgb_array'")
         if panorama is not None and panorama < 8:
             raise WorldError(f"panorama = {panorama} rows; wanted at least 8, or None for no image")
+        self.rules = rules or self.rules
         self.world, self.seeds, self.rows, self.with_range = world, seeds, panorama, with_range
         self.instances, self.render_mode = instances, render_mode
         self.camera, self.disturbances = camera or Camera(), disturbances or NoiseModel()
@@ -163,9 +168,6 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
             space["range"] = spaces.Box(0.0, FAR, (rows, 2 * rows), np.float32)
         self.observation_space: spaces.Space[Any] = spaces.Dict(space)
         self.episode: Any = None
-
-    # Implemented by each task.
-    rules: Any = None
 
     def plan(self, spec: EpisodeSpec) -> Episode:
         """The episode of this spec: the same one each time. Raises `WorldError` if the world has none."""

@@ -45,9 +45,7 @@ class Place:
     scene: Scene | worlds.SimulatedScene
     ground: NavMesh
     renderer: worlds.View
-    _ways: dict[Any, GeodesicDistance] = field(
-        default_factory=dict, init=False, repr=False
-    )  # they go when the place goes
+    _ways: dict[Any, GeodesicDistance] = field(default_factory=dict, init=False, repr=False)  # go when the place goes
 
     def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
         """The point ``(3,)`` at this height (metres) above the ground at a point ``(2,)``: of a camera, say."""
@@ -55,9 +53,7 @@ class Place:
 
     def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:
         """The instance in each direction: an equirectangular image ``(rows, 2 rows)``, -1 for none."""
-        ids = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=False).ids
-        assert ids is not None
-        return ids
+        return np.asarray(self.renderer.panorama(position, world_R_body, rows, rgb=False, range=False).ids)
 
     def floor_in(self, ids: np.ndarray, position: np.ndarray, world_R_body: np.ndarray) -> np.ndarray:
         """Which pixels of an image of `ids` ``(rows, 2 rows)``, taken from this pose, show what one walks on, bool.
@@ -67,10 +63,9 @@ class Place:
         """
         if len(self._floors):
             return np.isin(ids, self._floors)
-        rows = len(ids)
-        metres = self.renderer.panorama(position, world_R_body, rows, rgb=False, range=True, ids=False).range
-        assert metres is not None
-        up = ErpGrid(rows, 2 * rows).directions @ world_R_body[2]  # how far a ray rises per metre
+        frame = self.renderer.panorama(position, world_R_body, len(ids), rgb=False, range=True, ids=False)
+        metres = np.asarray(frame.range)
+        up = ErpGrid(*ids.shape).directions @ world_R_body[2]  # how far a ray rises per metre
         with np.errstate(invalid="ignore"):  # no hit: infinitely far
             height = position[2] + up * metres - self.ground.height(position[:2])
         return (ids >= 0) & (np.abs(height) < LEVEL)

@@ -14,6 +14,7 @@ import inspect
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint
@@ -106,8 +107,8 @@ class Task(Protocol):
     - ``defaults(values)``: the values of a run with those that follow from them;
     - ``resolve(config)``: the config completed and checked (a perception that cannot be made fails the run, no sample);
     - ``Record``: a `msgspec.Struct` that says what its metrics read; each record is checked before it is counted;
-    - ``agents`` {name: what it does} and ``info(data)``, ``score(sample, prediction, config)``: of published data
-      (`eagor.lab.tasks.published`);
+    - ``agents`` {name: what it does}, where one of them plays a run instead of several methods, and ``info(data)``,
+      ``score(sample, prediction, config)``: of published data (`eagor.lab.tasks.published`);
     - ``causes`` {cause: meaning}, ``strata`` {key: title}, ``ranked_by``: keys of the metrics that rank results.
     """
 
@@ -279,44 +280,42 @@ def check_records(task: Task, records: Sequence[Record]) -> None:
 
 def check_task(task: Task, **values: Any) -> list[Record]:
     """Raise `AssertionError` unless `task` keeps the contract with the config of `values`; returns all its records."""
-    _require(isinstance(task, Task), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.task.Task")
+    require(isinstance(task, Task), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.task.Task")
     config = configure(task, values)
     plain = settings_of(config)
-    _require(_is_json(plain), f"has the config {plain}, which JSON cannot hold")
-    _require(configure(task, plain) == config, f"resolves {plain} to another config the second time")
+    require(_is_json(plain), f"has the config {plain}, which JSON cannot hold")
+    require(configure(task, plain) == config, f"resolves {plain} to another config the second time")
     samples = task.samples(config)
-    ids = [sample.id for sample in samples]
-    _require(bool(ids), "has no samples; wanted at least one. Is that its data?")
-    twice = sorted({name for name in ids if ids.count(name) > 1}) if len(set(ids)) < len(ids) else []
-    _require(not twice, f"gives several samples the id {', '.join(twice)}; wanted a unique id for each")
-    _require(
+    counts = Counter(sample.id for sample in samples)
+    require(samples, "has no samples; wanted at least one. Is that its data?")
+    twice = sorted(name for name, count in counts.items() if count > 1)
+    require(not twice, f"gives several samples the id {', '.join(twice)}; wanted a unique id for each")
+    require(
         samples == task.samples(config),
         "gives other samples the second time; wanted the same in the same order: sort lists of files, draw nothing",
     )
-    run, records = task.runner(config), []
-    for sample in samples:
-        _require(_is_json(sample.payload), f"gives {sample.id} a payload that JSON cannot hold")
-        record = dict(run(sample.payload))
-        _require(_is_json(record), f"records {shown(record, 200)} of {sample.id}, which JSON cannot hold")
-        record = json.loads(json.dumps(record))
-        named = sample_of(record)
-        own = sample.id == named or sample.id.startswith(f"{named}/")  # an episode may have a sample for each method
-        _require(own, f"records the case {named} of the sample {sample.id}; wanted the sample's id")
-        score = record.get("score", 0)
-        _require(
-            isinstance(score, int | float) and 0 <= score <= 1,
-            f"records the score {score!r} of {sample.id}; wanted a number in [0, 1], 1 being success",
-        )
-        for result in record.get("methods", {"": record}).values():
-            for metric in task.metrics:
-                value = metric.of(result)
-                fits = value is None or abs(value) < 1e12
-                _require(
-                    fits, f"reads {value!r} from the record of {sample.id} as {metric.key}; wanted a number or None"
-                )
-        records.append(record)
+    run = task.runner(config)
+    records = [_checked_record(task, sample, run) for sample in samples]
     check_records(task, [{"key": sample_of(r), "attempt": 1, "status": "ok", **r} for r in records])
     return records
+
+
+def _checked_record(task: Task, sample: Sample, run: Callable[[Payload], Record]) -> Record:
+    require(_is_json(sample.payload), f"gives {sample.id} a payload that JSON cannot hold")
+    record = dict(run(sample.payload))
+    require(_is_json(record), f"records {shown(record, 200)} of {sample.id}, which JSON cannot hold")
+    record = json.loads(json.dumps(record))
+    case = sample_of(record)
+    own = sample.id == case or sample.id.startswith(f"{case}/")  # an episode may have a sample for each method
+    require(own, f"records the case {case} of the sample {sample.id}; wanted the sample's id")
+    score = record.get("score", 0)
+    fits = isinstance(score, int | float) and 0 <= score <= 1
+    require(fits, f"records the score {score!r} of {sample.id}; wanted a number in [0, 1], 1 being success")
+    for metric in task.metrics:
+        for value in map(metric.of, record.get("methods", {"": record}).values()):
+            fits = value is None or abs(value) < 1e12
+            require(fits, f"reads {value!r} from the record of {sample.id} as {metric.key}; wanted a number or None")
+    return record
 
 
 def _is_json(value: Any) -> bool:
@@ -327,6 +326,7 @@ def _is_json(value: Any) -> bool:
         return False
 
 
-def _require(holds: bool, text: str) -> None:
+def require(holds: Any, text: str) -> None:
+    """Raise `AssertionError` unless a task keeps a part of its contract; `text`: what it does, and what was wanted."""
     if not holds:
         raise AssertionError(f"the task {text}")

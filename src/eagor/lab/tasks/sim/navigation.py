@@ -99,7 +99,7 @@ def measure(result: EpisodeResult) -> dict[str, Any]:
         "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
         "steps": info["num_steps"],
         "path_m": result.walked,
-        "shortest_m": result.shortest,
+        "shortest_m": result.episode.shortest,
         "collisions": info["collisions"]["count"],
         "undone": backtracking_rate(_walked(np.array(result.trace["pose"])[:, :2], result.camera), result.camera.step),
     }
@@ -131,10 +131,10 @@ class MapFreeNavigationEnv(PlaceEnv):
     """
 
     task = "navigation"
+    rules = NavigationRules()
 
-    def __init__(self, rules: NavigationRules | None = None, **settings: Any) -> None:
+    def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.rules = rules or NavigationRules()
         low, high = np.array([-math.pi, 0.0], np.float32), np.array([math.pi, self.camera.step], np.float32)
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
 

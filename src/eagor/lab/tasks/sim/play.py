@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from eagor.lab.agents.models import EpisodePerception, is_privileged, shared
 from eagor.lab.agents.search_space import Chance, SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisodeSpec
-from eagor.lab.envs.places import in_view, mask_of
+from eagor.lab.envs.places import mask_of
 from eagor.lab.envs.rules import Camera, NoiseModel, from_dict
 from eagor.lab.tasks.task import load
 from eagor.perception.calibrated import from_json
@@ -39,43 +39,12 @@ def _no_picture(rows: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class EpisodeResult:
-    """The results of one method in one episode of n steps, for `SimTask.measure` (`eagor.lab.tasks.sim.task`).
-
-    - `truth`: lists of n values: pose, azimuth_deg, elevation_deg, range_m, visible, present, optionally leg. For a
-      walked task they are in `trace`, with the prefix true_.
-    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
-      inside, distance_m.
-    - `directions`, `estimates` ``(n, 3)``: the true ones (held while the target is away) and the method's, body frame.
-    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
-      (`eagor.metrics.ego_motion`).
-    - `info`: the environment's last one; metres `walked` and `shortest`. Only for a walked task.
-    """
-
-    truth: dict[str, list[Any]]
-    trace: dict[str, list[Any]]
-    directions: np.ndarray
-    estimates: np.ndarray
-    rotations: np.ndarray
-    translations: np.ndarray
-    rules: Any
-    camera: Camera
-    info: Mapping[str, Any] = field(default_factory=dict)
-    walked: float = 0.0
-    shortest: float = math.inf
-
-    @property
-    def coverage(self) -> float | None:
-        """The share of steps with the truth inside the stated 90 % region; None for methods without regions."""
-        inside = [value for value in self.trace["inside"] if value is not None]
-        return metrics.credible_coverage(inside) if inside else None
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
+class StepInfo:
     """One step of an episode: pose by odometry, evidence that arrives, and that of the `other` query.
 
     `picture` renders what the camera shows, with so many rows as it is asked for, whatever the perception looked at.
+    For whoever watches also the `method` after its answer (None: the oracle), and the `truth` ``(3,)``: the true
+    direction in the body frame, None while the target is away.
     """
 
     stamp: float
@@ -84,15 +53,6 @@ class Step:
     evidence: Evidence | None
     other: Evidence | None = None
     picture: Picture = _no_picture
-
-
-@dataclass(frozen=True, eq=False)
-class StepInfo(Step):
-    """A step for whoever watches: the `method` after its answer (None: the oracle).
-
-    `truth` ``(3,)``: the true direction in the body frame, None while the target is away.
-    """
-
     method: Estimator | None = None
     truth: np.ndarray | None = None
 
@@ -103,24 +63,52 @@ class StepInfo(Step):
 
 
 Watch = Callable[[StepInfo], object]
-Act = Callable[[Step, np.ndarray, Evidence | None, dict[str, Any]], np.ndarray]
+Act = Callable[[StepInfo, np.ndarray, Evidence | None, dict[str, Any]], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """An episode of n steps.
 
-    `truth`: lists for the record; `directions` ``(n, 3)``: to the target, body frame (held while away); `rotations`,
-    `translations`: the camera's true motions; `looked`: metadata and cost of the perception.
+    - `truth`: lists of n values for the record: pose, azimuth_deg, elevation_deg, range_m, visible, present, seam,
+      optionally leg.
+    - `directions` ``(n, 3)``: the true ones, body frame, held while the target is away.
+    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
+      (`eagor.metrics.ego_motion`).
+    - `looked`: metadata and cost of the perception.
     """
 
     episode: Episode
     truth: dict[str, list[Any]]
-    steps: tuple[Step, ...]
+    steps: tuple[StepInfo, ...]
     directions: np.ndarray
     rotations: np.ndarray
     translations: np.ndarray
     looked: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EpisodeResult(Rollout):
+    """An episode and what one method made of it, for `SimTask.measure` (`eagor.lab.tasks.sim.task`).
+
+    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
+      inside, distance_m.
+    - `estimates` ``(n, 3)``: the method's directions, body frame.
+    - `info`: the environment's last one, and the metres `walked`. Only for a walked task.
+    """
+
+    trace: dict[str, list[Any]]
+    estimates: np.ndarray
+    rules: Any
+    camera: Camera
+    info: Mapping[str, Any] = field(default_factory=dict)
+    walked: float = 0.0
+
+    @property
+    def coverage(self) -> float | None:
+        """The share of steps with the truth inside the stated 90 % region; None for methods without regions."""
+        inside = [value for value in self.trace["inside"] if value is not None]
+        return metrics.credible_coverage(inside) if inside else None
 
 
 class Runner:
@@ -182,20 +170,19 @@ class Runner:
         A walked episode ends with its last action, another one with the last observation.
         """
         observation, info = self.env.reset(options={"episode": episode})
-        labels = info["instances"]["labels"]
-        eye = EpisodePerception(self.perception, episode.spec, labels)
-        second = EpisodePerception(self.perception, episode.spec, labels, "other")
+        labels, mask = info["instances"]["labels"], mask_of(self.camera)
+        eye = EpisodePerception(self.perception, episode.spec, labels, mask=mask)
+        second = EpisodePerception(self.perception, episode.spec, labels, "other", mask)
         truth: dict[str, list[Any]] = defaultdict(list)
-        steps, under_way, directions, poses, over = list[Step](), list[Evidence | None](), [], [], False
+        steps, under_way, directions, poses, over = list[StepInfo](), list[Evidence | None](), [], [], False
         while not (over and self.task.walked):
-            look = self._look(eye, observation, info)
+            stamp, pose, true = info["num_steps"] * self.camera.seconds, observation["pose"], info["truth"]
+            look = eye.look(observation, info, stamp)
             under_way.append(look)
             due = under_way.pop(0) if len(under_way) > self.noise.latency else None
-            also = self._look(second, observation, info, other) if other else None
-            pose, stamp = observation["pose"], info["num_steps"] * self.camera.seconds
+            also = second.look(observation, info, stamp, other) if other else None
             picture = self.env.picture() if watched else _no_picture
-            steps.append(Step(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, picture))
-            true = info["truth"]
+            steps.append(StepInfo(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, picture))
             directions.append(true["direction"] if true["present"] else directions[-1])
             poses.append((true["world_R_body"], true["position"]))
             _note_truth(truth, info)
@@ -208,12 +195,6 @@ class Runner:
         rollout = Rollout(episode, dict(truth), tuple(steps), np.array(directions), *motion, eye.account() or None)
         return rollout, info
 
-    def _look(self, eye: EpisodePerception, observation: dict, info: dict, query: str = "") -> Evidence | None:
-        """The evidence of this step, stamped with the time of capture; None if an answer could not be read."""
-        found = eye.look(observation, info, info["num_steps"] * self.camera.seconds, query)
-        mask = mask_of(self.camera)
-        return found if found is None or mask is None else found.covered(mask)
-
     def _walk(self, episode: Episode, name: str, watch: Watch | None) -> dict[str, Any]:
         """One estimator through one episode in which it steers the body."""
         method = None if name == ORACLE else self.method(name, episode.spec)
@@ -221,8 +202,11 @@ class Runner:
         trace: dict[str, list[Any]] = defaultdict(list)
         answers, path = list[np.ndarray](), list[list[float]]()
 
-        def act(step: Step, true: np.ndarray, look: Evidence | None, info: dict[str, Any]) -> np.ndarray:
-            path.append(self._feet())
+        def note_feet() -> None:
+            path.append([round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)])
+
+        def act(step: StepInfo, true: np.ndarray, look: Evidence | None, info: dict[str, Any]) -> np.ndarray:
+            note_feet()
             answers.append(_answer(method, step, true, trace, watch))
             now = self._steering_input(answers[-1], method, look, step, info, steering.needs_floor_mask)
             turn, metres = steering.walk(now)
@@ -231,31 +215,29 @@ class Runner:
             return np.array([turn, 0.0 if steering.arrived else max(metres, STANDS)])
 
         rollout, info = self._roll_out(episode, act, "", watch is not None)
-        path.append(self._feet())
+        note_feet()
         trace |= {key: rollout.truth[key] for key in ("pose", "visible")}
         trace |= {f"true_{key}": rollout.truth[key] for key in ("azimuth_deg", "elevation_deg", "range_m")}
-        found = self._measured(rollout, trace, trace, answers, info, self.env.body.walked, episode.shortest)
+        found = self._measured(rollout, trace, answers, info=info, walked=self.env.body.walked)
         if isinstance(episode.spec, FileEpisodeSpec):
             found["path"] = path  # for habitat-lab to score, too
         return found | ({"looked": rollout.looked} if rollout.looked else {})
 
-    def _measured(self, rollout: Rollout, truth: dict, trace: dict, answers: Sequence, *walk: Any) -> dict[str, Any]:
+    def _measured(self, rollout: Rollout, trace: dict, answers: Sequence, **walk: Any) -> dict[str, Any]:
         """The metrics and trace of an estimator."""
-        motion = rollout.rotations, rollout.translations
-        result = EpisodeResult(
-            truth, trace, rollout.directions, np.array(answers), *motion, self.rules, self.camera, *walk
-        )
+        given = {"rules": self.rules, "camera": self.camera} | walk
+        result = EpisodeResult(**vars(rollout), trace=trace, estimates=np.array(answers), **given)
         figures = self.task.measure(result).items()
         rounded = {key: round(value, 7) if isinstance(value, float) else value for key, value in figures}
         return {"metrics": rounded, "trace": dict(trace)}
 
     def _steering_input(
-        self, direction: np.ndarray, method: Estimator | None, look: Evidence | None, step: Step, info: dict,
+        self, direction: np.ndarray, method: Estimator | None, look: Evidence | None, step: StepInfo, info: dict,
         with_floor: bool,
     ) -> SteeringInput:  # fmt: skip
         """What steers the body at a step; only a policy that asks for the floor gets it, and what is believed."""
-        true, ids = info["truth"], info["instances"]["ids"]
-        belief = method if with_floor else None  # the oracle is sure
+        true, belief = info["truth"], method if with_floor else None  # the oracle is sure
+        pose = true["position"], true["world_R_body"]
         distance = true["distance"] if method is None else method.sure_distance()
         return SteeringInput(
             azimuth=float(azimuth_elevation(direction)[0]),
@@ -264,14 +246,9 @@ class Runner:
             distance=None if distance is None else distance * math.hypot(float(direction[0]), float(direction[1])),
             position=np.array([*step.position[:2], self.camera.height]),
             world_R_body=step.world_R_body,
-            floor=self.env.place.floor_in(ids, true["position"], true["world_R_body"]) if with_floor else None,
-            seen=in_view(self.camera, len(ids)),
+            floor=self.env.place.floor_in(info["instances"]["ids"], *pose) if with_floor else None,
             chance=Chance.of(look, self.camera.seconds) if look is not None and with_floor else None,
         )
-
-    def _feet(self) -> list[float]:
-        """Where the body stands: x, y, z."""
-        return [round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)]
 
     def score(
         self, rollout: Rollout, method: Estimator, regions: bool = True, watch: Watch | None = None
@@ -287,11 +264,11 @@ class Runner:
                 rollout.steps, rollout.directions, rollout.truth["present"], strict=True
             )
         ]
-        return self._measured(rollout, rollout.truth, trace, answers)
+        return self._measured(rollout, trace, answers)
 
 
 def _answer(
-    method: Estimator | None, step: Step, true: np.ndarray | None, trace: dict[str, list[Any]], watch: Watch | None,
+    method: Estimator | None, step: StepInfo, true: np.ndarray | None, trace: dict[str, list[Any]], watch: Watch | None,
     regions: bool = True,
 ) -> np.ndarray:  # fmt: skip
     """The estimator's direction at a step (None: the oracle's), noted in `trace`, and shown to `watch`.
@@ -315,7 +292,7 @@ def _answer(
     trace["inside"].append(None if mass is None else bool(mass < MASS))
     trace["distance_m"].append(None if distance is None else round(distance, 3))
     if watch is not None:
-        watch(StepInfo(**vars(step), method=method, truth=true))
+        watch(replace(step, method=method, truth=true))
     return direction
 
 

@@ -6,6 +6,7 @@ goes its own way, and an episode is one sample per method; else all methods get 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -20,7 +21,7 @@ from eagor import plugins
 from eagor._values import lazy
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.lab.envs.episodes import EpisodeSpec, episode_specs, file_episode_specs, scene_files, spec_from_json
+from eagor.lab.envs.episodes import EpisodeSpec, episode_specs, file_episode_specs, scene_file, spec_from_json
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
 from eagor.lab.envs.rules import Camera, NoiseModel
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample, known, settings_of
@@ -106,11 +107,11 @@ class SimTask:
         found = []
         for spec in specs_of(config):
             payload = {"slot": asdict(spec), "methods": list(config.methods)}
-            if self.walked:  # each goes its own way
-                for name in config.methods:
-                    found.append(Sample(f"{spec.id}/{name}", str(spec.seed), payload | {"methods": [name]}))
-            else:
+            if not self.walked:
                 found.append(Sample(spec.id, str(spec.seed), payload))
+                continue
+            for name in config.methods:  # each goes its own way
+                found.append(Sample(f"{spec.id}/{name}", str(spec.seed), payload | {"methods": [name]}))
         return found
 
     def runner(self, config: Any) -> Callable[[Payload], Record]:
@@ -152,18 +153,17 @@ class SimTask:
                 make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(names)) != len(names):
             raise EagorError(f"methods {names}; wanted each once")
-        if config.episodes_file is None and config.world != APARTMENT:
-            _read_world(config.world)  # complains about one that cannot be read
         if config.episodes_file is None and getattr(config.rules, "goal", "") == "view_points":
             raise EagorError("goal=view_points needs episodes that have view points: --episodes-file")
         played = specs_of(config)  # complains about a file that cannot be played
-        if config.episodes_file is not None and config.world != APARTMENT:
-            _try_world(played)
+        if config.world != APARTMENT:
+            there = (spec.world for spec in played if os.path.exists(scene_file(spec.world)))
+            _try_world(next(there, played[0].world))
         return msgspec.structs.replace(
             config,
             episodes=len(played),
             methods=names,
-            development=_tuned_on(played),
+            development=any(spec.world == APARTMENT and spec.seed in DEVELOPMENT for spec in played),
             fitted={name: text for name in names if (text := fitted(config.perception, name.partition(":")[0]))},
             rows=config.rows or rows_of(shared(config.perception)),
             versions={"eagor": __version__, "apartment": VERSION, **_plugins(config)},
@@ -215,24 +215,8 @@ def success_where(condition: str) -> Callable[[Record], float | None]:
     return lambda result: result["metrics"]["success"] if result["metrics"].get(condition) else None
 
 
-def _tuned_on(played: Sequence[EpisodeSpec]) -> bool:
-    """Whether one of these is in an apartment on which parameters were chosen."""
-    return any(spec.world == APARTMENT and spec.seed in DEVELOPMENT for spec in played)
-
-
-def _try_world(played: Sequence[EpisodeSpec]) -> None:
-    """Open the first scene that is there: a missing simulator is no failure of every episode. Raises `EagorError`."""
-    there = [spec for spec in played if (files := scene_files([spec])) and files[0].exists()]
-    if there:
-        _read_world(there[0].world)
-    else:
-        from eagor.lab import worlds
-
-        worlds.load(played[0].world)  # complains about one that does not exist
-
-
 @lru_cache(maxsize=1)
-def _read_world(world: str) -> None:
+def _try_world(world: str) -> None:
     """Read a GLB file or a simulator's scene once, so that one that cannot be read is no failure of every episode.
 
     Raises `WorldError`, `MissingExtraError`.
@@ -340,15 +324,14 @@ class WalkedMetrics(msgspec.Struct):
     mae: Number
 
 
-class WatchedResult(msgspec.Struct, kw_only=True):
+class WatchedMethod(msgspec.Struct, kw_only=True):
     """One method in a `WatchedRecord`."""
 
     metrics: dict[str, Number | bool | None]
     trace: Trace
-    looked: LookedInRecord | None = None
 
 
-class WalkedResult(msgspec.Struct, kw_only=True):
+class WalkedMethod(msgspec.Struct, kw_only=True):
     """One method in a `WalkedRecord`."""
 
     metrics: WalkedMetrics
@@ -356,37 +339,35 @@ class WalkedResult(msgspec.Struct, kw_only=True):
     looked: LookedInRecord | None = None
 
 
-class WatchedRecord(msgspec.Struct, kw_only=True):
-    """A record of a task in which all methods saw the same."""
+class SimRecord(msgspec.Struct, kw_only=True, frozen=True):
+    """The record of an episode."""
 
     episode: EpisodeInRecord
+    methods: Mapping[str, Any]
+    seconds: Number | None = None
+
+    def __post_init__(self) -> None:
+        truth = [self.truth] if isinstance(self, WatchedRecord) else []
+        for name, result in self.methods.items():
+            lists = {}
+            for part in (result.trace, *truth):
+                lists |= {key: each for key, each in msgspec.structs.asdict(part).items() if isinstance(each, list)}
+            counts = {key: len(each) for key, each in lists.items()}
+            if len(set(counts.values())) > 1:
+                raise ValueError(f"the lists of {name} are of different lengths ({counts})")
+            if not all(any(pose[3:]) for pose in lists.get("pose", ())):
+                raise ValueError(f"a pose of {name} has the quaternion 0, 0, 0, 0, which is no rotation")
+
+
+class WatchedRecord(SimRecord, kw_only=True, frozen=True):
+    """The same of a task in which all methods saw the same."""
+
+    methods: Mapping[str, WatchedMethod]
     truth: Truth
-    methods: dict[str, WatchedResult]
     looked: LookedInRecord | None = None
-    seconds: Number | None = None
-
-    def __post_init__(self) -> None:
-        for name, result in self.methods.items():
-            _check_even(name, result.trace, self.truth)
 
 
-class WalkedRecord(msgspec.Struct, kw_only=True):
-    """A record of a task in which each method went its own way."""
+class WalkedRecord(SimRecord, kw_only=True, frozen=True):
+    """The same of a task in which each method went its own way."""
 
-    episode: EpisodeInRecord
-    methods: dict[str, WalkedResult]
-    seconds: Number | None = None
-
-    def __post_init__(self) -> None:
-        for name, result in self.methods.items():
-            _check_even(name, result.trace)
-
-
-def _check_even(name: str, *parts: msgspec.Struct) -> None:
-    """Lists of one episode are of one length, and poses are rotations. Raises `ValueError`."""
-    values = {key: value for part in parts for key, value in msgspec.structs.asdict(part).items()}
-    counts = {key: len(value) for key, value in values.items() if isinstance(value, list)}
-    if len(set(counts.values())) > 1:
-        raise ValueError(f"the lists of {name} are of different lengths ({counts})")
-    if not all(any(pose[3:]) for pose in values.get("pose", ())):
-        raise ValueError(f"a pose of {name} has the quaternion 0, 0, 0, 0, which is no rotation")
+    methods: Mapping[str, WalkedMethod]

@@ -185,10 +185,7 @@ class TargetTrackingEnv(AnsweringEnv):
     """Name the direction of a ball while it moves, while the camera moves, or after it was away."""
 
     task = "tracking"
-
-    def __init__(self, rules: TrackingRules | None = None, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.rules = rules or TrackingRules()
+    rules = TrackingRules()
 
     def plan(self, spec: EpisodeSpec) -> Episode:
         return plan(spec, self.camera, self.rules)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,8 +42,7 @@ class WaypointEpisode(Episode):
     legs: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _Route:
+class _Route(NamedTuple):
     """A route through a place, and which instances are visible along it ``(steps, instances)`` bool."""
 
     poses: np.ndarray
@@ -58,26 +57,21 @@ def plan(spec: EpisodeSpec, camera: Camera, rules: WaypointRules) -> WaypointEpi
     targets = list(choose_target(place, rng))
     if not targets:
         raise WorldError(f"{place.scene.source} has no thing with a unique name")
+    attempts = (_route(place, camera, rules, SLACK * attempt / ATTEMPTS, rng) for attempt in range(ATTEMPTS))
+    routes = islice((route for route in attempts if route is not None), ROUTES)
     best: tuple[float, float, int, str, _Route] | None = None
-    routes = (_route(place, camera, rules, SLACK * attempt / ATTEMPTS, rng) for attempt in range(ATTEMPTS))
-    for route in islice((route for route in routes if route is not None), ROUTES):
-        for target, query in targets:
-            fault, hidden = _fault(place, target, route, rules)
-            if math.isfinite(fault) and (best is None or fault < best[0]):
-                best = fault, hidden, target, query, route
-            if fault == 0:
-                break
-        if best is not None and best[0] == 0:
+    for route, (target, query) in ((route, each) for route in routes for each in targets):
+        fault, hidden = _fault(place, target, route, rules)
+        if fault < (math.inf if best is None else best[0]):
+            best = fault, hidden, target, query, route
+        if fault == 0:
             break
     if best is None:
         raise WorldError(f"{place.scene.source} has no route of four legs of {rules.leg_steps} steps; shorten the legs")
     fault, hidden, target, query, route = best
     x, y, yaw = route.poses[0].tolist()
-    kind = {
-        "category": place.scene.instances[target].category,
-        "occluded": round(hidden, 3),
-        "by design": fault == 0,
-    }
+    category = place.scene.instances[target].category
+    kind = {"category": category, "occluded": round(hidden, 3), "by design": fault == 0}
     return WaypointEpisode(
         spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,), start=(x, y),
         yaw=yaw, shortest=float(place.way_to((target,)).distance(route.poses[0, :2])), stratum=kind,
@@ -177,10 +171,7 @@ class WaypointFollowingEnv(AnsweringEnv):
     """The body is carried along a route of four legs; name the direction at each step. ``info["leg"]``: the leg."""
 
     task = "waypoint"
-
-    def __init__(self, rules: WaypointRules | None = None, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.rules = rules or WaypointRules()
+    rules = WaypointRules()
 
     def plan(self, spec: EpisodeSpec) -> Episode:
         return plan(spec, self.camera, self.rules)
