@@ -21,9 +21,9 @@ import numpy as np
 from msgspec import Meta
 
 from eagor._checks import shown
-from eagor.errors import FormatError
+from eagor.errors import EagorError, FormatError
 from eagor.grids import PerspectiveGrid
-from eagor.lab.agents.models import recalibrator, shared, shared_chat
+from eagor.lab.agents.models import is_privileged, recalibrator, shared, shared_chat
 from eagor.lab.tasks.hstar.data import head_of, phrase_of, thing_of
 from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, first_known, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
@@ -253,6 +253,7 @@ class Eagle360(PublishedTask):
     what = "name the direction of a thing in a panorama, looking closer at most six times"
     agents, causes, looking = AGENTS, CAUSES, ("eagor", "global")
     Config = Config
+    truth = ""
     metrics = (
         score_metric("overall", "bFOV", "answers within half of the box's diagonal", lambda record: record["score"]),
         *(
@@ -276,8 +277,8 @@ class Eagle360(PublishedTask):
         return read_samples(config.data)
 
     def check(self, config: Config) -> None:
-        if config.perception:
-            shared(config.perception)
+        if config.perception and is_privileged(shared(config.perception)):
+            raise EagorError(f"{config.perception} reads what a simulator knows; {self.name} has photographs only")
 
     def runner(self, config: Config) -> Callable[[Payload], Record]:
         perception = shared(config.perception) if config.perception else None

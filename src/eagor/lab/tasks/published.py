@@ -84,7 +84,7 @@ class PublishedTask:
     A task adds `name`, `title`, `what`, `metrics`, `samples`, `runner`, `info` and `score`, and says
 
     - `agents`: {name: what it does}, the default first; `looking`: those that need a perception;
-    - `truth`: what the perception truth is in this task, in words.
+    - `truth`: what the perception truth is in this task, in words; "" if there is none.
     """
 
     agents: ClassVar[Mapping[str, str]]
@@ -109,9 +109,10 @@ class PublishedTask:
             raise EagorError(f"{self.name} has no agent {agent!r}; it has {', '.join(self.agents)}")
         looks, talks = agent in self.looking, agent == TALKING
         if looks and not config.perception:
+            truth = f", or truth ({self.truth})" if self.truth else ""
             raise EagorError(
                 f"the agent {agent} needs a perception: name one with --perception, such as a model (folder or hub "
-                f"name), endpoint:MODEL@ADDRESS, or truth ({self.truth})"
+                f"name) or endpoint:MODEL@ADDRESS{truth}"
             )
         if talks and not config.model:
             raise EagorError(
