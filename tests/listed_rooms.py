@@ -6,7 +6,7 @@ import json
 from box_scenes import scene_of, shell, thing
 
 from eagor.lab.worlds.glb import export_glb, import_glb
-from eagor.lab.worlds.habitat.export import Source, export_dataset
+from eagor.lab.worlds.objectnav import Source, export_dataset
 
 
 def room(source="room"):

@@ -99,14 +99,14 @@ def test_its_ground_agrees_with_our_plan(flat):
 
 
 def test_a_stopped_body_can_step_away_from_the_wall_where_habitats_cannot(flat):
-    """Why `stepped` ends a millimetre before the edge. If Habitat's body can leave it one day, that can go."""
+    """Why `move` ends a millimetre before the edge. If Habitat's body can leave it one day, that can go."""
     ground, rng, trapped = load_place(f"habitat:{flat}", 0, 0.18).ground, np.random.default_rng(7), 0
 
     def habitats(start, step):
         feet = ground.feet(start)
-        end = ground.surface.frames.to_habitat(np.array([*(start + step), 0.0]))
+        end = ground.frames.to_habitat(np.array([*(start + step), 0.0]))
         tried = ground.pathfinder.try_step_no_sliding(feet, np.array([end[0], feet[1], end[2]], dtype=np.float32))
-        return ground.surface.frames.from_habitat(np.array(tried, dtype=np.float64))[:2]
+        return ground.frames.from_habitat(np.array(tried, dtype=np.float64))[:2]
 
     for _ in range(200):
         start, stopped = ground.sample(rng, 0.3), False

@@ -13,8 +13,7 @@ from box_scenes import scene_of, shell, thing
 from eagor.errors import WorldError
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.habitat.export import Source, export_dataset, make_goals
-from eagor.lab.worlds.objectnav import check_scene, read_episodes
+from eagor.lab.worlds.objectnav import Source, check_scene, export_dataset, make_goals, read_episodes
 from eagor.lab.worlds.render import Renderer
 from eagor.lab.worlds.scene import Room
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import WorldError
-from eagor.lab.worlds.habitat.navmesh import HELD, SHORT, Storey, Surface, stepped
+from eagor.lab.worlds.habitat.navmesh import HELD, SHORT, HabitatNavMesh, Storey
 from eagor.lab.worlds.habitat.simulator import Frames
 
 WALL = 1.0  # our x of the edge of the mesh
@@ -30,6 +30,8 @@ def sliding(start, end):
 
 
 MESH = SimpleNamespace(
+    build_navmesh_vertices=lambda island: [(x, 0.0, z) for x, z in ((-4, -4), (WALL, -4), (WALL, 4), (-4, 4))],
+    build_navmesh_vertex_indices=lambda island: [0, 1, 2, 0, 2, 3],
     try_step_no_sliding=no_sliding,
     try_step=sliding,
     is_navigable=lambda feet, most: feet[0] <= WALL + 1e-6,
@@ -37,7 +39,7 @@ MESH = SimpleNamespace(
     snap_point=lambda feet: feet,
     distance_to_closest_obstacle=lambda feet, most: min(most, max(0.0, WALL - float(feet[0]))),
 )
-SURFACE = Surface(MESH, Storey(0, 0.0), Frames(), np.array([-5.0, -5.0]), np.zeros((200, 120)), "a test")
+GROUND = HabitatNavMesh(MESH, Storey(0, 0.0), Frames(), 0.18, source="a test")
 
 
 @given(
@@ -49,7 +51,7 @@ SURFACE = Surface(MESH, Storey(0, 0.0), Frames(), np.array([-5.0, -5.0]), np.zer
 def test_a_stopped_body_stands_a_millimetre_before_the_edge_on_its_line(gap, y, angle, length):
     start, way = np.array([WALL - gap, y]), length * np.array([math.cos(angle), math.sin(angle)])
     edge = start + way * gap / way[0]
-    end, stopped = stepped(SURFACE, start, way, slide=False)
+    end, stopped = GROUND.move(start, way, slide=False)
     assert stopped
     assert WALL - end[0] == pytest.approx(SHORT, abs=1.5 * HELD), "a flat way ends well before its edge"
     assert (edge - end) @ way > 0
@@ -59,7 +61,7 @@ def test_a_stopped_body_stands_a_millimetre_before_the_edge_on_its_line(gap, y, 
 @pytest.mark.parametrize("gap", [0.0, 0.0005, 0.001])
 def test_a_body_closer_than_that_stays_and_is_never_pushed_back(gap):
     start = np.array([WALL - gap, 0.3])
-    end, stopped = stepped(SURFACE, start, np.array([0.25, 0.0]), slide=False)
+    end, stopped = GROUND.move(start, np.array([0.25, 0.0]), slide=False)
     assert stopped
     np.testing.assert_allclose(end, start, atol=1e-6)
 
@@ -67,20 +69,20 @@ def test_a_body_closer_than_that_stays_and_is_never_pushed_back(gap):
 def test_free_steps_are_exact_and_sliding_is_habitats_own():
     start = np.array([0.2, 0.1])
     free = np.array([0.1, 0.2])
-    end, stopped = stepped(SURFACE, start, free, slide=False)
+    end, stopped = GROUND.move(start, free, slide=False)
     assert not stopped
     np.testing.assert_array_equal(end, start + free)
-    slid, stopped = stepped(SURFACE, np.array([0.9, 0.0]), np.array([0.3, 0.2]), slide=True)
+    slid, stopped = GROUND.move(np.array([0.9, 0.0]), np.array([0.3, 0.2]), slide=True)
     assert stopped
     np.testing.assert_allclose(slid, [WALL, 0.2], atol=HELD)
 
 
 def test_a_step_that_is_none_and_a_start_off_the_mesh():
     start = np.array([0.2, 0.1])
-    end, stopped = stepped(SURFACE, start, np.zeros(2), slide=False)
+    end, stopped = GROUND.move(start, np.zeros(2), slide=False)
     assert not stopped
     np.testing.assert_array_equal(end, start)
     with pytest.raises(WorldError, match="wanted two finite numbers"):
-        stepped(SURFACE, start, np.array([np.nan, 0.0]), slide=False)
+        GROUND.move(start, np.array([np.nan, 0.0]), slide=False)
     with pytest.raises(WorldError, match="not on the navigation mesh"):
-        stepped(SURFACE, np.array([1.5, 0.0]), np.array([0.1, 0.0]), slide=False)
+        GROUND.move(np.array([1.5, 0.0]), np.array([0.1, 0.0]), slide=False)

@@ -205,38 +205,23 @@ def test_a_start_on_another_storey_is_refused(tmp_path):
         planned(exported(tmp_path), upstairs)
 
 
-def test_one_file_may_hold_several_scenes_and_goals_in_each_episode(tmp_path):
-    """As the first files of MP3D: no content folder, no goals by category."""
+def test_one_file_may_hold_several_scenes(tmp_path):
     file = exported(tmp_path, names=("room", "other"))
-    parts = [content(file, name) for name in ("room", "other")]
-    old = {key: value for key, value in parts[0].items() if key.startswith("category_to")} | {"episodes": []}
-    for part in parts:
-        (goals,) = part["goals_by_category"].values()
-        for episode in part["episodes"]:
-            old["episodes"].append({**episode, "goals": goals})
-            del old["episodes"][-1]["object_category"]
-    single = tmp_path / "data" / "old" / "val.json.gz"
-    single.parent.mkdir()
-    single.write_bytes(gzip.compress(json.dumps(old).encode()))
+    both, other = (content(file, name) for name in ("room", "other"))
+    both["episodes"] += other["episodes"]
+    both["goals_by_category"] |= other["goals_by_category"]
     together = tmp_path / "data" / "both" / "val.json.gz"
     together.parent.mkdir()
-    both = parts[0] | {"episodes": [], "goals_by_category": {}}
-    for part in parts:
-        both["episodes"] += part["episodes"]
-        both["goals_by_category"] |= part["goals_by_category"]
     together.write_bytes(gzip.compress(json.dumps(both).encode()))
     wanted = {each.episodes[0].scene: each for each in read_episodes(file)}
-    for path in (single, together):
-        found = {each.episodes[0].scene: each for each in read_episodes(path)}
-        assert found.keys() == wanted.keys()
-        for scene, each in found.items():
-            assert [tuple(one.position) for one in each.episodes] == [
-                tuple(one.position) for one in wanted[scene].episodes
-            ]
-            assert [goal.instance for goal in each.goals["chair"]] == [
-                goal.instance for goal in wanted[scene].goals["chair"]
-            ]
-        assert len(file_episode_specs("navigation", path, None, "apartment", None)) == 8
+    found = {each.episodes[0].scene: each for each in read_episodes(together)}
+    assert found.keys() == wanted.keys()
+    for scene, each in found.items():
+        assert [tuple(one.position) for one in each.episodes] == [tuple(one.position) for one in wanted[scene].episodes]
+        assert [goal.instance for goal in each.goals["chair"]] == [
+            goal.instance for goal in wanted[scene].goals["chair"]
+        ]
+    assert len(file_episode_specs("navigation", together, None, "apartment", None)) == 8
 
 
 def test_random_numbers_do_not_depend_on_where_the_scenes_are(file):

@@ -56,9 +56,9 @@ def test_what_is_no_such_data_says_so(tmp_path):
 
 def test_there_is_no_truth_to_look_with(tmp_path):
     with pytest.raises(EagorError, match=r"or endpoint:MODEL@ADDRESS$"):
-        configure(EAGLE360, data=str(tmp_path), agent="eagor")
+        configure(EAGLE360, {"data": str(tmp_path), "agent": "eagor"})
     with pytest.raises(EagorError, match="truth reads what a simulator knows"):
-        configure(EAGLE360, data=str(tmp_path), agent="eagor", perception="truth")
+        configure(EAGLE360, {"data": str(tmp_path), "agent": "eagor", "perception": "truth"})
 
 
 class Brightest:

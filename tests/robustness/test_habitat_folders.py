@@ -12,9 +12,9 @@ from processes import little_room
 from eagor.cli import main
 from eagor.errors import StorageError, WorldError
 from eagor.lab.eval import log
+from eagor.lab.worlds import objectnav
 from eagor.lab.worlds.glb import export_glb
-from eagor.lab.worlds.habitat import export as habitat_export
-from eagor.lab.worlds.habitat.export import Source, export_dataset
+from eagor.lab.worlds.objectnav import Source, export_dataset
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_whatever_stops_an_export_leaves_nothing(tmp_path, monkeypatch, stopped)
     def stop(*_, **__):
         raise stopped("enough")
 
-    monkeypatch.setattr(habitat_export, "write_episodes", stop)
+    monkeypatch.setattr(objectnav, "write_episodes", stop)
     with pytest.raises(stopped):
         export_dataset([Source(0, "room", room)], tmp_path / "data", categories=("bed",), episodes=1)
     assert list(tmp_path.iterdir()) == []

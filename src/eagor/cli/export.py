@@ -13,7 +13,7 @@ from eagor.cli import terminal
 from eagor.cli.options import Common, Whole, bare
 
 if TYPE_CHECKING:
-    from eagor.lab.worlds.habitat.export import Source
+    from eagor.lab.worlds.objectnav import Source
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Export(Common):
 
 def habitat(options: Export) -> int:
     """``eagor export habitat``."""
-    from eagor.lab.worlds.habitat.export import WITHOUT, export_dataset, has_meshes
+    from eagor.lab.worlds.objectnav import WITHOUT, export_dataset, has_meshes
 
     sources = sources_of(options.scenes)
     with terminal.progress("export", len(sources)) as advance:
@@ -75,7 +75,7 @@ def sources_of(words: tuple[str, ...]) -> list[Source]:
     from eagor.lab.envs.places import SEEDS
     from eagor.lab.worlds.apartment import generate
     from eagor.lab.worlds.glb import import_glb
-    from eagor.lab.worlds.habitat.export import Source
+    from eagor.lab.worlds.objectnav import Source
 
     found: dict[str, Source] = {}
     files = [word for word in dict.fromkeys(words) if Path(word).suffix.lower() in (".glb", ".gltf")]

@@ -24,15 +24,12 @@ from eagor.sphere import direction
 from eagor.sphere import world_R_body as pose_of
 
 EYE = 1.25  # metres above the floor: height of the camera
-FREE = 1.0  # square metres on which a body has to be able to stand
 NEAR = 0.05  # metres: tolerance of the floor at z = 0, and of an instance's bounds
-RADIUS = 0.18  # metres: of the body for which there has to be room
-LOOSE = 0.1  # metres, and this share of the range: tolerance of points in a picture
-INSIDE = 0.95  # share of the pixels of an instance that have to show points within its bounds
+LOOSE = 0.1  # metres, and a fiftieth of the range: tolerance of points in a picture
+OUTSIDE = 0.05  # share of the pixels of an instance that may show points outside its bounds
 SPOTS = 9  # places from which the floor is looked at
 ALIKE = 0.02  # share of pixels that may differ between two pictures that should be the same
-STEP = 0.25  # share of the range by which the camera moves to check ranges
-AZIMUTHS = np.radians([-135.0, -75.0, -45.0, 45.0, 105.0, 135.0])  # directions of these moves, mostly off the axes
+AZIMUTHS = np.radians([-135.0, -75.0, -45.0, 45.0, 105.0, 135.0])  # in which the camera moves, mostly off the axes
 Position = tuple[float, float, float]
 
 
@@ -58,22 +55,18 @@ def check_world(world: World | View, seed: int = 0, *, position: Position = (0.0
         f"made scene {scene.hash} of seed {seed}, then {again.hash}; wanted the same each time: draw everything from "
         "np.random.default_rng(seed), and nothing from what was made before",
     )
-    _check_names(scene)
-    if isinstance(scene, Scene):
-        _check_bounds(scene)
+    _check_things(scene)
     ground, view = _check_floor(scene), view_of(scene)
     rng, roomy = np.random.default_rng(seed), float(ground.clearance[ground.free].max()) / 2
-    places = []
-    for xy in (ground.sample(rng, roomy) for _ in range(1 + SPOTS)):
-        x, y = xy.tolist()
-        places.append((x, y, ground.height(xy) + EYE))
+    spots = [ground.sample(rng, roomy) for _ in range(1 + SPOTS)]
+    places = [(float(xy[0]), float(xy[1]), ground.height(xy) + EYE) for xy in spots]
     _check_view(view, places[0], rows)
     if not isinstance(scene, Scene):
         _check_pixels(scene, view, places[1:], rows)
 
 
-def _check_names(scene: Scene | SimulatedScene) -> None:
-    """Check that categories and colours are words of queries, and that something can be asked for."""
+def _check_things(scene: Scene | SimulatedScene) -> None:
+    """Check categories, colours and bounds, if there are triangles, and that something can be asked for."""
     for index, thing in enumerate(scene.instances):
         _require(
             bool(thing.category) and thing.category == " ".join(thing.category.lower().split()),
@@ -85,17 +78,8 @@ def _check_names(scene: Scene | SimulatedScene) -> None:
             f"gives instance {index} ({thing.category}) the colour {thing.colour!r}; wanted None or one of "
             f"{', '.join(COLOURS)}: choose the nearest",
         )
-    names = Counter((thing.category, thing.colour) for thing in scene.instances if thing.category not in STRUCTURE)
-    _require(
-        1 in names.values(),
-        f"has {names.total()} things besides {', '.join(STRUCTURE)}, but none with a unique category and colour; "
-        "wanted at least one: tasks have to be able to ask for something. Add a thing, or a colour",
-    )
-
-
-def _check_bounds(scene: Scene) -> None:
-    """Check that the bounds of each instance are those of its triangles."""
-    for index, thing in enumerate(scene.instances):
+        if not isinstance(scene, Scene):
+            continue
         mine = scene.vertices[scene.triangles[scene.instance == index]].reshape(-1, 3)
         _require(
             len(mine) > 0,
@@ -105,52 +89,59 @@ def _check_bounds(scene: Scene) -> None:
         off = float(np.abs([low - thing.low, high - thing.high]).max())
         _require(
             off <= NEAR,
-            f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, {off:.2f} m off "
-            f"its triangles; wanted {_point(low)} to {_point(high)}, metres, world frame",
+            f"bounds instance {index} ({thing.name}) by {thing.low.round(2)} and {thing.high.round(2)}, {off:.2f} m "
+            f"off its triangles; wanted {low.round(2)} to {high.round(2)}, metres, world frame",
         )
+    names = Counter((thing.category, thing.colour) for thing in scene.instances if thing.category not in STRUCTURE)
+    _require(
+        1 in names.values(),
+        f"has {names.total()} things besides {', '.join(STRUCTURE)}, but none with a unique category and colour; "
+        "wanted at least one: tasks have to be able to ask for something. Add a thing, or a colour",
+    )
 
 
 def _check_pixels(scene: SimulatedScene, view: View, positions: list[Position], rows: int) -> None:
     """Check, in panoramas from these places, that the floor is below, and things within their bounds."""
     directions = ErpGrid(rows, 2 * rows).directions
-    below, pixels, inside = [], *np.zeros((2, len(scene.instances)))
+    low, high = (np.array([getattr(thing, end) for thing in scene.instances]) for end in ("low", "high"))
+    below, pixels, outside = [], *np.zeros((2, len(scene.instances)))
     for position in positions:
         frame = view.panorama(position, np.eye(3), rows, rgb=False)
         if frame.range is None:
             return
-        below.append(float(np.median(frame.range[-1])) * abs(float(directions[-1, 0, 2])) - EYE)
+        below.append(float(np.median(frame.range[-1])) * abs(float(directions[-1, 0, 2])))
         if frame.ids is None:
             continue
         hit = np.isfinite(frame.range) & (frame.ids >= 0)
         ids, metres = frame.ids[hit], frame.range[hit][:, None].astype(np.float64)
         _require(
-            not len(ids) or int(ids.max()) < len(scene.instances),
-            f"shows the id {ids.max(initial=0)}, but has {len(scene.instances)} instances; wanted their indices",
+            ids.max(initial=-1) < len(scene.instances),
+            f"shows the id {ids.max(initial=-1)}, but has {len(scene.instances)} instances; wanted their indices",
         )
         points, loose = np.array(position) + metres * directions[hit], LOOSE + 0.02 * metres
-        low, high = (np.array([getattr(thing, end) for thing in scene.instances])[ids] for end in ("low", "high"))
-        fits = ((points >= low - loose) & (points <= high + loose)).all(axis=1)
+        strange = ((points < low[ids] - loose) | (points > high[ids] + loose)).any(axis=1)
         pixels += np.bincount(ids, minlength=len(pixels))
-        inside += np.bincount(ids[fits], minlength=len(pixels))
-    off = float(np.median(below))
+        outside += np.bincount(ids[strange], minlength=len(pixels))
+    depth = float(np.median(below))
     _require(
-        abs(off) <= NEAR,
-        f"shows the floor {EYE + off:.2f} m below the camera (median), which stands {EYE:g} m above the ground; wanted "
-        "the same: z = 0 is the floor, and the ground's height is that of the surface",
+        abs(depth - EYE) <= NEAR,
+        f"shows the floor {depth:.2f} m below the camera (median), which stands {EYE:g} m above the ground; wanted the "
+        "same: z = 0 is the floor, and the ground's height is that of the surface",
     )
     for index, thing in enumerate(scene.instances):
+        share = outside[index] / max(pixels[index], 1)
         _require(
-            inside[index] >= INSIDE * pixels[index],
-            f"bounds instance {index} ({thing.name}) by {_point(thing.low)} and {_point(thing.high)}, but shows "
-            f"{100 * (1 - inside[index] / max(pixels[index], 1)):.0f} % of its pixels outside; wanted at most "
-            f"{100 * (1 - INSIDE):.0f} %: bounds are metres of the world frame, ids are indices of the instances",
+            share <= OUTSIDE,
+            f"bounds instance {index} ({thing.name}) by {thing.low.round(2)} and {thing.high.round(2)}, but shows "
+            f"{100 * share:.0f} % of its pixels outside; wanted at most {100 * OUTSIDE:.0f} %: bounds are metres of "
+            "the world frame, ids are indices of the instances",
         )
 
 
 def _check_floor(scene: Scene | SimulatedScene) -> NavMesh:
     """Check that there is a floor at z = 0, and room to stand on it."""
     try:
-        ground = ground_of(scene, RADIUS)
+        ground = ground_of(scene, 0.18)
     except WorldError as error:
         raise AssertionError(
             f"the world has no ground: {error}. Wanted level triangles at z = 0, metres, z up (not Y up)"
@@ -161,9 +152,9 @@ def _check_floor(scene: Scene | SimulatedScene) -> NavMesh:
     )
     area = float(ground.free.sum()) * ground.cell**2
     _require(
-        area >= FREE,
-        f"lets a body of radius {ground.radius:g} m stand on {area:.2f} square metres; wanted at least {FREE:g}. Are "
-        "the lengths metres? Is everything blocked below 1.5 m?",
+        area >= 1.0,
+        f"lets a body of radius {ground.radius:g} m stand on {area:.2f} square metres; wanted at least 1. Are the "
+        "lengths metres? Is everything blocked below 1.5 m?",
     )
     return ground
 
@@ -209,14 +200,10 @@ def _check_frame(frame: Frame, rows: int) -> None:
         if part is not None:
             fits = part.shape == shape and np.issubdtype(part.dtype, types)
             _require(fits, f"shows {name} of shape {part.shape}, type {part.dtype}; wanted {shape}, {kind}")
-    if frame.range is not None:
-        _require(
-            bool((frame.range > 0).all()),
-            f"shows ranges down to {np.min(frame.range):g} m; wanted all above 0, inf for no hit, no NaN",
-        )
-    if frame.ids is not None:
-        lowest = int(frame.ids.min())
-        _require(lowest >= -1, f"shows ids down to {lowest}; wanted indices of the list of instances, and -1 for none")
+    nearest = np.inf if frame.range is None else frame.range.min()  # NaN if there is one
+    _require(nearest > 0, f"shows ranges down to {nearest:g} m; wanted all above 0, inf for no hit, no NaN")
+    lowest = 0 if frame.ids is None else int(frame.ids.min())
+    _require(lowest >= -1, f"shows ids down to {lowest}; wanted indices of the list of instances, and -1 for none")
 
 
 def _check_tilt(view: View, position: Position, rows: int, here: np.ndarray) -> None:
@@ -249,15 +236,15 @@ def _check_ranges(view: View, position: Position, rows: int, range: np.ndarray) 
     shares = []
     for cell in zip(y.astype(int), x.astype(int), strict=True):
         if math.isfinite(before := float(range[cell])):
-            there = (np.asarray(position) + STEP * before * grid.directions[cell]).tolist()
+            there = (np.asarray(position) + 0.25 * before * grid.directions[cell]).tolist()
             after = view.panorama((there[0], there[1], there[2]), np.eye(3), rows, rgb=False).range
             shares.append(math.nan if after is None else float(after[cell]) / before)
-    left = float(np.median(shares or [1 - STEP]))
+    left = float(np.median(shares or [0.75]))
     _require(
-        abs(left - (1 - STEP)) <= 0.02,
-        f"shows things at {100 * left:.0f} % of their range after the camera has moved {100 * STEP:.0f} % of the "
-        f"way to them; wanted {100 * (1 - STEP):.0f} %: ranges are metres from the camera along the ray (not depth "
-        "along an axis), and position is in metres of the world frame, x and y level, z up",
+        abs(left - 0.75) <= 0.02,
+        f"shows things at {100 * left:.0f} % of their range after the camera has moved 25 % of the way to them; wanted "
+        "75 %: ranges are metres from the camera along the ray (not depth along an axis), and position is in metres of "
+        "the world frame, x and y level, z up",
     )
 
 
@@ -270,10 +257,6 @@ def _unlike(a: np.ndarray, b: np.ndarray) -> float:
     """The share of pixels that differ by more than rounding."""
     gap = np.abs(a.astype(np.int64) - b.astype(np.int64))
     return float((gap.max(axis=-1) > 2 if gap.ndim == 3 else gap > 0).mean())
-
-
-def _point(values: np.ndarray) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in values) + ")"
 
 
 def _require(holds: bool, text: str) -> None:

@@ -1,4 +1,4 @@
-"""Object-goal episodes in the file format of Habitat's ObjectNav (HM3D), reading and writing.
+"""Object-goal episodes in the file format of Habitat's ObjectNav (HM3D), and scenes of ours as Habitat reads HM3D.
 
     <folder>/<split>/<split>.json.gz              categories, no episodes
     <folder>/<split>/content/<scene>.json.gz      the episodes of a scene, and its goals by category
@@ -7,17 +7,34 @@ Here positions are at the feet, in our world (z up), and rotations are `world_R_
 (Y up, the axes of an exported GLB; quaternions x, y, z, w). `info["eagor"]`, which Habitat ignores, holds the scene,
 its version and the body that an episode was made for, so that it is never run in another scene unnoticed. Our "tv" is
 its "tv_monitor", and blanks are underscores there.
+
+`export_dataset` (``eagor export habitat``) writes a folder that Habitat's examples call ``data``:
+
+    scene_datasets/<name>/<name>.scene_dataset_config.json
+    scene_datasets/<name>/<split>/00007-apartment0007/apartment0007.glb      and beside it
+        .stage_config.json   axes: the GLB has Y up
+        .navmesh             Habitat's navigation mesh, where habitat_sim is installed
+        .navmesh.json, .semantic.json  the settings of that mesh; names and boxes of things, and what else a GLB cannot
+                             hold: our world `habitat:` reads them, habitat-lab needs the episodes' goals alone
+    datasets/objectnav/<name>/v1/<split>/<split>.json.gz, content/apartment0007.json.gz
 """
 
 from __future__ import annotations
 
 import gzip
 import json
+import math
+import re
 import zlib
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -32,14 +49,17 @@ from eagor.conventions import (
     to_gltf,
     xyzw_from_rotation,
 )
-from eagor.errors import EagorError, FormatError, WorldError
+from eagor.errors import EagorError, FormatError, StorageError, WorldError
+from eagor.lab.worlds.glb import ON_MESH, STAGE, export_glb
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.habitat.simulator import import_habitat, mesh_settings, read_category, run_apart
 from eagor.lab.worlds.navmesh import NavMesh
-from eagor.lab.worlds.scene import Scene
-from eagor.queries import SYNONYMS
+from eagor.lab.worlds.render import Renderer
+from eagor.lab.worlds.scene import STRUCTURE, Scene
+from eagor.sphere import world_R_body
 
 HM3D_CATEGORIES = ("chair", "bed", "plant", "toilet", "tv_monitor", "sofa")  # in the order of their ids
 LAB_BODY = 0.88  # metres: height of the body in habitat-lab's configurations of ObjectNav on HM3D and MP3D
-LAB_CLIMB, LAB_SLOPE = 0.2, 45.0  # metres and degrees: what habitat-lab's bodies climb by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +121,6 @@ def spelt(category: str) -> str:
     return "tv_monitor" if category == "tv" else category.replace(" ", "_")
 
 
-def read_category(category: str) -> str:
-    """A category of Habitat's files and scenes in our words: lower case, our spelling."""
-    words = " ".join(category.replace("_", " ").replace("/", " ").lower().split())
-    return SYNONYMS.get(words, words)
-
-
 def check_scene(episode: Episode, scene: Scene, ground: NavMesh) -> None:
     """Raise `WorldError` if the episode was made for another scene than this one or an import of its export.
 
@@ -127,52 +141,101 @@ def check_scene(episode: Episode, scene: Scene, ground: NavMesh) -> None:
         )
 
 
-# --- writing ---
+# --- the files --------------------------------------------------------------------------------------------------------
+
+_Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+_Triple = tuple[_Finite, _Finite, _Finite]
 
 
-def _goal_to_json(goal: Goal) -> dict[str, Any]:
-    """The entry of a goal in `goals_by_category`: from each view point the agent faces it."""
-    across, along, _ = (goal.position - goal.view_positions).T
-    half = (np.arctan2(along, across) - np.pi / 2) / 2  # Habitat's agents look along -z, which is our y
-    still = np.zeros(len(half))
-    turns = np.stack([still, np.sin(half), still, np.cos(half)], axis=1)
-    return {
-        "position": to_gltf(goal.position).tolist(),
-        "radius": None,
-        "object_id": goal.instance,
-        "object_name": f"{spelt(goal.category)}_{goal.instance}",
-        "object_name_id": None,
-        "object_category": spelt(goal.category),
-        "room_id": None,
-        "room_name": goal.room,
-        "view_points": [
-            {"agent_state": {"position": place, "rotation": turn}, "iou": 0.0}
-            for place, turn in zip(to_gltf(goal.view_positions).tolist(), turns.tolist(), strict=True)
-        ],
-    }
+class _State(msgspec.Struct):
+    position: _Triple
+    rotation: Any = None
 
 
-def _episode_to_json(episode: Episode) -> dict[str, Any]:
-    """The entry of an episode in `episodes`."""
-    info = {
-        "geodesic_distance": episode.geodesic,
-        "euclidean_distance": episode.euclidean,
-        "closest_goal_object_id": episode.nearest,
-        "eagor": episode.origin and vars(episode.origin),
-    }
-    return {
-        "episode_id": episode.identifier,
-        "scene_id": episode.scene,
-        "scene_dataset_config": episode.dataset_config,
-        "additional_obj_config_paths": [],
-        "start_position": to_gltf(episode.position).tolist(),
-        "start_rotation": xyzw_from_rotation(pose_to_habitat(episode.world_R_body)).tolist(),
-        "info": {key: value for key, value in info.items() if value is not None},
-        "goals": [],
-        "start_room": None,
-        "shortest_paths": None,
-        "object_category": spelt(episode.category),
-    }
+class _View(msgspec.Struct):
+    agent_state: _State
+    iou: Any = 0.0
+
+
+class _Goal(msgspec.Struct, kw_only=True):
+    """The entry of a goal in `goals_by_category`; Habitat wants each of these keys, and we read those with a type."""
+
+    position: _Triple
+    radius: Any = None
+    object_id: int | str
+    object_name: Any = None
+    object_name_id: Any = None
+    object_category: str
+    room_id: Any = None
+    room_name: Any = None
+    view_points: list[_View]
+
+    @classmethod
+    def of(cls, goal: Goal) -> _Goal:
+        """The entry; from each view point the agent faces the goal."""
+        across, along, _ = (goal.position - goal.view_positions).T
+        half = (np.arctan2(along, across) - np.pi / 2) / 2  # Habitat's agents look along -z, which is our y
+        still = np.zeros(len(half))
+        turns = np.stack([still, np.sin(half), still, np.cos(half)], axis=1).tolist()
+        places, name = to_gltf(goal.view_positions).tolist(), spelt(goal.category)
+        return cls(
+            position=to_gltf(goal.position).tolist(), object_id=goal.instance, object_name=f"{name}_{goal.instance}",
+            object_category=name, room_name=goal.room,
+            view_points=[_View(_State(place, turn)) for place, turn in zip(places, turns, strict=True)],
+        )  # fmt: skip
+
+    def made(self) -> Goal:
+        views = np.array([view.agent_state.position for view in self.view_points]).reshape(-1, 3)
+        place = from_gltf(np.array(self.position))
+        return Goal(read_category(self.object_category), self.object_id, place, from_gltf(views))
+
+
+class _Info(msgspec.Struct, omit_defaults=True):
+    geodesic_distance: _Finite | None = None
+    euclidean_distance: _Finite | None = None
+    closest_goal_object_id: int | str | None = None
+    eagor: Origin | None = None
+
+
+class _Episode(msgspec.Struct, kw_only=True):
+    """The entry of an episode; as for `_Goal`, and any other key would stop Habitat."""
+
+    episode_id: str | int | None = None
+    scene_id: str
+    scene_dataset_config: str | None = None
+    additional_obj_config_paths: Any = []
+    start_position: _Triple
+    start_rotation: tuple[_Finite, _Finite, _Finite, _Finite]
+    info: _Info | None = None
+    goals: Any = []
+    start_room: Any = None
+    shortest_paths: Any = None
+    object_category: str
+
+    @classmethod
+    def of(cls, episode: Episode) -> _Episode:
+        return cls(
+            episode_id=episode.identifier, scene_id=episode.scene, scene_dataset_config=episode.dataset_config,
+            start_position=to_gltf(episode.position).tolist(),
+            start_rotation=xyzw_from_rotation(pose_to_habitat(episode.world_R_body)).tolist(),
+            info=_Info(episode.geodesic, episode.euclidean, episode.nearest, episode.origin),
+            object_category=spelt(episode.category),
+        )  # fmt: skip
+
+    def made(self, index: int) -> Episode:
+        """The `index`-th of its file. Raises `EagorError` for a quaternion of length zero."""
+        info = self.info or _Info()
+        return Episode(
+            self.scene_id, read_category(self.object_category), from_gltf(np.array(self.start_position)),
+            pose_from_habitat(rotation_from_xyzw(np.array(self.start_rotation))),
+            str(index if self.episode_id is None else self.episode_id), info.geodesic_distance,
+            info.euclidean_distance, info.closest_goal_object_id, info.eagor, self.scene_dataset_config or "default",
+        )  # fmt: skip
+
+
+class _File(msgspec.Struct):
+    episodes: list[_Episode]
+    goals_by_category: dict[str, list[_Goal]] = {}
 
 
 def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisodes]) -> Path:
@@ -192,77 +255,10 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
 
     for scene in scenes:
         file = PurePosixPath(scene.episodes[0].scene).name
-        content = {
-            "episodes": [_episode_to_json(episode) for episode in scene.episodes],
-            "goals_by_category": {
-                _key(file, spelt(category)): [_goal_to_json(goal) for goal in goals]
-                for category, goals in scene.goals.items()
-            },
-        }
-        write(folder / "content" / f"{file.partition('.')[0]}.json.gz", content)
+        goals = {_key(file, spelt(category)): [_Goal.of(g) for g in things] for category, things in scene.goals.items()}
+        content = _File([_Episode.of(episode) for episode in scene.episodes], goals)
+        write(folder / "content" / f"{file.partition('.')[0]}.json.gz", msgspec.to_builtins(content))
     return write(folder / f"{split}.json.gz", {"episodes": []})
-
-
-# --- reading ---
-
-_Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-_Triple = tuple[_Finite, _Finite, _Finite]
-
-
-class _State(msgspec.Struct):
-    position: _Triple
-
-
-class _View(msgspec.Struct):
-    agent_state: _State
-
-
-class _Goal(msgspec.Struct):
-    object_category: str
-    object_id: int | str
-    position: _Triple
-    view_points: list[_View]
-
-    def made(self) -> Goal:
-        views = np.array([view.agent_state.position for view in self.view_points]).reshape(-1, 3)
-        place = from_gltf(np.array(self.position))
-        return Goal(read_category(self.object_category), self.object_id, place, from_gltf(views))
-
-
-class _Info(msgspec.Struct):
-    geodesic_distance: _Finite | None = None
-    euclidean_distance: _Finite | None = None
-    closest_goal_object_id: int | str | None = None
-    eagor: Origin | None = None
-
-
-class _Episode(msgspec.Struct):
-    scene_id: str
-    start_position: _Triple
-    start_rotation: tuple[_Finite, _Finite, _Finite, _Finite]
-    episode_id: str | int | None = None
-    object_category: str | None = None
-    scene_dataset_config: str | None = None
-    info: _Info | None = None
-    goals: list[_Goal] = []
-
-    def made(self, index: int) -> Episode:
-        """The `index`-th of its file. Raises `EagorError` for a quaternion of length zero, `ValueError`."""
-        category = self.object_category or next((goal.object_category for goal in self.goals), None)
-        if category is None:
-            raise ValueError("its category has no goals")
-        info = self.info or _Info()
-        return Episode(
-            self.scene_id, read_category(category), from_gltf(np.array(self.start_position)),
-            pose_from_habitat(rotation_from_xyzw(np.array(self.start_rotation))),
-            str(index if self.episode_id is None else self.episode_id), info.geodesic_distance,
-            info.euclidean_distance, info.closest_goal_object_id, info.eagor, self.scene_dataset_config or "default",
-        )  # fmt: skip
-
-
-class _File(msgspec.Struct):
-    episodes: list[_Episode]
-    goals_by_category: dict[str, list[_Goal]] | None = None
 
 
 def read_episodes(path: Path | str) -> tuple[SceneEpisodes, ...]:
@@ -280,7 +276,7 @@ def read_episodes(path: Path | str) -> tuple[SceneEpisodes, ...]:
 
 
 def _scenes_in(path: Path) -> list[SceneEpisodes]:
-    """The episodes of a file by scene. Files that are older have the goals in each episode."""
+    """The episodes of a file by scene."""
     try:
         content = msgspec.convert(parsed(unpacked(path), strict=True), _File)
     except (EOFError, zlib.error) as error:
@@ -289,28 +285,23 @@ def _scenes_in(path: Path) -> list[SceneEpisodes]:
         raise WorldError(
             f"{path} cannot be read: {str(error)[:300]}; wanted ObjectNav episodes as of HM3D v1 or v2, gzipped JSON"
         ) from error
-    listed = content.goals_by_category
-    if listed is None:
-        listed = {}
-        for entry in content.episodes:
-            if entry.goals:
-                category = entry.object_category or entry.goals[0].object_category
-                listed.setdefault(_key(entry.scene_id, category), entry.goals)
-    goals = {key: tuple(entry.made() for entry in entries) for key, entries in listed.items()}
     by_scene: dict[str, list[Episode]] = {}
     for index, entry in enumerate(content.episodes):
         try:
-            episode = entry.made(index)
-        except (EagorError, ValueError) as error:
+            by_scene.setdefault(entry.scene_id, []).append(entry.made(index))
+        except EagorError as error:
             raise WorldError(f"{path}, episode {index}: {error}") from error
-        by_scene.setdefault(episode.scene, []).append(episode)
     found = []
     for scene, episodes in by_scene.items():
-        own = _of_scene(goals, scene, alone=len(by_scene) == 1)
+        goals: dict[str, tuple[Goal, ...]] = {}
+        for key, entries in content.goals_by_category.items():
+            if len(by_scene) == 1 or key.startswith(_key(scene, "")):  # those of a file with one scene belong to it
+                for goal in (entry.made() for entry in entries):
+                    goals[goal.category] = (*goals.get(goal.category, ()), goal)
         for index, episode in enumerate(episodes):
-            if episode.category not in own:
+            if episode.category not in goals:
                 raise WorldError(f"{path}, episode {index} of {shown(scene)}: its category has no goals")
-        found.append(SceneEpisodes(tuple(episodes), own))
+        found.append(SceneEpisodes(tuple(episodes), goals))
     return found
 
 
@@ -319,10 +310,222 @@ def _key(scene: str, category: str) -> str:
     return f"{PurePosixPath(scene).name}_{category}"
 
 
-def _of_scene(goals: dict[str, tuple[Goal, ...]], scene: str, alone: bool) -> dict[str, tuple[Goal, ...]]:
-    """The goals of one scene by category; those of a file with one scene all belong to it."""
-    own: dict[str, tuple[Goal, ...]] = {}
-    for key, things in goals.items():
-        if things and (alone or key.startswith(_key(scene, ""))):
-            own[things[0].category] = own.get(things[0].category, ()) + things
-    return own
+# --- episodes in scenes of ours ---------------------------------------------------------------------------------------
+
+SPACING = 0.1  # metres between view points: no place among them is farther than 0.1 m, the usual threshold, from one
+EYE = 0.88  # metres above the floor: height of the camera of the ObjectNav challenges
+ROWS = 64  # of the panoramas that decide whether a thing is in sight
+PIXELS = 2  # of them that show a thing in sight
+NEAREST, FARTHEST = 1.0, 30.0  # metres from the start to the nearest view point, along the floor
+RATIO = 1.05  # least ratio of that way to the straight line
+LAB_CELL = 0.05  # metres: the side of habitat-lab's voxels
+MARGIN = 1.6  # of them: the 1.3 of straightened edges, and some for what is full; more closes passages that are open
+
+
+def roomy_ground(scene: Scene, ground: Ground) -> Ground:
+    """The part of the ground that is also on habitat-lab's mesh, and connected there, whatever Recast rounds.
+
+    Recast rounds the radius up to whole voxels, counts a voxel as full if anything touches it, and straightens the
+    edges of the mesh by up to 1.3 voxels.
+    """
+    radius = (math.ceil(ground.radius / LAB_CELL - 1e-6) + MARGIN) * LAB_CELL
+    return Ground.from_scene(scene, cell=ground.cell, radius=radius, floor=ground.floor)
+
+
+def make_goals(scene: Scene, ground: Ground, categories: Sequence[str] = ()) -> dict[str, tuple[Goal, ...]]:
+    """The things of these categories with their view points, by category.
+
+    View points are places beside a thing from which it is in sight, on the mesh that habitat-lab makes of the exported
+    scene, in one piece of it (`roomy_ground`). By default those of HM3D's six categories that the scene has. Things
+    without view points are left out. Raises `WorldError` if nothing is left of a category that was asked for, or of
+    all.
+    """
+    present = {thing.category for thing in scene.instances if thing.category not in STRUCTURE}
+    asked = list(dict.fromkeys(read_category(category) for category in categories))
+    lacking = [name for name in asked if name not in present]
+    if lacking:
+        raise WorldError(f"{scene.source} has no {', '.join(lacking)}; it has {', '.join(sorted(present))}")
+    renderer, roomy = Renderer(scene), roomy_ground(scene, ground)
+
+    @cache
+    def in_sight(x: float, y: float) -> np.ndarray:
+        eye = (x, y, roomy.floor + EYE)
+        ids = renderer.panorama(eye, np.eye(3), ROWS, rgb=False, range=False).ids
+        assert ids is not None
+        return np.bincount(ids.ravel() + 1, minlength=len(scene.instances) + 1)[1:] >= PIXELS
+
+    goals: dict[str, tuple[Goal, ...]] = {}
+    for category in asked or [read_category(name) for name in HM3D_CATEGORIES]:
+        for index, thing in enumerate(scene.instances):
+            if thing.category != category:
+                continue
+            points, _ = roomy.beside(thing)
+            _, first = np.unique(np.floor(points / SPACING), axis=0, return_index=True)
+            views = [[x, y, roomy.floor + ON_MESH] for x, y in points[np.sort(first)] if in_sight(x, y)[index]]
+            if views:
+                goal = Goal(category, index, thing.centre, np.array(views), thing.room)
+                goals[category] = (*goals.get(category, ()), goal)
+    if hidden := [category for category in asked if category not in goals]:
+        raise WorldError(f"no {hidden[0]} of {scene.source} is in sight from a free place beside it; ask for others")
+    if not goals:
+        raise WorldError(
+            f"none of the {', '.join(HM3D_CATEGORIES)} of {scene.source} is in sight from a free place beside it; it "
+            f"has {', '.join(sorted(present))}"
+        )
+    return goals
+
+
+def make_episodes(
+    scene: Scene, ground: Ground, goals: Mapping[str, Sequence[Goal]], count: int, file: str, dataset_config: str
+) -> tuple[Episode, ...]:
+    """So many episodes, one category after the other; `file` is the scene_id. The same arguments give the same ones.
+
+    Raises `WorldError` if no start is far enough from a category's view points.
+    """
+    rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), 0])
+    points = roomy_ground(scene, ground).points
+    starts = {}
+    for category, things in goals.items():
+        ways = np.array([ground.field(thing.view_positions[:, :2]).distance(points) for thing in things])
+        views = np.concatenate([thing.view_positions[:, :2] for thing in things])
+        nearest, straight = ways.min(axis=0), np.array([np.hypot(*(views - point).T).min() for point in points])
+        fits = np.flatnonzero((nearest >= NEAREST) & (nearest <= FARTHEST))
+        if len(fits) == 0:
+            raise WorldError(
+                f"every place in {scene.source} is nearer than {NEAREST:g} m to a {category}, or has no way to one; "
+                "ask for other categories"
+            )
+        bent = fits[nearest[fits] >= RATIO * straight[fits]]
+        starts[category] = (bent if len(bent) else fits), ways, straight
+    episodes = []
+    for number in range(count):
+        category = list(goals)[number % len(goals)]
+        fits, ways, straight = starts[category]
+        index = int(rng.choice(fits))
+        yaw = float(rng.uniform(-np.pi, np.pi))
+        closest = goals[category][int(ways[:, index].argmin())]
+        episodes.append(
+            Episode(
+                file, category, np.array([*points[index], ground.floor + ON_MESH]), world_R_body(yaw), str(number),
+                float(ways[:, index].min()), float(straight[index]), closest.instance,
+                Origin(scene.hash, scene.source, ground.radius, ground.cell), dataset_config,
+            )
+        )  # fmt: skip
+    return tuple(episodes)
+
+
+# --- the folder -------------------------------------------------------------------------------------------------------
+
+WITHOUT = (
+    "habitat_sim is not installed here, so there are no .navmesh files: habitat-lab and eagor make them when they open "
+    "a scene; in Habitat-Sim, call recompute_navmesh with the settings in <scene>.navmesh.json"
+)
+
+
+class Source(NamedTuple):
+    """A scene to export: its `number` and `name`, of which its folder is named, and how it is made."""
+
+    number: int
+    name: str
+    make: Callable[[], Scene]
+
+
+def has_meshes() -> bool:
+    """Whether navigation meshes can be written here."""
+    return find_spec("habitat_sim") is not None
+
+
+def make_mesh(stage: str, settings: str, target: str) -> None:
+    """Write the navigation mesh `target` of a stage configuration. Runs in a process of its own."""
+    habitat_sim = import_habitat()
+    simulator = habitat_sim.SimulatorConfiguration()
+    simulator.scene_id, simulator.create_renderer, simulator.load_semantic_mesh = stage, False, False
+    simulator.gpu_device_id = -1
+    agent = habitat_sim.agent.AgentConfiguration()
+    agent.sensor_specifications = []
+    with habitat_sim.Simulator(habitat_sim.Configuration(simulator, [agent])) as sim:
+        wanted = mesh_settings(habitat_sim, json.loads(Path(settings).read_text()))
+        if sim.recompute_navmesh(sim.pathfinder, wanted):
+            sim.pathfinder.save_nav_mesh(target)
+
+
+def write_mesh(glb: Path) -> None:
+    """Write ``<name>.navmesh`` beside an exported GLB. Raises `WorldError` if Habitat-Sim makes none."""
+    ends = (".stage_config.json", ".navmesh.json", ".navmesh")
+    _, said = run_apart(make_mesh, *(str(glb.with_suffix(end)) for end in ends))
+    if not glb.with_suffix(".navmesh").is_file():
+        raise WorldError(f"Habitat-Sim made no navigation mesh of {glb.stem}: {said}")
+
+
+def export_dataset(
+    sources: Sequence[Source], folder: Path | str, *, name: str = "eagor", split: str = "val", episodes: int = 10,
+    categories: Sequence[str] = (), radius: float = 0.18, on_done: Callable[[dict[str, Any]], object] = lambda _: None,
+) -> tuple[Path, list[dict[str, Any]]]:  # fmt: skip
+    """Write the folder; returns the episodes' ``<split>.json.gz``, and what was written of each scene.
+
+    `episodes` of each scene, of these `categories` (`make_goals`), for a body of this `radius` (metres). The same call
+    gives the same bytes. The folder appears when all of it is written: nothing is left of an export that fails.
+
+    Raises `WorldError` if the folder holds something, for two scenes of one name, and as `make_goals` and
+    `make_episodes`; `StorageError` if it cannot be written.
+    """
+    folder = Path(folder)
+    for what, word in (("name", name), ("split", split)):
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", word):
+            raise WorldError(f"{what} = {word!r}; wanted letters, digits, - and _: folders get that name")
+    if episodes < 1:
+        raise WorldError(f"{episodes} episodes of each scene; wanted 1 or more")
+    twice = [each for each, count in Counter(source.name for source in sources).items() if count > 1]
+    if twice:
+        raise WorldError(f"two scenes have the name {twice[0]!r}; one would replace the other: rename one")
+    home = Path("scene_datasets", name)
+    config = home / f"{name}.scene_dataset_config.json"
+    with all_or_nothing(folder) as part:
+        scenes, done, files = [], [], []
+        for source in sources:
+            scene = source.make()
+            file = f"{split}/{source.number:05d}-{source.name}/{source.name}.glb"
+            ground = Ground.from_scene(scene, radius=radius)
+            goals = make_goals(scene, ground, categories)
+            made = make_episodes(scene, ground, goals, episodes, f"{name}/{file}", f"./data/{config.as_posix()}")
+            export_glb(scene, part / home / file, radius=radius)
+            if has_meshes():
+                write_mesh(part / home / file)
+            scenes.append(SceneEpisodes(made, goals))
+            files.append(file)
+            things = [goal for each in goals.values() for goal in each]
+            found = {
+                "scene": str(folder / home / file), "source": scene.source, "instances": len(scene.instances),
+                "goals": len(things), "view_points": sum(len(goal.view_positions) for goal in things),
+                "episodes": len(made),
+            }  # fmt: skip
+            done.append(found)
+            on_done(found)
+        # Every scene has its files beside it, under its own name, which Habitat puts for this word.
+        mesh = "%%CONFIG_NAME_AS_ASSET_FILENAME%%.navmesh"
+        stages = {"default_attributes": STAGE | {"nav_asset": mesh}, "paths": {".glb": files}}
+        written(part / config, json.dumps({"stages": stages}, indent=1) + "\n")
+        path = write_episodes(part / "datasets" / "objectnav" / name / "v1", split, scenes)
+    return folder / path.relative_to(part), done
+
+
+@contextmanager
+def all_or_nothing(folder: Path) -> Iterator[Path]:
+    """A new folder, which becomes `folder` if all goes well, and is removed otherwise.
+
+    Raises `WorldError` if `folder` holds something, `StorageError` if it cannot be made.
+    """
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        what = "holds something" if folder.is_dir() else "is a file"
+        raise WorldError(f"{folder} {what}; name a new folder, or an empty one")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f"{folder.name}.", suffix=".part", dir=folder.parent) as beside:
+            part = Path(beside, folder.name)
+            part.mkdir()
+            yield part
+            if folder.exists():
+                folder.rmdir()
+            part.rename(folder)
+    except OSError as error:
+        raise StorageError(f"{folder} cannot be made ({error.strerror or error}); name another place") from error

@@ -1,4 +1,4 @@
-"""The ground of a scene in Habitat: `NavMesh` over one storey of its navigation mesh.
+"""The ground of a scene in Habitat: `HabitatNavMesh` over one storey of its navigation mesh.
 
 Meshes have islands on roofs, beds and tables, and islands that run over stairs through several storeys. `main_storey`
 tells which is walked on: never a roof. Steps, paths and geodesic distances are those of Habitat's PathFinder. A plan of
@@ -27,6 +27,17 @@ BAND = STOREY  # metres above and below its floor that belong to a storey
 BIN = 0.1  # metres: heights within it count as one level
 SMALLEST = 1.0  # square metres: no smaller island is looked at
 SPOTS = 12  # places of an island from which one looks up
+CELL = 0.05  # metres: side of a cell, as of our own plans
+ON_MESH = 1e-3  # metres in plan within which a place is on the mesh
+HELD = 1e-4  # metres by which a step falls short that has collided: the mesh is in single precision
+SHORT = 1e-3  # metres off the edge at which a step without sliding ends: no step leads away from the edge itself
+FAR = 2.0  # metres within which an edge is looked for
+LEVEL = 0.15  # metres: heights within it are the floor itself (rugs, sills, the steps of the mesh)
+BLOCK = 0.25  # metres: of the places beside a thing, one is kept in each square of this size
+PLACES = 48  # places beside a thing that are looked at
+TRIES = 20  # random points until one is on the mesh
+
+Sees = Callable[[np.ndarray, float, Instance], bool]  # whether a thing is seen from a point (2,) at a height (m)
 
 
 @dataclass(frozen=True)
@@ -37,6 +48,43 @@ class Storey:
     level: float
 
 
+def main_storey(
+    pathfinder: Any, roofed: Callable[[np.ndarray], float], height: float | None = None, source: str = "the scene"
+) -> Storey:
+    """The storey to walk on: the one nearest to `height`, or the largest under a roof, or, without one, the largest.
+
+    `roofed` tells the share of points ``(n, 3)`` of the mesh with something above them. Raises `WorldError` if there is
+    no island, or none at that height.
+    """
+    levels = [
+        (area, island, level)
+        for island in range(pathfinder.num_islands)
+        if pathfinder.island_area(island) >= SMALLEST
+        for area, level in levels_of(triangles_of(pathfinder, island))
+    ]
+    if not levels:
+        raise WorldError(
+            f"nowhere in {source} is there a square metre to walk on; is it the right way up (habitat:SCENE?up=y or "
+            "?up=z), and is the body small enough for it?"
+        )
+    levels.sort(reverse=True)
+    if height is not None:
+        near = [each for each in levels if abs(each[2] - height) <= BAND]
+        if not near:
+            known = ", ".join(sorted({f"{level:.1f}" for area, _, level in levels if area >= SMALLEST}))
+            raise WorldError(f"{source} has no storey at the height {height:g} m; it has some at {known} m")
+        large = [each for each in near if each[0] >= SMALLEST] or near
+        nearest = min(abs(level - height) for _, _, level in large)
+        # Islands of one floor differ by what the mesh is rounded to: among these the largest counts.
+        return next(Storey(*each[1:]) for each in large if abs(each[2] - height) <= nearest + BIN)
+    for _, island, level in levels:
+        triangles = triangles_of(pathfinder, island)
+        near = triangles[np.abs(triangles[:, :, 1].mean(axis=1) - level) <= 2 * BIN]
+        if roofed(near[np.argsort(-_areas(near))[:SPOTS]].mean(axis=1)) > 0.5:
+            return Storey(island, level)
+    return Storey(*levels[0][1:])
+
+
 def triangles_of(pathfinder: Any, island: int) -> np.ndarray:
     """The triangles ``(n, 3, 3)`` of an island, in Habitat's world."""
     vertices = np.array(pathfinder.build_navmesh_vertices(island), dtype=np.float64).reshape(-1, 3)
@@ -44,151 +92,147 @@ def triangles_of(pathfinder: Any, island: int) -> np.ndarray:
     return vertices[indices]
 
 
-def main_storey(
-    pathfinder: Any, roofed: Callable[[np.ndarray], float], height: float | None = None, source: str = "the scene"
-) -> Storey:
-    """The storey to walk on: the one nearest to `height`, or the largest level of the largest island under a roof.
-
-    `roofed` tells the share of points ``(n, 3)`` of the mesh with something above them. Raises `WorldError` if there is
-    no island, or none at that height.
-    """
-    islands = [island for island in range(pathfinder.num_islands) if pathfinder.island_area(island) >= SMALLEST]
-    if not islands:
-        raise WorldError(
-            f"nowhere in {source} is there a square metre to walk on; is it the right way up (habitat:SCENE?up=y or "
-            "?up=z), and is the body small enough for it?"
-        )
-    levels = [
-        (area, island, level) for island in islands for area, level in levels_of(triangles_of(pathfinder, island))
-    ]
-    if height is not None:
-        near = [(area, island, level) for area, island, level in levels if abs(level - height) <= BAND]
-        if not near:
-            known = ", ".join(sorted({f"{level:.1f}" for area, _, level in levels if area >= SMALLEST}))
-            raise WorldError(f"{source} has no storey at the height {height:g} m; it has some at {known} m")
-        large = [each for each in near if each[0] >= SMALLEST] or near
-        nearest = min(abs(level - height) for _, _, level in large)
-        # Islands of one floor differ by what the mesh is rounded to: among these the largest counts.
-        _, island, level = max(each for each in large if abs(each[2] - height) <= nearest + BIN)
-        return Storey(island, level)
-    ranked = sorted(levels, reverse=True)
-    for _, island, level in ranked:
-        if roofed(_spots(triangles_of(pathfinder, island), level)) > 0.5:
-            return Storey(island, level)
-    _, island, level = min((each for each in ranked if each[0] >= 0.25 * ranked[0][0]), key=lambda each: each[2])
-    return Storey(island, level)  # without any roof: the lowest of the large ones
-
-
 def levels_of(triangles: np.ndarray) -> list[tuple[float, float]]:
-    """The levels of an island, largest first: area (square metres) and height of each."""
+    """The levels of an island: area (square metres) and height of each, which is the commonest within `BAND` of it."""
     heights, areas = triangles[:, :, 1].mean(axis=1), _areas(triangles)
-    found, left = [], areas > 0
-    while left.any():
-        here, size = heights[left], areas[left]
-        bins = np.round(here / BIN).astype(int)
-        centre = (int(np.bincount(bins - bins.min(), size).argmax()) + bins.min()) * BIN
-        level = float(np.average(here, weights=size * (np.abs(here - centre) <= BIN)))
-        mine = left & (np.abs(heights - level) <= BAND)
-        if not mine.any():
-            break
-        found.append((float(areas[mine].sum()), level))
-        left &= ~mine
-    return sorted(found, reverse=True)
+    bins = np.round(heights / BIN).astype(int)
+    total = np.bincount(bins - bins.min(), areas)
+    most = ndimage.maximum_filter1d(total, 2 * round(BAND / BIN) + 1, mode="constant")
+    found = []
+    for centre in BIN * (np.flatnonzero((total == most) & (total > 0)) + bins.min()):
+        level = float(np.average(heights, weights=areas * (np.abs(heights - centre) <= BIN)))
+        found.append((float(areas[np.abs(heights - level) <= BAND].sum()), level))
+    return found
 
 
 def _areas(triangles: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
 
 
-def _spots(triangles: np.ndarray, level: float) -> np.ndarray:
-    """Middles of the largest triangles near a level ``(n, 3)``."""
-    near = triangles[np.abs(triangles[:, :, 1].mean(axis=1) - level) <= 2 * BIN]
-    return near[np.argsort(-_areas(near))[:SPOTS]].mean(axis=1)
-
-
-# --- the plan of a storey ---------------------------------------------------------------------------------------------
-
-CELL = 0.05  # metres: side of a cell, as of our own plans
-
-
 def height_map(triangles: np.ndarray, storey: Storey, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
-    """Habitat's y of the mesh at the middle of each cell ``(rows, cols)``, NaN off the storey, and the plan's origin.
+    """The plan's origin ``(2,)``, and Habitat's y of the mesh at the middle of each cell, NaN off the storey.
 
     Where two levels of the storey lie over each other, the one nearer to its floor counts.
     """
-    ours = frames.from_habitat(triangles)
-    low, high = ours[..., :2].min(axis=(0, 1)), ours[..., :2].max(axis=(0, 1))
+    corners = frames.from_habitat(triangles)[..., :2]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     origin = np.floor(low / CELL) * CELL - 2 * CELL  # aligned with our own plans
     cols, rows = (int(n) for n in np.ceil((high - origin) / CELL) + 2)
     heights = np.full((rows, cols), np.nan)
-    for corners, ys in zip((ours[..., :2] - origin) / CELL, triangles[..., 1], strict=True):
-        first = np.floor(corners.min(axis=0) - 0.5).astype(int)
-        last = np.ceil(corners.max(axis=0) - 0.5).astype(int) + 1
-        x, y = np.meshgrid(np.arange(first[0], last[0]) + 0.5, np.arange(first[1], last[1]) + 0.5)
-        a, b, c = corners
+    for (a, b, c), ys in zip((corners - origin) / CELL, triangles[..., 1], strict=True):
+        left, bottom = np.floor(np.min([a, b, c], axis=0) - 0.5).astype(int)
+        right, top = np.ceil(np.max([a, b, c], axis=0) - 0.5).astype(int) + 1
+        x, y = np.meshgrid(np.arange(left, right) + 0.5, np.arange(bottom, top) + 0.5)
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if abs(area) < 1e-12:
             continue
         u = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
         v = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-        inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
         height = ys[0] + u * (ys[1] - ys[0]) + v * (ys[2] - ys[0])
-        inside &= np.abs(height - storey.level) <= BAND
-        part = heights[first[1] : last[1], first[0] : last[0]]
-        better = inside & ~(np.abs(part - storey.level) <= np.abs(height - storey.level))
+        off, part = np.abs(height - storey.level), heights[bottom:top, left:right]
+        inside = (np.minimum(np.minimum(u, v), 1 - u - v) >= -1e-9) & (off <= BAND)
+        better = inside & ~(np.abs(part - storey.level) <= off)
         part[better] = height[better]
     return origin, heights
 
 
-# --- the surface of one storey of a navigation mesh -------------------------------------------------------------------
-
-ON_MESH = 1e-3  # metres in plan within which a place is on the mesh
-
-
 @dataclass(frozen=True, eq=False)
-class Surface:
-    """What Habitat's PathFinder says about one storey of one island.
+class NavMeshDistance:
+    """Geodesic distances to the nearest of goals ``(n, 3)``, each starting at its offset ``(n,)``, metres.
 
-    `heights` ``(rows, cols)``: Habitat's y of the mesh in the cells of the plan, which begin at `origin` ``(2,)``, NaN
-    off the storey. `source`: the scene, for errors.
+    Goals are in Habitat's world, as Habitat is asked for them.
     """
 
-    pathfinder: Any
-    storey: Storey
-    frames: Frames
-    origin: np.ndarray
-    heights: np.ndarray
-    source: str
+    ground: HabitatNavMesh
+    goals: np.ndarray
+    offsets: np.ndarray
+
+    def distance(self, xy: np.ndarray) -> np.ndarray:
+        points = np.asarray(xy, dtype=np.float64)
+        flat = [self.nearest(point)[0] for point in points.reshape(-1, 2)]
+        return np.array(flat).reshape(points.shape[:-1])
+
+    def nearest(self, xy: np.ndarray) -> tuple[float, int]:
+        """The distance from a point ``(2,)``, and the index of the goal at that distance (-1: none)."""
+        best, which = math.inf, -1
+        if not self.ground.is_free(xy):
+            return best, which
+        feet = self.ground.feet(xy)
+        least = np.linalg.norm(self.goals - feet, axis=1) + self.offsets
+        for index in np.argsort(least):
+            if least[index] >= best:
+                break
+            metres = self.ground.between(feet, self.goals[index])[0] + float(self.offsets[index])
+            if metres < best:
+                best, which = metres, int(index)
+        return best, which
+
+    def union(self, *others: NavMeshDistance) -> NavMeshDistance:
+        ways = (self, *others)
+        goals, offsets = (np.concatenate([getattr(way, name) for way in ways]) for name in ("goals", "offsets"))
+        return NavMeshDistance(self.ground, goals, offsets)
+
+    @lazy
+    def over_plan(self) -> DistanceField:
+        """The same over the plan, to its accuracy."""
+        plan, points, starts = self.ground.plan, [], []
+        for goal, start in zip(self.ground.frames.from_habitat(self.goals)[:, :2], self.offsets, strict=True):
+            near = plan.snap(goal, within=2 * CELL)
+            if near is not None:
+                points.append(near)
+                starts.append(start + float(np.hypot(*(near - goal))))
+        return plan.field(np.array(points).reshape(-1, 2), np.array(starts))
+
+
+class HabitatNavMesh:
+    """One storey of a navigation mesh: an `eagor.lab.worlds.navmesh.NavMesh`.
+
+    `pathfinder`: Habitat's; `level`: metres, heights within it are the floor itself; `sees`: None: things are seen from
+    everywhere. Raises `WorldError` if the storey has no ground.
+    """
+
+    def __init__(
+        self, pathfinder: Any, storey: Storey, frames: Frames, radius: float, rooms: tuple[Room, ...] = (),
+        source: str = "the scene", level: float = LEVEL, sees: Sees | None = None,
+    ) -> None:  # fmt: skip
+        self.pathfinder, self.storey, self.frames, self.sees = pathfinder, storey, frames, sees
+        self.radius, self.rooms, self.source, self.level = radius, rooms, source, level
+        origin, heights = height_map(triangles_of(pathfinder, storey.island), storey, frames)
+        free = largest_area(np.isfinite(heights))
+        if not free.any():
+            raise WorldError(f"nowhere in {source} can a body of radius {radius:g} m stand on this storey")
+        row, col = np.asarray(ndimage.distance_transform_edt(~free, return_distances=False, return_indices=True))
+        self.heights = heights[row, col]  # beside the storey, those of its nearest cells
+        clearance = np.asarray(ndimage.distance_transform_edt(free)) * CELL + radius * free
+        self.plan = Ground(origin, CELL, radius, 0.0, free, clearance, np.zeros_like(free), rooms)
+        self.origin, self.cell, self.floor = origin, CELL, 0.0
+        self.free, self.clearance, self.structure, self.points = free, clearance, self.plan.structure, self.plan.points
+
+    # --- what Habitat's PathFinder says of a place ---
 
     def feet(self, xy: np.ndarray) -> np.ndarray:
         """The point ``(3,)`` of Habitat's world at which a body stands at a point ``(2,)``, close to the mesh."""
-        x, y = float(xy[0]), float(xy[1])
-        found = self.frames.to_habitat(np.array([x, y, 0.0]))
-        found[1] = self._near_height(x, y)
+        col, row = np.clip((xy - self.origin) // CELL, 0, np.array(self.free.shape[::-1]) - 1).astype(int)
+        found = self.frames.to_habitat(np.array([xy[0], xy[1], 0.0]))
+        found[1] = self.heights[row, col]
         found = found.astype(np.float32)
         snapped = np.array(self.pathfinder.snap_point(found), dtype=np.float32)  # NaN with no mesh around
         if np.abs(snapped - found)[[0, 2]].max() < ON_MESH:
             found[1] = snapped[1]
         return found
 
-    def _near_height(self, x: float, y: float) -> float:
-        """Habitat's y of the cell at a point, of the nearest cells around, or of the storey's floor."""
-        rows, cols = self.heights.shape
-        col, row = int((x - self.origin[0]) // CELL), int((y - self.origin[1]) // CELL)
-        if 0 <= row < rows and 0 <= col < cols and np.isfinite(self.heights[row, col]):
-            return float(self.heights[row, col])
-        part = self.heights[max(0, row - 2) : max(0, row + 3), max(0, col - 2) : max(0, col + 3)]
-        near = part[np.isfinite(part)]
-        return float(near.mean()) if len(near) else self.storey.level
+    def height(self, xy: np.ndarray) -> float:
+        above = float(self.feet(xy)[1]) - self.storey.level
+        return above if abs(above) > self.level else 0.0
 
-    def is_free(self, point: np.ndarray) -> bool:
-        """Whether the body can stand at a point ``(2,)``; False off the storey and for NaN."""
-        if not np.isfinite(point).all():
-            return False
-        feet = self.feet(point)
-        if abs(float(feet[1]) - self.storey.level) > BAND or not self.pathfinder.is_navigable(feet, 0.5):
-            return False
-        return self.pathfinder.get_island(feet) == self.storey.island
+    def is_free(self, xy: np.ndarray) -> np.ndarray:
+        points = np.asarray(xy, dtype=np.float64)
+        flat = [np.isfinite(point).all() and self._stands(self.feet(point)) for point in points.reshape(-1, 2)]
+        return np.array(flat, dtype=bool).reshape(points.shape[:-1])
+
+    def _stands(self, feet: np.ndarray) -> bool:
+        on_storey = abs(float(feet[1]) - self.storey.level) <= BAND and self.pathfinder.is_navigable(feet, 0.5)
+        return on_storey and self.pathfinder.get_island(feet) == self.storey.island
 
     def check_free(self, point: np.ndarray) -> None:
         """Raise `WorldError` unless the body can stand at a point ``(2,)``."""
@@ -209,181 +253,28 @@ class Surface:
             return math.inf, np.zeros((0, 2))
         return float(path.geodesic_distance), self.frames.from_habitat(np.array(path.points))[:, :2]
 
-
-# --- steps of a body over a navigation mesh ---------------------------------------------------------------------------
-
-HELD = 1e-4  # metres by which a step falls short that has collided: the mesh is in single precision
-SHORT = 1e-3  # metres off the edge at which a step without sliding ends: no step leads away from the edge itself
-FAR = 2.0  # metres within which an edge is looked for
-
-
-def stepped(surface: Surface, xy: np.ndarray, step: np.ndarray, slide: bool) -> tuple[np.ndarray, bool]:
-    """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: Habitat's ``try_step``.
-
-    A blocked step slides along the edge of the mesh (`slide`), or the body stops a millimetre off every edge: for
-    Habitat-Sim 0.3.4 every step of a body that stands on the edge crosses it. It never leaves the storey. Raises
-    `WorldError` if the start is not free or the step not finite.
-    """
-    start, way = np.asarray(xy, dtype=np.float64), np.asarray(step, dtype=np.float64)
-    if not np.isfinite(way).all():
-        raise WorldError(f"step = ({way[0]}, {way[1]}); wanted two finite numbers, metres")
-    surface.check_free(start)
-    if not way.any():
-        return start.copy(), False
-    feet, ahead = surface.feet(start), surface.frames.to_habitat(np.array([*(start + way), 0.0]))
-    ahead[1] = feet[1]
-    tried = surface.pathfinder.try_step if slide else surface.pathfinder.try_step_no_sliding
-    end = surface.frames.from_habitat(np.array(tried(feet, ahead.astype(np.float32)), dtype=np.float64))[:2]
-    moved = end - start
-    if not np.isfinite(end).all() or np.hypot(*moved) > np.hypot(*way) + HELD or not surface.is_free(end):
-        return start.copy(), True
-    # Freely moved, the body is where the step led, not where single precision has put it.
-    if np.hypot(*(moved - way)) <= HELD:
-        return start + way, False
-    return (end if slide else _off_the_edge(surface, start, moved)), True
-
-
-def _off_the_edge(surface: Surface, start: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """The first place ``(2,)`` on the way that comes within about `SHORT` of an edge.
-
-    Habitat's own step can cross a notch of the mesh and end behind it, so the way is followed from its start: each time
-    as far as nothing can be met.
-    """
-    length, gone, clear = float(np.hypot(*moved)), 0.0, math.inf
-    if length == 0:
-        return start.copy()
-    while gone < length and clear > SHORT + HELD:
-        here = surface.feet(start + moved * (gone / length))
-        clear = float(surface.pathfinder.distance_to_closest_obstacle(here, FAR))
-        gone += max(0.0, clear - SHORT)
-    return start + moved * min(1.0, gone / length)
-
-
-# --- distances to goals -----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class NavMeshDistance:
-    """Geodesic distances to the nearest of goals ``(n, 3)``, each starting at its offset ``(n,)``, metres.
-
-    Goals are in Habitat's world, as Habitat is asked for them. `plan`: the same storey in cells, for `over_plan`.
-    """
-
-    surface: Surface
-    plan: Ground
-    goals: np.ndarray
-    offsets: np.ndarray
-
-    def distance(self, xy: np.ndarray) -> np.ndarray:
-        points = np.asarray(xy, dtype=np.float64)
-        flat = [self.nearest(point)[0] for point in points.reshape(-1, 2)]
-        return np.array(flat).reshape(points.shape[:-1])
-
-    def nearest(self, xy: np.ndarray) -> tuple[float, int]:
-        """The distance from a point ``(2,)``, and the index of the goal at that distance (-1: none)."""
-        best, which = math.inf, -1
-        if not self.surface.is_free(xy):
-            return best, which
-        feet = self.surface.feet(xy)
-        least = np.linalg.norm(self.goals - feet, axis=1) + self.offsets
-        for index in np.argsort(least):
-            if least[index] >= best:
-                break
-            metres = self.surface.between(feet, self.goals[index])[0] + float(self.offsets[index])
-            if metres < best:
-                best, which = metres, int(index)
-        return best, which
-
-    def union(self, *others: NavMeshDistance) -> NavMeshDistance:
-        ways = (self, *others)
-        goals, offsets = (np.concatenate([getattr(way, name) for way in ways]) for name in ("goals", "offsets"))
-        return NavMeshDistance(self.surface, self.plan, goals, offsets)
-
-    @lazy
-    def over_plan(self) -> DistanceField:
-        """The same over the plan, to its accuracy."""
-        points, starts = [], []
-        for goal, start in zip(self.surface.frames.from_habitat(self.goals)[:, :2], self.offsets, strict=True):
-            near = self.plan.snap(goal, within=2 * self.plan.cell)
-            if near is not None:
-                points.append(near)
-                starts.append(start + float(np.hypot(*(near - goal))))
-        return self.plan.field(np.array(points).reshape(-1, 2), np.array(starts))
-
-
-# --- the ground of a scene in Habitat ---------------------------------------------------------------------------------
-
-LEVEL = 0.15  # metres: heights within it are the floor itself (rugs, sills, the steps of the mesh)
-BLOCK = 0.25  # metres: of the places beside a thing, one is kept in each square of this size
-PLACES = 48  # places beside a thing that are looked at
-TRIES = 20  # random points until one is on the mesh
-
-Sees = Callable[[np.ndarray, Instance], bool]  # whether a body that stands at a point (2,) sees an instance
-
-
-class HabitatNavMesh:
-    """One storey of a navigation mesh.
-
-    `pathfinder`: Habitat's; `level`: metres, heights within it are the floor itself; `sees`: tells from which points
-    beside it a thing can be seen, None: from all; it may be set later. Raises `WorldError` if the storey has no ground.
-    """
-
-    def __init__(
-        self, pathfinder: Any, storey: Storey, frames: Frames, radius: float, rooms: tuple[Room, ...] = (),
-        source: str = "the scene", level: float = LEVEL,
-    ) -> None:  # fmt: skip
-        self.radius, self.rooms, self.source, self.level = radius, rooms, source, level
-        self.sees: Sees | None = None
-        self._ways: dict[int, tuple[Instance, NavMeshDistance]] = {}
-        origin, heights = height_map(triangles_of(pathfinder, storey.island), storey, frames)
-        free = largest_area(np.isfinite(heights))
-        if not free.any():
-            raise WorldError(f"nowhere in {source} can a body of radius {radius:g} m stand on this storey")
-        clearance = np.asarray(ndimage.distance_transform_edt(free)) * CELL + radius * free
-        self.surface = Surface(pathfinder, storey, frames, origin, np.where(free, heights, np.nan), source)
-        self.plan = Ground(origin, CELL, radius, 0.0, free, clearance, np.zeros_like(free), rooms)
-        # As in `eagor.lab.worlds.navmesh`.
-        self.origin, self.cell, self.floor = origin, CELL, 0.0
-        self.free, self.clearance, self.structure, self.points = free, clearance, self.plan.structure, self.plan.points
-
-    # --- between the plane and the mesh ---
-
-    @property
-    def pathfinder(self) -> Any:
-        """Habitat's PathFinder, which holds the mesh."""
-        return self.surface.pathfinder
-
-    def feet(self, xy: np.ndarray) -> np.ndarray:
-        return self.surface.feet(xy)
-
-    def height(self, xy: np.ndarray) -> float:
-        above = float(self.feet(xy)[1]) - self.surface.storey.level
-        return above if abs(above) > self.level else 0.0
-
     # --- points ---
-
-    def is_free(self, xy: np.ndarray) -> np.ndarray:
-        points = np.asarray(xy, dtype=np.float64)
-        flat = [self.surface.is_free(point) for point in points.reshape(-1, 2)]
-        return np.array(flat, dtype=bool).reshape(points.shape[:-1])
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
         xy = np.asarray(xy, dtype=np.float64)
-        if bool(self.is_free(xy)):
+        if self.is_free(xy):
             return xy.copy()
         found = self.plan.snap(xy, within)
-        if found is None or bool(self.is_free(found)):
+        if found is None or self.is_free(found):
             return found
-        centre = self.points[np.hypot(*(self.points - found).T).argmin()]
-        return centre.copy() if np.hypot(*(centre - xy)) <= within else None
+        centre = self._centre_near(found)
+        return centre if np.hypot(*(centre - xy)) <= within else None
 
     def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
         point = self.plan.sample(rng, clearance)
         for _ in range(TRIES):
-            if bool(self.is_free(point)):
+            if self.is_free(point):
                 return point
             point = self.plan.sample(rng, clearance)
-        return self.points[np.hypot(*(self.points - point).T).argmin()].copy()
+        return self._centre_near(point)
+
+    def _centre_near(self, xy: np.ndarray) -> np.ndarray:
+        return self.points[np.hypot(*(self.points - xy).T).argmin()].copy()
 
     # --- distances ---
 
@@ -391,23 +282,21 @@ class HabitatNavMesh:
         points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         goals = np.array([self.feet(point) for point in points[stand]], dtype=np.float64).reshape(-1, 3)
-        return NavMeshDistance(self.surface, self.plan, goals, starts[stand])
+        return NavMeshDistance(self, goals, starts[stand])
 
     def field_to_places(self, places: np.ndarray) -> NavMeshDistance:
-        """Distances to the nearest of places ``(n, 3)``, our world, as habitat-lab measures them (`Surface.between`).
+        """Distances to the nearest of places ``(n, 3)``, our world, as habitat-lab measures them (`between`).
 
         Places beside the mesh, or on another storey, count as well.
         """
-        goals = self.surface.frames.to_habitat(np.asarray(places, dtype=np.float64).reshape(-1, 3))
-        return NavMeshDistance(self.surface, self.plan, goals, np.zeros(len(goals)))
+        goals = self.frames.to_habitat(np.asarray(places, dtype=np.float64).reshape(-1, 3))
+        return NavMeshDistance(self, goals, np.zeros(len(goals)))
 
     def at_points(self, way: NavMeshDistance) -> np.ndarray:
         return self.plan.at_points(way.over_plan)
 
     def footprint(self, instance: Instance) -> NavMeshDistance:
-        if id(instance) not in self._ways:
-            self._ways[id(instance)] = instance, self.field(*self.beside(instance))
-        return self._ways[id(instance)][1]
+        return self.field(*self.beside(instance))
 
     def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
         """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint, metres.
@@ -420,9 +309,10 @@ class HabitatNavMesh:
         order = np.argsort(away, kind="stable")
         _, first = np.unique(np.floor(points[order] / BLOCK), axis=0, return_index=True)
         chosen = order[np.sort(first)]  # the nearest of each square, nearest first
-        close = chosen[away[chosen] <= BESIDE]
-        for group in (close[:PLACES], chosen[len(close) :][:PLACES]):
-            seen = np.array([k for k in group if self.sees is None or self.sees(points[k], instance)], dtype=np.intp)
+        close = away[chosen] <= BESIDE
+        for group in (chosen[close][:PLACES], chosen[~close][:PLACES]):
+            sights = [self.sees is None or self.sees(points[k], self.height(points[k]), instance) for k in group]
+            seen = group[np.array(sights, dtype=bool)]
             if len(seen):
                 kept = seen[away[seen] <= away[seen].min() + BESIDE]
                 return points[kept], away[kept]
@@ -434,16 +324,15 @@ class HabitatNavMesh:
         Raises `WorldError` if the start is not free or there is no path.
         """
         start = np.asarray(start, dtype=np.float64)
-        self.surface.check_free(start)
-        if isinstance(goal, NavMeshDistance):
-            index = goal.nearest(start)[1]
-            place = goal.goals[index] if index >= 0 else None
-            end = None if place is None else self.surface.frames.from_habitat(place)[:2]
-        else:
+        self.check_free(start)
+        metres, points, end = math.inf, np.zeros((0, 2)), start
+        if not isinstance(goal, NavMeshDistance):
             end = np.asarray(goal, dtype=np.float64)
-            place = self.feet(end)
-        metres, points = (math.inf, None) if place is None else self.surface.between(self.feet(start), place)
-        if points is None or end is None or not math.isfinite(metres):
+            metres, points = self.between(self.feet(start), self.feet(end))
+        elif (index := goal.nearest(start)[1]) >= 0:
+            end = self.frames.from_habitat(goal.goals[index])[:2]
+            metres, points = self.between(self.feet(start), goal.goals[index])
+        if not math.isfinite(metres):
             raise WorldError(
                 f"there is no path from ({start[0]:.2f}, {start[1]:.2f}) to the goal over the navigation mesh of "
                 f"{self.source}; snap() finds free ground"
@@ -453,5 +342,41 @@ class HabitatNavMesh:
     # --- steps ---
 
     def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = True) -> tuple[np.ndarray, bool]:
-        """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: `stepped`."""
-        return stepped(self.surface, xy, step, slide)
+        """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: Habitat's ``try_step``.
+
+        A blocked step slides along the edge of the mesh (`slide`), or the body stops a millimetre off every edge: for
+        Habitat-Sim 0.3.4 every step of a body that stands on the edge crosses it. It never leaves the storey. Raises
+        `WorldError` if the start is not free or the step not finite.
+        """
+        start, way = np.asarray(xy, dtype=np.float64), np.asarray(step, dtype=np.float64)
+        if not np.isfinite(way).all():
+            raise WorldError(f"step = ({way[0]}, {way[1]}); wanted two finite numbers, metres")
+        self.check_free(start)
+        if not way.any():
+            return start.copy(), False
+        feet, ahead = self.feet(start), self.frames.to_habitat(np.array([*(start + way), 0.0]))
+        ahead[1] = feet[1]
+        tried = self.pathfinder.try_step if slide else self.pathfinder.try_step_no_sliding
+        end = self.frames.from_habitat(np.array(tried(feet, ahead.astype(np.float32)), dtype=np.float64))[:2]
+        moved = end - start
+        if not np.isfinite(end).all() or np.hypot(*moved) > np.hypot(*way) + HELD or not self.is_free(end):
+            return start.copy(), True
+        # Freely moved, the body is where the step led, not where single precision has put it.
+        if np.hypot(*(moved - way)) <= HELD:
+            return start + way, False
+        return (end if slide else self._off_the_edge(start, moved)), True
+
+    def _off_the_edge(self, start: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """The first place ``(2,)`` on the way that comes within about `SHORT` of an edge.
+
+        Habitat's own step can cross a notch of the mesh and end behind it, so the way is followed from its start: each
+        time as far as nothing can be met.
+        """
+        length, gone, clear = float(np.hypot(*moved)), 0.0, math.inf
+        if length == 0:
+            return start.copy()
+        while gone < length and clear > SHORT + HELD:
+            here = self.feet(start + moved * (gone / length))
+            clear = float(self.pathfinder.distance_to_closest_obstacle(here, FAR))
+            gone += max(0.0, clear - SHORT)
+        return start + moved * min(1.0, gone / length)

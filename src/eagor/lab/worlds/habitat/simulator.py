@@ -4,9 +4,9 @@ A wrong device, a missing EGL or a damaged scene ends the process that tries it,
 process tries first, and its end is told in one sentence. The result holds for this process and for those that it
 starts.
 
-A session is all that touches Habitat-Sim's simulator. Another session may close its simulator; the next look opens it
-again. All simulators of a process draw with the graphics context of the first, and the process ends when one draws
-after the first was closed. So the first is one without a scene, which is closed last.
+A session is all that touches Habitat-Sim's simulator. A session that looks closes that of another, which opens again at
+its next look: each holds the textures of a whole building, and all simulators of a process draw with the graphics
+context of the first, so that the process ends when one draws after the first was closed.
 
 Habitat's world has Y up; its x is ours, its Z is our -y (`eagor.conventions.to_gltf`), as in exported GLB files and
 ObjectNav episodes. Heights differ by the floor of the chosen storey: our z = 0 is Habitat's y = `Frames.floor`. A
@@ -20,8 +20,7 @@ import json
 import os
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
@@ -35,17 +34,21 @@ from eagor.conventions import from_gltf, pose_to_habitat, to_gltf, wxyz_from_rot
 from eagor.errors import MissingExtraError, WorldError
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.render import Frame, checked_pose
+from eagor.queries import SYNONYMS
 
+HOW_TO_GET = (
+    "it is on no package registry: conda install -c conda-forge -c aihabitat habitat-sim headless, or build it from "
+    "the sources of facebookresearch/habitat-sim (pip install . there)"
+)
+PATIENCE = 300.0  # seconds for a process of its own: opening a scene or making a mesh takes a few
 FIRST_ROWS = 64  # of the sensors with which a simulator is made; others are added when they are asked for
 KINDS = ("color", "depth", "semantic")
-PATIENCE = (
-    300.0  # seconds for a process of its own: a mesh, of which an apartment takes less than one, or opening a scene
-)
+FAR = 999.0  # metres: the far plane is at 1000
 
 
 @dataclass(frozen=True)
 class Source:
-    """What Habitat-Sim opens: `scene_id`, the scene dataset's configuration, and the GPU (None: found by the probe).
+    """What Habitat-Sim opens: `scene_id`, the scene dataset's configuration, and the GPU (None: found by trying).
 
     `name`: the same in every process, unlike the path of a written stage configuration.
     """
@@ -55,27 +58,44 @@ class Source:
     gpu: int | None = None
     name: str = ""
 
-    @property
-    def title(self) -> str:
-        """Its name, or its id."""
-        return self.name or self.scene_id
+
+def import_habitat() -> Any:
+    """The module `habitat_sim`, with its logging silenced. Raises `MissingExtraError`, or `WorldError` if it fails."""
+    _need()
+    _quieten()
+    try:
+        import habitat_sim  # pyright: ignore[reportMissingImports]
+    except Exception as error:  # a broken build raises what it likes
+        raise WorldError(BROKEN.format(f"{type(error).__name__}: {error}"[:300])) from error
+    return habitat_sim
 
 
-def configured(habitat_sim: Any, source: Source, gpu: int, rows: int = FIRST_ROWS, kinds: Sequence[str] = KINDS) -> Any:
-    """The configuration of a simulator with equirectangular sensors at the agent's origin, without sliding.
+def _need() -> None:
+    if "habitat_sim" not in sys.modules and find_spec("habitat_sim") is None:
+        raise MissingExtraError(f"the world habitat needs Habitat-Sim (the module habitat_sim); {HOW_TO_GET}")
+
+
+def _quieten() -> None:
+    """Let Habitat-Sim and its libraries write nothing but errors: they would write to stdout, which is for results."""
+    for name, level in (("MAGNUM_LOG", "quiet"), ("HABITAT_SIM_LOG", "quiet"), ("GLOG_minloglevel", "2")):
+        os.environ.setdefault(name, level)
+
+
+def simulator_of(habitat_sim: Any, source: Source, device: int, kinds: Sequence[str] = KINDS) -> Any:
+    """A simulator with equirectangular sensors at the agent's origin.
 
     With a sensor of colour, each simulator prepares lights: on the CPU, that takes most of the time that it starts.
     """
     settings = habitat_sim.SimulatorConfiguration()
     settings.scene_id = source.scene_id
     settings.scene_dataset_config_file = source.dataset
-    settings.gpu_device_id = gpu
+    settings.gpu_device_id = device
     settings.allow_sliding = False
     settings.enable_physics = False
     settings.random_seed = 0
     agent = habitat_sim.agent.AgentConfiguration()
-    agent.sensor_specifications = [sensor_of(habitat_sim, kind, rows) for kind in kinds]
-    return habitat_sim.Configuration(settings, [agent])
+    agent.sensor_specifications = [sensor_of(habitat_sim, kind, FIRST_ROWS) for kind in kinds]
+    return habitat_sim.Simulator(habitat_sim.Configuration(settings, [agent]))
 
 
 def sensor_of(habitat_sim: Any, kind: str, rows: int) -> Any:
@@ -90,28 +110,35 @@ def sensor_of(habitat_sim: Any, kind: str, rows: int) -> Any:
     return spec
 
 
+def mesh_settings(habitat_sim: Any, chosen: Mapping[str, Any]) -> Any:
+    """Habitat's NavMeshSettings: its own defaults but for what is chosen."""
+    settings = habitat_sim.NavMeshSettings()
+    settings.set_defaults()
+    for name, value in chosen.items():
+        setattr(settings, name, value)
+    return settings
+
+
 # --- whether Habitat-Sim can open a scene here, and on which device, found out in another process ---------------------
 
-HOW_TO_GET = (
-    "it is on no package registry: conda install -c conda-forge -c aihabitat habitat-sim headless, or build it from "
-    "the sources of facebookresearch/habitat-sim (pip install . there)"
-)
 GPU = "EAGOR_HABITAT_GPU"  # environment: the device for all scenes, -1 for the CPU
 PROBED = "EAGOR_HABITAT_PROBED"  # environment of the processes that this one starts: what was found out
 CPU = -1
 _MARK = "eagor probe: "  # of our lines: libraries write to stdout, too
-_found: dict[str, int] = {}
 
-
-def import_habitat() -> Any:
-    """The module `habitat_sim`, with its logging silenced. Raises `MissingExtraError`, or `WorldError` if it fails."""
-    _need()
-    _quieten()
-    try:
-        import habitat_sim  # pyright: ignore[reportMissingImports]
-    except Exception as error:  # a broken build raises what it likes
-        raise WorldError(_broken(f"{type(error).__name__}: {error}")) from error
-    return habitat_sim
+BROKEN = (
+    "Habitat-Sim is installed, but cannot be imported ({}); it needs the NumPy that it was built for, and libEGL: "
+    "install it again"
+)
+NO_GPU = (
+    "Habitat-Sim cannot draw on GPU {} ({}): there is no such NVIDIA card with EGL here; use another number, or the "
+    f"CPU: habitat:SCENE?gpu=-1, or {GPU}=-1"
+)
+NO_CPU = (
+    "Habitat-Sim cannot draw on the CPU ({}): it needs EGL with Mesa's software renderer (Debian, Ubuntu: libegl1, "
+    "libgl1-mesa-dri), and a headless build of Habitat-Sim"
+)
+NO_SCENE = "Habitat-Sim cannot open the scene {!r} ({}); is it complete, and does the dataset list it?"
 
 
 def device_for(source: Source) -> int:
@@ -120,138 +147,69 @@ def device_for(source: Source) -> int:
     Raises `MissingExtraError` without Habitat-Sim, and `WorldError` if no simulator can be made, or not of this scene.
     """
     _need()
-    gpu = _from_environment() if source.gpu is None else source.gpu
-    key = json.dumps([source.title, source.dataset, gpu])
-    _found.update(json.loads(os.environ.get(PROBED, "{}")))
-    if key not in _found:
-        chosen, why = [gpu] if gpu is not None else [0, CPU] if _has_nvidia() else [CPU], None
-        for device in chosen:
-            why = _try(source, device)
-            if why is None:
-                _found[key] = device
-                break
-        else:
-            raise WorldError(why)
-        os.environ[PROBED] = json.dumps(_found)
-    return _found[key]
+    asked = os.environ.get(GPU, "") if source.gpu is None else str(source.gpu)
+    known = json.loads(os.environ.get(PROBED, "{}"))
+    key = f"{source.name or source.scene_id}, {source.dataset}, {asked}"
+    if key not in known:
+        known[key] = _first_that_opens(source, asked)
+        os.environ[PROBED] = json.dumps(known)
+    return known[key]
 
 
-def _need() -> None:
-    if "habitat_sim" not in sys.modules and find_spec("habitat_sim") is None:
-        raise MissingExtraError(f"the world habitat needs Habitat-Sim (the module habitat_sim); {HOW_TO_GET}")
-
-
-def _from_environment() -> int | None:
-    text = os.environ.get(GPU, "")
-    if not text:
-        return None
+def _first_that_opens(source: Source, asked: str) -> int:
+    """The first device that opens the scene, of the one that is `asked` for, or of those that may be here."""
     try:
-        return int(text)
+        devices = [int(asked)] if asked else [0, CPU] if Path("/proc/driver/nvidia/version").exists() else [CPU]
     except ValueError:
-        raise WorldError(f"{GPU} = {text!r}; wanted the number of a GPU, or -1 for the CPU") from None
+        raise WorldError(f"{GPU} = {asked!r}; wanted the number of a GPU, or -1 for the CPU") from None
+    why = ""
+    for device in devices:
+        out, last = run_apart(try_to_open, source.scene_id, source.dataset, str(device))
+        stage = next((line for line in reversed(out.splitlines()) if line.startswith(_MARK)), "").removeprefix(_MARK)
+        if stage == "opened":
+            return device
+        if stage == "drawn":
+            why = NO_SCENE.format(source.name or source.scene_id, last)
+        elif stage == "imported":
+            why = NO_CPU.format(last) if device == CPU else NO_GPU.format(device, last)
+        else:
+            why = BROKEN.format(last)
+    raise WorldError(why)
 
 
-def _has_nvidia() -> bool:
-    return Path("/proc/driver/nvidia/version").exists() or Path("/dev/nvidia0").exists()
-
-
-def _quieten() -> None:
-    """Let Habitat-Sim and its libraries write nothing but errors: they would write to stdout, which is for results."""
-    for name, level in (("MAGNUM_LOG", "quiet"), ("HABITAT_SIM_LOG", "quiet"), ("GLOG_minloglevel", "2")):
-        os.environ.setdefault(name, level)
-
-
-def run_apart(program: str, *arguments: str) -> tuple[int | None, str, str]:
-    """Run Python code in a process of its own, as Habitat-Sim may end the process that it runs in.
-
-    Its exit code (None: it was ended after `PATIENCE`), what it wrote to stdout, and to stderr. Its last argument is
-    the number of a pipe: when that ends, this process is gone, and so it should be, too.
-    """
-    there, here = os.pipe()
-    command = [sys.executable, "-c", program, *arguments, str(there)]
-    path = os.pathsep.join(filter(None, sys.path))
-    try:
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE, pass_fds=(there,),
-            env={**os.environ, "PYTHONPATH": path},
-        )  # fmt: skip
-        code, said = done.returncode, (done.stdout, done.stderr)
-    except subprocess.TimeoutExpired as late:
-        code, said = None, (late.stdout or b"", late.stderr or b"")
-    finally:
-        os.close(there)
-        os.close(here)
-    out, err = (text.decode(errors="replace") for text in said)
-    return code, out, err
-
-
-def _try(source: Source, device: int) -> str | None:
-    """Why the scene cannot be opened on this device, as a sentence; None if it can."""
-    program = "import sys; from eagor.lab.worlds.habitat.simulator import main; main(*sys.argv[1:])"
-    code, out, err = run_apart(program, source.scene_id, source.dataset, str(device))
-    said = [line.removeprefix(_MARK) for line in out.splitlines() if line.startswith(_MARK)]
-    stage = said[-1] if said else ""
-    if stage == "done":
-        return None
-    words = [line.strip() for line in err.splitlines() if line.strip()]
-    last = words[-1][:300] if words else "it ended without a word"
-    last = f"it took longer than {PATIENCE:.0f} s" if code is None else last
-    return _sentence(stage, source, device, last)
-
-
-def _sentence(stage: str, source: Source, device: int, last: str) -> str:
-    """What failed after `stage`, whose process last said `last`, and what to do."""
-    if stage == "":
-        return _broken(last)
-    if stage == "context" and device != CPU:
-        return (
-            f"Habitat-Sim cannot draw on GPU {device} ({last}): there is no such NVIDIA card with EGL here; use "
-            f"another number, or the CPU: habitat:SCENE?gpu=-1, or {GPU}=-1"
-        )
-    if stage == "context":
-        return (
-            f"Habitat-Sim cannot draw on the CPU ({last}): it needs EGL with Mesa's software renderer (Debian, Ubuntu: "
-            "libegl1, libgl1-mesa-dri), and a headless build of Habitat-Sim"
-        )
-    if "No Stage Attributes exists" in last:
-        return (
-            f"the scene dataset {source.dataset} has no scene {source.title!r}; wanted one that its stages or scene "
-            "instances list, or the scene's own file"
-        )
-    return f"Habitat-Sim cannot open the scene {source.title!r} ({last}); is it complete, and does the dataset list it?"
-
-
-def _broken(why: str) -> str:
-    return (
-        f"Habitat-Sim is installed, but cannot be imported ({why[:300]}); it needs the NumPy that it was built for, "
-        "and libEGL: install it again"
-    )
-
-
-def main(scene_id: str, dataset: str, device: str, line: str) -> None:
-    """Try to open a scene, and say before each stage which it is. Runs in a process of its own, until `line` ends."""
-    threading.Thread(target=lambda: (os.read(int(line), 1), os._exit(1)), daemon=True).start()
+def try_to_open(scene_id: str, dataset: str, device: str) -> None:
+    """Open a scene, and say after each stage what has worked. Runs in a process of its own."""
     _quieten()
     import habitat_sim  # pyright: ignore[reportMissingImports]
 
-    _say("context")
-    for stage, source in (("scene", Source("NONE")), ("done", Source(scene_id, dataset))):
-        habitat_sim.Simulator(configured(habitat_sim, source, int(device), 8, ("depth",))).close()
-        _say(stage)
-    sys.stdout.flush()
-    os._exit(0)  # libraries may fail while they are unloaded
+    print(f"{_MARK}imported", flush=True)
+    simulator_of(habitat_sim, Source("NONE"), int(device), ("depth",)).close()
+    print(f"{_MARK}drawn", flush=True)
+    simulator_of(habitat_sim, Source(scene_id, dataset), int(device), ("depth",)).close()
+    print(f"{_MARK}opened", flush=True)
 
 
-def _say(stage: str) -> None:
-    print(f"{_MARK}{stage}", flush=True)
+def run_apart(work: Callable[..., None], *words: str) -> tuple[str, str]:
+    """Call a function of ours in a process of its own, as Habitat-Sim may end the process that it runs in.
+
+    What it wrote to stdout, and the last line of stderr, or why there is none.
+    """
+    program = f"import sys; from {work.__module__} import {work.__name__} as work; work(*sys.argv[1:])"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", program, *words], stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )  # fmt: skip
+    except subprocess.TimeoutExpired as late:
+        return (late.stdout or b"").decode(errors="replace"), f"it took longer than {PATIENCE:.0f} s"
+    said = done.stderr.decode(errors="replace").split("\n")
+    last = next((line.strip() for line in reversed(said) if line.strip()), "it ended without a word")
+    return done.stdout.decode(errors="replace"), last[:300]
 
 
-# --- the simulators that are open in this process ---------------------------------------------------------------------
+# --- the simulator that is open in this process -----------------------------------------------------------------------
 
-MOST = 2  # simulators open at a time: each holds the textures of a whole building
-
-_open: list[Session] = []  # least recently used first
-_keeper: list[Any] = []  # a simulator without a scene, open as long as any other is
+_open: list[Session] = []  # one at most
 
 
 class Session:
@@ -260,85 +218,56 @@ class Session:
     def __init__(self, source: Source) -> None:
         self.source = source
         self._sim: Any = None
-        self._sensors: set[str] = set()
 
     @property
     def sim(self) -> Any:
-        """The simulator (`habitat_sim.Simulator`). Raises `WorldError` if it cannot be made."""
+        """The simulator (`habitat_sim.Simulator`). Raises as `device_for` if it cannot be made."""
         if self._sim is None:
-            while len(_open) >= MOST:
-                _open[0].close()
             device = device_for(self.source)
-            if not _keeper:
-                _keeper.append(_made(Source("NONE"), device, 8, ("depth",)))
-            self._sim = _made(self.source, device)
-            self._sensors = {f"{kind} {FIRST_ROWS}" for kind in KINDS}
-        else:
-            _open.remove(self)
-        _open.append(self)
+            close_all()
+            self._sim = simulator_of(import_habitat(), self.source, device)
+            _open.append(self)
         return self._sim
 
     def look(
-        self, kinds: Sequence[str], rows: int, position: np.ndarray, quaternion: np.ndarray
+        self, kinds: Sequence[str], rows: int, position: np.ndarray, world_R_body: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Equirectangular pictures by kind ("color", "depth", "semantic"), of `rows` rows, in Habitat's world.
+        """Equirectangular pictures by kind ("color", "depth", "semantic"), of `rows` rows.
 
-        `position` ``(3,)`` and `quaternion` ``(4,)``, w first, of the camera.
+        `position` ``(3,)``, in Habitat's world; `world_R_body`: our pose. Raises `RotationError`, and as `sim`.
         """
         import magnum  # pyright: ignore[reportMissingImports]
 
-        sim, names = self.sim, {kind: f"{kind} {rows}" for kind in kinds}
-        for kind, name in names.items():
-            if name not in self._sensors:
-                sim.add_sensor(sensor_of(import_habitat(), kind, rows))
-                self._sensors.add(name)
+        sim = self.sim
         body = sim.agents[0].scene_node
-        w, x, y, z = (float(value) for value in quaternion)
+        w, x, y, z = wxyz_from_rotation(pose_to_habitat(world_R_body)).tolist()
         body.translation = magnum.Vector3(*(float(value) for value in position))
         body.rotation = magnum.Quaternion(magnum.Vector3(x, y, z), w)
-        registry = getattr(sim, "sensors", None) or sim._sensors  # 0.3.3 has no public name for it
-        sensors = {kind: registry[name] for kind, name in names.items()}
-        for sensor in sensors.values():
-            sensor.draw_observation()
-        return {kind: sensor.get_observation() for kind, sensor in sensors.items()}
+        sensors = getattr(sim, "sensors", None) or sim._sensors  # 0.3.3 has no public name for it
+        for kind in kinds:
+            if f"{kind} {rows}" not in sensors:
+                sim.add_sensor(sensor_of(import_habitat(), kind, rows))
+            sensors[f"{kind} {rows}"].draw_observation()
+        return {kind: sensors[f"{kind} {rows}"].get_observation() for kind in kinds}
 
     def close(self) -> None:
         """Close the simulator, if it is open."""
         if self._sim is not None:
             _open.remove(self)
-            sim, self._sim, self._sensors = self._sim, None, set()
+            sim, self._sim = self._sim, None
             sim.close()
-        if not _open:
-            _close_keeper()
 
 
 def close_all() -> None:
-    """Close all simulators of this process."""
-    while _open:
-        _open[0].close()
-    _close_keeper()
-
-
-def _close_keeper() -> None:
-    while _keeper:
-        _keeper.pop().close()
+    """Close the simulator that is open in this process."""
+    for session in [*_open]:
+        session.close()
 
 
 atexit.register(close_all)
 
 
-def _made(source: Source, gpu: int, rows: int = FIRST_ROWS, kinds: Sequence[str] = KINDS) -> Any:
-    habitat_sim = import_habitat()
-    try:
-        return habitat_sim.Simulator(configured(habitat_sim, source, gpu, rows, kinds))
-    except Exception as error:  # C++ errors come as RuntimeError, among others
-        raise WorldError(
-            f"Habitat-Sim cannot open {source.title!r} on device {gpu} ({type(error).__name__}: "
-            f"{str(error).strip()[:300]}); is the scene complete?"
-        ) from error
-
-
-# --- what a camera sees in Habitat-Sim, in our coordinates ------------------------------------------------------------
+# --- what a camera sees in Habitat-Sim, in our coordinates and words --------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -359,17 +288,11 @@ class Frames:
         found[..., 2] -= self.floor
         return found
 
-    def box_from_habitat(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest corner ``(3,)`` of an axis-aligned box, in our world."""
-        corners = self.from_habitat(np.stack([low, high]))
-        return corners.min(axis=0), corners.max(axis=0)
 
-    def quaternion(self, world_R_body: np.ndarray) -> np.ndarray:
-        """Habitat's rotation ``(4,)``, w first, of a camera with our pose `world_R_body`. Raises `RotationError`."""
-        return wxyz_from_rotation(pose_to_habitat(world_R_body))
-
-
-FAR = 999.0  # metres: the far plane is at 1000
+def read_category(category: str) -> str:
+    """A category of Habitat's files and scenes in our words: lower case, our spelling."""
+    words = " ".join(category.replace("_", " ").replace("/", " ").lower().split())
+    return SYNONYMS.get(words, words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,10 +324,9 @@ class HabitatView:
         """
         place, rotation = checked_pose(position, world_R_body, height)
         labels = self.labels if ids else None
-        by_ids, by_points = (labels is not None and labels.raw is raw for raw in (True, False))
-        wanted = {"color": rgb, "depth": range or by_points, "semantic": by_ids}
-        kinds = [kind for kind in KINDS if wanted[kind]]
-        seen = self.session.look(kinds, height, self.frames.to_habitat(place), self.frames.quaternion(rotation))
+        by_ids, by_points = labels is not None and labels.raw, labels is not None and not labels.raw
+        kinds = [kind for kind, wanted in zip(KINDS, (rgb, range or by_points, by_ids), strict=True) if wanted]
+        seen = self.session.look(kinds, height, self.frames.to_habitat(place), rotation)
         metres = euclidean(seen["depth"]) if "depth" in seen else None
         shown = seen.get("semantic")
         if by_points and metres is not None:

@@ -7,16 +7,29 @@ follow it: ``habitat:SCENE?dataset=FILE&storey=2.9``.
 - ``storey``: the height of the floor to walk on, metres, Habitat's y (default: the largest);
 - ``up``: ``y`` or ``z``, the axis of a bare GLB file that points up (Habitat takes z, glTF says y);
 - ``navmesh``: a ``.navmesh`` file (default: the scene's, if it was made for a body of this radius, or a new one);
+- ``boxes``: a file of boxes, see below;
+- ``gpu``: the GPU's number, -1 for the CPU (default: $EAGOR_HABITAT_GPU, or what the probe finds);
 - ``body``: metres, the height of a body: the navigation mesh is the one that habitat-lab would use for it (the scene's
   if made with the same settings, else a new one with voxels of 0.05 m); with it ``climb``, the height of steps that it
-  climbs, and ``voxel``, the height of voxels (metres, both 0.2 as in habitat-lab);
-- ``boxes``: a file of boxes (`eagor.lab.worlds.habitat.semantics`);
-- ``gpu``: the GPU's number, -1 for the CPU (default: $EAGOR_HABITAT_GPU, or what the probe finds).
+  climbs, and ``voxel``, the height of voxels (metres, both 0.2 as in habitat-lab).
 
 A scene is the same for every seed.
 
 A mesh floats above the floor by up to a voxel, and Habitat's heights have no zero. So the floor is what the camera sees
 below points of the mesh. This also shows whether mesh and scene have the same way up.
+
+In this order, the named things of a scene are those of
+
+1. a file of boxes: one that is given, or ``<scene>.semantic.json`` or ``<scene>.boxes.json`` beside the scene's file;
+2. Habitat's own semantic scene (HM3D, MP3D, Gibson, Replica);
+3. the nodes of the GLB file: category and colour are words of a node's name, as in `eagor.lab.worlds.glb`.
+
+Of Habitat's semantic scene, its ids decide which thing a pixel shows; otherwise it is the smallest box that contains
+the point.
+
+A file of boxes is what `export_glb` writes (``"format": "eagor semantic 1"``, our frame), or
+``{"format": "eagor boxes 1", "boxes": [{"category": "chair", "colour": "red", "low": [x, y, z], "high": [x, y, z]}]}``
+in Habitat's world: metres, Y up, as in the GLB file. Colour and "room" may be left out.
 """
 
 from __future__ import annotations
@@ -28,26 +41,37 @@ import math
 import shutil
 import tempfile
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from eagor._values import lazy
+from eagor._checks import shown
 from eagor.errors import WorldError
+from eagor.grids import ErpGrid
 from eagor.lab.worlds import World, WorldOf
-from eagor.lab.worlds.glb import LAB_VOXEL, voxel_for
-from eagor.lab.worlds.habitat.navmesh import LEVEL, HabitatNavMesh, Storey, main_storey
-from eagor.lab.worlds.habitat.semantics import Box, Things, beside, seen_boxes, things_of
-from eagor.lab.worlds.habitat.simulator import Frames, HabitatView, Session, Source, import_habitat
-from eagor.lab.worlds.objectnav import LAB_CLIMB, LAB_SLOPE
+from eagor.lab.worlds.glb import LAB_VOXEL, import_glb, read_semantics, voxel_for
+from eagor.lab.worlds.habitat.navmesh import LEVEL, HabitatNavMesh, main_storey
+from eagor.lab.worlds.habitat.simulator import (
+    Frames,
+    HabitatView,
+    Labels,
+    Session,
+    Source,
+    euclidean,
+    import_habitat,
+    mesh_settings,
+    read_category,
+)
 from eagor.lab.worlds.scene import Instance, Room
+from eagor.queries import COLOURS
 
+LAB_CLIMB, LAB_SLOPE = 0.2, 45.0  # metres and degrees: what habitat-lab's bodies climb by default
 NUMBERS = {"storey": float, "gpu": int, "body": float, "climb": float, "voxel": float}
-SCENES = (".glb", ".gltf", ".ply", ".stage_config.json", ".scene_instance.json")
+GLB = (".glb", ".gltf")
 
 
 @dataclass(frozen=True)
@@ -72,8 +96,8 @@ def parse(text: str) -> Options:
     values: dict[str, Any] = {}
     known = [each.name for each in fields(Options)][1:]
     for part in filter(None, rest.split("&")):
-        name, equals, value = part.partition("=")
-        if name not in known or not equals or not value:
+        name, _, value = part.partition("=")
+        if name not in known or not value:
             raise WorldError(f"habitat:{text} has the option {part!r}; wanted {'=..., '.join(known)}=...")
         try:
             values[name] = NUMBERS.get(name, str)(value)
@@ -98,54 +122,36 @@ def file_of(options: Options) -> Path | None:
     if not options.scene:
         raise WorldError("the world 'habitat' wants habitat:SCENE, with a file or a name in a dataset")
     file = Path(options.scene).expanduser()
-    if file.is_file():
-        return file.resolve()
-    if options.dataset is None:
-        kind = "a folder" if file.is_dir() else "missing"
+    if not file.is_file() and options.dataset is None:
         raise WorldError(
-            f"the scene {options.scene!r} is {kind}; wanted a file ({', '.join(f'*{end}' for end in SCENES)}), or a "
-            "name in a dataset: habitat:NAME?dataset=FILE.scene_dataset_config.json"
+            f"the scene {options.scene!r} is {'a folder' if file.is_dir() else 'missing'}; wanted a file (*.glb, "
+            "*.gltf, *.ply, *.stage_config.json, *.scene_instance.json), or a name in a dataset: "
+            "habitat:NAME?dataset=FILE.scene_dataset_config.json"
         )
-    return None
+    return file.resolve() if file.is_file() else None
 
 
 def existing(name: str | None, what: str) -> Path | None:
     """The file `name`, absolute; None if none is named. Raises `WorldError` if it is missing."""
-    if name is None:
-        return None
-    file = Path(name).expanduser()
-    if not file.is_file():
+    if name is not None and not Path(name).expanduser().is_file():
         raise WorldError(f"{what} {name!r} is missing; give the path of an existing file")
-    return file.resolve()
+    return None if name is None else Path(name).expanduser().resolve()
 
 
 def scene_id_of(options: Options, file: Path | None) -> str:
     """What Habitat is asked for: a name, the file, or a stage configuration for it.
 
-    Habitat takes axes and ids of a bare GLB file from a stage configuration alone. One beside the file is used as it
-    is. One is written, for this process, if the axes are given, or for HM3D's files without their dataset:
-    ``NAME.basis.glb`` with ``NAME.semantic.glb`` and ``NAME.semantic.txt`` beside.
+    Habitat takes the axes of a bare GLB file from a stage configuration alone: from one beside the file, or, if the
+    axes are given, from one that is written for this process.
     """
     if file is None:
         return options.scene
-    if file.suffix.lower() not in (".glb", ".gltf") or (options.dataset is not None and options.up is None):
-        return str(file)
-    stage = stage_beside(file)
-    if options.up is None and stage.is_file():
-        return str(stage)
-    stem = file.name.split(".")[0]
-    painted, named = (file.with_name(f"{stem}.semantic.{kind}") for kind in ("glb", "txt"))
-    annotated = painted.is_file() and named.is_file()
-    if options.up is None and not annotated:
-        return str(file)
-    known: dict[str, Any] = {"shader_type": "flat"}
-    if stage.is_file():
-        known = json.loads(stage.read_text(encoding="utf-8"))
+    stage, bare = file.with_suffix(".stage_config.json"), file.suffix.lower() in GLB
+    if not bare or options.up is None:
+        return str(stage if bare and options.dataset is None and stage.is_file() else file)
     up, front = ([0, 1, 0], [0, 0, -1]) if options.up == "y" else ([0, 0, 1], [0, 1, 0])
+    known = json.loads(stage.read_text(encoding="utf-8")) if stage.is_file() else {"shader_type": "flat"}
     known |= {"render_asset": str(file), "collision_asset": str(file), "up": up, "front": front}
-    if annotated:
-        known |= {"semantic_asset": str(painted), "semantic_descriptor_filename": str(named)}
-        known |= {"has_semantic_textures": True, "semantic_up": up, "semantic_front": front}
     folder = Path(tempfile.mkdtemp(prefix="eagor-habitat-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     made = folder / stage.name
@@ -153,44 +159,29 @@ def scene_id_of(options: Options, file: Path | None) -> str:
     return str(made)
 
 
-def stage_beside(file: Path) -> Path:
-    """Where the stage configuration of a GLB file would lie."""
-    return file.with_suffix(".stage_config.json")
-
-
-def is_bare(options: Options) -> bool:
-    """Whether nothing but Habitat's default says which way is up."""
-    file = Path(options.scene).expanduser()
-    glb = file.suffix.lower() in (".glb", ".gltf")
-    return glb and options.up is None and options.dataset is None and not stage_beside(file).is_file()
-
-
-# --- the navigation mesh for a body, and the true floor below it, looked at from above --------------------------------
-
-HEIGHT, CLIMB = 1.5, 0.2  # metres: of a body, and of the steps that it climbs (Habitat's defaults)
-CELL, CELL_HEIGHT = 0.05, 0.05  # metres: of a new mesh's voxels; Habitat's own height is 0.2, four times as coarse
-EYE = 1.25  # metres above the ground from which things and floors are looked at
-ROWS = 64  # of these panoramas
-FLAT = 0.02  # metres: a floor this close to y = 0 is meant to be there
-SUNK = 0.4  # metres between the mesh and what is below it that are not the mesh's own roughness
-TALL = 4.5  # metres from the floor to the ceiling, beyond which a scene may lie on its side
-NARROW = 3.5  # metres: a scene that is narrower than this and than it is high may lie on its side, too
+# --- the navigation mesh for a body -----------------------------------------------------------------------------------
 
 
 def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> Any:
     """A PathFinder for a body of this radius. Raises `WorldError`."""
     habitat_sim = import_habitat()
+    found, own = habitat_sim.PathFinder(), [sim.pathfinder]
     given = existing(options.navmesh, "the navigation mesh")
     if given is not None:
-        found = habitat_sim.PathFinder()
         if not found.load_nav_mesh(str(given)) or not found.is_loaded:
             raise WorldError(f"{given} is no navigation mesh that Habitat-Sim reads; wanted what save_nav_mesh writes")
         return found
+    if file is not None and file.with_suffix(".navmesh").is_file():
+        own.append(habitat_sim.PathFinder())
+        own[-1].load_nav_mesh(str(file.with_suffix(".navmesh")))
     settings = settings_for(habitat_sim, options, file, radius)
-    for own in (sim.pathfinder, _beside(habitat_sim, file)):
-        if own is not None and own.is_loaded and _fits(own.nav_mesh_settings, settings, options):
-            return own
-    found = habitat_sim.PathFinder()
+    for mesh in own:
+        if mesh is None or not mesh.is_loaded:
+            continue
+        # habitat-lab takes a scene's own mesh only if all of its settings are those wanted.
+        its, lab = mesh.nav_mesh_settings, options.body is not None
+        if (lab and its == settings) or (not lab and abs(its.agent_radius - radius) < 1e-3):
+            return mesh
     if not sim.recompute_navmesh(found, settings) or not found.is_loaded:
         raise WorldError(
             f"Habitat-Sim finds no ground for a body of radius {radius:g} m in {options.scene}; is it the right way up "
@@ -201,44 +192,32 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> An
 
 def settings_for(habitat_sim: Any, options: Options, file: Path | None, radius: float) -> Any:
     """Habitat's NavMeshSettings: those of habitat-lab for `Options.body`, otherwise finer ones."""
-    settings = habitat_sim.NavMeshSettings()
-    settings.set_defaults()
-    settings.agent_radius = radius
     if options.body is not None:
         # habitat-lab's `default_agent_navmesh`: what is not named is Habitat's default, static objects do not count.
-        settings.agent_height, settings.agent_max_climb = options.body, options.climb
-        settings.cell_height, settings.agent_max_slope = options.voxel, LAB_SLOPE
-        settings.include_static_objects = False
-        return settings
-    settings.cell_size, settings.cell_height = voxel_for(radius, CELL), CELL_HEIGHT
-    settings.agent_height, settings.agent_max_climb = HEIGHT, CLIMB
-    wanted = file.with_suffix(".navmesh.json") if file is not None else None
-    if wanted is not None and wanted.is_file():
-        for name, value in json.loads(wanted.read_text(encoding="utf-8")).items():
-            if hasattr(settings, name):
-                setattr(settings, name, value)
-    settings.agent_radius = radius
-    settings.include_static_objects = True
-    return settings
+        lab = {"agent_height": options.body, "agent_max_climb": options.climb, "cell_height": options.voxel}
+        lab |= {"agent_max_slope": LAB_SLOPE, "agent_radius": radius, "include_static_objects": False}
+        return mesh_settings(habitat_sim, lab)
+    finer = {"cell_size": voxel_for(radius, 0.05), "cell_height": 0.05}  # Habitat's own are 0.2 m high
+    finer |= {"agent_height": 1.5, "agent_max_climb": 0.2}
+    named = None if file is None else file.with_suffix(".navmesh.json")
+    if named is not None and named.is_file():
+        finer |= json.loads(named.read_text(encoding="utf-8"))
+    return mesh_settings(habitat_sim, finer | {"agent_radius": radius, "include_static_objects": True})
 
 
-def _fits(own: Any, wanted: Any, options: Options) -> bool:
-    """Whether a scene's own mesh is used: habitat-lab takes it only if all of its settings are those wanted."""
-    return own == wanted if options.body is not None else abs(own.agent_radius - wanted.agent_radius) < 1e-3
+# --- the true floor below a mesh, looked at from above ----------------------------------------------------------------
+
+EYE = 1.25  # metres above the ground from which things and floors are looked at
+ROWS = 64  # of these panoramas
+FLAT = 0.02  # metres: a floor this close to y = 0 is meant to be there
+SUNK = 0.4  # metres between the mesh and what is below it that are not the mesh's own roughness
+TALL = 4.5  # metres from the floor to the ceiling, beyond which a scene may lie on its side
+NARROW = 3.5  # metres: a scene that is narrower than this and than it is high may lie on its side, too
 
 
-def _beside(habitat_sim: Any, file: Path | None) -> Any:
-    """The mesh in ``<scene>.navmesh``, None if there is none that can be read."""
-    place = None if file is None else file.with_suffix(".navmesh")
-    if place is None or not place.is_file():
-        return None
-    found = habitat_sim.PathFinder()
-    return found if found.load_nav_mesh(str(place)) else None
-
-
-def _looks(view: HabitatView, feet: np.ndarray) -> np.ndarray:
+def looks(session: Session, feet: np.ndarray) -> np.ndarray:
     """Metres ``(n, 2)`` up and down from the eye above points ``(n, 3)`` of Habitat's world."""
-    found = []
+    view, found = HabitatView(session, Frames(), None), []
     for point in view.frames.from_habitat(feet):
         metres = view.panorama(point + np.array([0.0, 0.0, EYE]), np.eye(3), ROWS, rgb=False, ids=False).range
         assert metres is not None
@@ -246,42 +225,16 @@ def _looks(view: HabitatView, feet: np.ndarray) -> np.ndarray:
     return np.array(found).reshape(-1, 2)
 
 
-def _check_upright(name: str, height: float, sim: Any, up: str | None) -> None:
-    """Judge whether the scene that `sim` has opened, with rooms of this height, seems to lie on its side.
-
-    Raises `WorldError` if nobody has said which way is up; who has said it is warned.
-    """
-    box = sim.get_active_scene_graph().get_root_node().cumulative_bb
-    extent = np.array(box.max, dtype=np.float64) - np.array(box.min, dtype=np.float64)  # x, y (up), z of its world
-    narrow, upwards = float(extent[[0, 2]].min()), float(extent[1])
-    if not (TALL < height < math.inf or (narrow < NARROW and narrow < upwards)):
-        return
-    seems = (
-        f"{name} seems to lie on its side (it is {extent[0]:.1f} x {extent[2]:.1f} m large and {upwards:.1f} m high)"
-    )
-    if up is None:
-        raise WorldError(
-            f"{seems}: Habitat takes z for up in a bare GLB file, glTF says y; say which with habitat:SCENE?up=y or "
-            "?up=z"
-        )
-    warnings.warn(f"{seems} with up={up}; if it does, say up={'z' if up == 'y' else 'y'}", UserWarning, stacklevel=2)
-
-
-def roofed(view: HabitatView, feet: np.ndarray) -> float:
-    """The share of points of the mesh with something above them."""
-    return float(np.isfinite(_looks(view, feet)[:, 0]).mean()) if len(feet) else 0.0
-
-
-def true_floor(view: HabitatView, mesh: HabitatNavMesh, options: Options) -> float:
+def true_floor(session: Session, mesh: HabitatNavMesh, options: Options) -> float:
     """The height of the true floor, Habitat's y: what lies below points of the mesh.
 
     Raises `WorldError` if the mesh does not lie on what is drawn, or if the scene seems to lie on its side and nothing
     says which way is up.
     """
-    level = np.abs(mesh.surface.heights[mesh.free] - mesh.surface.storey.level) <= 0.1
+    level = np.abs(mesh.heights[mesh.free] - mesh.storey.level) <= 0.1
     spots = mesh.points[level][:: max(1, int(level.sum()) // 25)]
     feet = np.array([mesh.feet(xy) for xy in spots]).reshape(-1, 3)
-    above, below = _looks(view, feet).T
+    above, below = looks(session, feet).T
     gap = below - EYE  # the mesh floats above the floor
     if not (np.abs(gap) < SUNK).mean() > 0.5:
         raise WorldError(
@@ -289,10 +242,194 @@ def true_floor(view: HabitatView, mesh: HabitatNavMesh, options: Options) -> flo
             "do not have the same way up, or belong to different scenes; try habitat:SCENE?up=y or ?up=z, or leave out "
             "navmesh"
         )
-    if is_bare(options) or options.up is not None:
-        _check_upright(mesh.source, float(np.median(above)) + EYE, view.session.sim, options.up)
+    _check_upright(mesh.source, float(np.median(above)) + EYE, session, options)
     floor = float(np.median(feet[:, 1] - gap))
     return 0.0 if abs(floor) < FLAT else floor
+
+
+def _check_upright(name: str, height: float, session: Session, options: Options) -> None:
+    """Judge whether the scene, with rooms of this height, seems to lie on its side.
+
+    Raises `WorldError` if nothing but Habitat's default says which way is up; who has said it is warned.
+    """
+    bare = session.source.dataset == "default" and session.source.scene_id.lower().endswith(GLB)
+    box = session.sim.get_active_scene_graph().get_root_node().cumulative_bb
+    wide, high, deep = np.array(box.max, dtype=np.float64) - np.array(box.min, dtype=np.float64)
+    narrow = min(wide, deep)
+    if not (TALL < height < math.inf or (narrow < NARROW and narrow < high)) or not (bare or options.up):
+        return
+    seems = f"{name} seems to lie on its side (it is {wide:.1f} x {deep:.1f} m large and {high:.1f} m high)"
+    if options.up is None:
+        raise WorldError(
+            f"{seems}: Habitat takes z for up in a bare GLB file, glTF says y; say which with habitat:SCENE?up=y or "
+            "?up=z"
+        )
+    other = "z" if options.up == "y" else "y"
+    warnings.warn(f"{seems} with up={options.up}; if it does, say up={other}", UserWarning, stacklevel=2)
+
+
+# --- the named things -------------------------------------------------------------------------------------------------
+
+BOXES = "eagor boxes 1"
+UNNAMED = {"", "unknown", "unlabeled", "unlabelled", "void", "misc", "undefined", "object", "objects", "other"}
+LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
+SEEN_ROWS = 128  # of the panoramas that show the extent of things
+FEWEST = 12  # pixels that a thing has to show
+TRIM = 0.5  # per cent of the points at each end: edges of things mix near and far
+
+Box = tuple[np.ndarray, np.ndarray]  # lowest and highest corner (3,)
+
+
+def things_of(
+    sim: Any, file: Path | None, boxes: Path | None, frames: Frames, look: Callable[[], Mapping[int, Box]]
+) -> tuple[tuple[Instance, ...], tuple[Room, ...], Labels, str]:
+    """The instances and rooms of the scene that `sim` has opened, how pixels are labelled, and where names come from.
+
+    `boxes`: the file of boxes that is given; `look` finds the extent of what is seen of each semantic id, Habitat's
+    world. Raises `WorldError` if the scene names no things, or for a malformed file.
+    """
+    semantic = getattr(sim, "semantic_scene", None)
+    source = boxes or beside(file)
+    if source is not None:
+        instances, rooms = read_boxes(source, frames)
+        return instances, rooms, box_labels(instances), f"boxes of {source.name}"
+    found = _objects(semantic)
+    if len(found) > 2 and all((thing.low <= 0).all() and (thing.high >= 0).all() for thing in found.values()):
+        seen = look()  # boxes that all contain the origin are wrong
+        found = {key: _repaired(thing, *seen[key]) for key, thing in found.items() if key in seen}
+    if found:
+        instances = tuple(_turned(thing, frames) for thing in found.values())
+        labels = id_labels({key: index for index, key in enumerate(found)})
+        return instances, _rooms(semantic, frames), labels, "Habitat's semantic scene"
+    if file is not None and file.suffix.lower() in GLB:
+        lift = np.array([0.0, 0.0, frames.floor])
+        instances = tuple(
+            Instance(thing.category, thing.colour, None, thing.low - lift, thing.high - lift)
+            for thing in import_glb(file).instances
+            if thing.category not in UNNAMED
+        )
+        if instances:
+            return instances, (), box_labels(instances), f"nodes of {file.name}"
+    raise WorldError(
+        f"{file or 'the scene'} names no things: it has no semantic annotations, its nodes have no names, and no file "
+        "of boxes lies beside it; give one: habitat:SCENE?boxes=FILE.json"
+    )
+
+
+def beside(file: Path | None) -> Path | None:
+    """The file of boxes beside a scene's file, if there is one."""
+    if file is None:
+        return None
+    stem = file.name.split(".")[0]
+    places = (file.with_name(f"{stem}.{kind}.json") for kind in ("boxes", "semantic"))
+    return next((place for place in places if place.is_file()), None)
+
+
+def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[Room, ...]]:
+    """The instances and rooms in a file of boxes. Raises `WorldError` if it is missing or malformed."""
+    try:
+        known = read_semantics(file.read_bytes())
+        ours, lift = known.format != BOXES, np.array([0.0, 0.0, frames.floor])
+        instances = []
+        for thing in known.instances if ours else known.boxes:
+            if bool(np.any(thing.low > thing.high)):
+                raise ValueError(f"a box from {thing.low.tolist()} to {thing.high.tolist()}")
+            if thing.colour is not None and thing.colour not in COLOURS:
+                raise ValueError(f"the colour {shown(thing.colour)}, which is none of {', '.join(COLOURS)}")
+            named = replace(thing, category=read_category(thing.category))
+            lifted = replace(named, low=thing.low - lift, high=thing.high - lift)  # z up, but heights as in the file
+            instances.append(lifted if ours else _turned(named, frames))
+    except OSError as error:
+        raise WorldError(f"{file} cannot be read ({error.strerror}); wanted a file of boxes") from error
+    except ValueError as error:
+        raise WorldError(
+            f"{file} cannot be used ({str(error)[:200]}); wanted what export_glb writes, or "
+            f'{{"format": "{BOXES}", "boxes": [{{"category", "low", "high"}}, ...]}}'
+        ) from error
+    return tuple(instances), tuple(known.rooms if ours else ())
+
+
+def _objects(semantic: Any) -> dict[int, Instance]:
+    """The named objects of Habitat's semantic scene by their semantic ids; bounds are in Habitat's world."""
+    found = {}
+    for thing in getattr(semantic, "objects", None) or []:
+        if thing is None or thing.category is None or (box := _bounds(thing)) is None:
+            continue
+        category, region = read_category(str(thing.category.name())), thing.region
+        if category not in UNNAMED:
+            room = None if region is None or _bounds(region) is None else str(region.id)
+            found[int(thing.semantic_id)] = Instance(category, None, room, *box)
+    return found
+
+
+def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
+    """The regions that have bounds (in HM3D none has), as rooms of one rectangle each."""
+    found = []
+    for region in getattr(semantic, "regions", None) or []:
+        if (box := _bounds(region)) is not None:
+            (x0, y0, _), (x1, y1, _) = frames.from_habitat(np.array(box))  # y turns round
+            kind = read_category(str(region.category.name())) if region.category is not None else "room"
+            found.append(Room(str(region.id), kind, np.array([[x0, y1, x1, y0]])))
+    return tuple(found)
+
+
+def _bounds(part: Any) -> Box | None:
+    """The bounds of an object or a region of Habitat's, None if it has none."""
+    low, high = np.array(part.aabb.min, dtype=np.float64), np.array(part.aabb.max, dtype=np.float64)
+    return (low, high) if np.isfinite([low, high]).all() and (high > low).any() else None
+
+
+def _turned(thing: Instance, frames: Frames) -> Instance:
+    """A thing whose box is in Habitat's world, in ours."""
+    corners = frames.from_habitat(np.stack([thing.low, thing.high]))
+    return replace(thing, low=corners.min(axis=0), high=corners.max(axis=0))
+
+
+def _repaired(thing: Instance, first: np.ndarray, last: np.ndarray) -> Instance:
+    """The same with the sides of its box at 0 replaced by those of what was seen."""
+    first, last = np.clip([first, last], thing.low, thing.high)
+    low, high = np.where(thing.low == 0, first, thing.low), np.where(thing.high == 0, last, thing.high)
+    return replace(thing, low=low, high=high)
+
+
+def id_labels(index: Mapping[int, int]) -> Labels:
+    """Labels by Habitat's semantic ids: our index of each; -1 for any other id."""
+    table = np.full(max(index) + 2, -1, dtype=np.int32)  # the last for ids beyond the table
+    table[[*index]] = [*index.values()]
+    return Labels(True, lambda semantic: table[np.minimum(semantic, len(table) - 1).astype(np.intp)])
+
+
+def box_labels(instances: Sequence[Instance]) -> Labels:
+    """Labels by points: the smallest box that contains a point, the first of equal ones, -1 if none does."""
+    sizes = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
+
+    def ids(points: np.ndarray) -> np.ndarray:
+        found = np.full(points.shape[:-1], -1, dtype=np.int32)
+        for index in reversed(np.argsort(sizes, kind="stable")):  # smaller ones over larger ones
+            thing = instances[index]
+            found[((points >= thing.low - LOOSE) & (points <= thing.high + LOOSE)).all(axis=-1)] = index
+        return found
+
+    return Labels(False, ids)
+
+
+def seen_boxes(session: Session, eyes: np.ndarray) -> dict[int, Box]:
+    """The extent of what is seen of each semantic id from points ``(n, 3)``, all in Habitat's world."""
+    directions = Frames().to_habitat(ErpGrid(SEEN_ROWS, 2 * SEEN_ROWS).directions)
+    ids, points = [], []
+    for eye in eyes:
+        seen = session.look(("depth", "semantic"), SEEN_ROWS, eye, np.eye(3))
+        metres = euclidean(seen["depth"])
+        hit = np.isfinite(metres)
+        ids.append(seen["semantic"][hit])
+        points.append(eye + metres[hit][:, None] * directions[hit])
+    every, where = np.concatenate(ids), np.concatenate(points)
+    parts = {int(name): where[every == name] for name in np.unique(every)}
+    return {
+        name: (np.percentile(part, TRIM, axis=0), np.percentile(part, 100 - TRIM, axis=0))
+        for name, part in parts.items()
+        if len(part) >= FEWEST
+    }
 
 
 # --- the world ``habitat:SCENE`` --------------------------------------------------------------------------------------
@@ -301,122 +438,87 @@ RADIUS = 0.18  # metres: of the body for whose ground the floor is found
 SPOTS = 40  # places from which the things of a scene are looked at
 
 
-@dataclass(frozen=True, eq=False)
 class HabitatScene:
-    """A scene that Habitat-Sim holds: an `eagor.lab.worlds.SimulatedScene`."""
+    """The scene that ``habitat:text`` names: an `eagor.lab.worlds.SimulatedScene`.
 
-    options: Options
-    session: Session
-    file: Path | None
-    frames: Frames
-    things: Things
-    storey: float
-    source: str
-    hash: str
-    facts: dict[str, str]
+    Raises `MissingExtraError`, `WorldError`.
+    """
 
-    @property
-    def instances(self) -> tuple[Instance, ...]:
-        return self.things.instances
+    def __init__(self, text: str) -> None:
+        self.options = options = parse(text)
+        self.file = file = file_of(options)
+        boxes = existing(options.boxes, "the file of boxes")
+        dataset = existing(options.dataset, "the scene dataset's configuration")
+        self.source = f"habitat {file.name if file else options.scene}"
+        self.session = Session(
+            Source(scene_id_of(options, file), str(dataset or "default"), options.gpu, str(file or options.scene))
+        )
+        self._grounds: dict[float, HabitatNavMesh] = {}
+        self.frames, self.rooms = Frames(), ()
+        mesh = self._ground(RADIUS, options.storey, LEVEL)
+        self.storey, self.zero = mesh.storey.level, true_floor(self.session, mesh, options)
+        self.frames = Frames(self.zero)
+        sim = self.session.sim
 
-    @property
-    def rooms(self) -> tuple[Room, ...]:
-        return self.things.rooms
+        def look() -> Mapping[int, Box]:
+            spots = mesh.points[:: max(1, len(mesh.points) // SPOTS)]
+            feet = np.array([mesh.feet(xy) for xy in spots], dtype=np.float64)
+            return seen_boxes(self.session, feet + np.array([0.0, EYE, 0.0]))
 
-    @property
-    def zero(self) -> float:
-        return self.frames.floor
+        self.instances, self.rooms, labels, told = things_of(sim, file, boxes, self.frames, look)
+        self._view = HabitatView(self.session, self.frames, labels)
+        self.facts = {
+            "simulator": f"Habitat-Sim {getattr(import_habitat(), '__version__', '')}".strip(),
+            "things": told,
+            "floor": f"{self.zero:.3f} m (Habitat's y of our z = 0)",
+            "storey": f"{self.storey:.2f} m (Habitat's y of the navigation mesh)",
+        }
+        drawn = Path(str(getattr(sim.get_stage_initialization_template(), "render_asset_handle", "")))
+        self.hash = self._digest([file, dataset, boxes, beside(file), drawn if drawn.is_file() else None])
 
     def view(self) -> HabitatView:
         return self._view
-
-    @lazy
-    def _view(self) -> HabitatView:
-        return HabitatView(self.session, self.frames, self.things.labels)
 
     def close(self) -> None:
         self.session.close()
 
     def ground(self, radius: float) -> HabitatNavMesh:
-        return _ground(self, radius)
+        if radius not in self._grounds:
+            # A body of habitat-lab stands on the mesh, and its path counts each difference of height.
+            self._grounds[radius] = self._ground(radius, self.storey, LEVEL if self.options.body is None else 0.0)
+        return self._grounds[radius]
 
-    def sees(self, xy: np.ndarray, thing: Instance, floor: float = 0.0) -> bool:
+    def _ground(self, radius: float, storey: float | None, level: float) -> HabitatNavMesh:
+        pathfinder = mesh_for(self.options, self.file, self.session.sim, radius)
+
+        def roofed(feet: np.ndarray) -> float:
+            return float(np.isfinite(looks(self.session, feet)[:, 0]).mean()) if len(feet) else 0.0
+
+        found = main_storey(pathfinder, roofed, storey, self.source)
+        return HabitatNavMesh(pathfinder, found, self.frames, radius, self.rooms, self.source, level, self._sees)
+
+    def _sees(self, xy: np.ndarray, height: float, thing: Instance) -> bool:
         """Whether a camera above a point ``(2,)`` of the ground, at this height, sees a thing."""
-        ids = self._view.panorama((xy[0], xy[1], floor + EYE), np.eye(3), ROWS, rgb=False, range=False).ids
-        index = next((k for k, other in enumerate(self.instances) if other is thing), None)
-        return index is None or (ids is not None and bool((ids == index).any()))
+        ids = self._view.panorama((xy[0], xy[1], height + EYE), np.eye(3), ROWS, rgb=False, range=False).ids
+        assert ids is not None
+        index = next(k for k, other in enumerate(self.instances) if other is thing)
+        return bool((ids == index).any())
+
+    def _digest(self, files: list[Path | None]) -> str:
+        options = self.options
+        body = "" if options.body is None else f"|{options.body}|{options.climb}|{options.voxel}"
+        digest = hashlib.sha256(f"{options.storey}|{options.up}|{options.navmesh}{body}".encode())
+        for file in dict.fromkeys(file for file in files if file is not None):
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
+        for thing in self.instances:
+            digest.update(f"{thing.category}|{thing.colour}|{thing.room}|{thing.low}|{thing.high};".encode())
+        return digest.hexdigest()[:16]
 
 
 @lru_cache(maxsize=8)
 def open_scene(text: str) -> HabitatScene:
-    """The scene that ``habitat:text`` names. Raises `MissingExtraError`, `WorldError`."""
-    options = parse(text)
-    file = file_of(options)
-    boxes = existing(options.boxes, "the file of boxes")
-    scene_id = scene_id_of(options, file)
-    dataset = existing(options.dataset, "the scene dataset's configuration")
-    session = Session(Source(scene_id, str(dataset) if dataset else "default", options.gpu, str(file or options.scene)))
-    sim = session.sim
-    name = file.name if file else options.scene
-    raw = HabitatView(session, Frames(), None)
-    mesh = HabitatNavMesh(*_storey(options, file, raw, RADIUS, options.storey, name), Frames(), RADIUS, source=name)
-    frames = Frames(true_floor(raw, mesh, options))
-    things = things_of(sim, file, boxes, frames, lambda: _seen(session, mesh))
-    files = [path for path in (file, dataset, boxes, beside(file), _stage_file(sim)) if path is not None]
-    facts = {
-        "simulator": f"Habitat-Sim {getattr(import_habitat(), '__version__', '')}".strip(),
-        "things": things.told,
-        "floor": f"{frames.floor:.3f} m (Habitat's y of our z = 0)",
-        "storey": f"{mesh.surface.storey.level:.2f} m (Habitat's y of the navigation mesh)",
-    }
-    digest = _digest(files, options, things)
-    storey = mesh.surface.storey.level
-    return HabitatScene(options, session, file, frames, things, storey, f"habitat {name}", digest, facts)
-
-
-def _storey(
-    options: Options, file: Path | None, raw: HabitatView, radius: float, height: float | None, source: str
-) -> tuple[Any, Storey]:
-    """The navigation mesh for a body of this radius, and its storey at this `height`, or its main one."""
-    pathfinder = mesh_for(options, file, raw.session.sim, radius)
-    return pathfinder, main_storey(pathfinder, lambda feet: roofed(raw, feet), height, source)
-
-
-def _seen(session: Session, mesh: HabitatNavMesh) -> Mapping[int, Box]:
-    """What is seen of each semantic id from places all over a mesh, Habitat's world."""
-    spots = mesh.points[:: max(1, len(mesh.points) // SPOTS)]
-    return seen_boxes(session, np.array([mesh.feet(xy) for xy in spots], dtype=np.float64) + np.array([0.0, EYE, 0.0]))
-
-
-@lru_cache(maxsize=16)
-def _ground(scene: HabitatScene, radius: float) -> HabitatNavMesh:
-    raw = HabitatView(scene.session, Frames(), None)
-    on_storey = _storey(scene.options, scene.file, raw, radius, scene.storey, scene.source)
-    # A body of habitat-lab stands on the mesh, and its path counts each difference of height.
-    level = LEVEL if scene.options.body is None else 0.0
-    found = HabitatNavMesh(*on_storey, scene.frames, radius, scene.rooms, scene.source, level)
-    found.sees = lambda xy, thing: scene.sees(xy, thing, found.height(xy))
-    return found
-
-
-def _stage_file(sim: Any) -> Path | None:
-    """The file that Habitat draws, for the scene's digest."""
-    try:
-        name = str(sim.get_stage_initialization_template().render_asset_handle)
-    except Exception:  # scenes without a stage
-        return None
-    return Path(name) if Path(name).is_file() else None
-
-
-def _digest(files: list[Path], options: Options, things: Things) -> str:
-    body = "" if options.body is None else f"|{options.body}|{options.climb}|{options.voxel}"
-    digest = hashlib.sha256(f"{options.storey}|{options.up}|{options.navmesh}{body}".encode())
-    for file in dict.fromkeys(files):
-        with file.open("rb") as stream:
-            digest.update(hashlib.file_digest(stream, "sha256").digest())
-    for thing in things.instances:
-        digest.update(f"{thing.category}|{thing.colour}|{thing.room}|{thing.low}|{thing.high};".encode())
-    return digest.hexdigest()[:16]
+    """The scene that ``habitat:text`` names, kept open. Raises `MissingExtraError`, `WorldError`."""
+    return HabitatScene(text)
 
 
 def _world(argument: str) -> World:
