@@ -4,7 +4,7 @@ import itertools
 import math
 import re
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -267,6 +267,17 @@ class Soft:
 
 
 @dataclass(frozen=True)
+class Unset:
+    steps: int
+
+
+@dataclass(frozen=True)
+class Listed:
+    steps: int = 8
+    legs: list = field(default_factory=lambda: [1, 2])
+
+
+@dataclass(frozen=True)
 class Boundless:
     steps: int = 8
     far: float = math.inf
@@ -327,6 +338,8 @@ BROKEN_TASKS = {
     "no headline": (replace(TURNTABLE, headline="score"), "wanted one of its metrics, error, last"),
     "better is less": (column(better="less"), "wanted 'low', 'high' or None"),
     "rules that change": (replace(TURNTABLE, rules=Soft), "wanted a frozen dataclass"),
+    "rules without a default": (replace(TURNTABLE, rules=Unset), "wanted a default for each"),
+    "rules in lists": (replace(TURNTABLE, rules=Listed), "which JSON turns into"),
     "rules that are no JSON": (replace(TURNTABLE, rules=Boundless), "has rules that JSON cannot write"),
     "no episode": (replace(TURNTABLE, environment=env(plan=lambda self, spec: (spec, 1))), "plans a tuple"),
     "another episode each time": (forgetful(), "draw everything from spec.rng"),
@@ -336,18 +349,21 @@ BROKEN_TASKS = {
             example.TurntableEnv.plan(self, replace(spec, index=0)), spec=spec))),
         "plans the same episode for specs",
     ),
+    "NumPy in an episode": (planned(stratum={"colour": "red", "size": np.float32(1)}), "float.x., not NumPy's"),
     "inside a wall": (planned(start=(-0.05, 1.0)), "wanted a point on which the body can stand"),
     "unknown words": (planned(query="grand piano"), "asks for something that is not in the scene"),
     "targets that are not meant": (planned(targets=(0,)), "wanted the same: place.nameable"),
     "a way that is drawn anew": (wandering(), "draw from episode.spec.rng"),
     "a way that answers bend": (obeying(), "wanted the same for all answers"),
     "a direction that is no unit vector": (told(direction=lambda t: 2 * t["direction"]), "wanted a unit vector"),
+    "a distance of 0": (told(distance=lambda t: 0.0), "wanted metres above 0"),
     "the direction in the world": (
         told(direction=lambda t: t["world_R_body"] @ t["direction"]),
         r"from the nearest pixel that shows it",
     ),
     "no end": (endless(), "has not ended after"),
     "no reward": (unrewarding(), "wanted a finite number"),
+    "figures that are arrays": (measured(lambda m: m | {"more": np.ones(2)}), "wanted a finite number, or None"),
     "a figure that is NaN": (measured(lambda m: m | {"last": math.nan}), "wanted a finite number, or None"),
     "a figure that is missing": (measured(lambda m: {"error": m["error"]}), "wanted also last, which its table shows"),
     "a share of degrees": (
