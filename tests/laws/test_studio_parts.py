@@ -308,15 +308,15 @@ def test_a_run_is_found_by_its_name_alone(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("settings", "says"),
+    ("task", "settings", "says"),
     [
-        ({"task": "navigation"}, "no episode has a result, 2 could not be run"),
-        ({"agent": "eagor"}, "still pictures"),
+        ({}, {"task": "navigation"}, "no episode has a result, 2 could not be run"),
+        ({"agents": {"eagor": "ours"}}, {"agent": "eagor"}, "still pictures"),
     ],
 )
-def test_a_run_of_which_no_episode_can_be_shown_says_why(settings, says):
+def test_a_run_of_which_no_episode_can_be_shown_says_why(task, settings, says):
     failed = [{"key": f"e{k}", "attempt": 1, "status": "failed", "error": "no"} for k in range(2)]
-    run = Run(SimpleNamespace(name="some task"), settings, failed)
+    run = Run(SimpleNamespace(name="some task", **task), settings, failed)
     assert not runs.episodes_of(run)["playable"]
     with pytest.raises(EagorError, match=says):
         runs.episode_of(run, None)
