@@ -34,7 +34,7 @@ from processes import alive, sessions_of
 
 from eagor.lab.eval import log
 
-PATIENCE = 60.0  # seconds that processes have to leave: nobody measures how long they take, only that they do
+PATIENCE = 240.0  # seconds that processes have to leave (agents of Ray take more than one minute)
 TIMES = ("seconds", "ms", "milliseconds")
 SIMULATED = ("waypoint", "navigation", "tracking")
 
@@ -120,9 +120,9 @@ def main(options: argparse.Namespace, home: Path) -> None:
         sessions = sessions_of(run.pid)
         hit = kill(who, run, sessions, luck)
         if not hit or who == "worker":
-            ended(run, "a run that lost a worker" if hit else "a run that nobody killed", 10 * PATIENCE)
+            ended(run, "a run that lost a worker" if hit else "a run that nobody killed", 3 * PATIENCE)
         else:
-            run.communicate(timeout=10 * PATIENCE)  # ends when the last process of the run has left
+            run.communicate(timeout=3 * PATIENCE)  # ends when the last process of the run has left
         check(not (there := left_behind(sessions)), f"processes were left behind: {there}")
         after = records(out)
         lost = [(record, after.get(key)) for key, record in before.items() if after.get(key) != record]
