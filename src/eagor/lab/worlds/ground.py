@@ -58,17 +58,20 @@ def rasterize(
     corners[:, :, :2] = (corners[:, :, :2] - origin) / cell - (_INWARD * normal[:, :2] / length)[:, None]
     limit = np.array(shape[::-1])
     first, last = np.floor(corners[:, :, :2].min(axis=1) + _TOUCH), np.floor(corners[:, :, :2].max(axis=1) - _TOUCH)
+    # What lies along the edge of a cell, nearer than what counts, is in the one of the two where it begins.
+    corners[:, :, :2] = np.where((last < first)[:, None], first[:, None] + 0.5, corners[:, :, :2])
     last = np.maximum(first, last)
     near = ((last >= 0) & (first < limit)).all(axis=1)
     corners, first = corners[near], np.clip(first[near], 0, limit - 1).astype(np.int64)
     size = np.clip(last[near], 0, limit - 1).astype(np.int64) - first + 1
     count = size.prod(axis=1)
     for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(np.cumsum(count) // _AT_ONCE)) + 1):
-        owner = np.repeat(part, count[part])
-        within = np.arange(len(owner)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
-        col, row = first[owner].T + np.stack([within % size[owner, 0], within // size[owner, 0]])
+        number = count[part]
+        owner = np.repeat(np.arange(len(part)), number)
+        within, wide = np.arange(len(owner)) - np.repeat(np.cumsum(number) - number, number), size[part][owner, 0]
+        col, row = first[part][owner].T + np.stack([within % wide, within // wide])
         centre = np.stack([col + 0.5, row + 0.5, np.full(len(owner), (low + high) / 2)], axis=1)
-        met = _meets(corners, owner, centre, np.array([0.5 - _TOUCH, 0.5 - _TOUCH, (high - low) / 2]))
+        met = _meets(corners[part], owner, centre, np.array([0.5 - _TOUCH, 0.5 - _TOUCH, (high - low) / 2]))
         mask[row[met], col[met]] = True
     return mask
 
