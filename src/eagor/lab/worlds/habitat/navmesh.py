@@ -206,6 +206,7 @@ class HabitatNavMesh:
         clearance = np.asarray(ndimage.distance_transform_edt(free)) * CELL + radius * free
         self.plan = Ground(origin, CELL, radius, 0.0, free, clearance, np.zeros_like(free), rooms)
         self.origin, self.cell, self.floor = origin, CELL, 0.0
+        self._ways: dict[Instance, NavMeshDistance] = {}
         self.free, self.clearance, self.structure, self.points = free, clearance, self.plan.structure, self.plan.points
 
     # --- what Habitat's PathFinder says of a place ---
@@ -296,7 +297,9 @@ class HabitatNavMesh:
         return self.plan.at_points(way.over_plan)
 
     def footprint(self, instance: Instance) -> NavMeshDistance:
-        return self.field(*self.beside(instance))
+        if instance not in self._ways:  # looking from all sides takes seconds
+            self._ways[instance] = self.field(*self.beside(instance))
+        return self._ways[instance]
 
     def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
         """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint, metres.
