@@ -21,7 +21,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def model_of(category, colour, seed):
-    return build(category, colour, np.random.default_rng(seed))
+    return build(category, colour, seed)
 
 
 def joined(model):

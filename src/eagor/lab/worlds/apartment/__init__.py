@@ -16,7 +16,7 @@ from eagor.lab.worlds.apartment import building
 from eagor.lab.worlds.apartment.building import Cells, Finish, Style, Thing
 from eagor.lab.worlds.apartment.furnish import REQUIRED, furnish
 from eagor.lab.worlds.apartment.furniture import KINDS
-from eagor.lab.worlds.apartment.mesh import Part, box, merged, placed, turned_about_z
+from eagor.lab.worlds.apartment.mesh import Part, bounds, box, merged, placed, turned_about_z
 from eagor.lab.worlds.apartment.placement import GAP, Furnisher, NoRoom, Piece, from_rectangle, overlaps
 from eagor.lab.worlds.apartment.plans import Plan, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
@@ -49,7 +49,7 @@ class Apartment:
 
 
 def generate(seed: int) -> Scene:
-    """A furnished apartment of 45 to 110 square metres with three to seven rooms, metres, z = 0 the floor.
+    """A furnished apartment of 45 to 110 square metres with four to seven rooms, metres, z = 0 the floor.
 
     The outer walls are along x and y. Everything in `REQUIRED` is there. Everything on the floor can be approached:
     passages are at least 0.5 m wide, and the `Ground` has free cells within 0.75 m of it. At least three solid pieces
@@ -93,13 +93,13 @@ def _lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Fini
 
     The light between walls is the power of the lamps over the absorption of the surfaces (the integrating sphere).
     """
-    count = Counter(piece.room for piece in pieces if piece.category == "ceiling lamp")
-    found = []
+    shares, found = {}, []
+    for room, count in Counter(piece.room for piece in pieces if piece.category == "ceiling lamp").items():
+        swallowed = _swallowed(rooms[room], finishes[room], height)
+        shares[room] = float(np.clip(swallowed / (_SURFACE * _ABSORPTION) / count, *_SHARES))
     for piece in pieces:
         if piece.category == "ceiling lamp":
-            swallowed = _swallowed(rooms[piece.room], finishes[piece.room], height)
-            share = float(np.clip(swallowed / (_SURFACE * _ABSORPTION) / count[piece.room], *_SHARES))
-            lamps = tuple(replace(lamp, power=share * lamp.power) for lamp in piece.model.lamps)
+            lamps = tuple(replace(lamp, power=shares[piece.room] * lamp.power) for lamp in piece.model.lamps)
             piece = replace(piece, model=replace(piece.model, lamps=lamps))
         found.append(piece)
     return found
@@ -109,8 +109,8 @@ def _swallowed(room: Room, finish: Finish, height: float) -> float:
     """The absorption of a room's floor, walls and ceiling, as square metres of black."""
     x0, y0, x1, y1 = room.rectangles.T
     walls = float((2 * (x1 - x0 + y1 - y0)).sum()) * height
-    low, high = (float(np.clip(level, 0, height)) for level in finish.tiled)
-    tiled = (high - low) / height if finish.tiles else 0.0
+    low, high = finish.tiled
+    tiled = (high - low) / height
     surfaces = [(room.area, finish.floor), (room.area, finish.ceiling), ((1 - tiled) * walls, finish.wall)]
     surfaces.append((tiled * walls, finish.tiles or finish.wall))
     bare = sum(area * (1 - float(mean_colour(cover.material).mean())) for area, cover in surfaces)
@@ -181,6 +181,4 @@ def _thing(piece: Piece, plan: Plan) -> Thing:
 
 
 def _instance(thing: Thing) -> Instance:
-    low = np.min([part.low for part in thing.parts], axis=0).astype(np.float64)
-    high = np.max([part.high for part in thing.parts], axis=0).astype(np.float64)
-    return Instance(thing.category, thing.colour, thing.room, low, high)
+    return Instance(thing.category, thing.colour, thing.room, *bounds(thing.parts))

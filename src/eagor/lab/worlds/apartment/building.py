@@ -20,7 +20,6 @@ from eagor.lab.worlds.apartment.mesh import Cover, Mesh, Part, bevelled, board, 
 from eagor.lab.worlds.apartment.plans import (
     HALF_WALL,
     LINING,
-    NICHE,
     OUTER_WALL,
     OUTSIDE,
     Boundary,
@@ -178,7 +177,7 @@ def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
     wall_kind = "plaster" if rng.random() < 0.5 else "paint"
     finishes: list[Finish] = []
     for place, space in enumerate(plan.spaces):
-        joined = [a for a, b in plan.open_to if b == place] + [b for a, b in plan.open_to if a == place and b < place]
+        joined = [a for a, b in plan.open_to if b == place]  # the smaller number stands first
         tone = _WHITES[rng.integers(len(_WHITES))] if rng.random() < 0.5 else _TINTS[rng.integers(len(_TINTS))]
         wall = finishes[joined[0]].wall if joined else _tinted(finish(wall_kind, "white", rng), tone, rng)
         tiles, tiled, floor, boards = None, (0.0, 0.0), parquet, skirting
@@ -360,8 +359,7 @@ def _arch(doorway: Doorway, near: float, far: float, inwards: float, outwards: f
 
 def _lining(doorway: Doorway) -> Mesh:
     """The boards inside the hole."""
-    low, high = (NICHE - HALF_WALL if room == OUTSIDE else HALF_WALL for room in doorway.boundary.rooms)
-    return _arch(doorway, -low, high, LINING, 0.0)
+    return _arch(doorway, *doorway.reach, LINING, 0.0)
 
 
 def _leaf(doorway: Doorway, style: Style) -> tuple[Part, ...]:

@@ -471,7 +471,7 @@ def _recolour(f: Furnisher, piece: Piece) -> None:
     taken = {other.model.colour for other in f.of(piece.category)}
     colours = [colour for colour in KINDS[piece.category].colours if colour not in taken]
     for colour in f.rng.permutation(colours).tolist():
-        model = build(piece.category, colour, np.random.default_rng(piece.model.seed))
+        model = build(piece.category, colour, piece.model.seed)
         if np.allclose(model.size, piece.model.size, atol=2e-3):
             f.pieces[f.pieces.index(piece)] = replace(piece, model=model)
             return

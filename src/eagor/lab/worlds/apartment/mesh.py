@@ -25,7 +25,7 @@ import trimesh  # noqa: E402
 Triple = Sequence[float] | np.ndarray
 
 _BOX = trimesh.creation.box()
-CORNERS = np.asarray(_BOX.vertices) + 0.5  # of a box, in the order of `hexahedron`
+CORNERS = np.asarray(_BOX.vertices) + 0.5  # of a box, x slowest
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,12 @@ class Part(Mesh):
     """A mesh with one material; `uv` ``(T, 3, 2)`` in repeats of the material's texture, u to the right, v up."""
 
     material: Material
+
+
+def bounds(meshes: Sequence[Mesh]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner ``(3,)``, float64, of several together."""
+    low, high = np.min([mesh.low for mesh in meshes], axis=0), np.max([mesh.high for mesh in meshes], axis=0)
+    return low.astype(np.float64), high.astype(np.float64)
 
 
 def part(mesh: Mesh, material: Material, repeat: float | tuple[float, float] = 1.0) -> Part:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -284,7 +284,7 @@ class Furnisher:
         if colour is None and colours:
             habit = self.habits.setdefault(category, str(self.rng.choice(colours)))
             colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
-        return replace(build(category, colour, np.random.default_rng(seed)), seed=seed)
+        return build(category, colour, seed)
 
     def record(self, model: Model, room: int, box: np.ndarray, z: float) -> None:
         """Add a piece at the height `z` that is no obstacle and whose place has been checked."""

@@ -257,11 +257,16 @@ class Opening:
     head: float
 
     @property
-    def hole(self) -> Rectangle:
-        """Its rectangle on the floor: as deep as the wall, but the front door is a niche."""
+    def reach(self) -> tuple[float, float]:
+        """Its two ends across, from the line: as deep as the wall, but the front door is a niche."""
         outer = (NICHE if self.sill == 0.0 else OUTER_WALL) - HALF_WALL
         low, high = (outer if room == OUTSIDE else HALF_WALL for room in self.boundary.rooms)
-        return self.boundary.box(self.start, self.end, -low, high)
+        return -low, high
+
+    @property
+    def hole(self) -> Rectangle:
+        """Its rectangle on the floor."""
+        return self.boundary.box(self.start, self.end, *self.reach)
 
     def approach(self, depth: float, margin: float = 0.0) -> Rectangle:
         """The floor on both sides: `depth` metres from the line, `margin` wider at either end."""
@@ -480,7 +485,7 @@ def cut_windows(
         for boundary in outer:
             free = boundary.end - boundary.start - 2 * HALF_WALL - 0.7
             width = float(rng.uniform(narrow, wide))
-            sill = float(rng.choice(sills)) if len(sills) > 1 else sills[0]
+            sill = float(rng.choice(sills))
             count = 2 if space.kind == "living room" and free >= 2 * width + 0.8 else 1
             if space.kind == "kitchen":
                 sill = 1.2  # above the worktop and the things on it

@@ -1,6 +1,6 @@
 """Materials of a home and what draws them: cloth, wood, tiles, plaster; rugs, paintings, books and screens.
 
-Furniture and walls only need `material`. Textures are periodic and grey if one drawing serves every colour (the colour
+Textures are periodic and grey if one drawing serves every colour (the colour
 of the `Material` tints them); rugs, paintings, books and screens are coloured pictures. Each is drawn once per process,
 from a generator of its own, so that it depends on its name alone. Drawings are linear light ``(h, w, 3)``, or
 ``(h, w)`` if they are grey, first row at the top.

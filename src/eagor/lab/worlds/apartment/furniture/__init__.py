@@ -10,7 +10,7 @@ import numpy as np
 
 from eagor.lab.worlds.apartment.furniture import decor, joinery
 from eagor.lab.worlds.apartment.furniture.joinery import CLOTHS, COVERS, WOODS
-from eagor.lab.worlds.apartment.mesh import Part
+from eagor.lab.worlds.apartment.mesh import Part, bounds
 from eagor.lab.worlds.apartment.textures import PICTURES
 from eagor.lab.worlds.scene import Lamp
 
@@ -30,8 +30,8 @@ class Model:
     colour: str | None
     parts: tuple[Part, ...]
     size: np.ndarray
-    lamps: tuple[Lamp, ...] = ()
-    seed: int = 0
+    lamps: tuple[Lamp, ...]
+    seed: int
 
     @property
     def height(self) -> float:
@@ -86,15 +86,14 @@ KINDS: dict[str, Kind] = {
 }
 
 
-def build(category: str, colour: str | None, rng: np.random.Generator) -> Model:
-    """A piece of furniture in one of the colours of its kind; `colour` None: `rng` picks one, if there are any."""
-    kind = KINDS[category]
+def build(category: str, colour: str | None, seed: int) -> Model:
+    """A piece of furniture in one of the colours of its kind; `colour` None: any of them, if there are any."""
+    kind, rng = KINDS[category], np.random.default_rng(seed)
     if colour is None and kind.colours:
         colour = str(rng.choice(kind.colours))
     made = kind.make(colour, rng)
     parts = [piece for piece in made if isinstance(piece, Part)]
-    low = np.min([part.low for part in parts], axis=0).astype(np.float64)
-    high = np.max([part.high for part in parts], axis=0).astype(np.float64)
+    low, high = bounds(parts)
     origin = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     if kind.placement == "hung":
         origin[0], origin[2] = low[0], (low[2] + high[2]) / 2
@@ -103,4 +102,4 @@ def build(category: str, colour: str | None, rng: np.random.Generator) -> Model:
     shift = origin.astype(np.float32)
     shifted = tuple(replace(part, vertices=part.vertices - shift) for part in parts)
     lamps = tuple(Lamp(lamp.position - origin, lamp.power) for lamp in made if isinstance(lamp, Lamp))
-    return Model(category, colour, shifted, high - low, lamps)
+    return Model(category, colour, shifted, high - low, lamps, seed)

@@ -214,7 +214,7 @@ def tv(colour: None, rng: np.random.Generator) -> list[Part]:
 
     It has no colour: the set is black, but its stand, which is larger, is not.
     """
-    case, wood = finish("plastic", "black", rng), timber(str(rng.choice(["brown", "white", "black", "beige"])), rng)
+    case, wood = finish("plastic", "black", rng), timber(str(rng.choice(WOODS)), rng)
     wide, hung = rng.uniform(0.95, 1.4), rng.random() < 0.4
     x, y, low = rng.uniform(0.38, 0.44) / 2, (wide + rng.uniform(0.15, 0.5)) / 2, rng.uniform(0.4, 0.52)
     z = low + (rng.uniform(0.22, 0.32) if hung else 0.07)
@@ -308,8 +308,7 @@ def bookshelf(colour: str, rng: np.random.Generator) -> list[Part]:
 
 def _bound(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Part:
     """Books between corners ``(n, 3)``: a spine each, the cloth at both sides, cut pages on top; no back, no bottom."""
-    corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
-    faces = corners[[[1, 3, 7, 5], [3, 2, 6, 7], [0, 1, 5, 4], [5, 7, 6, 4]]]  # front, right, left, top
+    faces = m.CORNERS[:, ::-1][[[1, 3, 7, 5], [3, 2, 6, 7], [0, 1, 5, 4], [5, 7, 6, 4]]]  # front, right, left, top
     place = np.where(faces.reshape(16, 3), high[:, None], low[:, None]).reshape(-1, 3)
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     plain = unit * [0.1, 0.2] + [0.04, 0.3]  # a piece of the cloth
@@ -320,9 +319,8 @@ def _bound(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Part:
     uv[flat, 0] = unit[[1, 2, 3, 0]]  # the title runs along a lying book, which shows its cover on top
     uv[flat, 3], slices[flat, 3] = plain, slices[flat, 0]
     uv[..., 0] = (slices[..., None] + 0.04 + 0.92 * uv[..., 0]) / (SPINES + 1)
-    uv = uv.reshape(-1, 4, 2)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 2)
-    look = material("books", None, rng)
-    return Part(place.astype(np.float32), m.quad_triangles(4 * len(low)), uv.astype(np.float32), look)
+    triangles, look = m.quad_triangles(4 * len(low)), material("books", None, rng)
+    return Part(place.astype(np.float32), triangles, uv.reshape(-1, 2)[triangles].astype(np.float32), look)
 
 
 def book(colour: str, rng: np.random.Generator) -> list[Part]:
