@@ -251,3 +251,14 @@ def chat() -> Any:
         return ChatReply('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
 
     return reply
+
+
+def test_turns_without_numbers_and_counts_that_are_numbers_are_read(tmp_path: Path) -> None:
+    (tmp_path / "room").mkdir()
+    turns = [
+        {"question": osr_data.counting("chair"), "answer": 0},
+        {"question": osr_data.counting("table"), "answer": "2"},
+    ]
+    (tmp_path / "room" / "room_qa.json").write_text(json.dumps({"conversation": turns}))
+    (scene,) = load_scenes(tmp_path, "qa")
+    assert [(question.id, question.answer) for question in scene.questions] == [("room/qa/0", "0"), ("room/qa/1", "2")]

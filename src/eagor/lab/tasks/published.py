@@ -90,7 +90,6 @@ class PublishedTask:
     agents: ClassVar[Mapping[str, str]]
     looking: ClassVar[Sequence[str]] = ()
     truth: ClassVar[str] = "the annotations"
-    case: ClassVar[str] = "case"
     causes: ClassVar[Mapping[str, str]] = {}
     strata: ClassVar[Mapping[str, str]] = {}
     ranked_by: ClassVar[Sequence[str]] = ("overall",)
@@ -160,12 +159,13 @@ def score_metric(
 
 def first_known(queries: Sequence[str], look: Callable[[str], Evidence]) -> tuple[str, Evidence]:
     """The first of `queries` that a perception knows, and its `look` for it. Raises `QueryError` if it knows none."""
-    for query in queries[:-1]:
+    *others, last = dict.fromkeys(queries)
+    for query in others:
         try:
             return query, look(query)
         except QueryError:
             continue
-    return queries[-1], look(queries[-1])
+    return last, look(last)
 
 
 def case_seed(seed: int, case: str) -> list[int]:

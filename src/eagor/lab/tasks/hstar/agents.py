@@ -144,7 +144,8 @@ def open_detector(
         yaw, pitch = episode.item["yaw"], episode.item.get("pitch")
         detect: Detector = SimulatedDetector(yaw, pitch, perception, case_seed(seed, episode.id))
     else:
-        detect = partial(_look, perception, episode, resolution)
+        queries = [words_of(episode.item["task"]) for words_of in (thing_of, phrase_of, head_of)]
+        detect = partial(_look, perception, episode.panorama, queries, resolution)
 
     def recalibrated(view: View) -> ViewEvidence:
         evidence, pose = detect(view)
@@ -153,16 +154,17 @@ def open_detector(
     return recalibrated
 
 
-def _look(perception: Perception, episode: Episode, resolution: int, view: View) -> ViewEvidence:
+def _look(perception: Perception, picture: str, queries: list[str], resolution: int, view: View) -> ViewEvidence:
     """What a perception sees in the view as the benchmark draws it, with the cross filled in: it is no evidence.
 
     It is asked for the target in the task's words; a perception that knows only single nouns gets shorter phrases.
+    `queries`: those; what it does not know is taken out, and is not asked for in the next view.
     """
-    image = without_cross(render_view(open_panorama(episode.panorama), view.yaw, view.pitch, resolution))
+    image = without_cross(render_view(open_panorama(picture), view.yaw, view.pitch, resolution))
     upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
     grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
-    queries = [words_of(episode.item["task"]) for words_of in (thing_of, phrase_of, head_of)]
-    _, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
+    query, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
+    del queries[: queries.index(query)]
     return ViewEvidence(evidence, world_R_body(-math.radians(view.yaw)))
 
 

@@ -241,7 +241,10 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     skill, think = question.skill, config.prompt == "think"
     wanted = ("official", "corrected") if config.labels == "both" else (config.labels,)
     truths = {labels: question.truth(labels) for labels in wanted}
-    scores = {labels: score(skill, truth, reply.text, think) for labels, truth in truths.items()}
+    maps = {labels: score_map(truth, reply.text) for labels, truth in truths.items()} if skill == MAP else {}
+    scores = {
+        labels: maps[labels].f1 if maps else score(skill, truth, reply.text, think) for labels, truth in truths.items()
+    }
     truth, main = truths[wanted[0]], scores[wanted[0]]
     record: dict[str, Any] = {
         "case": question.id,
@@ -255,8 +258,8 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
         "answer": reply.text,
         "cause": cause(skill, truth, reply, think) if main < 1 else None,
     }
-    if skill == MAP:
-        found = score_map(truth, reply.text)
+    if maps:
+        found = maps[wanted[0]]
         record["map"] = {
             "overall": found.overall, "per_class": found.per_class, "truth": truth, "rotation": found.rotation
         }  # fmt: skip
@@ -360,8 +363,8 @@ class OsrBench(PublishedTask):
         elif config.perception:
             if config.perception != TRUTH:
                 raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
-            for scene in load(Path(config.data), config.suffix):
-                read_room(scene.folder)  # all of them, before the run
+            for folder in dict.fromkeys(scene.folder for scene, _ in questions_of(config.data, config.suffix).values()):
+                read_room(folder)  # all of them, before the run
 
     def runner(self, config: OsrConfig) -> Callable[[Payload], Record]:
         questions, agent = questions_of(config.data, config.suffix), open_agent(config)

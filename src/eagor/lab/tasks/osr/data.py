@@ -44,8 +44,8 @@ class Turn(msgspec.Struct):
     """A question as published; the answer of a map is its grid, as text in a table."""
 
     question: str
-    answer: str | Grid | None
-    turn_id: int = 0
+    answer: str | int | Grid | None
+    turn_id: int | None = None  # None: its place among the turns
     skills_tested: str | None = None
 
 
@@ -133,7 +133,7 @@ class Scene:
 
     @property
     def map_question(self) -> Question | None:
-        """The question of turn 0 that asks for the map; None if this kind of file has none."""
+        """The first question that asks for the map; None if this kind of file has none."""
         return next((question for question in self.questions if question.skill == MAP), None)
 
 
@@ -185,7 +185,7 @@ def _scene(turns: Iterable[Turn], image_id: str, name: str, folder: Path, suffix
     """The scene in `folder` with those questions in the file `path` that have an answer."""
     found: list[Question] = []
     skipped, taken = 0, Counter[int]()
-    for turn in turns:
+    for place, turn in enumerate(turns):
         asked, answer = read(turn.question), turn.answer
         skill = turn.skills_tested or (asked[0] if asked else None)
         if skill not in SKILLS:
@@ -194,20 +194,20 @@ def _scene(turns: Iterable[Turn], image_id: str, name: str, folder: Path, suffix
             )
         if skill == MAP and suffix.endswith(WITHOUT):
             continue
-        if not answer:
+        if answer is None or answer == "":
             skipped += 1
             continue
-        if skill == MAP:
-            answer = _grid(answer, path)
-        taken[turn.turn_id] += 1
-        again = f"-{taken[turn.turn_id]}" if taken[turn.turn_id] > 1 else ""
-        found.append(Question(f"{name}/{suffix}/{turn.turn_id}{again}", turn.turn_id, skill, turn.question, answer))
+        answer = _grid(answer, path) if skill == MAP else str(answer)
+        number = place if turn.turn_id is None else turn.turn_id
+        taken[number] += 1
+        again = f"-{taken[number]}" if taken[number] > 1 else ""
+        found.append(Question(f"{name}/{suffix}/{number}{again}", number, skill, turn.question, answer))
     pictures = [folder / "rgb.png", *(above / image_id for above in (folder, *folder.parents[:3]))]
     image = next((picture for picture in pictures if os.path.isfile(picture)), None)  # False for invalid names
     return Scene(name, folder, image, tuple(found), skipped)
 
 
-def _grid(answer: str | Grid, path: Path) -> Grid:
+def _grid(answer: str | int | Grid, path: Path) -> Grid:
     """A map's grid; in tables it is text."""
     try:
         return msgspec.convert(ast.literal_eval(answer) if isinstance(answer, str) else answer, Grid)
@@ -225,7 +225,7 @@ def _from_table(path: Path, suffix: str) -> Iterator[Scene]:
     turns: dict[str, list[Turn]] = {}
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            for row in csv.DictReader(file):
+            for row in csv.DictReader(file, restkey=""):
                 turns.setdefault(row["image_id"], []).append(msgspec.convert(row, Turn, strict=False))
     except (OSError, UnicodeError, csv.Error, KeyError, msgspec.ValidationError) as error:
         raise FormatError(f"{path} cannot be read as CSV with image_id, question and answer ({error})") from None
