@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import Any
 
 import box_trackers
+import common
 import numpy as np
 import pandas
 from PIL import Image
@@ -53,7 +54,6 @@ from eagor.media.rotation import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
 from eagor.perception.things import Thing, spread_evidence
 from eagor.sphere import angular_distance, direction, unit, world_R_body
-from eagor.statistics import bootstrap_interval
 from eagor.tracking import Estimate, TrackerConfig
 
 FRAMES, STEP, TUMBLE = 40, math.radians(9), math.radians(20)
@@ -348,18 +348,14 @@ def persists(case: Case) -> bool:
 # --- the tables: what each says of the runs of one condition and method ---
 
 
-def interval(values: pandas.Series) -> tuple[float, float]:
-    found = bootstrap_interval(values.to_numpy(float), np.random.default_rng(0), resamples=RESAMPLES)
-    return found.low, found.high
-
-
 def bracketed(ends: Sequence[float], digits: int) -> str:
     return " [{:{w}.{d}f} {:{w}.{d}f}]".format(*ends, w=digits + 4, d=digits)
 
 
 def mean(values: pandas.Series, digits: int) -> str:
     """The mean with its interval."""
-    return f"{values.mean():.{digits}f}" + (bracketed(interval(values), digits) if len(values) > 1 else "")
+    middle, *ends = common.mean_of(values.to_numpy(float))
+    return f"{middle:.{digits}f}" + (bracketed(ends, digits) if len(values) > 1 else "")
 
 
 def found(own: pandas.DataFrame) -> dict[str, Any]:
@@ -400,9 +396,9 @@ def paired(there: pandas.DataFrame) -> Iterator[dict[str, Any]]:
             row = {"": f"{condition}, {name}", "rival": rival}
             for key, sign, digits in (("last", 1, 1), ("within", -1, 2)):
                 apart = runs[rival][key] - runs[name][key]
-                low, high = interval(apart) if len(apart) > 1 else (0.0, 0.0)
+                _, low, high = common.mean_of(apart.to_numpy(float))
                 row[key] = mean(apart, digits)
-                row[f"ahead in {key}"] = "" if low <= 0 <= high else "ours" if sign * low > 0 else "rival"
+                row[f"ahead in {key}"] = ("ours" if sign * low > 0 else "rival") if low > 0 or high < 0 else ""
             yield row
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections import Counter
 from functools import partial
+from queue import SimpleQueue
 
 import numpy as np
 import pytest
@@ -272,6 +273,33 @@ def test_units_that_kill_their_workers_are_counted_and_the_rest_is_done(tmp_path
     assert "signal 9" in found["square/2"]["error"]
     assert (found["square/4"]["status"], found["square/4"]["attempt"]) == ("ok", 2)
     assert len(list((tmp_path / "notes").glob("0-*"))) == 2
+
+
+def test_a_worker_that_dies_while_it_waits_costs_no_attempt():
+    class Idle:
+        alive = True
+
+        def do(self, payload):
+            if not self.alive:
+                raise runner.WorkerDiedError("signal 9")
+            return "ok", 0.0, {"payload": payload}
+
+        def close(self, at_once):
+            pass
+
+    hired, answers = [], SimpleQueue()
+
+    def hire():
+        hired.append(Idle())
+        return hired[-1]
+
+    lane = runner._Lane(hire, answers)
+    for payload in (1, 2):
+        lane.into.put(payload)
+        assert answers.get() == (lane, ("ok", 0.0, {"payload": payload}))
+        hired[-1].alive = False
+    lane.close(True)
+    assert len(hired) == 2
 
 
 def test_a_unit_that_cannot_be_sent_fails_alone(tmp_path, config):

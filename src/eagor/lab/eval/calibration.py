@@ -354,8 +354,11 @@ def _scores(start: Calibrated, indices: Sequence[int], regions: bool, at: np.nda
 def _mapping(workers: int, recordings: Sequence[Rollout]) -> Iterator[Run]:
     """What maps a function over jobs, in this process or in several, where `_recordings` are these."""
     if workers == 1:
-        _begin(recordings)
-        yield map
+        try:
+            _begin(recordings)
+            yield map
+        finally:
+            _begin([])
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the processes that start now
     with multiprocessing.get_context("spawn").Pool(workers, _begin, (recordings,)) as pool:

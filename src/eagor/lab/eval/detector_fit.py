@@ -25,9 +25,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import minimize
-from scipy.special import betaln, digamma, logit
+from scipy.special import betaln, digamma, logit, ndtr, stdtrit
 
 from eagor.evidence.detections import bump_norms
 from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Alarms, DetectorModel, model_as_json
@@ -526,7 +525,8 @@ def _interval(values: Sequence[float], parts: int) -> tuple[float, float]:
     Expanded percentiles (Hesterberg, The American Statistician 69(4), 2015).
     """
     parts = max(parts, 2)
-    levels = stats.norm.cdf(math.sqrt(parts / (parts - 1)) * np.array(stats.t(parts - 1).interval(LEVEL)))
+    ends = stdtrit(parts - 1, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])  # of Student's t; scipy.stats takes long to import
+    levels = ndtr(math.sqrt(parts / (parts - 1)) * ends)
     low, high = np.quantile(values, levels)
     return float(low), float(high)
 

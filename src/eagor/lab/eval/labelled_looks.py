@@ -131,7 +131,11 @@ class DetectionTable:
         self.own = np.concatenate([each.own.mean(axis=1) for each in sets])
         self.place = _places(looks, self.segment, targets)
         self.places = int(self.place.max(initial=-1)) + 1
-        self.target, self.detection = np.nonzero(self.target_look[:, None] == self.look)
+        # Every target with every detection of its look.
+        first, end = (np.searchsorted(self.look, self.target_look, side) for side in ("left", "right"))
+        count = end - first
+        self.target = np.repeat(np.arange(len(count)), count)
+        self.detection = np.arange(len(self.target)) - np.repeat(np.cumsum(count) - count - first, count)
         self.offsets = _offsets(np.concatenate(targets)[self.target], self.directions[self.detection])
         posed = self.posed[self.target_look]
         names = np.where(posed[self.target], self.place[self.target], -1 - np.arange(len(self.target)))

@@ -65,8 +65,9 @@ def keep(run: Run, folder: Path) -> None:
     there = {record["key"]: record for record in log.read(folder)}
     new = [record for record in run.records if record["key"] not in there]
     for record in run.records:
+        if (before := there.get(record["key"])) is None:
+            continue
         plain: dict[str, Any] = json.loads(log.as_line(record))
-        before = there.get(record["key"], plain)
         # The settings do not name the file that was scored: those of another one are the same.
         if any(before.get(name) != value for name, value in plain.items() if name not in ("attempt", "seconds")):
             raise EagorError(f"{folder} holds another result for {record['case']}; choose another folder")

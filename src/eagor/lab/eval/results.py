@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from eagor._values import lazy
 from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import EVERY, ORACLE
 from eagor.lab.envs.places import APARTMENT
@@ -82,7 +83,7 @@ class Run:
                 found.setdefault(name, []).append(Result(record, answer))
         return {name: found[name] for name in ordered(found)}
 
-    @property
+    @lazy
     def planned(self) -> int | None:
         """How many records the whole run has; None where that cannot be told, as the data are not there."""
         try:

@@ -214,6 +214,8 @@ class Scheduler:
 
     def _record(self, unit: Unit, attempt: int, status: str, seconds: float, body: Record) -> Record:
         task = body.get("task", self._task)
+        if status == "failed":
+            body = body | {"error": body["error"][:LONGEST_ERROR]}
         head = {"key": unit.key, "task": task, "attempt": attempt, "status": status, "seconds": seconds}
         record = {**head, **body, **head}  # the head stands first, and what the work says changes none of it
         self._keep(record)
@@ -249,7 +251,7 @@ def attempt(do: Do, payload: Any) -> Result:
         if not isinstance(error, EagorError):  # whoever wrote the plugin wants to know where
             last = traceback.extract_tb(error.__traceback__)[-1]
             text = f"{text[: LONGEST_ERROR - 100]} ({Path(last.filename).name}:{last.lineno})"
-        status, body = "failed", {"error": text[:LONGEST_ERROR]}
+        status, body = "failed", {"error": text}
     return status, round(time.perf_counter() - began, 3), dict(body)
 
 
@@ -263,8 +265,11 @@ class WorkerDiedError(Exception):
 class _Here:
     """This process, or a thread of it.
 
-    As every worker: making one raises `WorkerDiedError` if it dies, `EagorError` if it cannot work.
+    As every worker: making one raises `WorkerDiedError` if it dies, `EagorError` if it cannot work. `alive`: False if
+    it is known to have died while it waited.
     """
+
+    alive = True
 
     def __init__(self, do: Do) -> None:
         self._do = do
@@ -288,6 +293,10 @@ class _Process:
         with suppress(WorkerEnded):  # the answer says how
             self._worker.send(payload)
         return self._answer()
+
+    @property
+    def alive(self) -> bool:
+        return self._worker.alive
 
     def close(self, at_once: bool) -> None:
         self._worker.close(0.0 if at_once else PATIENCE)
@@ -313,6 +322,8 @@ def _serve(line: Connection, work: str, config: dict[str, Any]) -> None:
 
 class _OnRay:
     """An actor somewhere on the cluster."""
+
+    alive = True  # as far as anybody knows before it is asked
 
     def __init__(self, ray: Any, work: str, config: dict[str, Any]) -> None:
         self._ray, self._actor = ray, ray.remote(num_cpus=1, max_restarts=0)(_Actor).remote()
@@ -379,8 +390,11 @@ class _Lane:
                     answers.put((self, fault))
 
     def _attempt(self, hire: Hire, payload: Any) -> Result:
+        if self._worker is not None and not self._worker.alive:  # no unit's fault
+            self._worker.close(True)
+            self._worker = None
         if self._worker is None:
-            self._worker = _ready(hire)
+            self._worker = self._ready(hire)
             if self._closed:  # it came too late to be closed with the others
                 self._worker.close(True)
         began = time.perf_counter()
@@ -395,19 +409,20 @@ class _Lane:
         except Exception as error:
             return "failed", 0.0, {"error": f"cannot be sent: {type(error).__name__}: {error}"}
 
-
-def _ready(hire: Hire) -> _Here | _Process | _OnRay:
-    """A worker; another one if it dies before it is ready. Raises `WorkError` where several do."""
-    died = None
-    for _ in range(STARTS):
-        try:
-            return hire()
-        except WorkerDiedError as error:
-            died = error
-    raise WorkError(
-        f"{STARTS} workers in a row ended before they were ready ({died}); what they wrote to stderr says why. Try "
-        "workers=1"
-    )
+    def _ready(self, hire: Hire) -> _Here | _Process | _OnRay:
+        """A worker; another one if it dies before it is ready. Raises `WorkError` where several do."""
+        died = None
+        for _ in range(STARTS):
+            try:
+                return hire()
+            except WorkerDiedError as error:
+                died = error
+            if self._closed:  # it was ended with the run
+                break
+        raise WorkError(
+            f"{STARTS} workers in a row ended before they were ready ({died}); what they wrote to stderr says why. Try "
+            "workers=1"
+        )
 
 
 def _together(schedule: Scheduler, hire: Hire, count: int) -> None:
