@@ -199,9 +199,10 @@ def _storeys(scene: str, listed: SceneEpisodes, options: str, file: Path, scenes
     for height in np.sort(heights):
         if not lowest or height - lowest[-1] > STOREY:  # starts on stairs must not join the storeys that these join
             lowest.append(height)
-    group = np.searchsorted(lowest, heights, side="right")
+    group = np.searchsorted(lowest, heights, side="right") - 1
+    storeys = [np.median(heights[group == each]) for each in range(len(lowest))]
     world = f"{HABITAT}:{_below(scene, file, scenes)}?{dataset}{options}"
-    return [f"{world}&storey={np.median(heights[group == each]):.2f}" for each in group]
+    return [f"{world}&storey={storeys[each]:.2f}" for each in group]
 
 
 def _home_of_ours(scene: str, listed: SceneEpisodes, seed: int, file: Path, scenes: Path | None) -> tuple[str, int]:

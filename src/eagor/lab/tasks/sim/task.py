@@ -346,18 +346,6 @@ class SimRecord(msgspec.Struct, kw_only=True, frozen=True):
     methods: Mapping[str, Any]
     seconds: Number | None = None
 
-    def __post_init__(self) -> None:
-        truth = [self.truth] if isinstance(self, WatchedRecord) else []
-        for name, result in self.methods.items():
-            lists = {}
-            for part in (result.trace, *truth):
-                lists |= {key: each for key, each in msgspec.structs.asdict(part).items() if isinstance(each, list)}
-            counts = {key: len(each) for key, each in lists.items()}
-            if len(set(counts.values())) > 1:
-                raise ValueError(f"the lists of {name} are of different lengths ({counts})")
-            if not all(any(pose[3:]) for pose in lists.get("pose", ())):
-                raise ValueError(f"a pose of {name} has the quaternion 0, 0, 0, 0, which is no rotation")
-
 
 class WatchedRecord(SimRecord, kw_only=True, frozen=True):
     """The same of a task in which all methods saw the same."""
@@ -366,8 +354,26 @@ class WatchedRecord(SimRecord, kw_only=True, frozen=True):
     truth: Truth
     looked: LookedInRecord | None = None
 
+    def __post_init__(self) -> None:
+        for name, result in self.methods.items():
+            _check_even(name, result.trace, self.truth)
+
 
 class WalkedRecord(SimRecord, kw_only=True, frozen=True):
     """The same of a task in which each method went its own way."""
 
     methods: Mapping[str, WalkedMethod]
+
+    def __post_init__(self) -> None:
+        for name, result in self.methods.items():
+            _check_even(name, result.trace)
+
+
+def _check_even(name: str, *parts: msgspec.Struct) -> None:
+    """Lists of one episode are of one length, and poses are rotations. Raises `ValueError`."""
+    values = {key: value for part in parts for key, value in msgspec.structs.asdict(part).items()}
+    counts = {key: len(value) for key, value in values.items() if isinstance(value, list)}
+    if len(set(counts.values())) > 1:
+        raise ValueError(f"the lists of {name} are of different lengths ({counts})")
+    if not all(any(pose[3:]) for pose in values.get("pose", ())):
+        raise ValueError(f"a pose of {name} has the quaternion 0, 0, 0, 0, which is no rotation")
