@@ -42,7 +42,6 @@ class BoxTracker(Estimator):
 
     def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
         """The pose of the next look."""
-        del stamp, position
         self._pose = world_R_body
 
     def see(self, evidence: Evidence) -> None:
@@ -57,11 +56,9 @@ class BoxTracker(Estimator):
         boxes = supervision.Detections(on_panorama(where, found.axes @ self._pose.T), confidence=scores)
         boxes.data["where"] = where
         followed = self._tracker.update(boxes)
-        for number, score, place in (
-            zip(followed.tracker_id, followed.confidence, followed.data.get("where", ()), strict=True)
-            if len(followed)
-            else ()
-        ):
+        if not len(followed):
+            return
+        for number, score, place in zip(followed.tracker_id, followed.confidence, followed.data["where"], strict=True):
             if number >= 0:
                 self._scores[int(number)] += float(score)
                 self._newest[int(number)] = place

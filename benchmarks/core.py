@@ -1,6 +1,6 @@
 """How fast and how exact the core is, against rivals in the same process.
 
-    python benchmarks/core.py [--repeats 40]
+    python benchmarks/core.py [--repeats BATCHES, by default 40]
 
 Times are CPU time of this process (`time.process_time`: what other programs do on the machine is not counted), and
 ratios to one np.log over a 512 x 1024 float32 map, which is the least that any log-domain method pays for a full-size
@@ -153,10 +153,7 @@ def accuracy() -> dict[str, float]:
 
 
 def main() -> None:
-    arguments = common.parser(__doc__)
-    arguments.add_argument("--repeats", type=int, default=40, help="batches of each contestant (default 40)")
-    options = arguments.parse_args()
-
+    options = common.parser(__doc__, repeats=40).parse_args()
     out = np.empty_like(FULL_MAP)
 
     def log() -> np.ndarray:  # into memory that is already there: a fresh 2 MB array can cost more than the logarithm

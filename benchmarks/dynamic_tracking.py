@@ -1,12 +1,13 @@
 """The paper's dynamic tracking, on a simulated Go2: every method on the same recorded runs.
 
-python benchmarks/dynamic_tracking.py record RUNS [--runs 30] [--seed 8400]
-python benchmarks/dynamic_tracking.py judge RUNS
+python benchmarks/dynamic_tracking.py record RUNS [--runs 30] [--seed 8400] [--domain 121]
+python benchmarks/dynamic_tracking.py judge RUNS [--workers 2]
 
 Three scenes, each with a red ball in a built-in apartment, in sight at first: the robot stands and the ball rolls; the
 robot walks and the ball lies; both move. A run is a ROS 2 bag: the camera's pictures, the robot's own odometry, and,
 for the judge alone, the true poses and the ball's true places. The robot, its camera and whoever steers it are
-processes that talk over DDS in real time, as with a real Go2: clocks apart, states at 200 Hz, pictures as JPEG. What
+processes that talk over DDS in real time, as with a real Go2: clocks apart, states at 200 Hz, pictures as JPEG; nobody
+else may use the ten domains from --domain on. What
 steers the robot knows the floor plan and goes from one random place to another: it is the same for all methods.
 
 The perception (`scout`) looks at one picture after the other. It is given 0, 0.4 or 1.6 s for each, as a larger model
@@ -39,6 +40,7 @@ from typing import Any
 import common
 import numpy as np
 
+from eagor.conventions import rotation_from_xyzw
 from eagor.evidence import Evidence
 from eagor.lab.agents.methods import NAMES, Estimator, make_estimator
 from eagor.lab.worlds.navmesh import along, length_of
@@ -234,13 +236,7 @@ def read(path: Path) -> Run:
 
 def look_at(run: Run, perception: Any) -> list[Evidence]:
     """What the perception says of every picture."""
-    found = []
-    for stamp, panorama in run.pictures:
-        if stamp < run.begin:
-            continue
-        evidence = perception(panorama, QUERY, stamp=stamp)
-        found.append(evidence if isinstance(evidence, Evidence) else evidence[0])
-    return found
+    return [perception(panorama, QUERY, stamp=stamp) for stamp, panorama in run.pictures if stamp >= run.begin]
 
 
 def arrivals(looks: Sequence[Evidence], seconds: float) -> list[tuple[float, Evidence]]:
@@ -305,15 +301,16 @@ def figures(run: Run, seen: np.ndarray, played: dict[str, np.ndarray], first: fl
     true = np.array([run.bearing(float(now))[0] for now in stamps])
     errors = angular_distance(said, true)
     turned = [run.turned(float(b)).T @ run.turned(float(a)) for a, b in pairwise(stamps)]
-    moved = np.array([
-        _least_turn(turn @ true[k], true[k + 1]) @ turn @ said[k] for k, turn in enumerate(turned)
-    ])  # fmt: skip
+    moved = []  # each answer, as the true bearing moved: with the body, then by the smallest rotation
+    for k, turn in enumerate(turned):
+        start, end = turn @ true[k], true[k + 1]
+        moved.append(rotation_from_xyzw(np.append(np.cross(start, end), 1 + start @ end)) @ turn @ said[k])
     seen = seen[keep]
     mass = played["mass"][keep]
     return {
         "error": math.degrees(float(errors.mean())),
         "in sight": math.degrees(float(errors[seen].mean())) if seen.any() else math.nan,
-        "TC": math.degrees(float(angular_distance(moved, said[1:]).mean())),
+        "TC": math.degrees(float(angular_distance(np.array(moved), said[1:]).mean())),
         "recovery": _recovery(stamps, seen, errors),
         "covered": math.nan if np.isnan(mass).all() else float((mass[~np.isnan(mass)] < 0.9).mean()),
     }
@@ -328,13 +325,6 @@ def _recovery(stamps: np.ndarray, seen: np.ndarray, errors: np.ndarray) -> float
             good = np.flatnonzero(errors[k:] <= NEAR)
             found.append(float((stamps[k + good[0]] if len(good) else stamps[-1]) - stamps[k]))
     return float(np.mean(found)) if found else math.nan
-
-
-def _least_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The smallest rotation ``(3, 3)`` that takes unit vector `start` to `end`, which is near."""
-    axis, cosine = np.cross(start, end), float(start @ end)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)
 
 
 def conditions() -> Iterator[tuple[str, float, bool]]:
@@ -387,24 +377,13 @@ def judge(folder: Path, workers: int) -> None:
         for condition, _, _ in conditions():
             for name in NAMES:
                 values = rows[scene, condition, name]
-                print(f"{condition:14}{name:17}" + "".join(f"{_shown(values[key]):>22}" for key in values))
-
-
-def _shown(values: Sequence[float]) -> str:
-    known = [value for value in values if not math.isnan(value)]
-    if len(known) < 2:
-        return "-"
-    return "{:.2f} [{:.2f} {:.2f}]".format(*common.mean_of(known))
+                print(f"{condition:14}{name:17}" + "".join(f"{common.shown(values[key]):>22}" for key in values))
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
+    parser = common.parser(__doc__, runs=30, seed=8400, domain=121, workers=2)
     parser.add_argument("command", choices=("record", "judge"))
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--runs", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=8400)
-    parser.add_argument("--domain", type=int, default=121, help="of DDS, the first of ten; nobody else may use them")
-    parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     if options.command == "judge":
         judge(options.folder, options.workers)

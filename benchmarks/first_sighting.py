@@ -12,7 +12,6 @@ the first sighting, less that of `frame`, paired by episode.
 from __future__ import annotations
 
 import math
-import sys
 from typing import Any
 
 import common
@@ -58,22 +57,9 @@ def means(record: dict[str, Any], name: str) -> list[float]:
     return [math.nan if part is None else part.mean for part in found]
 
 
-def cell(values: np.ndarray, seeds: np.ndarray) -> str:
-    """Mean and interval of the values that are known."""
-    known = ~np.isnan(values)
-    if not known.any():
-        return f"{'-':>22s}"
-    mean, low, high = common.mean_of(values[known], seeds[known])
-    return f"{mean:8.2f} {'':>13s}" if np.isnan(low) else f"{mean:8.2f} [{low:5.1f} {high:5.1f}]"
-
-
-def main() -> int:
-    options = common.parser(__doc__)
-    options.add_argument("--perception", default="scout")
-    options.add_argument("--episodes", type=int, default=60)
-    options.add_argument("--seed", type=int, default=1600)
-    options.add_argument("--methods", nargs="+", default=[OURS, "vmf", "grid_filter"])
-    given = options.parse_args()
+def main() -> None:
+    methods = [OURS, "vmf", "grid_filter"]
+    given = common.parser(__doc__, perception="scout", episodes=60, seed=1600, methods=methods).parse_args()
     settings = {"rules": NavigationRules(), "disturbances": NoiseModel(), "camera": Camera()}
     config = {"task": "navigation", "perception": given.perception, "rows": rows_of(shared(given.perception))}
     runner = Runner(config | {key: as_dict(value) for key, value in settings.items()})
@@ -89,17 +75,14 @@ def main() -> int:
         seeds.append(spec.seed)
         if any(visible):
             pointed.append(float((found[FRAME][visible] < 15).mean()))
-    table, clusters = np.array(rows), np.array(seeds)
+    table = np.array(rows)
     print(f"{given.perception}: {given.episodes} episodes; a look points within 15 degrees of what is in sight in "
           f"{100 * np.mean(pointed):.1f} % of the cases")  # fmt: skip
     print(f"{'':24s}{'after the first':>22s}{'in sight':>22s}{'hidden again':>22s}{'- frame':>22s}")
     for index, name in enumerate(names):
-        cells = [cell(table[:, index, part], clusters) for part in range(len(SHOWN))]
-        if index:
-            cells.append(cell(table[:, index, 0] - table[:, 0, 0], clusters))
-        print(f"{name:24s}" + "".join(cells))
-    return 0
+        columns = [*table[:, index].T, *([table[:, index, 0] - table[:, 0, 0]] if index else [])]
+        print(f"{name:24s}" + "".join(f"{common.shown(column, groups=seeds):>22s}" for column in columns))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

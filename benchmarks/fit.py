@@ -1,11 +1,13 @@
 """Fit the settings of every filter on development episodes: same episodes, same number of trials, same aim for each.
 
-    python benchmarks/fit.py [--perception scout] [--methods eagor vmf ...] [--trials 48] [--workers 2]
+    python benchmarks/fit.py [--perception scout] [--methods eagor vmf ...] [--episodes 60] [--trials 48] [--seed 100]
+                             [--workers 2]
 
 Waypoint Following and `tracking` are open loop: their episodes are recorded once (poses and responses), and every
 trial reads the recordings, which are those of ``eagor calibrate``. A trial is a random draw from the method's space;
 the first is the setting in use now. All trials see the episodes of half of the apartments; the best eighth of them is
-judged by the other half, and that ranking is printed. Seeds are of development apartments only; others are refused.
+judged by the other half, and that ranking is printed. Seeds, from --seed on, are of development apartments only; others
+are refused.
 
 The aim is one number, in degrees: waypoint (error + TC) + tracking (error + TC), each a mean over episodes. It asks for
 what a user sees: to be right, and not to jump.
@@ -15,7 +17,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -107,15 +108,9 @@ def trials(base: str, count: int, seed: int) -> Iterator[str]:
         yield f"{base}:" + ",".join(f"{key}={value}" for key, value in drawn.items())
 
 
-def main() -> int:
-    arguments = common.parser(__doc__)
-    arguments.add_argument("--perception", default="scout")
-    arguments.add_argument("--methods", nargs="+", default=list(SPACES), choices=list(SPACES))
-    arguments.add_argument("--episodes", type=int, default=60)
-    arguments.add_argument("--trials", type=int, default=48)
-    arguments.add_argument("--seed", type=int, default=100, help="first apartment, of the development fifth")
-    arguments.add_argument("--workers", type=int, default=2)
-    options = arguments.parse_args()
+def main() -> None:
+    known = {"perception": "scout", "methods": tuple(SPACES), "episodes": 60, "trials": 48, "seed": 100, "workers": 2}
+    options = common.parser(__doc__, **known).parse_args()
     print(f"{options.episodes} episodes of {', '.join(TASKS)}, apartments from {options.seed}", flush=True)
     recordings = record_episodes(options.perception, options.episodes, options.seed, left_out=print)
     begin = _begin, (recordings, options.perception)
@@ -129,8 +124,7 @@ def main() -> int:
             print(f"\n{base}: {len(names)} trials; the best on the other half of the apartments, degrees")
             for value, name in second:
                 print(f"  {value:6.2f}  {name}", flush=True)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -28,6 +28,7 @@ on, when rates are learnt). Coverage: how often the truth is in the smallest reg
 Distance: |log(distance / truth)| at the end. Time: CPU milliseconds a look, answer included (scoring not), contestants
 alternating run by run, the median over runs.
 "says": how often our tracker says each word, and how often it is then within 15 degrees of the truth.
+--runs (by default 100) of each world, from seed --seed on; --methods: only names with one of these texts in them.
 Brackets are 95 % bootstrap intervals over runs. Seeds below 2000 are for development; reports start at 8000. `few`
 compares what each filter says of ITS OWN answer with what the ideal says of its own; `within 15` is the mass within 15
 degrees if the target is there, "both" is that times presence, which is what `Estimate.within` says.
@@ -54,6 +55,7 @@ from ideal_rivals import Core, RivalGrid, RivalParticles, Tracker, learnt, state
 from ideal_worlds import STEP, WORLDS, Detector, Run, make
 
 from eagor import MotionModel, TrackerConfig
+from eagor.sphere import angular_distance
 
 LEVELS = (0.5, 0.9, 0.99)
 FEW = 3  # looks whose claims are kept,
@@ -77,20 +79,7 @@ PARTICLES = {  # smoothing, whether particles are drawn to their mean first; tun
     (20_000, "roughened"): (0.12, False),
     (20_000, "Liu-West"): (0.15, True),
 }
-DRIFT = tuple(name for name in WORLDS if name.startswith("drift"))
-SHARP = tuple(name for name in WORLDS if name.startswith("turning, "))
-HABITS = tuple(name for name in WORLDS if name.startswith("habits"))
-MOVING = tuple(name for name in WORLDS if name not in ("turning", "walking", *DRIFT, *SHARP, *HABITS))
-GROUPS = {
-    "turning": ("turning",),
-    "wrong": (),
-    "few": (),
-    "sharp": SHARP,
-    "walking": ("walking",),
-    "moving": MOVING,
-    "drift": DRIFT,
-    "habits": HABITS,
-}
+GROUPS = {group for group, _ in WORLDS.values()} | {"wrong", "few"}  # these two look at the runs of `turning`
 FINE = 256  # HEALPix sides for sharp detections: cells of 0.2 degrees
 TOLD = {  # what a user would state who knows as much of the motion as the ideal filter does
     "constant turn, 10 deg/s": MotionModel.still(),  # in axes that turn along
@@ -113,11 +102,12 @@ DIRECTIONS: dict[str, Factory] = {  # rivals that believe in directions alone
 
 def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
     """Who takes part in this world, as (run, seed) -> filter; the first is the ideal one."""
+    group = WORLDS[world][0]
     ours: dict[str, Factory] = {
-        OURS: lambda run, seed: Tracker(stated(TRUE)),
-        LEARNT: lambda run, seed: Tracker(learnt(TRUE)),
+        OURS: lambda run, seed: Tracker(stated(run.detector)),
+        LEARNT: lambda run, seed: Tracker(learnt(run.detector)),
     }
-    if world == "walking":
+    if group == "walking":
         particles: dict[str, Factory] = {
             f"PyRecEst, {count:,}, {how}": lambda run, seed, c=count, s=settings: RivalParticles(
                 TRUE, seed, c, *s, walks=True
@@ -125,13 +115,9 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
             for (count, how), settings in PARTICLES.items()
         }
         return {IDEAL: lambda run, seed: Walked(TRUE), **ours, **particles}
-    if world in SHARP:
-        return {
-            IDEAL: lambda run, seed: StillOrKnown(run.detector, nside=FINE),
-            OURS: lambda run, seed: Tracker(stated(run.detector)),
-            **DIRECTIONS,
-        }
-    if world in HABITS:
+    if group == "sharp":
+        return {IDEAL: lambda run, seed: StillOrKnown(run.detector, nside=FINE), OURS: ours[OURS], **DIRECTIONS}
+    if group == "habits":
         return {
             IDEAL: lambda run, seed: Assigned(TRUE),
             OURS: lambda run, seed: Tracker(stated_habits(TRUE)),
@@ -140,13 +126,8 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
             "Bayes, looks independent": lambda run, seed: StillOrKnown(TRUE),
         }
     known: dict[str, Factory] = {IDEAL: lambda run, seed: StillOrKnown(run.detector, run.motion)}
-    if world in DRIFT:
-        unaware: dict[str, Factory] = {
-            "Bayes, drift left out": lambda run, seed: StillOrKnown(run.detector),
-            OURS: lambda run, seed: Tracker(stated(run.detector)),
-            LEARNT: lambda run, seed: Tracker(learnt(run.detector)),
-        }
-        return known | unaware
+    if group == "drift":
+        return known | {"Bayes, drift left out": lambda run, seed: StillOrKnown(run.detector)} | ours
     if world in TOLD:
         if "walk" in world:
             known["Bayes, kind of motion unknown"] = lambda run, seed: KindUnknown(TRUE)
@@ -156,22 +137,15 @@ def contestants(world: str, wanted: set[str]) -> dict[str, Factory]:
             circling = TrackerConfig(target_motion=CIRCLING)
             found[f"{OURS}, told that it turns"] = lambda run, seed: Tracker(stated(TRUE), circling)
         return found
-    if world != "turning":
-        return known | ours
-    found = known
     if wanted & {"turning", "few"}:
-        found |= ours
+        known |= ours
     if "turning" in wanted:
-        found |= DIRECTIONS
+        known |= DIRECTIONS
     if "wrong" in wanted:
         for name, model in WRONG.items():
-            found[f"{IDEAL}, {name}"] = lambda run, seed, model=model: StillOrKnown(model)
-            found[f"{OURS}, {name}"] = lambda run, seed, model=model: Tracker(stated(model))
-    return found
-
-
-def degrees(a: np.ndarray, b: np.ndarray) -> float:
-    return math.degrees(math.acos(np.clip(a @ b, -1, 1)))
+            known[f"{IDEAL}, {name}"] = lambda run, seed, model=model: StillOrKnown(model)
+            known[f"{OURS}, {name}"] = lambda run, seed, model=model: Tracker(stated(model))
+    return known
 
 
 def follow(filter_: Contestant, run: Run) -> dict[str, Any]:
@@ -191,7 +165,8 @@ def follow(filter_: Contestant, run: Run) -> dict[str, Any]:
             continue
         log_density[t] = filter_.log_density(truths[t])
         if any(len(look) for look in run.looks[: t + 1]):
-            error[t] = 90.0 if filter_.direction is None else degrees(filter_.direction, truths[t])  # as bad as a guess
+            guess = filter_.direction is None
+            error[t] = 90.0 if guess else math.degrees(angular_distance(filter_.direction, truths[t]))
             above[t] = filter_.mass_above(truths[t])
     found = {"error": error, "log_density": log_density, "above": above, "claims": claims}
     found |= {"words": words, "ms": 1000 * seconds / steps, "present": run.present}
@@ -216,15 +191,6 @@ def measure(world: str, factories: Mapping[str, Factory], first: int, runs: int)
     return {name: {key: np.array([r[key] for r in rows]) for key in rows[0]} for name, rows in found.items()}
 
 
-def interval(values: np.ndarray) -> tuple[float, float, float]:
-    """Mean over runs with its interval."""
-    return common.mean_of(values[np.isfinite(values)])
-
-
-def ranged(values: np.ndarray) -> str:
-    return " {:8.3f} [{:6.3f}, {:6.3f}]".format(*interval(values))
-
-
 def show(title: str, rows: Rows, names: Sequence[str], late: bool = False) -> None:
     """The table of a world; `late`: also nats from look `LATE` on.
 
@@ -241,23 +207,23 @@ def show(title: str, rows: Rows, names: Sequence[str], late: bool = False) -> No
         row = rows[name]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a run without any detection has no errors
-            error = "{:7.2f} [{:5.2f}, {:5.2f}]".format(*interval(np.nanmean(row["error"], axis=1)))
+            error = common.shown(np.nanmean(row["error"], axis=1))
         told, behind = np.isfinite(row["above"]), rows[IDEAL]["log_density"] - row["log_density"]
-        nats = ranged(behind.mean(axis=1)) + (ranged(behind[:, LATE - 1 :].mean(axis=1)) if late else "")
+        nats = "".join(f" {common.shown(behind[:, k:].mean(axis=1), 3):>24s}" for k in (0, LATE - 1)[: 1 + late])
         cover = " ".join(f"{np.mean(row['above'][told] <= level):5.2f}" for level in LEVELS)
-        far = f"  {interval(row['distance'])[0]:8.3f}" if walked else ""
-        end = interval(row["error"][:, -1])[0]
-        print(f"  {name:28s} {error} {end:10.2f}{nats} {cover}{far} {np.median(row['ms']):7.2f}")
+        far = f"  {np.mean(row['distance'][np.isfinite(row['distance'])]):8.3f}" if walked else ""
+        end = np.nanmean(row["error"][:, -1])
+        print(f"  {name:28s} {error:>22s} {end:10.2f}{nats} {cover}{far} {np.median(row['ms']):7.2f}")
 
 
 def show_presence(title: str, rows: Rows) -> None:
     """The log of what was claimed for the truth, whether the target is there."""
     print(f"\n{title}")
-    print(f"  {'looks':28s}" + "".join(f" {count:>8d} {'[95 %]':>16s}" for count in AFTER))
+    print(f"  {'looks, [95 %]':28s}" + "".join(f" {count:>24d}" for count in AFTER))
     for name, row in rows.items():
         claimed = row["claims"][..., 0]
         there = np.log(np.maximum(np.where(row["present"][:, None], claimed, 1 - claimed), 1e-12))
-        print(f"  {name:28s}" + "".join(ranged(there[:, count - 1]) for count in AFTER))
+        print(f"  {name:28s}" + "".join(f" {common.shown(there[:, count - 1], 3):>24s}" for count in AFTER))
 
 
 def show_few(rows: Rows) -> None:
@@ -286,21 +252,14 @@ def show_words(rows: dict[str, np.ndarray]) -> None:
     print("  says: " + "; ".join(cells))
 
 
-def main() -> int:
-    parser = common.parser(__doc__)
-    parser.add_argument("--runs", type=int, default=100, help="per world (default 100)")
-    parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="of the first run (default 0)")
-    parser.add_argument("--worlds", nargs="+", choices=GROUPS, default=list(GROUPS), help="default: all")
-    parser.add_argument(
-        "--methods", nargs="+", default=[""], metavar="TEXT", help="only names with one of these in them"
-    )
-    options = parser.parse_args()
+def main() -> None:
+    options = common.parser(__doc__, runs=100, seed=0, worlds=tuple(sorted(GROUPS)), methods=[""]).parse_args()
     wanted = set(options.worlds)
 
     print(f"{options.runs} runs from seed {options.seed}")
-    worlds = ["turning"] if wanted & {"wrong", "few"} else []  # they look at the same runs
-    worlds += [world for group in GROUPS if group in wanted for world in GROUPS[group] if world not in worlds]
-    for world in worlds:
+    for world, (group, _) in WORLDS.items():
+        if group not in wanted and not (group == "turning" and wanted & {"wrong", "few"}):
+            continue
         factories = {
             name: factory
             for name, factory in contestants(world, wanted).items()
@@ -308,18 +267,17 @@ def main() -> int:
         }
         rows = measure(world, factories, options.seed, options.runs)
         wrong = [n for n in rows if n.removeprefix(f"{IDEAL}, ").removeprefix(f"{OURS}, ") in WRONG]
-        if world in HABITS[1:]:
+        if "absent" in world:
             show_presence(f"{world}: log score of the presence", rows)
         else:
-            show(world, rows, [name for name in rows if name not in wrong], world in ("turning", *HABITS))
+            show(world, rows, [name for name in rows if name not in wrong], world in ("turning", "habits"))
         if OURS in rows:
             show_words(rows[OURS])
         if wrong:
             show("turning, the detector wrong by a factor 2", rows, wrong)
         if world == "turning" and "few" in wanted:
             show_few(rows)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -19,7 +19,7 @@ from typing import Any
 import healpy
 import numpy as np
 from ideal_worlds import ALIKE_HABIT, ALIKES, HABIT, STEP, Detector, Motion, near
-from scipy.special import betaln
+from scipy.special import betaln, logsumexp, softmax
 
 from eagor.sphere import unit
 
@@ -227,12 +227,11 @@ class Walked(Contestant):
 
     @property
     def log_total(self) -> float:
-        top = self.log_mass.max()
-        return float(top + np.log(np.exp(self.log_mass - top).sum()))
+        return float(logsumexp(self.log_mass))
 
     @property
     def weight(self) -> np.ndarray:
-        return np.exp(self.log_mass - self.log_total)
+        return softmax(self.log_mass)
 
     def at(self, directions: np.ndarray) -> np.ndarray:
         """Log density per steradian at world directions ``(n, 3)`` from where the camera is now."""
@@ -334,8 +333,7 @@ class Assigned(Contestant):
 
     def _answer(self) -> None:
         """The mixture over directions: one part for each set of detections that may be the target's."""
-        weights = np.exp(self.logs - self.logs.max())
-        weights /= weights.sum()
+        weights = softmax(self.logs)
         none = self.counts[:, 0] == 0
         self.unseen = float(weights[none].sum())
         self.presence = 1 / (1 + self.unseen * math.exp(self.absent))

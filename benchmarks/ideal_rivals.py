@@ -46,7 +46,19 @@ def learnt(detector: Detector) -> eagor.DetectorModel:
     return eagor.DetectorModel(spread=math.radians(detector.spread), offset=0.0)
 
 
-class Tracker(Contestant):
+class Ours(Contestant):
+    """What says its density and its regions itself: `said`."""
+
+    said: eagor.Estimate | eagor.Belief
+
+    def log_density(self, direction: np.ndarray) -> float:
+        return float(self.said.log_density(direction[None])[0])
+
+    def mass_above(self, direction: np.ndarray) -> float:
+        return float(self.said.mass_above(direction))
+
+
+class Tracker(Ours):
     """`DirectionTracker` by its public calls.
 
     `motion`: a turn that is known; poses are then given in axes that turn along.
@@ -61,48 +73,36 @@ class Tracker(Contestant):
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         self.tracker.add_pose(time, self.motion.turned(time).T @ pose, position)
         self.tracker.observe(eagor.Evidence.from_points(detections, detector=self.model, stamp=time))
-        self.estimate = self.tracker.estimate(time)
-        self.direction, self.word = self.estimate.direction, self.estimate.status
-        self.distance = None if position is None else self.estimate.distance
-
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.estimate.log_density(direction[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        return float(self.estimate.mass_above(direction))
+        self.said = self.tracker.estimate(time)
+        self.direction, self.word = self.said.direction, self.said.status
+        self.distance = None if position is None else self.said.distance
 
     def claim(self) -> tuple[float, float]:
-        presence = self.estimate.presence
+        presence = self.said.presence
         if self.direction is None:
             return presence, math.nan
-        return presence, self.estimate.within(NEAR) / presence  # `within` counts that it may be absent
+        return presence, self.said.within(NEAR) / presence  # `within` counts that it may be absent
 
 
-class Core(Contestant):
+class Core(Ours):
     """`Belief` alone, turned and updated by hand."""
 
     def __init__(self, detector: Detector, degree: int) -> None:
         self.model = stated(detector)
-        self.belief = eagor.Belief.uniform(degree)
+        self.said = eagor.Belief.uniform(degree)
         self.pose: np.ndarray | None = None
         self.any = False
 
     def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
         if self.pose is not None:
-            self.belief = self.belief.predict(pose.T @ self.pose)
+            self.said = self.said.predict(pose.T @ self.pose)
         self.pose = pose
-        self.belief = self.belief.update(eagor.Evidence.from_points(detections, detector=self.model))
+        self.said = self.said.update(eagor.Evidence.from_points(detections, detector=self.model))
         self.any |= len(detections) > 0
-        self.direction = self.belief.mode() if self.any else None
-
-    def log_density(self, direction: np.ndarray) -> float:
-        return float(self.belief.log_density(direction[None])[0])
-
-    def mass_above(self, direction: np.ndarray) -> float:
-        return float(self.belief.mass_above(direction))
+        self.direction = self.said.mode() if self.any else None
 
     def claim(self) -> tuple[float, float]:
-        return float(self.belief.presence()), math.nan
+        return float(self.said.presence()), math.nan
 
 
 # ---------- PyRecEst

@@ -238,22 +238,22 @@ def habits(rng: np.random.Generator, detector: Detector, presence: float = 1.0, 
 
 
 World = Callable[[np.random.Generator, Detector], Run]
-WORLDS: dict[str, World] = {
-    "turning": turning,
-    "walking": walking,
-    "constant turn, 10 deg/s": constant_turn,
-    "random walk, 2 deg/sqrt(s)": lambda rng, detector: random_walk(rng, detector, 2.0),
-    "random walk, 10 deg/sqrt(s)": lambda rng, detector: random_walk(rng, detector, 10.0),
-    "jumps, every 15 s": jumps,
-    "drift, 1 deg/s": drift,
-    "drift, 1 deg/s, error of 3 deg": lambda rng, detector: drift(rng, replace(detector, spread=3.0)),
-    "turning, error of 3 deg": lambda rng, detector: turning(rng, replace(detector, spread=3.0)),
-    "turning, error of 1 deg": lambda rng, detector: turning(rng, replace(detector, spread=1.0)),
-    "habits": habits,
-    "habits, half of them absent": lambda rng, detector: habits(rng, detector, presence=0.5),
+WORLDS: dict[str, tuple[str, World]] = {  # each with the group that `ideal.py --worlds` takes
+    "turning": ("turning", turning),
+    "walking": ("walking", walking),
+    "constant turn, 10 deg/s": ("moving", constant_turn),
+    "random walk, 2 deg/sqrt(s)": ("moving", lambda rng, detector: random_walk(rng, detector, 2.0)),
+    "random walk, 10 deg/sqrt(s)": ("moving", lambda rng, detector: random_walk(rng, detector, 10.0)),
+    "jumps, every 15 s": ("moving", jumps),
+    "drift, 1 deg/s": ("drift", drift),
+    "drift, 1 deg/s, error of 3 deg": ("drift", lambda rng, detector: drift(rng, replace(detector, spread=3.0))),
+    "turning, error of 3 deg": ("sharp", lambda rng, detector: turning(rng, replace(detector, spread=3.0))),
+    "turning, error of 1 deg": ("sharp", lambda rng, detector: turning(rng, replace(detector, spread=1.0))),
+    "habits": ("habits", habits),
+    "habits, half of them absent": ("habits", lambda rng, detector: habits(rng, detector, presence=0.5)),
 }
 
 
 def make(world: str, seed: int) -> Run:
     """The run of this world and seed, by the true detector."""
-    return WORLDS[world](np.random.default_rng((17, list(WORLDS).index(world), seed)), Detector())
+    return WORLDS[world][1](np.random.default_rng((17, list(WORLDS).index(world), seed)), Detector())

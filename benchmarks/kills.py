@@ -1,7 +1,9 @@
 """Runs that are killed at random moments (kill -9) come to what they would have come to: the proof, as often as wanted.
 
     python benchmarks/kills.py [--kills 20] [--workers 2] [--engine processes] [--task waypoint] [--data DIR]
-                               [--who all parent worker]
+                               [--who all parent worker] [--episodes 10] [--perception truth:miss=0.5] [--seed 0]
+
+The task is a simulated one, or a benchmark, whose published files --data names; the seed is that of the moments.
 
 A run is made once without a stop. Then the same is run into another folder, killed at a moment drawn evenly from the
 time that the first one took, and started again, until it is complete; and so on until there were so many kills. `all`
@@ -142,16 +144,10 @@ def main(options: argparse.Namespace, home: Path) -> None:
 
 def parsed() -> argparse.Namespace:
     """The options."""
-    parser = common.parser(__doc__)
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--engine", choices=["processes", "ray"], default="processes", help="who the workers are")
-    parser.add_argument("--task", default="waypoint", help="a simulated task, or a benchmark with --data")
-    parser.add_argument("--data", type=Path, help="its published files")
-    parser.add_argument("--perception", default="truth:miss=0.5")
-    parser.add_argument("--episodes", type=int, default=10, help="or cases")
-    parser.add_argument("--who", nargs="+", choices=["all", "parent", "worker"], default=["all"], help="in turn")
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    known = {"kills": 20, "workers": 2, "task": "waypoint", "data": Path, "episodes": 10, "seed": 0}
+    parser = common.parser(__doc__, perception="truth:miss=0.5", **known)
+    parser.add_argument("--engine", choices=["processes", "ray"], default="processes")
+    parser.add_argument("--who", nargs="+", choices=["all", "parent", "worker"], default=["all"])
     options = parser.parse_args()
     if options.task not in SIMULATED and options.data is None:
         parser.error(f"{options.task} needs --data")

@@ -4,6 +4,8 @@ python benchmarks/live_loop.py                    # CPU per simulated second, as
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
 python benchmarks/live_loop.py --in-turn          # a picture is searched for one of the targets
 python benchmarks/live_loop.py --turning          # a camera that turns, in real time: do cones hold the truth?
+
+--runs of each kind of turn, with other things and other --photographs, each of so many --seconds.
 """
 
 from __future__ import annotations
@@ -219,14 +221,8 @@ def turning(photographs: Path, seconds: float, runs: int) -> None:
 
 
 def main() -> None:
-    parser = common.parser(__doc__)
-    parser.add_argument("--seconds", type=int, default=20)
-    parser.add_argument("--positions", action="store_true")
-    parser.add_argument("--in-turn", action="store_true")
-    parser.add_argument("--turning", action="store_true")
-    parser.add_argument("--runs", type=int, default=4, help="of each kind of turn, with other things and photographs")
-    parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
-    given = parser.parse_args()
+    known = {"seconds": 20, "positions": False, "in_turn": False, "turning": False, "runs": 4}
+    given = common.parser(__doc__, photographs=common.PANORAMAS, **known).parse_args()
     if given.turning:
         turning(given.photographs, given.seconds, given.runs)
     else:

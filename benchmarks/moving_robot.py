@@ -77,18 +77,12 @@ def line(name: str, runs: list[list[tuple[float, float]]]) -> str:
     """One row of the table; `runs`: error and cone of each answer."""
     held = [float(np.mean([error <= cone for error, cone in run])) for run in runs]
     errors, cones = np.array([pair for run in runs for pair in run]).T
-    mean, low, high = common.mean_of(held)
-    span = f"{mean:.2f}" if len(held) == 1 else f"{mean:.2f} [{low:.2f}, {high:.2f}]"
-    return f"{name:24s} {span:>20s} {np.median(cones):8.2f} {cones.min():9.3g} {errors.mean():8.2f}"
+    return f"{name:24s} {common.shown(held):>20s} {np.median(cones):8.2f} {cones.min():9.3g} {errors.mean():8.2f}"
 
 
 def main() -> None:
     """Play and print."""
-    parser = common.parser(__doc__)
-    parser.add_argument("--runs", type=int, default=60, help="runs with errors of their own")
-    parser.add_argument("--seed", type=int, default=8900, help="of the first run")
-    parser.add_argument("--moves", nargs="+", choices=MOVES, default=list(MOVES), help="default: all")
-    options = parser.parse_args()
+    options = common.parser(__doc__, runs=60, seed=8900, moves=MOVES).parse_args()
     fixed = np.array([FIXED, FIXED])
     width, clock = DetectorModel().offset, TrackerConfig().clock_error
     print(f"{'':24s} {'cones hold it':>20s} {'median':>8s} {'smallest':>9s} {'error':>8s}   (degrees)")

@@ -1,6 +1,7 @@
 """Four real photographs, a real detector: every method on the same looks. The first argument is their folder.
 
-python benchmarks/photographs.py PANORAMAS [--looks looks.jsonl] [--only yaw,tumble]
+python benchmarks/photographs.py PANORAMAS [--looks looks.jsonl] [--only yaw,tumble] [--photographs NAME,NAME]
+                                 [--methods NAME,NAME] [--folds N] [--model spread=3 | coco]
 
 The detector is `coco`: CenterNet on MobileNetV3 (eagor models get coco). Truth was marked by hand:
 tests/photographs.json names things, their azimuth, elevation and size, and classes that are certainly absent. Each
@@ -31,7 +32,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,6 @@ TILT = math.radians(10)
 SEEN = ("yaw", "tumble", "large", "jpeg", "tilt")  # what has to be looked at; the others use the same looks
 LOOKS_OF = {"drift": "yaw", "drift-told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
-JUDGED = (0, *range(FRAMES - 10, FRAMES))  # frames in which coverage is judged
 FITTED_IN, USUAL_ALARMS = ("yaw", "tumble"), 0.2  # false alarms in a look of a usual detector
 BOX = 0.3  # score from which on a single box would be believed
 GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
@@ -72,6 +72,7 @@ STATUSES = ("tracking", "ambiguous", "searching")
 LEAST = 1e-6  # probabilities are clipped from below
 RESAMPLES = 2000
 ANNOTATIONS = Path(__file__).parents[1] / "tests" / "photographs.json"
+MARKED = ("azimuth_deg", "elevation_deg", "width_deg", "height_deg")  # widths in degrees of azimuth
 Marked = dict[str, dict[str, Any]]  # of each photograph its things and absent classes
 
 
@@ -138,7 +139,6 @@ def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]])
 
 
 def stored(thing: Thing) -> list[Any]:
-    """Direction, covariance, score."""
     return [np.round(thing.direction, 5).tolist(), np.round(thing.covariance, 7).tolist(), round(thing.score, 4)]
 
 
@@ -184,25 +184,14 @@ def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Ma
             if len(frames) < FRAMES:
                 print(f"{photograph}, {condition}: only {len(frames)} frames were looked at; left out")
                 continue
-            cases += cases_of(photograph, condition, marked, [frames[frame] for frame in range(FRAMES)])
+            names = {name for thing in marked["things"] for name in thing["names"]}
+            for query in sorted(names) + marked["absent"]:
+                at = [[thing[key] for key in MARKED] for thing in marked["things"] if query in thing["names"]]
+                azimuth, elevation, width, height = np.radians(at).reshape(-1, 4).T
+                sizes = np.maximum(width * np.cos(elevation), height)
+                things = [frames[frame].get(query, []) for frame in range(FRAMES)]
+                cases.append(Case(photograph, condition, query, things, direction(azimuth, elevation), sizes))
     return cases
-
-
-def cases_of(
-    photograph: str, condition: str, marked: dict[str, Any], seen: Sequence[dict[str, list[Thing]]]
-) -> Iterator[Case]:
-    """Every thing that is `marked`, and every absent class; `seen`: what was seen of each class, in each frame.
-
-    Widths are marked in degrees of azimuth.
-    """
-    names = {name for thing in marked["things"] for name in thing["names"]}
-    keys = ("azimuth_deg", "elevation_deg", "width_deg", "height_deg")
-    for query in sorted(names) + marked["absent"]:
-        at = [[thing[key] for key in keys] for thing in marked["things"] if query in thing["names"]]
-        azimuth, elevation, width, height = np.radians(at).reshape(-1, 4).T
-        sizes = np.maximum(width * np.cos(elevation), height)
-        things = [frame.get(query, []) for frame in seen]
-        yield Case(photograph, condition, query, things, direction(azimuth, elevation), sizes)
 
 
 def fitted(cases: Sequence[Case], left_out: Sequence[str] = ()) -> DetectorModel:
@@ -247,69 +236,13 @@ def told_to(name: str, model: DetectorModel) -> DetectorModel:
     return replace(model, spread=spread, offset=0.0, spread_of_size=1.0, offset_of_size=0.0)
 
 
-@dataclass
-class Run:
-    """One method on one case. Lists have an entry for each frame.
+def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> dict[str, Any]:
+    """One method on one case, told the poses `say`: what the tables are made of, without what the method does not say.
 
-    `here`: whether the thing is there; `lookalike`: whether the detector sees it most of the time where it is not;
-    `boxes`: whether a box of score 0.3 or more was seen. `errors`: degrees to the nearest instance; `covered`: whether
-    the 90 % region holds one, where that was judged; `right`: whether the answer is within 15 degrees, or half the
-    thing's size, of the nearest instance. Trackers also say `presence`, `status`, and, by the number of looks,
-    `log_scores`. What needs a thing is empty without one.
+    `lookalike`: whether the detector sees the thing most of the time where it is not. An answer is right within 15
+    degrees, or half the thing's size, of the nearest instance; the last ten are judged: "held" counts those whose 90 %
+    region holds an instance, of the "judged" that have a region. Numbers are log scores after so many looks.
     """
-
-    condition: str
-    method: str
-    here: bool
-    lookalike: bool
-    boxes: list[bool]
-    errors: list[float] = field(default_factory=list)
-    covered: list[bool | None] = field(default_factory=list)
-    right: list[bool] = field(default_factory=list)
-    presence: list[float] = field(default_factory=list)
-    status: list[str] = field(default_factory=list)
-    log_scores: dict[int, float] = field(default_factory=dict)
-
-    def answer(self, method: Estimator, targets: np.ndarray, sizes: np.ndarray, frame: int) -> None:
-        """Note what a method's answer is worth in one frame."""
-        angles = angular_distance(targets, method.direction())
-        nearest = int(np.argmin(angles))
-        self.errors.append(float(np.degrees(angles[nearest])))
-        self.right.append(bool(angles[nearest] <= max(math.radians(NEAR), sizes[nearest] / 2)))
-        masses = [method.mass_above(target) for target in targets] if frame in JUDGED else []
-        known = [mass for mass in masses if mass is not None]
-        self.covered.append(min(known) <= 0.9 if known else None)
-
-    def believe(self, estimate: Estimate, targets: np.ndarray, looks: int) -> None:
-        """Note what a tracker believes after so many looks."""
-        self.presence.append(float(estimate.presence))
-        if self.here:
-            self.status.append(estimate.status)
-        if looks in SCORED:
-            near = np.any(GRID.directions @ targets.T >= math.cos(math.radians(NEAR)), axis=-1)
-            mass = float(np.sum((estimate.density(GRID) * GRID.weights)[near])) if self.here else 0.0
-            given = estimate.presence * mass if self.here else 1 - estimate.presence
-            self.log_scores[looks] = math.log(max(float(given), LEAST))
-
-    def row(self) -> dict[str, Any]:
-        """What the tables are made of; without what this method does not say."""
-        told: dict[str, Any] = {"condition": self.condition, "method": self.method, "here": self.here}
-        told |= {"look-alikes": self.lookalike, "box, first": self.boxes[0], "box, last ten": any(self.boxes[-10:])}
-        if self.here:
-            last = np.array(self.errors[-10:])
-            told |= {"first": self.errors[0], "last": last.mean(), "within": np.mean(last < NEAR)}
-            held = [each for each in self.covered[-10:] if each is not None]
-            told |= {"held": sum(held), "judged": len(held)}
-        if self.presence:
-            told |= {"claim, first": self.presence[0] > 0.5, "claim, last": self.presence[-1] > 0.5}
-            told |= {"presence": self.presence[-1], **self.log_scores}
-            told |= {status: self.status.count(status) for status in STATUSES}
-            told["right"] = sum(r for r, status in zip(self.right, self.status, strict=False) if status == "tracking")
-        return told
-
-
-def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray], lookalike: bool) -> Run:
-    """One method on one case, told the poses `say`."""
     config = TrackerConfig(drift=math.radians(1) if case.condition == "drift-told" else None)
     model = told_to(name, model)
     method: Estimator = (
@@ -317,17 +250,46 @@ def play(case: Case, name: str, model: DetectorModel, say: Sequence[np.ndarray],
         if name in box_trackers.NAMES
         else make_estimator(name, np.random.default_rng(0), "coco", ours=config, detector=model)
     )
-    boxes = [any(thing.score >= BOX for thing in things) for things in case.things]
-    run = Run(case.condition, name, bool(len(case.targets)), lookalike, boxes)
+    here, boxes = bool(len(case.targets)), [any(thing.score >= BOX for thing in things) for things in case.things]
+    row: dict[str, Any] = {"condition": case.condition, "method": name, "here": here, "look-alikes": lookalike}
+    row |= {"box, first": boxes[0], "box, last ten": any(boxes[-10:])}
+    errors, held, right, estimates = [], [], [], []
     for frame, pose in enumerate(poses(case.condition)):
         method.move(float(frame), say[frame], None)
         method.see(case.evidence(frame, model))
         targets = case.targets @ pose
         if isinstance(method, TrackerEstimator):
-            run.believe(method.estimate, targets, frame + 1)
-        if run.here:
-            run.answer(method, targets, case.sizes, frame)
-    return run
+            estimates.append(method.estimate)
+            if len(estimates) in SCORED:
+                row[len(estimates)] = log_score(method.estimate, targets)
+        if here:
+            angles = angular_distance(targets, method.direction())
+            nearest = int(np.argmin(angles))
+            errors.append(float(np.degrees(angles[nearest])))
+            right.append(bool(angles[nearest] <= max(math.radians(NEAR), case.sizes[nearest] / 2)))
+            masses = [method.mass_above(target) for target in targets] if frame >= FRAMES - 10 else []
+            known = [mass for mass in masses if mass is not None]
+            held += [min(known) <= 0.9] if known else []
+    if here:
+        last = np.array(errors[-10:])
+        row |= {"first": errors[0], "last": last.mean(), "within": np.mean(last < NEAR)}
+        row |= {"held": sum(held), "judged": len(held)}
+    if estimates:
+        first, last = (float(estimate.presence) for estimate in (estimates[0], estimates[-1]))
+        row |= {"claim, first": first > 0.5, "claim, last": last > 0.5, "presence": last}
+        words = [estimate.status for estimate in estimates] if here else []
+        row |= {status: words.count(status) for status in STATUSES}
+        row["right"] = sum(good for good, word in zip(right, words, strict=True) if word == "tracking")
+    return row
+
+
+def log_score(estimate: Estimate, targets: np.ndarray) -> float:
+    """The log of what is given to the truth: near any of the `targets` ``(n, 3)``, or absent where there are none."""
+    given = 1 - estimate.presence
+    if len(targets):
+        near = np.any(GRID.directions @ targets.T >= math.cos(math.radians(NEAR)), axis=-1)
+        given = estimate.presence * float(np.sum((estimate.density(GRID) * GRID.weights)[near]))
+    return math.log(max(float(given), LEAST))
 
 
 def persists(case: Case) -> bool:
@@ -348,21 +310,11 @@ def persists(case: Case) -> bool:
 # --- the tables: what each says of the runs of one condition and method ---
 
 
-def bracketed(ends: Sequence[float], digits: int) -> str:
-    return " [{:{w}.{d}f} {:{w}.{d}f}]".format(*ends, w=digits + 4, d=digits)
-
-
-def mean(values: pandas.Series, digits: int) -> str:
-    """The mean with its interval."""
-    middle, *ends = common.mean_of(values.to_numpy(float))
-    return f"{middle:.{digits}f}" + (bracketed(ends, digits) if len(values) > 1 else "")
-
-
 def found(own: pandas.DataFrame) -> dict[str, Any]:
-    told = {"first look, deg": mean(own["first"], 1), "last ten, deg": mean(own["last"], 1)}
+    told = {"first look, deg": common.shown(own["first"], 1), "last ten, deg": common.shown(own["last"], 1)}
     judged = int(own["judged"].sum())
     covered = f"{own['held'].sum() / judged:.2f}" if judged else "-"
-    return told | {"within 15": mean(own["within"], 2), "covered": covered, "of looks": judged}
+    return told | {"within 15": common.shown(own["within"]), "covered": covered, "of looks": judged}
 
 
 def claims(own: pandas.DataFrame) -> dict[str, Any]:
@@ -376,7 +328,7 @@ def log_scores(own: pandas.DataFrame) -> dict[str, Any]:
     told = {str(looks): f"{total:.3f}" for looks, total in (here.mean() + absent.mean()).items()}
     rng = np.random.default_rng(0)  # things and absent classes are drawn each on its own
     drawn = sum(rng.choice(part[SCORED[-1]], (RESAMPLES, len(part))).mean(axis=1) for part in (here, absent))
-    told[str(SCORED[-1])] += bracketed(np.quantile(drawn, (0.025, 0.975)).tolist(), 3)
+    told[str(SCORED[-1])] += " [{:.3f}, {:.3f}]".format(*np.quantile(drawn, (0.025, 0.975)))
     return told | {"things": here[SCORED[-1]].mean(), "absent": absent[SCORED[-1]].mean()}
 
 
@@ -397,7 +349,7 @@ def paired(there: pandas.DataFrame) -> Iterator[dict[str, Any]]:
             for key, sign, digits in (("last", 1, 1), ("within", -1, 2)):
                 apart = runs[rival][key] - runs[name][key]
                 _, low, high = common.mean_of(apart.to_numpy(float))
-                row[key] = mean(apart, digits)
+                row[key] = common.shown(apart, digits)
                 row[f"ahead in {key}"] = ("ours" if sign * low > 0 else "rival") if low > 0 or high < 0 else ""
             yield row
 
@@ -413,17 +365,14 @@ def each(rows: pandas.DataFrame, table: Callable[[pandas.DataFrame], dict[str, A
     return pandas.DataFrame.from_dict({", ".join(map(str, key)): table(own) for key, own in groups}, orient="index")
 
 
-def print_all(runs: Sequence[Run]) -> None:
+def print_all(rows: pandas.DataFrame) -> None:
     """Print every table that has rows. Only trackers say how probable a thing is."""
-    rows = pandas.DataFrame([run.row() for run in runs])
     there, trackers = rows[rows["here"]], rows[rows["presence"].notna()] if "presence" in rows else rows[:0]
     show("Things that are there: error, share within 15 degrees and coverage in the last ten looks", each(there, found))
     show("How often something is claimed: presence > 0.5, a box of 0.3 or more, and lasting look-alikes",
          each(trackers.assign(of=np.where(trackers["here"], "here", "absent")), claims, "of"))  # fmt: skip
     both = trackers.groupby(["condition", "method"])["here"].transform("nunique") == 2
-    show(
-        "Log score after so many looks (higher is better), and the parts of the last", each(trackers[both], log_scores)
-    )
+    show("Log score after so many looks (higher is better), and parts of the last", each(trackers[both], log_scores))
     show("Rival minus ours over the last ten looks, and who is ahead beyond chance", pandas.DataFrame(paired(there)))
     show("Status, share of the looks at things that are there", each(trackers[trackers["here"]], statuses))
 
@@ -446,19 +395,10 @@ def models_of(options: argparse.Namespace, photographs: Sequence[str]) -> dict[s
 
 def arguments() -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("panoramas", type=Path, help="the folder of the photographs")
-    parser.add_argument(
-        "--looks", type=Path, nargs="+", default=[Path("photographs-looks.jsonl")], help="what was seen"
-    )
-    parser.add_argument(
-        "--labels", type=Path, nargs="+", default=[ANNOTATIONS], help="what is on the photographs, and where"
-    )
-    parser.add_argument("--only", help="conditions, with commas")
-    parser.add_argument("--photographs", help="names of photographs, with commas")
-    parser.add_argument("--methods", default=",".join((*box_trackers.NAMES, *NAMES)), help="methods, with commas")
-    parser.add_argument("--folds", type=int, help="fit in so many parts (default: one for each photograph)")
-    parser.add_argument("--model", help="read the detector so, without a fit: spread=3, or coco")
+    known = {"only": str, "photographs": str, "methods": ",".join((*box_trackers.NAMES, *NAMES))}
+    files = {"looks": [Path("photographs-looks.jsonl")], "labels": [ANNOTATIONS]}
+    parser = common.parser(__doc__, **known, **files, folds=int, model=str)
+    parser.add_argument("panoramas", type=Path)
     options = parser.parse_args()
     options.marked = {name: each for file in options.labels for name, each in json.loads(file.read_text()).items()}
     known = [*options.marked]
@@ -497,7 +437,7 @@ def main() -> None:
             if key not in played:
                 played[key] = play(case, name, models[case.photograph], say, lookalike)
             runs.append(played[key])
-    print_all(runs)
+    print_all(pandas.DataFrame(runs))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Rotation from pictures alone: panoramas that turn, and an ordinary camera that pans and walks.
 
 python benchmarks/rotation.py panoramas [--frames 12] [--seeds 2] [--photographs ../shared/panoramas]
-python benchmarks/rotation.py cameras [--fields 60 90 120] [--walks 4] [--first N]
+python benchmarks/rotation.py cameras [--fields 60 90 120] [--walks 4] [--first N, so many photographs only]
 
 Panoramas: known rotations turn each photograph; nothing moves. "fails": sequences that end more than a degree off, or
 are lost. Errors: degrees, mean over the others, with a 95 % bootstrap interval over sequences. The last lines are CPU
@@ -25,7 +25,6 @@ import argparse
 import math
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import common
 import cv2
@@ -71,8 +70,7 @@ def panoramas(photographs: Pictures, options: argparse.Namespace) -> None:
                 errors.setdefault(path, []).append(math.inf if last.lost else off(last.world_R_body, poses[-1]))
     for path, values in errors.items():
         good = [value for value in values if value < 1]
-        text = "{:.4f} [{:.4f}, {:.4f}]".format(*common.mean_of(good)) if len(good) > 1 else "-"
-        print(f"{path:28} {text:26} fails {len(values) - len(good)} of {len(values)}")
+        print(f"{path:28} {common.shown(good, 4):26} fails {len(values) - len(good)} of {len(values)}")
     for rows in (240, 512):
         large = cv2.resize(photographs[0], (2 * rows, rows), interpolation=cv2.INTER_CUBIC)
         own, times = VisualOdometer(), []
@@ -194,15 +192,11 @@ def cameras(photographs: Pictures, options: argparse.Namespace) -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = common.parser(__doc__)
+    parser = common.parser(
+        __doc__, photographs=common.PANORAMAS, frames=12, seeds=2,
+        fields=[60.0, 90.0, 120.0], walks=4, methods=tuple(METHODS), first=0,
+    )  # fmt: skip
     parser.add_argument("what", choices=("panoramas", "cameras"))
-    parser.add_argument("--frames", type=int, default=12)
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--photographs", type=Path, default=Path(__file__).parents[1] / ".." / "shared" / "panoramas")
-    parser.add_argument("--fields", type=float, nargs="+", default=[60.0, 90.0, 120.0])
-    parser.add_argument("--walks", type=int, default=4)
-    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
-    parser.add_argument("--first", type=int, default=0, help="so many photographs only (0: all)")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     photographs = [read_panorama(path) for path in sorted(options.photographs.glob("*.png"))]

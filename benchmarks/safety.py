@@ -272,11 +272,8 @@ def processes(options: argparse.Namespace) -> bool:
 
 
 def main() -> int:
-    parser = common.parser(__doc__)
-    parser.add_argument("--repeats", type=int, help="default 20, of processes 3")
+    parser = common.parser(__doc__, repeats=int, processes=False, speeds=[0.15, 0.5])
     parser.add_argument("--faults", nargs="+")
-    parser.add_argument("--processes", action="store_true")
-    parser.add_argument("--speeds", type=float, nargs="+", default=[0.15, 0.5], help="metres per second")
     parser.add_argument("--seconds", type=float, nargs="*", default=[1.0, 3.0, 8.0], help="for which it is frozen")
     parser.add_argument("--part", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()

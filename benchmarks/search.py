@@ -3,9 +3,10 @@
     python benchmarks/search.py [--apartments 40] [--looks 2] [--noise miss=0.3,false_alarm=0.2] [--samples DIR]
 
 Episodes of H*Bench's kind (ten views of 100 degrees, four starts per target): in the built-in apartments, one camera in
-each, and, where --samples names them, in the labelled photographs of `hstar_mini`. Every agent looks through `truth`
-(`eagor.lab.tasks.hstar.agents`) with the same luck: 30 % misses and a false alarm in every fifth view, each kept
-from look to look with probability 0.3, 8 degrees of error. Success is strict. What was tuned was tuned on other
+each, and, where --samples names them (a folder in H*Bench's layout), in the labelled photographs of `hstar_mini`. Every
+agent looks through `truth` (`eagor.lab.tasks.hstar.agents`) with the same luck: 30 % misses and a false alarm in every
+fifth view, each kept from look to look with probability 0.3, 8 degrees of error (or as --noise says, in the words of
+`truth`); --looks: repetitions of every episode with other luck. Success is strict. What was tuned was tuned on other
 apartments, with other luck.
 
 Brackets are 95 % bootstrap intervals over targets (four starts and all repetitions of one together). Printed:
@@ -22,7 +23,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -55,13 +55,8 @@ TRIES = 8
 MOST = 4  # targets per apartment
 
 
-def main() -> int:
-    parser = common.parser(__doc__)
-    parser.add_argument("--apartments", type=int, default=40)
-    parser.add_argument("--looks", type=int, default=2, help="repetitions of every episode with other luck")
-    parser.add_argument("--noise", default="", help="as for the perception truth (default: moderate)")
-    parser.add_argument("--samples", type=Path, help="a folder in H*Bench's layout, such as hstar_mini")
-    options = parser.parse_args()
+def main() -> None:
+    options = common.parser(__doc__, apartments=40, looks=2, noise="", samples=Path).parse_args()
     noise = Noise.parse(options.noise)
     with tempfile.TemporaryDirectory() as temporary:
         for seed in range(FIRST, FIRST + options.apartments):
@@ -72,7 +67,6 @@ def main() -> int:
         for name, episodes in sets.items():
             print(f"\n{name}: {len(episodes)} episodes, {options.looks} times each, {options.noise or 'moderate'}")
             show(measured(episodes, noise, options.looks))
-    return 0
 
 
 def write_scene(seed: int, folder: Path) -> None:
@@ -179,13 +173,9 @@ def interval(values: Sequence[float], records: Sequence[dict[str, Any]]) -> tupl
 
 def ratio_of(ours: Sequence[dict[str, Any]], theirs: Sequence[dict[str, Any]]) -> tuple[float, float, float]:
     """Success over success, with a bootstrap interval over targets; the same targets are drawn for both."""
-    clusters = sorted({record["cluster"] for record in ours})
-    place = {cluster: index for index, cluster in enumerate(clusters)}
-    sums = np.zeros((2, len(clusters)))
-    for row, records in enumerate((ours, theirs)):
-        for record in records:
-            sums[row, place[record["cluster"]]] += record["score"]
-    drawn = np.random.default_rng(2).integers(len(clusters), size=(RESAMPLES, len(clusters)))
+    _, place = np.unique([record["cluster"] for record in ours], return_inverse=True)  # in the order of both
+    sums = np.array([np.bincount(place, [record["score"] for record in records]) for records in (ours, theirs)])
+    drawn = np.random.default_rng(2).integers(sums.shape[1], size=(RESAMPLES, sums.shape[1]))
     a, b = sums[0][drawn].sum(axis=1), sums[1][drawn].sum(axis=1)
     low, high = np.quantile(a / np.maximum(b, 1), [0.025, 0.975])
     return float(sums[0].sum() / max(sums[1].sum(), 1)), float(low), float(high)
@@ -210,4 +200,4 @@ def same_success(ours: Sequence[dict[str, Any]], theirs: Sequence[dict[str, Any]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

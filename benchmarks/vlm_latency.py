@@ -1,6 +1,6 @@
 """What reading directions from a vision-language model costs, in multiples of a plain call of the same model.
 
-    python benchmarks/vlm_latency.py [--model qwen2_5_vl_7b] [--device cuda] [--answer 50] [--repeats 7]
+    python benchmarks/vlm_latency.py [--model qwen2_5_vl_7b] [--device cuda] [--answer 50] [--repeats 7] [--pixels N]
 
 Random weights at real sizes: what a model answers does not matter here, how long it takes does. A plain call is
 ``generate()`` under scaled dot-product attention: image, question, and an answer of so many tokens (two boxes take
@@ -11,11 +11,11 @@ bound by the memory's bandwidth and reading the image by arithmetic.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from typing import Any
 
+import common
 import numpy as np
 import torch
 import transformers
@@ -127,12 +127,9 @@ def contestants(language: LanguageModel, image: np.ndarray, answer: int) -> dict
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--model", choices=SIZES, default=None)
-    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    parser.add_argument("--pixels", type=int, default=None, help="of the panorama that the model sees")
-    parser.add_argument("--answer", type=int, default=50, help="tokens")
-    parser.add_argument("--repeats", type=int, default=7)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    parser = common.parser(__doc__, device=device, pixels=int, answer=50, repeats=7)
+    parser.add_argument("--model", choices=SIZES)
     asked = parser.parse_args()
     gpu = asked.device.startswith("cuda")
     size = asked.model or ("qwen2_5_vl_7b" if gpu else "reduced")
