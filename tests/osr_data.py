@@ -39,8 +39,13 @@ def write(tmp_path: Path) -> Path:
     folder = tmp_path / "data" / "nested" / NAME
     folder.mkdir(parents=True)
     Image.fromarray(np.full((64, 128, 3), 90, dtype=np.uint8)).save(folder / "rgb.png")
-    write_scene(folder, PLACES, layout_from(PLACES, mirror=True), ["bed", "piano"], 8, np.random.default_rng(5))
+    write_scene(folder, PLACES, published_layout(PLACES), ["bed", "piano"], 8, np.random.default_rng(5))
     return tmp_path / "data"
+
+
+def published_layout(places: Mapping[str, Sequence[Spot]]) -> Layout:
+    """The layout of places (x forward, y left) as published: mirrored."""
+    return layout_from({name: [(x, -y) for x, y in where] for name, where in places.items()})
 
 
 def write_scene(

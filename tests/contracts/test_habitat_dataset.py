@@ -13,7 +13,7 @@ from box_scenes import scene_of, shell, thing
 from eagor.errors import WorldError
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.objectnav import Source, check_scene, export_dataset, make_goals, read_episodes
+from eagor.lab.worlds.objectnav import Source, check_scene, export_dataset, make_goals, read_episodes, roomy_ground
 from eagor.lab.worlds.render import Renderer
 from eagor.lab.worlds.scene import Room
 
@@ -127,9 +127,9 @@ def test_what_is_in_sight_from_nowhere_is_no_goal():
     boxed = [*scene.instances, thing("cabinet", (2.9, 4.2, 0), (3.5, 4.8, 1.2)), hidden]
     high = scene_of(boxed, scene.rooms, source="high")
     ground = Ground.from_scene(high)
-    assert "plant" not in make_goals(high, ground)
+    assert "plant" not in make_goals(high, roomy_ground(high, ground))
     with pytest.raises(WorldError, match="no plant"):
-        make_goals(high, ground, ("plant",))
+        make_goals(high, roomy_ground(high, ground), ("plant",))
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_what_is_in_sight_from_nowhere_is_no_goal():
 def test_categories_are_asked_for_in_our_words_or_in_habitats(asked, says):
     scene = furnished()
     if says is None:
-        assert list(make_goals(scene, Ground.from_scene(scene), asked)) == ["tv"]
+        assert list(make_goals(scene, roomy_ground(scene, Ground.from_scene(scene)), asked)) == ["tv"]
     else:
         with pytest.raises(WorldError, match=says):
-            make_goals(scene, Ground.from_scene(scene), asked)
+            make_goals(scene, roomy_ground(scene, Ground.from_scene(scene)), asked)

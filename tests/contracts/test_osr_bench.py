@@ -141,7 +141,7 @@ def test_the_hosted_table_is_read_as_the_files_are(data: Path, tmp_path: Path) -
         table = csv.writer(file)
         table.writerow(["image_id", "turn_id", "question", "answer"])
         for question in scene.questions:
-            table.writerow([f"data/{NAME}/rgb.png", question.turn, question.text, question.answer])
+            table.writerow([f"data/{NAME}/rgb.png", question.id.rpartition("/")[2], question.text, question.answer])
     (found,) = load_scenes(tmp_path, "qa")
     assert [(q.id, q.skill, q.answer) for q in found.questions] == [(q.id, q.skill, q.answer) for q in scene.questions]
 

@@ -15,7 +15,7 @@ from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.osr.bench import Eagor, Reply, record_of
 from eagor.lab.tasks.osr.data import Question, Scene, load
-from eagor.lab.tasks.osr.geometry import SceneLayout, Spot, layout_from, true_layout
+from eagor.lab.tasks.osr.geometry import SceneLayout, Spot, true_layout
 from eagor.lab.tasks.osr.scoring import DIRECTION
 from eagor.lab.tasks.task import configure
 from eagor.lab.tasks.task import load as load_task
@@ -52,7 +52,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if len(along) >= osr_data.LEAST:
             target = folder / f"EagorApartment-{number}"
             target.mkdir()
-            osr_data.write_scene(target, ahead, layout_from(along, mirror=True), [], 30, rng)
+            osr_data.write_scene(target, ahead, osr_data.published_layout(along), [], 30, rng)
     return folder
 
 

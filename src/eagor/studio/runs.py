@@ -23,7 +23,7 @@ from eagor._files import written
 from eagor.errors import EagorError, FormatError
 from eagor.lab.eval import log
 from eagor.lab.eval.results import OURS, Run, read
-from eagor.lab.tasks.task import finished, sample_of
+from eagor.lab.tasks.task import finished, load, sample_of
 from eagor.live.recording import Replay
 from eagor.media.bags import is_bag
 from eagor.studio.messages import media_type, rounded
@@ -99,11 +99,12 @@ def _line(name: str, folder: Path) -> dict[str, Any]:
         return line | {"task": {"live": "recording", "robot": "walk"}[str(kind)]}
     try:
         settings = log.description(folder)
-        done = len(log.read(folder))
+        run = Run(load(str(settings.get("task"))), settings, log.read(folder))
     except (EagorError, OSError) as error:
         return line | {"episodes": 0, "done": 0, "problem": str(error)}
-    still = "agent" in settings
-    problem = "" if done and not still else "still pictures, see its report" if done else "It has no records yet."
+    done = len(run.records)
+    seen = "" if run.simulated else "still pictures, see its report"
+    problem = seen if done else "It has no records yet."
     line |= {"task": str(settings.get("task", "")), "perception": str(settings.get("perception", ""))}
     return line | {"episodes": settings.get("episodes"), "done": done, "problem": problem}
 

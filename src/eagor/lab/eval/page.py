@@ -10,6 +10,7 @@ which `svg_of` replaces.
 
 from __future__ import annotations
 
+import base64
 import html
 import io
 import math
@@ -166,6 +167,13 @@ def markdown(title: str, facts: Sequence[tuple[str, str]], tables: Sequence[Tabl
     """All tables as one Markdown text."""
     lines = [f"# {_escaped(title)}", "", *(f"- {_escaped(name)}: {_escaped(value)}" for name, value in facts), ""]
     return "\n".join([*lines, *(table.markdown() for table in tables)])
+
+
+def address_of(picture: Any) -> str:
+    """A picture (of PIL) as the data address of a PNG."""
+    buffer = io.BytesIO()
+    picture.save(buffer, format="PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
 def number(value: float | None, digits: int = 1, sign: bool = False) -> str:

@@ -7,8 +7,6 @@ which steps nothing was believed yet. A record holds no looks: they are made aga
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +20,7 @@ from eagor.lab.agents.methods import TrackerEstimator
 from eagor.lab.agents.search_space import CELL, FLOOR, FloorMap, explored_floor
 from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec, spec_from_json
 from eagor.lab.envs.rules import Camera
-from eagor.lab.eval.page import Part, Pictures, Text, blank, colour_of, legend, look_of, style_of, svg_of
+from eagor.lab.eval.page import Part, Pictures, Text, address_of, blank, colour_of, legend, look_of, style_of, svg_of
 from eagor.lab.eval.results import OURS, Result, Run, is_rival, is_variant, ordered, rank
 from eagor.lab.eval.steps import truth_of
 from eagor.lab.eval.tables import shown
@@ -180,6 +178,7 @@ def floor_map(place: Place, record: Record, others: Sequence[Record], camera: Ca
     `camera`, the floor that its looks had shown.
     """
     from matplotlib.patches import Rectangle
+    from PIL import Image
 
     ground = place.ground
     rows, cols = np.nonzero(ground.free | ground.structure)
@@ -229,7 +228,7 @@ def floor_map(place: Place, record: Record, others: Sequence[Record], camera: Ca
             plan = _shaded(plan, floor)
     title = f"From above: {record['episode']['query']}, episode {record['episode']['id']}"
     box = slice(rows.min(), rows.max() + 1), slice(cols.min(), cols.max() + 1)
-    return svg_of(figure, title, words, _png(plan[box][::-1])), caption
+    return svg_of(figure, title, words, address_of(Image.fromarray(np.ascontiguousarray(plan[box][::-1])))), caption
 
 
 def _on_plan(known: FloorMap, ground: NavMesh) -> np.ndarray:
@@ -309,6 +308,8 @@ def _stops(way: np.ndarray, moments: Sequence[int]) -> list[tuple[str, np.ndarra
 
 def _panorama(place: Place, record: Record, pose: np.ndarray, step: int) -> str:
     """What the camera saw, as a data address of a PNG."""
+    from PIL import Image
+
     turn = rotation_from_wxyz(pose[3:] / np.linalg.norm(pose[3:]))
     episode = record["episode"]
     ball = (episode.get("balls") or {step: None})[step]
@@ -320,7 +321,7 @@ def _panorama(place: Place, record: Record, pose: np.ndarray, step: int) -> str:
         frame = with_ball(frame, pose[:3], turn, painted, len(place.scene.instances))
     assert frame.rgb is not None
     first, last = (round(ROWS * (90 - elevation) / 180) for elevation in (TOP, BOTTOM))
-    return _png(frame.rgb[first:last], colours=160)
+    return address_of(Image.fromarray(frame.rgb[first:last]).quantize(160))
 
 
 def _places(azimuth: float, elevation: float) -> list[tuple[float, float]]:
@@ -336,14 +337,3 @@ def _plan(free: np.ndarray, structure: np.ndarray) -> np.ndarray:
     picture[~free] = (128, 132, 140, 70)
     picture[structure] = (110, 114, 122, 255)
     return picture
-
-
-def _png(pixels: np.ndarray, colours: int | None = None) -> str:
-    from PIL import Image
-
-    image = Image.fromarray(np.ascontiguousarray(pixels))
-    if colours is not None:
-        image = image.quantize(colours)
-    buffer = io.BytesIO()
-    image.save(buffer, format="PNG", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"

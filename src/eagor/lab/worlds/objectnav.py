@@ -332,20 +332,20 @@ def roomy_ground(scene: Scene, ground: Ground) -> Ground:
     return Ground.from_scene(scene, cell=ground.cell, radius=radius, floor=ground.floor)
 
 
-def make_goals(scene: Scene, ground: Ground, categories: Sequence[str] = ()) -> dict[str, tuple[Goal, ...]]:
+def make_goals(scene: Scene, roomy: Ground, categories: Sequence[str] = ()) -> dict[str, tuple[Goal, ...]]:
     """The things of these categories with their view points, by category.
 
     View points are places beside a thing from which it is in sight, on the mesh that habitat-lab makes of the exported
-    scene, in one piece of it (`roomy_ground`). By default those of HM3D's six categories that the scene has. Things
-    without view points are left out. Raises `WorldError` if nothing is left of a category that was asked for, or of
-    all.
+    scene, in one piece of it (`roomy`, of `roomy_ground`). By default those of HM3D's six categories that the scene
+    has. Things without view points are left out. Raises `WorldError` if nothing is left of a category that was asked
+    for, or of all.
     """
     present = {thing.category for thing in scene.instances if thing.category not in STRUCTURE}
     asked = list(dict.fromkeys(read_category(category) for category in categories))
     lacking = [name for name in asked if name not in present]
     if lacking:
         raise WorldError(f"{scene.source} has no {', '.join(lacking)}; it has {', '.join(sorted(present))}")
-    renderer, roomy = Renderer(scene), roomy_ground(scene, ground)
+    renderer = Renderer(scene)
 
     @cache
     def in_sight(x: float, y: float) -> np.ndarray:
@@ -376,14 +376,16 @@ def make_goals(scene: Scene, ground: Ground, categories: Sequence[str] = ()) -> 
 
 
 def make_episodes(
-    scene: Scene, ground: Ground, goals: Mapping[str, Sequence[Goal]], count: int, file: str, dataset_config: str
-) -> tuple[Episode, ...]:
-    """So many episodes, one category after the other; `file` is the scene_id. The same arguments give the same ones.
+    scene: Scene, ground: Ground, points: np.ndarray, goals: Mapping[str, Sequence[Goal]], count: int, file: str,
+    dataset_config: str,
+) -> tuple[Episode, ...]:  # fmt: skip
+    """So many episodes, one category after the other, from `points` ``(n, 2)``. The same arguments give the same ones.
+
+    `file` is the scene_id.
 
     Raises `WorldError` if no start is far enough from a category's view points.
     """
     rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), 0])
-    points = roomy_ground(scene, ground).points
     starts = {}
     for category, things in goals.items():
         ways = np.array([ground.field(thing.view_positions[:, :2]).distance(points) for thing in things])
@@ -486,8 +488,9 @@ def export_dataset(
             scene = source.make()
             file = f"{split}/{source.number:05d}-{source.name}/{source.name}.glb"
             ground = Ground.from_scene(scene, radius=radius)
-            goals = make_goals(scene, ground, categories)
-            made = make_episodes(scene, ground, goals, episodes, f"{name}/{file}", f"./data/{config.as_posix()}")
+            roomy, place = roomy_ground(scene, ground), f"./data/{config.as_posix()}"
+            goals = make_goals(scene, roomy, categories)
+            made = make_episodes(scene, ground, roomy.points, goals, episodes, f"{name}/{file}", place)
             export_glb(scene, part / home / file, radius=radius)
             if has_meshes():
                 write_mesh(part / home / file)

@@ -15,6 +15,7 @@ import numpy as np
 from eagor._extras import how_to_install
 from eagor._values import lazy
 from eagor.errors import MissingExtraError, WorldError
+from eagor.queries import Query
 
 STRUCTURE = ("wall", "floor", "ceiling", "door", "window")  # categories that are part of the building
 
@@ -41,7 +42,7 @@ class Instance:
     @property
     def name(self) -> str:
         """Colour and category in plain words: "red chair"."""
-        return f"{self.colour} {self.category}" if self.colour else self.category
+        return str(Query(self.category, self.colour))
 
 
 @dataclass(frozen=True, eq=False)

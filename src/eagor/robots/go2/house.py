@@ -59,7 +59,7 @@ class Thing:
     @property
     def name(self) -> str:
         """Colour and category in words."""
-        return f"{self.colour} {self.category}" if self.colour else self.category
+        return str(Query(self.category, self.colour))
 
 
 class RollingBall:

@@ -103,8 +103,8 @@ class HStarConfig(PublishedConfig, kw_only=True):
 
     scoring: Annotated[Scoring, Meta(description="what counts as success")] = "official"
     turns: Annotated[int, Meta(ge=1, le=50, description="views at most; the benchmark allows ten")] = MAX_TURNS
-    sure: Annotated[float, Meta(description="probability of success from which on eagor submits")] = SURE
-    elsewhere: Annotated[float, Meta(description="share of eagor's prior that is even over the sphere")] = ELSEWHERE
+    sure: Annotated[float, Meta(gt=0, le=1, description="probability of success from which on eagor submits")] = SURE
+    elsewhere: Annotated[float, Meta(gt=0, le=1, description="share of eagor's prior that is even")] = ELSEWHERE
     resolution: Annotated[int, Meta(ge=18, le=8640, description="rows of a view; 1080 is official")] = RESOLUTION
     form: Annotated[Form, Meta(description="of the model's replies")] = "free_think"
     window: Annotated[int, Meta(ge=1, le=50, description="turns of conversation that the model is shown")] = 5

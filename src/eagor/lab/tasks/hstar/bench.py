@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 
-from eagor._checks import above, require, shown
+from eagor._checks import shown
 from eagor.conventions import direction_from_hstar
 from eagor.errors import FormatError
 from eagor.lab.agents.models import recalibrator, shared_chat
@@ -93,11 +93,6 @@ class HStar(PublishedTask):
         return [Sample(episode.id, episode.scene, msgspec.to_builtins(episode)) for episode in episodes]
 
     def check(self, config: HStarConfig) -> None:
-        wanted = {
-            "sure": (above(config.sure, 0, 1), "a probability above 0, at most 1"),
-            "elsewhere": (above(config.elsewhere, 0, 1), "a share above 0 (nowhere is a target impossible), at most 1"),
-        }
-        require(config, wanted)
         if config.perception:
             open_perception(config.perception)
 

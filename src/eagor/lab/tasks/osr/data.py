@@ -63,7 +63,6 @@ class Question:
     """One question about a picture, with the published answer: text, or a map's grid; `id` as "scene/qa/18"."""
 
     id: str
-    turn: int
     skill: str
     text: str
     answer: Any
@@ -201,7 +200,7 @@ def _scene(turns: Iterable[Turn], image_id: str, name: str, folder: Path, suffix
         number = place if turn.turn_id is None else turn.turn_id
         taken[number] += 1
         again = f"-{taken[number]}" if taken[number] > 1 else ""
-        found.append(Question(f"{name}/{suffix}/{number}{again}", number, skill, turn.question, answer))
+        found.append(Question(f"{name}/{suffix}/{number}{again}", skill, turn.question, answer))
     pictures = [folder / "rgb.png", *(above / image_id for above in (folder, *folder.parents[:3]))]
     image = next((picture for picture in pictures if os.path.isfile(picture)), None)  # False for invalid names
     return Scene(name, folder, image, tuple(found), skipped)

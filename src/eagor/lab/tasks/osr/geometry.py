@@ -223,15 +223,15 @@ def direction_between(P: Spot, O: Sequence[Spot], Q: Sequence[Spot]) -> str:
     return named(*products(facing, asked))
 
 
-def layout_from(places: Mapping[str, Sequence[Spot]], mirror: bool = False) -> dict[str, list[list[int]]]:
+def layout_from(places: Mapping[str, Sequence[Spot]]) -> dict[str, list[list[int]]]:
     """The layout of places on the smallest grid of square cells that holds them all; ``{name: [[row, column], ...]}``.
 
-    Row 0 is ahead; columns grow to the right, or, with `mirror`, to the left as in the published layouts.
+    Row 0 is ahead; columns grow to the right (in the published layouts to the left).
     """
     if not places:
         return {}
     ahead, left = np.array([xy for where in places.values() for xy in where], dtype=np.float64).T
-    both = np.stack([ahead.max() - ahead, left - left.min() if mirror else left.max() - left], axis=1)
+    both = np.stack([ahead.max() - ahead, left.max() - left], axis=1)
     cell = max(both.max(), 1e-9) / SIZE
     cells = iter(np.minimum(both / cell, SIZE - 1).astype(int).tolist())
     return {name: [next(cells) for _ in where] for name, where in places.items()}

@@ -222,11 +222,11 @@ def prism(outline: np.ndarray, low: float, high: float, grain: int | None = None
     return solid(np.concatenate(ends), np.concatenate([fan[:, ::-1], fan + n, walls]), grain)
 
 
-def rounded_rectangle(width: float, depth: float, radius: float, segments: int = 4) -> np.ndarray:
-    """A counter-clockwise outline ``(4 * (segments + 1), 2)`` about the origin, `width` along its first coordinate."""
+def rounded_rectangle(width: float, depth: float, radius: float) -> np.ndarray:
+    """A counter-clockwise outline ``(20, 2)`` about the origin, `width` along its first coordinate."""
     radius = min(radius, 0.499 * width, 0.499 * depth)
-    angle = np.concatenate([np.linspace(k, k + 1, segments + 1) for k in range(4)]) * (math.pi / 2)
-    sign = np.repeat([[1, 1], [-1, 1], [-1, -1], [1, -1]], segments + 1, axis=0)
+    angle = np.concatenate([np.linspace(k, k + 1, 5) for k in range(4)]) * (math.pi / 2)
+    sign = np.repeat([[1, 1], [-1, 1], [-1, -1], [1, -1]], 5, axis=0)
     middle = sign * [width / 2 - radius, depth / 2 - radius]
     return middle + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 

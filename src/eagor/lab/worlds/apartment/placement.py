@@ -18,6 +18,7 @@ from eagor.lab.worlds.apartment.building import Cells, WallFace, wall_faces
 from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
 from eagor.lab.worlds.apartment.plans import OUTSIDE, Doorway, Plan
 from eagor.lab.worlds.scene import Room
+from eagor.queries import Query
 
 CELL = 0.05
 BODY = 0.25  # half of the width of passages
@@ -158,7 +159,7 @@ class Piece:
     @property
     def name(self) -> str:
         """Colour and category, as in `Instance.name`."""
-        return f"{self.model.colour} {self.category}" if self.model.colour else self.category
+        return str(Query(self.category, self.model.colour))
 
     @property
     def bottom(self) -> float:
