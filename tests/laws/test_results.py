@@ -18,7 +18,6 @@ from eagor.lab.eval.results import (
     OURS,
     RESAMPLES,
     SEED,
-    Difference,
     Run,
     compare,
     holm,
@@ -29,7 +28,7 @@ from eagor.lab.eval.results import (
 )
 from eagor.lab.tasks.published import score_metric
 from eagor.lab.tasks.task import load
-from eagor.statistics import bootstrap_interval, paired_difference, share_interval
+from eagor.statistics import Interval, PairedDifference, bootstrap_interval, paired_difference, share_interval
 
 MAKERS = {"waypoint": runs.waypoint, "navigation": runs.navigation, "tracking": runs.tracking}
 FEW = ("grid", "eagor_paper", "vmf", "eagor")
@@ -266,7 +265,8 @@ def test_published_figures_are_those_that_were_printed():
      (5, 1, 3, 0.2, "open")],
 )  # fmt: skip
 def test_verdicts_on_the_papers_ordering(published, low, high, p, word):
-    assert tables.verdict(published, Difference((low + high) / 2, low, high, p, 10, 10)) == word
+    measured = PairedDifference((low + high) / 2, Interval(low, high, 0.95), p, 10, 10)
+    assert tables.verdict(published, measured) == word
 
 
 def test_margins_are_positive_where_the_published_method_is_better():

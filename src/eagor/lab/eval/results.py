@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ from eagor.lab.envs.places import APARTMENT
 from eagor.lab.eval import log
 from eagor.lab.tasks.task import Metric, Record, Task, check_records, config_of, finished, group_of, load, sample_of
 from eagor.statistics import (
+    Interval,
+    PairedDifference,
     bootstrap_interval,
     calibration_error,
     mcnemar,
@@ -200,18 +202,6 @@ class Values:
         return mean_of_means(self.array, self.kinds)(np.arange(len(self.values))) if self.kinds else self.array.mean()
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A mean difference over `n` shared samples with its interval and p, before any correction."""
-
-    difference: float
-    low: float
-    high: float
-    p: float
-    n: int
-    groups: int
-
-
 def values_of(results: Sequence[Result], metric: Metric) -> Values:
     """The values of `metric`, of the samples that have one. Raises `EagorError` for a sample with two results."""
     found = Values({}, {}, {})
@@ -239,15 +229,15 @@ def interval_of(found: Values, share: float | None = None) -> list[float] | None
         ends = share_interval(found.array / share, found.labels, LEVEL)
         return [share * ends.low, share * ends.high]
     if found.kinds:
-        return _ends(mean_of_means(found.array, found.kinds), found.labels)
+        ends = _ends(mean_of_means(found.array, found.kinds), found.labels)
+        return [ends.low, ends.high]
     low, high = mean_intervals(found.array[:, None], found.labels)
     return None if low[0] is None or high[0] is None else [low[0], high[0]]
 
 
-def _ends(statistic: Callable[[np.ndarray], float], labels: Sequence[Any]) -> list[float]:
+def _ends(statistic: Callable[[np.ndarray], float], labels: Sequence[Any]) -> Interval:
     """The bootstrap's interval of a statistic of the indices of the samples."""
-    ends = bootstrap_interval(np.arange(len(labels)), np.random.default_rng(SEED), LEVEL, statistic, labels, RESAMPLES)
-    return [ends.low, ends.high]
+    return bootstrap_interval(np.arange(len(labels)), np.random.default_rng(SEED), LEVEL, statistic, labels, RESAMPLES)
 
 
 def mean_of_means(values: np.ndarray, kinds: Mapping[str, str]) -> Callable[[np.ndarray], float]:
@@ -286,8 +276,8 @@ def mean_intervals(values: np.ndarray, labels: Sequence[Any]) -> tuple[list[floa
     return low, high
 
 
-def difference(a: Values, b: Values) -> Difference | None:
-    """Mean of a - b over the samples that both have; None with fewer than two groups."""
+def difference(a: Values, b: Values) -> PairedDifference | None:
+    """Mean of a - b over the samples that both have, p before any correction; None with fewer than two groups."""
     shared = [name for name in a.values if name in b.values]
     a, b = a.only(shared), b.only(shared)
     if len(set(a.labels)) < 2:
@@ -298,10 +288,10 @@ def difference(a: Values, b: Values) -> Difference | None:
         weights = len(shared) / (len(counts) * counts[place])
     rng = np.random.default_rng(SEED)
     found = paired_difference(weights * a.array, weights * b.array, rng, groups=a.labels, level=LEVEL)
-    low, high = found.interval.low, found.interval.high
-    if a.kinds:  # groups that are drawn hold other shares of the kinds
-        low, high = _ends(mean_of_means(a.array - b.array, a.kinds), a.labels)
-    return Difference(found.difference, low, high, found.p, found.n, found.groups)
+    if not a.kinds:
+        return found
+    # Groups that are drawn hold other shares of the kinds.
+    return replace(found, interval=_ends(mean_of_means(a.array - b.array, a.kinds), a.labels))
 
 
 def lowest_p(groups: int, tests: int = 1) -> float:
@@ -416,12 +406,18 @@ def _differences(
             if family(name) and (other := compared_with(name, reference)) in found and other != name
             for key in tested
         }
-        there = {pair: asdict(each) for pair, each in pairs.items() if each is not None}
+        there = {pair: _plain(each) for pair, each in pairs.items() if each is not None}
         for each, p in zip(there.values(), holm([each["p"] for each in there.values()]), strict=True):
             each["p_holm"] = p
         for name, key in pairs:
             result.setdefault(name, {})[key] = there.get((name, key))
     return result
+
+
+def _plain(found: PairedDifference) -> dict[str, Any]:
+    ends = found.interval
+    return {"difference": found.difference, "low": ends.low, "high": ends.high, "p": found.p, "n": found.n,
+            "groups": found.groups}  # fmt: skip
 
 
 def _strata(results: Mapping[str, Sequence[Result]], metrics: Sequence[Metric], key: str) -> dict[str, Any]:
@@ -577,7 +573,7 @@ def _compared(metric: Metric, left: Sequence[Result], right: Sequence[Result]) -
     found: dict[str, Any] = {"title": metric.title, "n": len(both), "a": float(x.mean), "b": float(y.mean)}
     found["difference"] = found["a"] - found["b"]
     if (paired := difference(x, y)) is not None:
-        found |= {"low": paired.low, "high": paired.high, "p": paired.p, "groups": paired.groups}
+        found |= _plain(paired) | found
     outcomes = np.array([x.array, y.array]) / metric.scale
     if metric.share and np.isin(outcomes, (0.0, 1.0)).all():
         found["mcnemar"] = asdict(mcnemar(*outcomes))

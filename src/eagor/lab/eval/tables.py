@@ -19,7 +19,6 @@ from eagor.lab.eval.results import (
     PAPERS,
     RIVALS,
     SIGNIFICANT,
-    Difference,
     Result,
     Run,
     Summary,
@@ -32,6 +31,7 @@ from eagor.lab.eval.results import (
     values_of,
 )
 from eagor.lab.tasks.task import Metric, Task, finished
+from eagor.statistics import PairedDifference
 
 _PRINTED = tomllib.loads(files("eagor.lab.eval").joinpath("published.toml").read_text(encoding="utf-8"))
 PUBLISHED: dict[str, dict[str, dict[str, float]]] = {
@@ -285,7 +285,7 @@ def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table
             gain = difference(theirs, ours) if lower else difference(ours, theirs)
             claimed.append(Cell(shown(margin, metric, True)))
             verdicts.append(verdict(margin, gain))
-            ends = span((gain.low, gain.high), metric.digits, True) if gain else ""
+            ends = span((gain.interval.low, gain.interval.high), metric.digits, True) if gain else ""
             cells.append(Cell(shown(gain and gain.difference, metric, True), ends, verdicts[-1]))
         rows += [Row(f"over {rival}: published", tuple(claimed), "paper"), Row(f"over {rival}: measured", tuple(cells))]
     counts = {word: verdicts.count(word) for word in ("holds", "open", "reversed")}
@@ -300,12 +300,13 @@ def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table
     return Table(title, _heads(metrics, "margin"), tuple(rows if any(verdicts) else ()), notes)
 
 
-def verdict(published: float, measured: Difference | None) -> str:
+def verdict(published: float, measured: PairedDifference | None) -> str:
     """Whether a measured margin confirms the published one: "holds", "reversed", "open"; "" where it has no case."""
     if measured is None:
         return ""
-    if (measured.low > 0 or measured.high < 0) and measured.p < SIGNIFICANT:
-        return "holds" if (measured.low > 0) == (published > 0) else "reversed"
+    low, high = measured.interval.low, measured.interval.high
+    if (low > 0 or high < 0) and measured.p < SIGNIFICANT:
+        return "holds" if (low > 0) == (published > 0) else "reversed"
     return "open"
 
 
