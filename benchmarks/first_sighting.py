@@ -18,14 +18,11 @@ import common
 import numpy as np
 
 from eagor.lab.agents.methods import answer_at
-from eagor.lab.agents.models import shared
 from eagor.lab.envs.episodes import EpisodeSpec, episode_specs
-from eagor.lab.envs.rules import Camera, NavigationRules, NoiseModel, as_dict
 from eagor.lab.eval import steps as parts
 from eagor.lab.eval.results import Result
 from eagor.lab.tasks.sim.play import Runner, StepInfo
 from eagor.metrics import angular_error_deg
-from eagor.perception import rows_of
 
 OURS, FRAME = "eagor", "frame"
 SHOWN = (parts.SEEN, parts.IN_SIGHT, parts.HIDDEN)
@@ -60,11 +57,9 @@ def means(record: dict[str, Any], name: str) -> list[float]:
 def main() -> None:
     methods = [OURS, "vmf", "grid_filter"]
     given = common.parser(__doc__, perception="scout", episodes=60, seed=1600, methods=methods).parse_args()
-    settings = {"rules": NavigationRules(), "disturbances": NoiseModel(), "camera": Camera()}
-    config = {"task": "navigation", "perception": given.perception, "rows": rows_of(shared(given.perception))}
-    runner = Runner(config | {key: as_dict(value) for key, value in settings.items()})
+    runner = Runner({"task": "navigation", "perception": given.perception})
     names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
-    for spec in episode_specs(config["task"], given.episodes, given.seed):
+    for spec in episode_specs("navigation", given.episodes, given.seed):
         steps: list[StepInfo] = []
         record = runner.run_episode(spec, [OURS], steps.append)
         visible = record["methods"][OURS]["trace"]["visible"]

@@ -215,12 +215,14 @@ def judged(file, walks):
     where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
     stops 1 mm before it (``collisions``, how often that was).
     """
+    from dataclasses import asdict
+
     from eagor.lab.envs.episodes import file_episode_specs, plan_listed
-    from eagor.lab.envs.rules import Camera, NavigationRules, as_dict, from_dict
+    from eagor.lab.envs.rules import Camera, NavigationRules, from_dict
     from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv, score
     from eagor.lab.tasks.sim.play import STANDS
 
-    rules = from_dict(NavigationRules, as_dict(NavigationRules.objectnav()) | {"stop": "call"})
+    rules = from_dict(NavigationRules, asdict(NavigationRules.objectnav()) | {"stop": "call"})
     specs = {(spec.scene, spec.episode): spec for spec in file_episode_specs("navigation", file, None, "habitat", None)}
     by_slot = {(walk["scene_id"], walk["episode"]): walk for walk in walks}
     assert by_slot.keys() == specs.keys()

@@ -13,7 +13,7 @@ import argparse
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from eagor.drawing.style import INK, QUIET, far_in_words, figure, image
 from eagor.lab.agents.methods import BASE
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
-from eagor.lab.envs.rules import Camera, NavigationRules, NoiseModel, as_dict
+from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.sim.play import Runner
 from eagor.lab.worlds import View
 from eagor.perception import load
@@ -53,16 +53,10 @@ class Way:
 
 def search(seed: int, index: int) -> Way:
     """Play the episode with our tracker."""
-    camera, seeing = Camera(), load("scout")
-    config: dict[str, Any] = {"task": "navigation", "perception": "scout", "rows": seeing.rows}  # type: ignore[attr-defined]
-    config |= {
-        "rules": as_dict(NavigationRules()),
-        "camera": as_dict(camera),
-        "disturbances": as_dict(NoiseModel()),
-    }
-    record = Runner(config, seeing).run_episode(EpisodeSpec("navigation", APARTMENT, seed, index, index), ["eagor"])
+    runner = Runner({"task": "navigation", "perception": "scout"})
+    record = runner.run_episode(EpisodeSpec("navigation", APARTMENT, seed, index, index), ["eagor"])
     poses = np.array(record["methods"]["eagor"]["trace"]["pose"])
-    thing = load_place(APARTMENT, seed, camera.radius).scene.instances[record["episode"]["targets"][0]]
+    thing = load_place(APARTMENT, seed, runner.camera.radius).scene.instances[record["episode"]["targets"][0]]
     rotations = np.array([rotation_from_wxyz(pose[3:]) for pose in poses])
     return Way(record["episode"]["query"], thing.centre, poses[:, :3], rotations)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import warnings
+from dataclasses import asdict
 
 import gymnasium
 import numpy as np
@@ -21,7 +22,6 @@ from eagor.lab.envs.rules import (
     NoiseModel,
     TrackingRules,
     WaypointRules,
-    as_dict,
     from_dict,
 )
 from eagor.lab.tasks.sim import navigation, tracking, waypoint
@@ -185,9 +185,9 @@ def test_the_ball_goes_where_the_scenario_says():
 
 @pytest.mark.parametrize("task", ["navigation", pytest.param("waypoint", marks=pytest.mark.slow), "tracking"])
 def test_running_the_same_spec_twice_gives_the_same_record(task):
-    rules = {"waypoint": as_dict(SHORT_LEGS), "tracking": {"steps": 16}}.get(task, {})
+    rules = {"waypoint": asdict(SHORT_LEGS), "tracking": {"steps": 16}}.get(task, {})
     config = {"task": task, "perception": "truth", "camera": {}, "rules": rules, "rows": 32}
-    config["disturbances"] = as_dict(NoiseModel.walking(latency=2))
+    config["disturbances"] = asdict(NoiseModel.walking(latency=2))
     names = ["centroid", "eagor_paper", "particle_filter", "eagor"][: 2 if task == "navigation" else 4]
     spec = EpisodeSpec(task, "apartment", 11, 1, 1)
     first, second = (Runner(config).run_episode(spec, names) for _ in range(2))
@@ -240,7 +240,7 @@ def test_rules_that_nothing_can_be_played_under_are_refused(kind, rules, says):
     ],
 )
 def test_rules_at_their_bounds_can_be_written_read_and_played(task, rules):
-    config = {"task": task, "perception": "truth", "rows": 32, "rules": json.loads(json.dumps(as_dict(rules)))}
+    config = {"task": task, "perception": "truth", "rows": 32, "rules": json.loads(json.dumps(asdict(rules)))}
     config |= {"camera": {"radius": 0, "turn": 360}, "disturbances": {"latency": 0}}
     runner = Runner(config)
     assert runner.rules == rules

@@ -1,6 +1,7 @@
 """A camera that does not see all around shows what it shows, and a look says nothing about the rest."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from eagor import Evidence
 from eagor.grids import ErpGrid
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, in_view, mask_of
-from eagor.lab.envs.rules import Camera, NavigationRules, NoiseModel, as_dict
+from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv
 from eagor.lab.tasks.sim.play import Runner
 from eagor.sphere import azimuth_elevation, direction
@@ -59,8 +60,7 @@ def test_a_body_with_a_narrow_camera_comes_to_the_thing():
     """It turns before it walks, and takes longer than one that sees all around."""
     steps = []
     for camera in (NARROW, Camera()):
-        told = {"rules": as_dict(NavigationRules()), "camera": as_dict(camera), "disturbances": as_dict(NoiseModel())}
-        runner = Runner({"task": "navigation", "perception": "truth:ideal", "rows": 64} | told)
+        runner = Runner({"task": "navigation", "perception": "truth:ideal", "camera": asdict(camera), "rows": 64})
         found = runner.run_episode(EpisodeSpec("navigation", APARTMENT, 3, 0, 0), ["eagor"])["methods"]["eagor"]
         assert found["metrics"]["success"] == 1
         steps.append(found["metrics"]["steps"])

@@ -5,8 +5,6 @@ The looks of the walk go to every method, so that all answer the same question. 
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -23,13 +21,12 @@ from eagor.drawing import draw_errors, draw_map, draw_strip
 from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimator, answer_at
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, Place, load_place
-from eagor.lab.envs.rules import Camera, NavigationRules, NoiseModel, as_dict
+from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.eval import steps as parts
-from eagor.lab.eval.page import Cell, Fold, Pictures, Row, Section, Table, Text, page
+from eagor.lab.eval.page import Cell, Fold, Pictures, Row, Section, Table, Text, address_of, page
 from eagor.lab.eval.results import OURS
 from eagor.lab.tasks.sim.play import Runner, StepInfo
 from eagor.metrics import angular_error_deg
-from eagor.perception import load, rows_of
 from eagor.sphere import direction
 from eagor.tracking.estimate import Estimate
 
@@ -116,17 +113,8 @@ class Search:
 
 def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
     """Walk through one episode of navigation with our tracker, and give its looks to every method."""
-    rules, seeing = NavigationRules(), load(perception)
-    config = {
-        "task": "navigation",
-        "perception": perception,
-        "rules": as_dict(rules),
-        "camera": as_dict(Camera()),
-        "disturbances": as_dict(NoiseModel()),
-        "rows": rows_of(seeing),
-    }
-    spec = EpisodeSpec("navigation", APARTMENT, seed, index, index)
-    runner, steps, estimates = Runner(config, seeing), list[StepInfo](), list[Estimate]()
+    spec, config = EpisodeSpec("navigation", APARTMENT, seed, index, index), {"task": "navigation"}
+    runner, steps, estimates = Runner(config | {"perception": perception}), list[StepInfo](), list[Estimate]()
     if say:
         print(f"Building {APARTMENT} {seed}, and walking in search of something ...", flush=True)
 
@@ -147,7 +135,7 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
                 answers[name] = np.array([answer_at(method, seen.stamp, seen.pose, seen.evidence) for seen in steps])
                 advance()
     errors = {name: np.asarray(angular_error_deg(found, truths)) for name, found in answers.items()}
-    return Search(spec, rules, record, estimates, answers, errors, perception)
+    return Search(spec, runner.rules, record, estimates, answers, errors, perception)
 
 
 # --- in words and numbers ---------------------------------------------------------------------------------------------
@@ -220,7 +208,7 @@ def write_report(search: Search, folder: Path) -> Path:
     for name, picture in pictures.items():
         keep_picture(picture, folder / f"{name}.png")
     beliefs, errors, above = (
-        Pictures([(_as_address(picture), words)], "wide")
+        Pictures([(address_of(picture), words)], "wide")
         for picture, words in zip(pictures.values(), PICTURES, strict=True)
     )
     means, rules, heads = search.means, search.rules, tuple(PARTS.values())
@@ -312,10 +300,3 @@ def _map(search: Search, place: Place) -> Image:
     extent = (float(x0), float(x0 + cols * ground.cell), float(y0), float(y0 + rows * ground.cell))
     way = np.array(search.walk["trace"]["pose"])[:, :2]
     return draw_map(ground.structure, ground.free, extent, way, target, "the way of the camera")
-
-
-def _as_address(picture: Image) -> str:
-    """A picture as a data URL of a PNG."""
-    buffer = io.BytesIO()
-    picture.save(buffer, format="PNG", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"

@@ -8,8 +8,7 @@ Rules that make the task impossible raise a `WorldError` that names the rule.
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import msgspec
@@ -229,11 +228,6 @@ class TrackingRules(_Rules):
 
 
 Rules = TypeVar("Rules")
-
-
-def as_dict(rules: Any) -> dict[str, Any]:
-    """Rules, or another dataclass, as plain JSON."""
-    return json.loads(json.dumps(asdict(rules)))  # tuples become lists
 
 
 def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:

@@ -31,15 +31,13 @@ from eagor.lab.agents.methods import BASE
 from eagor.lab.agents.models import is_privileged
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
-from eagor.lab.envs.rules import Camera, NoiseModel, as_dict
 from eagor.lab.eval.detector_fit import fitted_model, short
 from eagor.lab.eval.labelled_looks import LabelledLook, check_development
 from eagor.lab.tasks.sim.play import MASS, Rollout, Runner
 from eagor.lab.tasks.sim.tracking import TrackingEpisode
-from eagor.lab.tasks.task import load as load_task
 from eagor.lab.worlds.render import PAINTS
 from eagor.metrics import angular_error_deg
-from eagor.perception import load, rows_of
+from eagor.perception import load
 from eagor.perception.calibrated import Calibrated
 from eagor.sphere import FORWARD
 from eagor.statistics import bootstrap_interval
@@ -105,9 +103,7 @@ def make_runners(perception: str, rows: int | None = None) -> dict[str, Runner]:
     `rows` of the panoramas; None: what the perception works at. Raises `EagorError` if it cannot be made.
     """
     loaded = load(perception)
-    config = {"perception": perception, "rows": rows or rows_of(loaded)}
-    config |= {"camera": as_dict(Camera()), "disturbances": as_dict(NoiseModel())}
-    return {task: Runner(config | {"task": task, "rules": as_dict(load_task(task).rules())}, loaded) for task in TASKS}
+    return {task: Runner({"task": task, "perception": perception, "rows": rows}, loaded) for task in TASKS}
 
 
 def record(runner: Runner, spec: EpisodeSpec) -> Rollout:

@@ -39,7 +39,7 @@ def check_simulation(
     """
     _check_description(task)
     rules = _check_rules(task, dict(settings or {}))
-    config = {"task": task.name, "perception": "truth:ideal", "camera": {}, "disturbances": {}, "rules": rules}
+    config = {"task": task.name, "perception": "truth:ideal", "rules": rules}
     runner = Runner(config, kind=task)
     episode = _check_plan(task, runner, EpisodeSpec(task.name, world, seed, index, index))
     _check_path(task, runner, episode)

@@ -24,6 +24,7 @@ from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisodeSpec
 from eagor.lab.envs.places import mask_of
 from eagor.lab.envs.rules import Camera, NoiseModel, from_dict
 from eagor.lab.tasks.task import load
+from eagor.perception import rows_of
 from eagor.perception.calibrated import from_json
 from eagor.sphere import azimuth_elevation
 
@@ -114,23 +115,24 @@ class EpisodeResult(Rollout):
 class Runner:
     """Runs the episodes of one run.
 
-    `config`: task, perception, rules, camera, disturbances (JSON of `eagor.lab.envs.rules`), rows of the panorama, and
-    optionally calibrated and episodes_file. `perception` and `kind` (the task): the objects, if they exist already.
+    `config`: task and perception, and where they differ from what is usual rules, camera, disturbances (JSON of
+    `eagor.lab.envs.rules`), rows of the panorama, calibrated and episodes_file. `perception` and `kind` (the task): the
+    objects, if they exist already.
     """
 
     def __init__(self, config: dict[str, Any], perception: Any = None, kind: Any = None) -> None:
         self.config = config
         self.perception = shared(config["perception"]) if perception is None else perception
         self.task: Any = kind or load(config["task"])
-        self.camera = from_dict(Camera, config["camera"])
-        self.noise = from_dict(NoiseModel, config["disturbances"])
-        self.rules: Any = from_dict(self.task.rules, config["rules"])
+        self.camera = from_dict(Camera, config.get("camera", {}))
+        self.noise = from_dict(NoiseModel, config.get("disturbances", {}))
+        self.rules: Any = from_dict(self.task.rules, config.get("rules", {}))
         self.ours = BASE
         if given := config.get("calibrated"):
             found = from_json(given, "the run's calibration")
             self.ours = BASE.fitted(found.calibration, found.detector, found.forgetting)
         self.ours = search_config(self.rules, self.ours)
-        rows = None if is_privileged(self.perception) else int(config["rows"])
+        rows = None if is_privileged(self.perception) else int(config.get("rows") or rows_of(self.perception))
         self.env: PlaceEnv = self.task.environment(
             rules=self.rules, camera=self.camera, disturbances=self.noise, panorama=rows
         )
