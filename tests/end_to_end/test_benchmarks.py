@@ -3,10 +3,7 @@
 import io
 import json
 import os
-import signal
-import subprocess
 import sys
-import time
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,10 +26,6 @@ ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAG
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONPATH": os.pathsep.join(filter(None, [str(TESTS), os.environ.get("PYTHONPATH", "")])),
 }
-
-
-def command(*words):
-    return [sys.executable, "-m", "eagor", "bench", *map(str, words)]
 
 
 def bench(*words):
@@ -99,28 +92,6 @@ def test_a_run_goes_on_where_it_stopped_whatever_the_shards_and_workers(folder, 
     other = bench(*told, "--set", "sure=0.5")
     assert other.returncode == 2
     assert "sure" in other.stderr
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_a_killed_run_loses_nothing(folder, tmp_path):
-    told = ("run", "hstar-hos", "--data", folder, "--agent", "eagor", "--perception", "colour")
-    told += ("--set", "resolution=270", "--out", tmp_path / "run")
-    process = subprocess.Popen(command(*told), stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=ENVIRONMENT)
-    try:
-        for _ in range(6000):
-            if log.read(tmp_path / "run"):
-                break
-            assert process.poll() is None
-            time.sleep(0.1)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    before = log.read(tmp_path / "run")
-    assert before
-    found = answer(*told)
-    assert found["episodes"] == 16
-    after = {record["key"]: record for record in log.read(tmp_path / "run")}
-    assert all(after[record["key"]] == record for record in before)
 
 
 def test_errors_are_told_apart_from_failures(folder, tmp_path):
@@ -196,20 +167,10 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         "- Run: oracle",
     ]
     assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 7
-    settings = log.description(place / "ours")
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
     assert overall["mcnemar"]["only_b"] == 0
-    assert "Only 4 clusters" in bench("compare", place / "oracle", place / "ours").stdout
-    for agent in ("oracle", "constant"):
-        words = ("--data", settings["data"], "--agent", agent, "--limit", 1, "--out", tmp_path / agent)
-        answer("run", "hstar-hos", *words)
-    assert "Only one cluster" in bench("compare", tmp_path / "oracle", tmp_path / "constant").stdout
-    part = bench("report", tmp_path / "oracle")
-    assert "without --limit and --shard, plays the rest" in " ".join(part.stderr.split())
-    assert "1 of 16 cases" in (tmp_path / "oracle" / "report.html").read_text()
-    assert "Records: 1 of 16 with results, 0 could not be run" in (tmp_path / "oracle" / "tables.md").read_text()
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
@@ -308,18 +269,6 @@ def config(tmp_path):
 
 def units(count, trouble=None):
     return [Unit(f"square/{n}", f"house {n % 3}", (n, (trouble or {}).get(n))) for n in range(count)]
-
-
-def test_threads_do_everything_once_and_try_again_what_fails(tmp_path, config):
-    trouble = {3: "raise", 5: "raise once", 7: "nan"}
-    folder = tmp_path / "run"
-    done = run(units(12, trouble), "units_of_work:squares", config | {"sleep": 0.01}, folder, 4, engine="threads")
-    assert done == Outcome(10, 2, 0)
-    found = {record["key"]: record for record in log.read(folder)}
-    assert {key: r["attempt"] for key, r in found.items() if r["status"] == "failed"} == {"square/3": 2, "square/7": 2}
-    assert found["square/5"]["attempt"] == 2
-    again = run(units(12, trouble), "units_of_work:squares", config | {"sleep": 0.01}, folder, 4, engine="threads")
-    assert again == Outcome(0, 2, 10)
 
 
 def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
