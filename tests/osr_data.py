@@ -22,7 +22,6 @@ from eagor.lab.tasks.osr.scoring import (
     distance_label,
 )
 
-LEAST = 5  # categories: with fewer the benchmark does not ask about distances and directions
 NAME = "ReplicaPano-made-here"
 PLACES: dict[str, list[Spot]] = {
     "tv": [(3.5, 0.3)],
@@ -35,36 +34,23 @@ PLACES: dict[str, list[Spot]] = {
 
 
 def write(tmp_path: Path) -> Path:
-    """A scene in the published layout, with its true places; one label is empty. Returns the folder of the data."""
-    folder = tmp_path / "data" / "nested" / NAME
+    """A scene in the published layout, with its true places; returns the folder of the data.
+
+    The files with negative questions ask for a bed and a piano, too. The last turn of each file has an empty answer.
+    """
+    folder, rng = tmp_path / "data" / "nested" / NAME, np.random.default_rng(5)
     folder.mkdir(parents=True)
     Image.fromarray(np.full((64, 128, 3), 90, dtype=np.uint8)).save(folder / "rgb.png")
-    write_scene(folder, PLACES, layout_from(PLACES, mirror=True), ["bed", "piano"], 8, np.random.default_rng(5))
-    return tmp_path / "data"
-
-
-def write_scene(
-    folder: Path,
-    places: Mapping[str, Sequence[Spot]],
-    layout: Layout,
-    absent: Sequence[str],
-    most: int,
-    rng: np.random.Generator,
-) -> None:
-    """Write the files of a scene, without a picture: true places (x forward, y left), layout, and questions.
-
-    `absent`: what the files with negative questions ask for, too. At most `most` questions of a kind are asked; the
-    last turn of each file has an empty answer.
-    """
-    bodies = [Body(name, (-y, x), 0.35) for name, where in places.items() for x, y in where]
+    bodies = [Body(name, (-y, x), 0.35) for name, where in PLACES.items() for x, y in where]
     (folder / FILE).write_bytes(msgspec.json.encode(Room(bodies)))
-    counts = {name: len(where) for name, where in places.items()}
+    layout, counts = layout_from(PLACES, mirror=True), {name: len(where) for name, where in PLACES.items()}
     (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
-    for kind, more in (("qa", []), ("qa_with_negative", absent)):
-        turns = list(conversation(layout, counts, [*counts, *more], most, rng))
+    for kind, more in (("qa", []), ("qa_with_negative", ["bed", "piano"])):
+        turns = list(conversation(layout, counts, [*counts, *more], 8, rng))
         turns.append({**turns[-1], "turn_id": 99, "answer": ""})
-        entry = {"image_id": f"data/{folder.name}/rgb.png", "pre_prompt": "", "conversation": turns}
-        (folder / f"{folder.name}_{kind}.json").write_text(json.dumps(entry))
+        entry = {"image_id": f"data/{NAME}/rgb.png", "pre_prompt": "", "conversation": turns}
+        (folder / f"{NAME}_{kind}.json").write_text(json.dumps(entry))
+    return tmp_path / "data"
 
 
 def grid_of(layout: Layout, size: int = 10) -> Grid:
@@ -89,19 +75,16 @@ def conversation(
     asked += [(COUNTING, counting(name), str(counts.get(name, 0))) for name in rng.permutation(names)[:most].tolist()]
     singles = [name for name in names if counts.get(name) == 1] or names
     complete = all(name in layout for name in names)
-    if len(counts) >= LEAST:
-        for kind in (DISTANCE, DIRECTION):
-            kept = 0
-            for _ in range(2 * most if complete else most):
-                first = str(rng.choice(singles))
-                others = rng.permutation([name for name in names if name != first]).tolist()
-                if kind == DISTANCE:
-                    question, answer = distance(first, others[:4]), distance_label(layout, first, others[:4])
-                else:
-                    question = direction(first, *others[:2])
-                    answer = direction_label(layout, first, *others[:2])
-                if kept == most or (complete and answer.endswith("picture.")):
-                    continue
+    for kind in (DISTANCE, DIRECTION):
+        kept = 0
+        for _ in range(2 * most if complete else most):
+            first = str(rng.choice(singles))
+            others = rng.permutation([name for name in names if name != first]).tolist()
+            if kind == DISTANCE:
+                question, answer = distance(first, others[:4]), distance_label(layout, first, others[:4])
+            else:
+                question, answer = direction(first, *others[:2]), direction_label(layout, first, *others[:2])
+            if kept < most and not (complete and answer.endswith("picture.")):
                 kept += 1
                 asked.append((kind, question, answer))
     for number, (skill, question, answer) in enumerate(asked):
