@@ -1,18 +1,15 @@
 """Benchmarks with published data from the command line: runs that stop and go on, shards, scores, reports."""
 
-import io
 import json
 import os
 import sys
-from contextlib import redirect_stderr, redirect_stdout
-from pathlib import Path
-from types import SimpleNamespace
+from functools import partial
 
+import commands
 import hstar_data
 import pytest
 from processes import alive, sessions_of, wait_for
 
-from eagor.cli import main
 from eagor.errors import EagorError
 from eagor.lab.eval import log
 from eagor.lab.eval.page import Curve, Series, line_chart
@@ -21,32 +18,7 @@ from eagor.lab.eval.runner import Outcome, Unit, run
 from eagor.lab.eval.tables import as_text, failed_lines, main_table
 from eagor.lab.tasks import task
 
-TESTS = Path(__file__).parents[1]
-ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAGOR_DEBUG"} | {
-    "OPENBLAS_NUM_THREADS": "1",
-    "PYTHONPATH": os.pathsep.join(filter(None, [str(TESTS), os.environ.get("PYTHONPATH", "")])),
-}
-
-
-def bench(*words):
-    """Run the command to its end, in this process: imports take longer than what is tested."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = main(["bench", *map(str, words)])
-    return SimpleNamespace(returncode=code, stdout=out.getvalue(), stderr=err.getvalue())
-
-
-def answer(*words, code=0):
-    done = bench(*words, "--json")
-    assert done.returncode == code, done.stderr
-    return json.loads(done.stdout)
-
-
-def refused(*words):
-    done = bench(*words)
-    assert (done.returncode, done.stdout) == (2, ""), done.stderr
-    assert "Traceback" not in done.stderr
-    return done.stderr.splitlines()[-1]
+bench, answer, refused = (partial(run, "bench") for run in (commands.eagor, commands.answer, commands.refused))
 
 
 @pytest.fixture(scope="module")
@@ -279,7 +251,7 @@ def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
 def test_ray_does_everything_outlives_its_workers_and_leaves_no_process(tmp_path, config, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([ENVIRONMENT["PYTHONPATH"], *sys.path]))  # what its workers import
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # what its workers import
     trouble = {3: "raise", 5: "die once", 7: "die"}
     given = [*units(12, trouble), Unit("square/unsent", "house 3", lambda: 0)]
     processes = {}
