@@ -63,7 +63,8 @@ def test_so_does_the_examples_world(seed):
 
 
 @pytest.mark.parametrize(
-    ("name", "settings"), [("waypoint", {"leg_steps": 5}), ("navigation", {}), ("tracking", {"steps": 16})]
+    ("name", "settings"),
+    [("waypoint", {"leg_steps": 5}), ("navigation", {"max_steps": 80}), ("tracking", {"steps": 8})],
 )
 @pytest.mark.parametrize("index", [0, *(pytest.param(index, marks=pytest.mark.slow) for index in (1, 2))])
 def test_our_tasks_keep_the_contract_of_tasks(name, settings, index):
@@ -368,7 +369,7 @@ def test_a_walked_task_wants_the_figures_that_reports_read():
     navigation = load("navigation")
     broken = replace(navigation, measure=lambda played: {"success": 1.0, "spl": 1.0, "steps": 3, "soft_spl": 1.0})
     with pytest.raises(AssertionError, match="wanted also coverage, mae"):
-        check_simulation(broken, seed=3)
+        check_simulation(broken, seed=3, settings={"max_steps": 80})
 
 
 def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):
