@@ -1,9 +1,11 @@
 """Commands as they are typed, run in this process: a process of its own costs two seconds each."""
 
 import io
+import json
 import os
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from typing import Any
 from unittest.mock import patch
 
 from eagor.cli import main
@@ -30,3 +32,18 @@ def eagor(*words: object) -> Done:
         os.environ.pop("EAGOR_DEBUG", None)
         code = main([*map(str, words)])
     return Done(code, *(each.buffer.getvalue().decode() for each in said))
+
+
+def answer(*words: object, code: int = 0) -> Any:
+    """The one JSON object on stdout."""
+    done = eagor(*words, "--json")
+    assert done.returncode == code, done.stderr
+    return json.loads(done.stdout)
+
+
+def refused(*words: object, code: int = 2) -> str:
+    """The last line on stderr, which says why; nothing on stdout, and no traceback."""
+    done = eagor(*words)
+    assert (done.returncode, done.stdout) == (code, ""), done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stderr.splitlines()[-1]

@@ -1,10 +1,8 @@
 """The little flat of boxes as the place of every episode: for tests of tasks and environments."""
 
-from __future__ import annotations
+from functools import cache
 
-from collections.abc import Callable, Iterator
-from types import ModuleType
-
+import pytest
 from rooms import two_rooms
 
 from eagor.lab.envs import place_env, places
@@ -13,13 +11,14 @@ from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import Renderer
 
 
-def the_flat() -> places.Place:
-    """The flat, with its ground and what draws it."""
+@cache
+def the_flat():
     scene = two_rooms()
     return places.Place(scene, Ground.from_scene(scene), Renderer(scene))
 
 
-def loaders(flat: places.Place) -> Iterator[tuple[ModuleType, Callable[..., places.Place]]]:
-    """The modules that open places, and the function that is to do it instead."""
+@pytest.fixture(autouse=True)
+def in_the_flat(monkeypatch):
+    """Every module that opens places gets the flat: for files that import this."""
     for module in (places, navigation, waypoint, tracking, place_env):
-        yield module, lambda *_: flat
+        monkeypatch.setattr(module, "load_place", lambda *_: the_flat())

@@ -1,8 +1,7 @@
-"""habitat-lab as an oracle: its reader of ObjectNav episodes, its measures of a path, and walks inside it.
+"""habitat-lab as an oracle: its reader of ObjectNav episodes, and walks inside it.
 
-habitat-lab imports Habitat-Sim, so both must be installed. `measured` replaces the simulator that its measures ask by a
-body that stands where it is put, and a function for the distance along the floor. `walked` uses its own simulator, with
-the configuration of ObjectNav as it is: mesh, steps, distances and measures are all its own.
+habitat-lab imports Habitat-Sim, so both must be installed. Walks use its own simulator, with the configuration of
+ObjectNav as it is: mesh, steps, distances and measures are all its own.
 """
 
 import importlib.util
@@ -13,16 +12,13 @@ import warnings
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
-from eagor.conventions import from_gltf, to_gltf
-from eagor.lab.envs.episodes import FileEpisodeSpec, spec_from_json
-from eagor.lab.envs.places import load_place
+from eagor.conventions import from_gltf
 
 CONFIG = "benchmark/nav/objectnav/objectnav_hm3d.yaml"
-NAMES = {"distance_to_goal": "distance_to_goal", "success": "success", "spl": "spl", "soft_spl": "soft_spl"}
+NAMES = ("distance_to_goal", "success", "spl", "soft_spl")
 
 
 def missing():
@@ -53,68 +49,6 @@ def dataset(file, scenes):
 
         return make_dataset(settings.habitat.dataset.type, config=settings.habitat.dataset)
 
-
-def geodesic(ground):
-    """Distances over a ground of ours, between points of Habitat's: ``(position, points) -> metres``."""
-    known = {}
-
-    def distance(position, points):
-        ends = from_gltf(np.asarray(points, dtype=np.float64))[:, :2]
-        if ends.tobytes() not in known:
-            known[ends.tobytes()] = ground.field(ends)
-        return float(known[ends.tobytes()].distance(from_gltf(np.asarray(position, dtype=np.float64))[:2]))
-
-    return distance
-
-
-def measured(episode, path, stopped, distance, success_distance):
-    """habitat-lab's measures of a path ``(n, 3)`` in its world frame, which ended with a stop or not."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from habitat.core.embodied_task import Measurements
-        from habitat.core.registry import registry
-
-    settings = config(f"habitat.task.measurements.success.success_distance={success_distance}")
-    body = SimpleNamespace(position=np.asarray(path[0]))
-    simulator = SimpleNamespace(
-        get_agent_state=lambda: body, geodesic_distance=lambda position, points, episode: distance(position, points)
-    )
-    made = []
-    for name in NAMES:
-        chosen = settings.habitat.task.measurements[name]
-        made.append(registry.get_measure(chosen.type)(simulator, chosen))
-    task = SimpleNamespace(measurements=Measurements(made), is_stop_called=False, add_perf_timing=lambda *_: None)
-    task.measurements.reset_measures(episode=episode, task=task)
-    start = float(task.measurements.measures["distance_to_goal"].get_metric())
-    for index, position in enumerate(path[1:], start=1):
-        body.position = np.asarray(position)
-        task.is_stop_called = stopped and index == len(path) - 1
-        task.measurements.update_measures(episode=episode, action=None, task=task)
-    return {name: float(task.measurements.measures[name].get_metric()) for name in NAMES} | {"shortest_m": start}
-
-
-def differences(settings, records, found):
-    """By unit of work: ours and habitat-lab's measures of each recorded path of a run, by name."""
-    by_scene = {}
-    for episode in found.episodes:
-        by_scene.setdefault(Path(episode.scene_id).name, []).append(episode)
-    rows = {}
-    for record in records:
-        spec = spec_from_json(record["episode"]["slot"])
-        assert isinstance(spec, FileEpisodeSpec)
-        theirs = by_scene[Path(spec.scene).name][spec.episode]
-        distance = geodesic(load_place(spec.world, spec.seed, settings["camera"]["radius"]).ground)
-        for method, entry in record["methods"].items():
-            ours = {name: entry["metrics"][name] for name in (*NAMES, "shortest_m")}
-            rules = settings["rules"]
-            stopped = rules["stop"] == "reach" or entry["metrics"]["steps"] < rules["max_steps"]  # or no step was left
-            limit = rules["success_distance"]
-            said = measured(theirs, to_gltf(np.array(entry["path"])), stopped, distance, limit)
-            rows[f"{spec.id}/{method}"] = ours, said
-    return rows
-
-
-# --- walks inside habitat-lab ---
 
 STOP, FORWARD = 0, 1  # its actions; 2 and 3 are turns to the left and to the right
 WITHIN = 0.1  # metres: habitat-lab's success_distance in ObjectNav

@@ -43,6 +43,18 @@ class Spec:
     pass
 
 
+class Plan(Ground):
+    """Ground whose fields are kept: paths are asked for to the same goals again and again."""
+
+    def field(self, points, offsets=None):
+        kept, key = self.__dict__.setdefault("fields", {}), np.asarray(points).tobytes()
+        if offsets is not None:
+            return super().field(points, offsets)
+        if key not in kept:
+            kept[key] = super().field(points)
+        return kept[key]
+
+
 class PathFinder:
     """One island on level ground, from our plan of the scene."""
 
@@ -51,7 +63,7 @@ class PathFinder:
 
     def build(self, scene, settings):
         try:
-            self.ground = Ground.from_scene(
+            self.ground = Plan.from_scene(
                 scene, cell=settings.cell_size, radius=settings.agent_radius, height=settings.agent_height,
                 climb=settings.agent_max_climb,
             )  # fmt: skip

@@ -6,7 +6,9 @@ The property that all readers of this package are held against is `reads`.
 import copy
 import json
 import math
+import struct
 import warnings
+import zlib
 
 from hypothesis import strategies as st
 
@@ -132,3 +134,25 @@ def reads(reader, *names, also=()):
         assert not also or any(word in said for word in also), f"{said!r} names none of {also}"
         assert len(said) < 2000, f"an error of {len(said)} characters"
         return None
+
+
+NOTHING = zlib.compress(b"")
+
+
+def png(width, height, depth=8, colour=2, packed=NOTHING):
+    """A PNG that claims a size."""
+
+    def chunk(name, body):
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+
+
+def glb(tree, binary=b""):
+    """A GLB file with this JSON and this binary."""
+    text = as_text(tree).encode("utf-8", "surrogatepass")
+    text += b" " * (-len(text) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body

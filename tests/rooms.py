@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from box_scenes import scene_of, thing
 
-from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
+from eagor.lab.worlds.scene import Lamp, Material, Room, Scene
 
 HEIGHT = 2.6
-_CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=np.float32)
-_FACES = np.array(
-    [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2),
-     (1, 3, 7), (1, 7, 5)]
-)  # fmt: skip
-_SQUARE = np.array([[(0, 0), (1, 1), (1, 0)], [(0, 0), (0, 1), (1, 1)]] * 6, dtype=np.float32)
-
 THINGS = [  # category, colour, low, high
     ("sofa", "blue", (0.2, 0.3, 0), (1.1, 2.3, 0.8)),
     ("tv", "black", (3.6, 1.0, 0.5), (3.75, 2.0, 1.1)),
@@ -38,40 +32,26 @@ _WALLS = [
     ("living room", (3.95, 3.4, 0), (4.05, 5.0, HEIGHT)),
     ("living room", (3.95, 2.4, 2.1), (4.05, 3.4, HEIGHT)),
 ]
+_SHADES = {"red": (0.7, 0.1, 0.1), "green": (0.1, 0.5, 0.2), "blue": (0.1, 0.2, 0.7), "brown": (0.4, 0.25, 0.1),
+           "white": (0.9, 0.9, 0.9), "black": (0.05, 0.05, 0.05), "yellow": (0.8, 0.7, 0.1),
+           None: (0.8, 0.78, 0.74)}  # fmt: skip
 
 
 def two_rooms() -> Scene:
     """The flat: x from 0 to 8, y from 0 to 5 metres."""
-    boxes = [("wall", None, low, high, room) for room, low, high in _WALLS]
-    boxes += [
-        ("floor", None, (0, 0, -0.1), (8, 5, 0), None),
-        ("ceiling", None, (0, 0, HEIGHT), (8, 5, HEIGHT + 0.1), None),
+    things = [
+        *(thing("wall", low, high, room) for room, low, high in _WALLS),
+        thing("floor", (0, 0, -0.1), (8, 5, 0)),
+        thing("ceiling", (0, 0, HEIGHT), (8, 5, HEIGHT + 0.1)),
+        *(thing(c, low, high, "living room" if low[0] < 4 else "bedroom", colour) for c, colour, low, high in THINGS),
     ]
-    boxes += [(c, colour, low, high, "living room" if low[0] < 4 else "bedroom") for c, colour, low, high in THINGS]
-    shades = {"red": (0.7, 0.1, 0.1), "green": (0.1, 0.5, 0.2), "blue": (0.1, 0.2, 0.7), "brown": (0.4, 0.25, 0.1),
-              "white": (0.9, 0.9, 0.9), "black": (0.05, 0.05, 0.05), "yellow": (0.8, 0.7, 0.1),
-              None: (0.8, 0.78, 0.74)}  # fmt: skip
-    names = list(shades)
-    vertices, triangles, owner, look, instances = [], [], [], [], []
-    for index, (category, colour, low, high, room) in enumerate(boxes):
-        low, high = np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
-        triangles.append(_FACES + 8 * index)
-        vertices.append(low + _CORNERS * (high - low))
-        owner += [index] * 12
-        look += [names.index(colour)] * 12
-        instances.append(Instance(category, colour, room, low.astype(np.float64), high.astype(np.float64)))
-    return Scene(
-        vertices=np.concatenate(vertices).astype(np.float32),
-        triangles=np.concatenate(triangles).astype(np.int32),
-        instance=np.array(owner, dtype=np.int32),
-        material=np.array(look, dtype=np.int32),
-        uv=np.tile(_SQUARE, (len(boxes), 1, 1)),
-        instances=tuple(instances),
-        materials=tuple(Material(str(name), shade) for name, shade in shades.items()),
-        rooms=(
+    return scene_of(
+        things,
+        rooms=[
             Room("living room", "living room", np.array([[0.0, 0, 4, 5]])),
             Room("bedroom", "bedroom", np.array([[4.0, 0, 8, 5]])),
-        ),
+        ],
+        materials=[Material(str(each.colour), _SHADES[each.colour]) for each in things],
         lamps=(Lamp(np.array([2.0, 2.5, 2.4]), np.full(3, 1.5)), Lamp(np.array([6.0, 2.5, 2.4]), np.full(3, 1.5))),
         source="two rooms",
     )

@@ -27,23 +27,33 @@ def waypoint(seed=0, apartments=8, each=3, methods=(*METHODS, *ABLATIONS), steps
     return [waypoint_episode(rng, 2000 + a, k, methods, steps) for a in range(apartments) for k in range(each)]
 
 
+def way(yaws, stride):
+    """Places ``(n, 3)`` of a body that walks by `stride` along these headings."""
+    moves = stride * np.stack([np.cos(yaws), np.sin(yaws), 0 * yaws], axis=-1)
+    return np.array([2.0, 3.0, 1.2]) + np.cumsum(moves, axis=0)
+
+
+def seen(places, yaws, target):
+    """Poses as in records, azimuths and elevations (degrees) of the target, metres to it, and where it crosses."""
+    turns = [world_R_body(yaw) for yaw in yaws]
+    poses = [[*place, *wxyz_from_rotation(turn)] for place, turn in zip(places, turns, strict=True)]
+    offsets = np.array([turn.T @ (target - place) for place, turn in zip(places, turns, strict=True)])
+    azimuth, elevation = (np.degrees(each) for each in azimuth_elevation(offsets))
+    crossing = np.abs(np.diff(azimuth, prepend=azimuth[0])) > 180
+    return poses, azimuth, elevation, np.linalg.norm(offsets, axis=-1).tolist(), crossing
+
+
+def record(task, name, seconds, apartment, number, **more):
+    return {"key": f"{task}/{name}", "task": task, "attempt": 1, "status": "ok", "seconds": seconds,
+            "episode": episode(apartment, number), **more}  # fmt: skip
+
+
 def waypoint_episode(rng, apartment, number, methods, steps):
     legs = np.repeat([1, 2, 3, 4], steps // 4)
     turns = np.where(np.diff(legs, prepend=1) > 0, rng.choice([-1, 1]) * legs * np.radians(35), 0.02)
     yaws = np.cumsum(turns)
-    position = np.array([2.0, 3.0, 1.2]) + np.cumsum(
-        0.12 * np.stack([np.cos(yaws), np.sin(yaws), 0 * yaws], axis=-1), axis=0
-    )
     target = np.array([6.0, 4.5, 0.6]) + rng.normal(size=3) * [1.0, 1.0, 0.1]
-    poses, truths, ranges = [], [], []
-    for place, yaw in zip(position, yaws, strict=True):
-        turn = world_R_body(yaw)
-        offset = turn.T @ (target - place)
-        poses.append([*place, *wxyz_from_rotation(turn)])
-        truths.append(offset)
-        ranges.append(float(np.linalg.norm(offset)))
-    azimuth, elevation = (np.degrees(a) for a in azimuth_elevation(np.array(truths)))
-    crossing = np.abs(np.diff(azimuth, prepend=azimuth[0])) > 180
+    poses, azimuth, elevation, ranges, crossing = seen(way(yaws, 0.12), yaws, target)
     visible = rng.random(steps) > 0.3
     since = steps_since(turns > 0.1)
     found = {}
@@ -53,14 +63,15 @@ def waypoint_episode(rng, apartment, number, methods, steps):
         error = np.minimum(error * np.where(crossing & (name == "centroid"), 3, 1), 175.0)
         side = rng.choice([-1, 1], steps)
         inside = error < 20 if name not in ("centroid", "cent_circ", "grid", "eagor_paper") else None
+        tc = float(np.abs(np.diff(error)).mean())
         found[name] = {
             "metrics": {
                 **{f"L{leg}": float(error[legs == leg].mean()) for leg in (1, 2, 3, 4)},
                 "delta": float(error[legs == 4].mean() - error[legs == 1].mean()),
                 "occ": float(error[~visible].mean()) if (~visible).any() else None,
                 "seam": float(error[crossing].mean()) if crossing.any() else None,
-                "tc": float(np.abs(np.diff(error)).mean()),
-                "tc_rotation": float(np.abs(np.diff(error)).mean() + 1),
+                "tc": tc,
+                "tc_rotation": tc + 1,
                 "coverage": None if inside is None else float(inside.mean()),
             },
             "trace": {
@@ -70,25 +81,9 @@ def waypoint_episode(rng, apartment, number, methods, steps):
                 "inside": None if inside is None else inside.tolist(),
             },
         }
-    name = f"{apartment}-{number}"
-    return {
-        "key": f"waypoint/{name}",
-        "task": "waypoint",
-        "attempt": 1,
-        "status": "ok",
-        "seconds": 2.0,
-        "episode": episode(apartment, number),
-        "methods": found,
-        "truth": {
-            "pose": poses,
-            "azimuth_deg": azimuth.tolist(),
-            "elevation_deg": elevation.tolist(),
-            "range_m": ranges,
-            "visible": visible.tolist(),
-            "seam": crossing.tolist(),
-            "leg": [f"L{leg}" for leg in legs],
-        },
-    }
+    truth = {"pose": poses, "azimuth_deg": azimuth.tolist(), "elevation_deg": elevation.tolist(), "range_m": ranges,
+             "visible": visible.tolist(), "seam": crossing.tolist(), "leg": [f"L{leg}" for leg in legs]}  # fmt: skip
+    return record("waypoint", f"{apartment}-{number}", 2.0, apartment, number, methods=found, truth=truth)
 
 
 def navigation(seed=0, apartments=8, each=3, methods=METHODS):
@@ -99,10 +94,9 @@ def navigation(seed=0, apartments=8, each=3, methods=METHODS):
             stratum = {"visible": bool(rng.random() < 0.5), "way": str(rng.choice(["direct", "winding"]))}
             hard = rng.normal() * 0.5 + (stratum["way"] == "winding")
             found += [navigation_unit(rng, apartment, number, name, stratum, hard) for name in methods]
-    for record in found[5:7]:  # two that could not be run
-        for part in ("episode", "methods"):
-            del record[part]
-        record |= {"status": "failed", "attempt": 2, "error": "WorldError: no way <to> the target & back"}
+    for failed in found[5:7]:  # two that could not be run
+        del failed["episode"], failed["methods"]
+        failed |= {"status": "failed", "attempt": 2, "error": "WorldError: no way <to> the target & back"}
     return found
 
 
@@ -111,59 +105,28 @@ def navigation_unit(rng, apartment, number, name, stratum, hard):
     arrived = bool(rng.random() < 1 / (1 + np.exp(typical / 15 - 3 + hard)))
     steps = int(rng.integers(12, 40)) if arrived else 80
     heading = np.cumsum(rng.normal(size=steps) * 0.25)
-    position = np.array([2.0, 3.0, 1.2]) + np.cumsum(
-        0.2 * np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=-1), axis=0
-    )
-    target = position[-1] + [0.4, 0.3, -0.5] if arrived else np.array([9.0, 8.0, 0.5])
-    poses, truths = [], []
-    for place, yaw in zip(position, heading, strict=True):
-        turn = world_R_body(yaw)
-        poses.append([*place, *wxyz_from_rotation(turn)])
-        truths.append(turn.T @ (target - place))
-    azimuth = np.degrees(azimuth_elevation(np.array(truths))[0])
+    places = way(heading, 0.2)
+    target = places[-1] + [0.4, 0.3, -0.5] if arrived else np.array([9.0, 8.0, 0.5])
+    poses, azimuth, _, ranges, crossing = seen(places, heading, target)
     error = np.minimum(typical * (0.4 + rng.random(steps)) * (1 + np.exp(-np.arange(steps) / 6)), 175)
-    crossed = int((np.abs(np.diff(azimuth)) > 180).sum())
     path, shortest = 0.2 * steps, 0.2 * steps * float(rng.uniform(0.5, 0.95))
     spl = shortest / path if arrived else 0.0
-    episode_name = f"{apartment}-{number}"
-    inside = error < 20
-    return {
-        "key": f"navigation/{episode_name}/{name}",
-        "task": "navigation",
-        "attempt": 1,
-        "status": "ok",
-        "seconds": 3.0,
-        "episode": {**episode(apartment, number), "stratum": stratum},
-        "methods": {
-            name: {
-                "metrics": {
-                    "success": int(arrived),
-                    "spl": spl,
-                    "soft_spl": spl if arrived else 0.3,
-                    "steps": steps,
-                    "mae": float(error.mean()),
-                    "seam_crossings": crossed,
-                    "starts_at_seam": float(number % 3 == 0),
-                    "path_m": path,
-                    "shortest_m": shortest,
-                    "distance_to_goal": 0.4 if arrived else 4.0,
-                    "collisions": int(rng.integers(0, 9)),
-                    "undone": float(rng.uniform(0.0, 0.5)),
-                    "coverage": float(inside.mean()) if name in ("eagor", "vmf", "particle_filter") else None,
-                },
-                "trace": {
-                    "pose": poses,
-                    "azimuth_deg": wrapped(azimuth + error),
-                    "elevation_deg": np.zeros(steps).tolist(),
-                    "true_azimuth_deg": azimuth.tolist(),
-                    "true_range_m": np.linalg.norm(truths, axis=-1).tolist(),
-                    "error_deg": error.tolist(),
-                    "visible": (rng.random(steps) < 0.6).tolist(),
-                    "inside": inside.tolist() if name in ("eagor", "vmf", "particle_filter") else None,
-                },
-            }
-        },
-    }
+    inside = error < 20 if name in ("eagor", "vmf", "particle_filter") else None
+    metrics = {
+        "success": int(arrived), "spl": spl, "soft_spl": spl if arrived else 0.3, "steps": steps,
+        "mae": float(error.mean()), "seam_crossings": int(crossing.sum()), "starts_at_seam": float(number % 3 == 0),
+        "path_m": path, "shortest_m": shortest, "distance_to_goal": 0.4 if arrived else 4.0,
+        "collisions": int(rng.integers(0, 9)), "undone": float(rng.uniform(0.0, 0.5)),
+        "coverage": None if inside is None else float(inside.mean()),
+    }  # fmt: skip
+    trace = {
+        "pose": poses, "azimuth_deg": wrapped(azimuth + error), "elevation_deg": np.zeros(steps).tolist(),
+        "true_azimuth_deg": azimuth.tolist(), "true_range_m": ranges, "error_deg": error.tolist(),
+        "visible": (rng.random(steps) < 0.6).tolist(), "inside": None if inside is None else inside.tolist(),
+    }  # fmt: skip
+    made = record("navigation", f"{apartment}-{number}/{name}", 3.0, apartment, number)
+    made["episode"]["stratum"] = stratum
+    return made | {"methods": {name: {"metrics": metrics, "trace": trace}}}
 
 
 def tracking(seed=0, apartments=6, methods=METHODS, steps=40):
@@ -171,14 +134,14 @@ def tracking(seed=0, apartments=6, methods=METHODS, steps=40):
     found = []
     for apartment in range(2000, 2000 + apartments):
         for number, scenario in enumerate(("moving target", "moving camera", "target gone")):
-            record = waypoint_episode(rng, apartment, number, methods, steps)
+            made = waypoint_episode(rng, apartment, number, methods, steps)
             visible = np.ones(steps, dtype=bool)
             if scenario == "target gone":
                 visible[12:22] = False
-            truth = record["truth"]
+            truth = made["truth"]
             del truth["leg"]
             truth |= {"present": visible.tolist(), "visible": visible.tolist()}
-            for entry in record["methods"].values():
+            for entry in made["methods"].values():
                 error = np.array(entry["trace"]["error_deg"])
                 entry["metrics"] = {
                     "error": float(error.mean()),
@@ -187,8 +150,8 @@ def tracking(seed=0, apartments=6, methods=METHODS, steps=40):
                     "recovery": float(rng.gamma(2.0)) if scenario != "moving camera" else None,
                     "coverage": entry["metrics"]["coverage"],
                 }
-            record["episode"]["stratum"] = {"scenario": scenario}
-            found.append(record | {"key": f"tracking/{record['episode']['id']}", "task": "tracking"})
+            made["episode"]["stratum"] = {"scenario": scenario}
+            found.append(made | {"key": f"tracking/{made['episode']['id']}", "task": "tracking"})
     return found
 
 
@@ -197,15 +160,8 @@ def hash_of(apartment):
 
 
 def episode(apartment, number):
-    return {
-        "id": f"{apartment}-{number}",
-        "seed": apartment,
-        "scene": f"apartment 1 seed {apartment}",
-        "scene_hash": hash_of(apartment),
-        "query": "red chair",
-        "targets": [1],
-        "stratum": {},
-    }
+    return {"id": f"{apartment}-{number}", "seed": apartment, "scene": f"apartment 1 seed {apartment}",
+            "scene_hash": hash_of(apartment), "query": "red chair", "targets": [1], "stratum": {}}  # fmt: skip
 
 
 def steps_since(event):

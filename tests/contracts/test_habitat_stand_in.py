@@ -13,7 +13,7 @@ import pytest
 from habitat_stand_in import PathFinder, Simulator, installed
 from rooms import two_rooms
 
-from eagor.errors import EagorError, MissingExtraError, WorldError
+from eagor.errors import EagorError, WorldError
 from eagor.grids import ErpGrid
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
@@ -40,23 +40,29 @@ def flat(tmp_path_factory):
     return export_glb(two_rooms(), tmp_path_factory.mktemp("flat") / "flat.glb")
 
 
+@pytest.fixture
+def exact():
+    """Rows of a picture; most that the median range may be off from our renderer's; least share of equal ids."""
+    return 32, 5e-5, 0.97  # boxes touch each other, and edges differ by rounding
+
+
 @pytest.fixture(autouse=True)
 def habitat(monkeypatch):
     yield from installed(monkeypatch)
 
 
-def test_an_exported_flat_comes_back_in_its_own_coordinates(flat):
+def test_an_exported_flat_comes_back_in_its_own_coordinates(flat, exact):
     scene, ours = worlds.load(f"habitat:{flat}")(0), two_rooms()
     assert isinstance(scene, worlds.SimulatedScene)
     assert scene.frames.floor == 0.0
     for mine, thing in zip(scene.instances, ours.instances, strict=True):
         assert (mine.category, mine.colour, mine.room) == (thing.category, thing.colour, thing.room)
         np.testing.assert_allclose([mine.low, mine.high], [thing.low, thing.high], atol=1e-5)
-    view, renderer = scene.view(), Renderer(ours)
+    view, renderer, (rows, off, share) = scene.view(), Renderer(ours), exact
     for pose in (world_R_body(0.0), world_R_body(0.7), world_R_body(-2.0, 0.4, 0.3)):
-        mine, truth = (each.panorama((2.0, 2.9, 1.25), pose, 32, rgb=False) for each in (view, renderer))
-        assert np.median(np.abs(mine.range - truth.range)) < 1e-4
-        assert (mine.ids == truth.ids).mean() > 0.97, "boxes touch each other, and edges differ by rounding"
+        mine, truth = (each.panorama((2.0, 2.9, 1.25), pose, rows, rgb=False) for each in (view, renderer))
+        assert np.median(np.abs(mine.range - truth.range) / truth.range) < off
+        assert (mine.ids == truth.ids).mean() > share
 
 
 def test_the_world_keeps_the_contract_of_worlds(flat):
@@ -67,7 +73,7 @@ def test_the_world_keeps_the_contract_of_worlds(flat):
     ("name", "settings"),
     [
         pytest.param("waypoint", {"leg_steps": 5}, marks=pytest.mark.slow),  # its ground is the same
-        ("navigation", {}),
+        ("navigation", {"max_steps": 80}),
         ("tracking", {"steps": 12}),
     ],
 )
@@ -253,16 +259,10 @@ def _copy(file, folder):
 # --- the probe ---
 
 
-def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
-    monkeypatch.delitem(sys.modules, "habitat_sim")
-    monkeypatch.setattr(simulator, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r"needs Habitat-Sim .* aihabitat .* from the sources"):
-        device_for(Source("scene.glb"))
-
-
 @pytest.mark.parametrize(
     ("module", "device", "says"),
     [
+        (None, -1, r"needs Habitat-Sim .* aihabitat .* from the sources"),
         ("raise ImportError('numpy is too old')", -1, r"cannot be imported \(ImportError: numpy is too old\)"),
         ("import os, sys; print('no EGL devices', file=sys.stderr)\ndef __getattr__(name): os._exit(1)", -1,
          r"cannot draw on the CPU \(no EGL devices\): it needs EGL"),
@@ -271,8 +271,12 @@ def test_without_habitat_sim_the_error_says_how_to_get_it(monkeypatch):
     ],
 )  # fmt: skip
 def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, device, says):
-    (tmp_path / "habitat_sim.py").write_text(module)
-    monkeypatch.syspath_prepend(tmp_path)
+    if module is None:
+        monkeypatch.delitem(sys.modules, "habitat_sim")
+        monkeypatch.setattr(simulator, "find_spec", lambda name: None)
+    else:
+        (tmp_path / "habitat_sim.py").write_text(module)
+        monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delenv(simulator.PROBED, raising=False)
     with pytest.raises(EagorError, match=says) as raised:
         device_for(Source("scene.glb", gpu=device))

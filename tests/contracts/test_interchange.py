@@ -3,11 +3,13 @@
 import gzip
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 from box_scenes import scene_of, shell, thing
+from mutations import put, taken_out
 
 from eagor import conventions as conv
 from eagor.errors import WorldError
@@ -22,7 +24,7 @@ from eagor.lab.worlds.objectnav import (
     read_episodes,
     write_episodes,
 )
-from eagor.lab.worlds.scene import Lamp, Material, Room, Scene
+from eagor.lab.worlds.scene import Lamp, Material, Room
 from eagor.sphere import rotation
 
 VIEWS = np.array([[2.0, 2.0, 0.0], [1.0, 3.0, 0.01]])
@@ -45,22 +47,18 @@ def furnished():
         thing("chair", (3, 2.5, 0), (3.4, 2.9, 0.9), "living room 1"),
         thing("tv", (0.02, 1.5, 0.9), (0.1, 2.5, 1.5), "living room 1", "black"),
     ]
-    plain = scene_of(things)
-    look = rng.integers(0, 5, size=len(plain.triangles)).astype(np.int32)
-    return Scene(
-        plain.vertices,
-        plain.triangles,
-        plain.instance,
-        look,
-        rng.uniform(-2, 9, size=(len(look), 3, 2)).astype(np.float32),
-        plain.instances,
+    plain = scene_of(
+        things,
+        [Room("living room 1", "living room", np.array([[0, 0, 5, 4.0]]))],
         materials,
-        (Room("living room 1", "living room", np.array([[0, 0, 5, 4.0]])),),
-        (Lamp(np.array([2.5, 2, 2.3]), np.array([1, 0.9, 0.7])),),
-        (0.9, 1.0, 1.1),
-        "apartment 1 seed 17",
-        {"family": "corridor"},
+        lamps=(Lamp(np.array([2.5, 2, 2.3]), np.array([1, 0.9, 0.7])),),
+        daylight=(0.9, 1.0, 1.1),
+        source="apartment 1 seed 17",
+        facts={"family": "corridor"},
     )
+    look = rng.integers(0, 5, size=len(plain.triangles)).astype(np.int32)
+    uv = rng.uniform(-2, 9, size=(len(look), 3, 2)).astype(np.float32)
+    return replace(plain, material=look, uv=uv)
 
 
 def canonical(scene):
@@ -193,15 +191,8 @@ def foreign(tmp_path):
         model.add_geometry(mesh, node_name=name, geom_name=geometry, transform=transform, parent_node_name=parent)
 
     add(trimesh.creation.box((6, 0.2, 4)), "Floor", (0, 1.2, 0))
-    for k, (size, centre) in enumerate(
-        [
-            ((6, 2.6, 0.1), (0, 2.5, 2)),
-            ((6, 2.6, 0.1), (0, 2.5, -2)),
-            ((0.1, 2.6, 4), (3, 2.5, 0)),
-            ((0.1, 2.6, 4), (-3, 2.5, 0)),
-        ]
-    ):
-        add(trimesh.creation.box(size), f"Wall_North.00{k}", centre)
+    for k, (x, z) in enumerate([(0, 2), (0, -2), (3, 0), (-3, 0)]):
+        add(trimesh.creation.box((0.1, 2.6, 4) if x else (6, 2.6, 0.1)), f"Wall_North.00{k}", (x, 2.5, z))
     pbr = trimesh.visual.material.PBRMaterial(name="velvet", baseColorFactor=[0.5, 0.02, 0.01, 1.0])
     chair = trimesh.creation.box((0.4, 0.8, 0.4))
     chair.visual = trimesh.visual.TextureVisuals(uv=None, material=pbr)
@@ -282,9 +273,6 @@ def test_what_is_no_glb_is_refused_by_name(tmp_path):
         import_glb(tmp_path / "nowhere.glb")
     with pytest.raises(WorldError, match="cannot be read"):
         import_glb(tmp_path)
-
-
-# --- axes ---
 
 
 # --- episodes ---
@@ -382,9 +370,7 @@ def test_the_files_say_what_habitat_reads(tmp_path):
 def test_an_episode_of_another_scene_or_body_is_caught(tmp_path):
     scene = furnished()
     path = write_episodes(tmp_path, "val", [search(scene)])
-    moved = scene.vertices.copy()
-    moved[-1] += 0.01
-    other = Scene(moved, scene.triangles, scene.instance, scene.material, scene.uv, scene.instances, scene.materials)
+    other = replace(scene, vertices=scene.vertices + np.float32(0.01))
     (back,) = read_episodes(path)
     marked, ground = back.episodes[0], Ground.from_scene(scene)
     with pytest.raises(WorldError, match="made for the scene"):
@@ -404,17 +390,9 @@ def hm3d():
     return {
         "goals_by_category": {
             "TEEsavR23oF.basis.glb_tv_monitor": [
-                {
-                    "position": [1.0, 1.5, -4.0],
-                    "radius": None,
-                    "object_id": 240,
-                    "object_name": "tv_240",
-                    "object_name_id": None,
-                    "object_category": "tv_monitor",
-                    "room_id": None,
-                    "room_name": None,
-                    "view_points": [view],
-                }
+                {"position": [1.0, 1.5, -4.0], "radius": None, "object_id": 240, "object_name": "tv_240",
+                 "object_name_id": None, "object_category": "tv_monitor", "room_id": None, "room_name": None,
+                 "view_points": [view]}
             ]
         },
         "episodes": [
@@ -434,7 +412,7 @@ def hm3d():
         ],
         "category_to_task_category_id": {"tv_monitor": 4},
         "category_to_scene_annotation_category_id": {"tv_monitor": 4},
-    }
+    }  # fmt: skip
 
 
 def test_files_of_hm3d_are_read(tmp_path):
@@ -453,44 +431,26 @@ def test_files_of_hm3d_are_read(tmp_path):
     assert back.episodes[0].dataset_config == episode.dataset_config
 
 
-def without(*keys):
-    content = hm3d()
-    place = content
-    for key in keys[:-1]:
-        place = place[key]
-    del place[keys[-1]]
-    return content
-
-
-def replaced(value, *keys):
-    content = hm3d()
-    place = content
-    for key in keys[:-1]:
-        place = place[key]
-    place[keys[-1]] = value
-    return content
-
-
 GOAL = ("goals_by_category", "TEEsavR23oF.basis.glb_tv_monitor", 0)
 
 
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (without("episodes"), "missing required field `episodes`"),
-        (without("episodes", 0, "start_rotation"), r"`start_rotation` - at `\$\.episodes\[0\]`"),
-        (without(*GOAL, "view_points"), r"`view_points` - at `\$\.goals_by_category"),
-        (without(*GOAL, "view_points", 0, "agent_state"), "missing required field `agent_state`"),
-        (without("goals_by_category"), "no goals"),
-        (replaced(math.nan, "episodes", 0, "start_position", 1), "NaN"),
-        (replaced(math.inf, "episodes", 0, "info", "geodesic_distance"), "Infinity"),
-        (replaced([0, 1], "episodes", 0, "start_position"), "length 3"),
-        (replaced(None, "episodes", 0, "start_position"), r"at `\$\.episodes\[0\]\.start_position`"),
-        (replaced([0, 0, 0, 0], "episodes", 0, "start_rotation"), "length zero"),
-        (replaced("near", "episodes", 0, "info", "geodesic_distance"), r"got `str` - at `\$\.episodes\[0\]\.info"),
-        (replaced(7, "episodes"), "got `int`"),
-        (replaced([7], "episodes"), "wanted ObjectNav episodes"),
-        (replaced([], "episodes"), "no episodes"),
+        (taken_out(hm3d(), ("episodes",)), "missing required field `episodes`"),
+        (taken_out(hm3d(), ("episodes", 0, "start_rotation")), r"`start_rotation` - at `\$\.episodes\[0\]`"),
+        (taken_out(hm3d(), (*GOAL, "view_points")), r"`view_points` - at `\$\.goals_by_category"),
+        (taken_out(hm3d(), (*GOAL, "view_points", 0, "agent_state")), "missing required field `agent_state`"),
+        (taken_out(hm3d(), ("goals_by_category",)), "no goals"),
+        (put(hm3d(), ("episodes", 0, "start_position", 1), math.nan), "NaN"),
+        (put(hm3d(), ("episodes", 0, "info", "geodesic_distance"), math.inf), "Infinity"),
+        (put(hm3d(), ("episodes", 0, "start_position"), [0, 1]), "length 3"),
+        (put(hm3d(), ("episodes", 0, "start_position"), None), r"at `\$\.episodes\[0\]\.start_position`"),
+        (put(hm3d(), ("episodes", 0, "start_rotation"), [0, 0, 0, 0]), "length zero"),
+        (put(hm3d(), ("episodes", 0, "info", "geodesic_distance"), "near"), r"got `str` - at `\$\.episodes\[0\]\.info"),
+        (put(hm3d(), ("episodes",), 7), "got `int`"),
+        (put(hm3d(), ("episodes",), [7]), "wanted ObjectNav episodes"),
+        (put(hm3d(), ("episodes",), []), "no episodes"),
         ([1, 2], "got `array`"),
     ],
 )

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import osr_data
 import pytest
-from commands import eagor
 
 from eagor.errors import EagorError, FormatError
 from eagor.lab.tasks.osr.bench import Eagor, Reply, Vlm, record_of
@@ -120,11 +119,6 @@ def test_the_prompt_that_asks_for_thoughts_reads_the_answer_between_tags(data: P
     assert record_of(scene, question, reply, plain)["cause"] == "format"
 
 
-def test_a_run_with_a_model_goes_through(data: Path) -> None:
-    records = played(data, agent="vlm", model="test_osr_bench:chat", suffix="qa")
-    assert {record["answer"] for record in records if record["skill"] == DIRECTION} == {"Front Left"}
-
-
 def test_predictions_from_elsewhere_are_judged(data: Path) -> None:
     task: Any = load("osr")
     settings = config(data, agent="constant")
@@ -229,28 +223,6 @@ def test_info_counts(data: Path) -> None:
     assert set(found["files"]) == set(SUFFIXES)
     assert found["files"]["qa"]["empty_labels_skipped"] == 1
     assert (found["pictures"], found["with_true_places"]) == ({"128 x 64": 1}, 1)
-
-
-def test_one_command_gives_the_table_and_goes_on_where_it_stopped(data: Path, tmp_path: Path) -> None:
-    command = ["bench", "run", "osr", "--data", data, "--agent", "eagor", "--perception", "truth", "--labels", "both"]
-    command += ["--out", tmp_path / "run", "--json"]
-    first = eagor(*command, "--limit", "3")
-    assert first.returncode == 0, first.stderr
-    assert json.loads(first.stdout)["episodes"] == 3
-    second = eagor(*command)
-    assert second.returncode == 0, second.stderr
-    found = json.loads(second.stdout)
-    assert found["episodes"] == len(played(data, agent="oracle"))
-    assert found["direction_corrected"] > found["direction_official"]
-
-
-def chat() -> Any:
-    """What ``--model`` names in these tests: a model that always says the same, and can draw a map."""
-
-    def reply(messages: Sequence[Message]) -> ChatReply:
-        return ChatReply('{"tv": [[5, 0]]}' if "[Task]" in messages[-1].text else "Front Left")
-
-    return reply
 
 
 def test_turns_without_numbers_and_counts_that_are_numbers_are_read(tmp_path: Path) -> None:

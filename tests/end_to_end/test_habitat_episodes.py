@@ -4,10 +4,10 @@ import sys
 
 import numpy as np
 import pytest
+from commands import eagor
 from habitat_stand_in import installed
 from listed_rooms import exported, rewrite
 
-from eagor.cli import main
 from eagor.lab.envs.episodes import file_episode_specs
 from eagor.lab.eval import log
 from eagor.lab.worlds.habitat import world
@@ -26,13 +26,12 @@ def file(tmp_path_factory):
 
 def bench(file, out, *more):
     words = ["bench", "run", "navigation", "--perception", "truth", "--methods", "oracle", "--set", "max_steps=80"]
-    return [str(word) for word in (*words, "--episodes-file", file, "--out", out, *more)]
+    return eagor(*words, "--episodes-file", file, "--out", out, *more)
 
 
-def test_the_same_episodes_are_played_in_both_worlds(file, tmp_path, capsys):
-    assert main(bench(file, tmp_path / "ours")) == 0
-    assert main(bench(file, tmp_path / "there", "--world", "habitat")) == 0
-    assert "4 episodes" in capsys.readouterr().out
+def test_the_same_episodes_are_played_in_both_worlds(file, tmp_path):
+    bench(file, tmp_path / "ours")
+    assert "4 episodes" in bench(file, tmp_path / "there", "--world", "habitat").stdout
     ours, there = (log.read(tmp_path / name) for name in ("ours", "there"))
     assert [record["key"] for record in ours] == [record["key"] for record in there]
     for mine, theirs in zip(ours, there, strict=True):
@@ -47,18 +46,19 @@ def test_the_same_episodes_are_played_in_both_worlds(file, tmp_path, capsys):
         assert np.allclose(found["path"][0], wanted["path"][0], atol=1e-6)
 
 
-def test_one_scene_may_be_named(file, tmp_path, capsys):
+def test_one_scene_may_be_named(file, tmp_path):
     (_, second) = dict.fromkeys(spec.world for spec in file_episode_specs("navigation", file, None, "habitat", None))
-    assert main(bench(file, tmp_path / "run", "--world", second)) == 2
-    assert "has episodes in 2 scenes, but --world habitat:" in capsys.readouterr().err
+    done = bench(file, tmp_path / "run", "--world", second)
+    assert done.returncode == 2
+    assert "has episodes in 2 scenes, but --world habitat:" in done.stderr
     one = file.parent / "content" / "room.json.gz"
-    assert main(bench(one, tmp_path / "run", "--world", second)) == 0
-    assert main(bench(one, tmp_path / "all", "--world", "habitat", "--scenes", file.parents[5] / "scene_datasets")) == 0
+    bench(one, tmp_path / "run", "--world", second)
+    bench(one, tmp_path / "all", "--world", "habitat", "--scenes", file.parents[5] / "scene_datasets")
     for mine, theirs in zip(log.read(tmp_path / "run"), log.read(tmp_path / "all"), strict=True):
         assert mine["methods"]["oracle"]["path"] == theirs["methods"]["oracle"]["path"]
 
 
-def test_episodes_of_others_are_played_there(tmp_path, capsys):
+def test_episodes_of_others_are_played_there(tmp_path):
     """Without our own entry in `info`, as in HM3D."""
     file = exported(tmp_path, episodes=2)
 
@@ -67,20 +67,21 @@ def test_episodes_of_others_are_played_there(tmp_path, capsys):
             del episode["info"]["eagor"]
 
     rewrite(file, strange)
-    assert main(bench(file, tmp_path / "run", "--world", "habitat")) == 0
-    assert "2 episodes" in capsys.readouterr().out
+    assert "2 episodes" in bench(file, tmp_path / "run", "--world", "habitat").stdout
 
 
-def test_a_start_off_the_mesh_costs_its_episode_alone(tmp_path, capsys):
+def test_a_start_off_the_mesh_costs_its_episode_alone(tmp_path):
     file = exported(tmp_path, episodes=2)
     rewrite(file, lambda found: found["episodes"][0].update(start_position=[4.0, 0.0, -3.0]))
-    assert main(bench(file, tmp_path / "run", "--world", "habitat")) == 3
-    assert "not on free ground" in capsys.readouterr().err
+    done = bench(file, tmp_path / "run", "--world", "habitat")
+    assert done.returncode == 3
+    assert "not on free ground" in done.stderr
 
 
-def test_without_the_simulator_nothing_is_begun(file, tmp_path, capsys, monkeypatch):
+def test_without_the_simulator_nothing_is_begun(file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "habitat_sim", None)
     world.open_scene.cache_clear()
-    assert main(bench(file, tmp_path / "run", "--world", "habitat")) == 2
-    assert "Habitat-Sim" in capsys.readouterr().err
+    done = bench(file, tmp_path / "run", "--world", "habitat")
+    assert done.returncode == 2
+    assert "Habitat-Sim" in done.stderr
     assert not (tmp_path / "run").exists()

@@ -149,7 +149,7 @@ def test_a_negative_seed_is_refused():
 
 
 @seeds
-def test_one_can_walk_into_every_room_and_up_to_every_piece(seed):
+def test_one_can_walk_into_every_room(seed):
     ground = Ground.from_scene(scene(seed))
     cells = np.argwhere(ground.free)[:, ::-1]  # rows are along y
     points = ground.origin + (cells + 0.5) * ground.cell
@@ -157,9 +157,6 @@ def test_one_can_walk_into_every_room_and_up_to_every_piece(seed):
         x, y = points.T[:, :, None]
         x0, y0, x1, y1 = room.rectangles.T
         assert ((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any(axis=1).sum() * ground.cell**2 > 0.3, room.name
-    for piece in apartment(seed).pieces:
-        if piece.solid:
-            assert distances(piece.box, points).min() < 0.6, piece.category
 
 
 @pytest.mark.parametrize("seed", [*SEEDS, *MORE, 1016, 1864, 4406])

@@ -9,62 +9,61 @@ from eagor.drawing import still
 from eagor.errors import EagorError
 
 
-def drawn(monkeypatch, stamps, errors, **how):
-    """The matplotlib figure behind the picture, and what is written beside the axes, one text after the other."""
-    sheets = []
-    paint = still.image
-    monkeypatch.setattr(still, "image", lambda sheet: sheets.append(sheet) or paint(sheet))
-    picture = still.draw_errors(stamps, errors, width=600, **how)
-    assert picture.size == (600, 252)
-    (sheet,) = sheets
-    return sheet, [text.get_text() for text in sheet.texts]
+@pytest.fixture
+def sheets(monkeypatch):
+    """The matplotlib figures behind the pictures."""
+    found, paint = [], still.image
+    monkeypatch.setattr(still, "image", lambda sheet: found.append(sheet) or paint(sheet))
+    return found
 
 
-def test_a_method_without_values_is_listed_last_with_a_dash(monkeypatch):
-    sheet, texts = drawn(monkeypatch, [0.0, 0.5, 1.0], {"silent": [], "ours": [30.0, 20.0, 10.0], "short": [50.0]})
+def drawn(sheets, stamps, errors, **how):
+    """The figure, and what is written beside the axes, one text after the other."""
+    assert still.draw_errors(stamps, errors, width=600, **how).size == (600, 252)
+    return sheets[-1], [text.get_text() for text in sheets[-1].texts]
+
+
+def test_a_method_without_values_is_listed_last_with_a_dash(sheets):
+    sheet, texts = drawn(sheets, [0.0, 0.5, 1.0], {"silent": [], "ours": [30.0, 20.0, 10.0], "short": [50.0]})
     assert texts[-9:] == ["■", "ours", "20.0°", "■", "short", "50.0°", "■", "silent", "–"]
     lengths = {line.get_label(): len(line.get_xdata()) for line in sheet.axes[0].lines}
     assert lengths == {"silent": 0, "ours": 3, "short": 1}
 
 
-def test_what_is_not_known_is_a_gap_and_in_no_mean(monkeypatch):
+def test_what_is_not_known_is_a_gap_and_in_no_mean(sheets):
     errors = {"ours": [10.0, None, 20.0], "lost": [None, None, None], "other": np.array([math.nan, 5.0, 7.0])}
-    _, texts = drawn(monkeypatch, [0.0, 0.5, 1.0], errors)
+    _, texts = drawn(sheets, [0.0, 0.5, 1.0], errors)
     assert texts[-9:] == ["■", "other", "6.0°", "■", "ours", "15.0°", "■", "lost", "–"]
 
 
-def test_what_is_no_error_is_not_called_one(monkeypatch):
-    sheet, texts = drawn(monkeypatch, [0.0, 0.5], {"ours": [30.0, 20.0]}, what="angle")
+def test_what_is_no_error_is_not_called_one(sheets):
+    sheet, texts = drawn(sheets, [0.0, 0.5], {"ours": [30.0, 20.0]}, what="angle")
     assert sheet.axes[0].get_ylabel() == "angle (degrees, log scale)"
     assert "mean angle over the run" in texts
-    sheet, texts = drawn(monkeypatch, [0.0, 0.5], {"ours": [30.0, 20.0]}, shaded=[(0.0, 0.2, "out of sight")])
+    sheet, texts = drawn(sheets, [0.0, 0.5], {"ours": [30.0, 20.0]}, shaded=[(0.0, 0.2, "out of sight")])
     assert "mean direction error over the run" in texts
     assert [text.get_text() for text in sheet.axes[0].texts] == ["out of sight"]
     assert sheet.axes[0].get_ylabel() == "direction error (degrees, log scale)"
 
 
 @pytest.mark.parametrize("errors", [{}, {"ours": []}, {"ours": [12.0]}])
-def test_one_stamp_is_enough(monkeypatch, errors):
-    _, texts = drawn(monkeypatch, [2.0], errors, shaded=[(1.5, 2.5, "away")], title="one look")
+def test_one_stamp_is_enough(sheets, errors):
+    _, texts = drawn(sheets, [2.0], errors, shaded=[(1.5, 2.5, "away")], title="one look")
     assert "one look" in texts
 
 
-@pytest.mark.parametrize("stamps", [[], np.zeros(0)])
-def test_without_stamps_there_is_nothing_to_draw(stamps):
+def test_every_error_needs_its_stamp():
     for errors in ({}, {"ours": []}, {"ours": [1.0]}):
         with pytest.raises(EagorError, match="no stamps; wanted"):
-            still.draw_errors(stamps, errors)
-
-
-def test_every_error_needs_its_stamp():
+            still.draw_errors(np.zeros(0), errors)
     with pytest.raises(EagorError, match="ours has 3 errors, but there are 2 stamps"):
         still.draw_errors([0.0, 0.5], {"ours": [1.0, 2.0, 3.0]})
 
 
-def test_methods_that_are_nearly_right_can_be_told_apart_beside_one_that_is_lost(monkeypatch):
+def test_methods_that_are_nearly_right_can_be_told_apart_beside_one_that_is_lost(sheets):
     """The axis is logarithmic, says so, and holds every error; what is below its least is drawn there."""
     errors = {"ours": [4.0, 2.0, 0.0], "close": [8.0, 6.0, 4.0], "lost": [170.0, 175.0, 180.0]}
-    sheet, _ = drawn(monkeypatch, [0.0, 0.5, 1.0], errors)
+    sheet, _ = drawn(sheets, [0.0, 0.5, 1.0], errors)
     (axes,) = sheet.axes
     assert "log scale" in axes.get_ylabel()
     at = {line.get_label(): axes.transAxes.inverted().transform(line.get_transform().transform(line.get_xydata()))
@@ -74,10 +73,7 @@ def test_methods_that_are_nearly_right_can_be_told_apart_beside_one_that_is_lost
     assert [line.get_ydata()[-1] for line in axes.lines if line.get_label() == "ours"] == [still.LEAST]
 
 
-def test_a_map_holds_the_whole_way_and_metres_are_metres(monkeypatch):
-    sheets = []
-    paint = still.image
-    monkeypatch.setattr(still, "image", lambda sheet: sheets.append(sheet) or paint(sheet))
+def test_a_map_holds_the_whole_way_and_metres_are_metres(sheets):
     path, target = np.array([[1.0, 1.0], [2.0, 5.0], [3.0, 2.0]]), np.array([4, 4, 1])
     picture = still.draw_map(np.zeros((80, 80), bool), np.ones((80, 80), bool), (0, 8, 0, 8), path, target, "a")
     assert picture.width == 1200
@@ -87,10 +83,7 @@ def test_a_map_holds_the_whole_way_and_metres_are_metres(monkeypatch):
     assert any(np.array_equal(line.get_xydata(), path) for line in axes.lines)
     (low, high), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     for places in (path, target[None, :2]):
-        assert (low < places[:, 0]).all()
-        assert (places[:, 0] < high).all()
-        assert (bottom < places[:, 1]).all()
-        assert (places[:, 1] < top).all()
+        assert ((places > (low, bottom)) & (places < (high, top))).all()
     box = axes.get_window_extent()
     assert box.width / (high - low) == pytest.approx(box.height / (top - bottom), rel=0.01), "metres are metres"
     assert {text.get_text() for text in sheet.legends[0].get_texts()} == {"start", "where it ended", "target"}

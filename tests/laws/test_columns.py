@@ -14,7 +14,6 @@ from eagor.lab.agents.methods import NAMES
 from eagor.sphere import direction
 
 RIVALS = [name for name in NAMES if name != "eagor"]
-WIDEST = 120
 
 
 @dataclass
@@ -45,31 +44,21 @@ def everyone(azimuth=-179.6, elevation=-89.6):
     return dict.fromkeys(RIVALS, found)
 
 
-def test_all_methods_fit_on_a_terminal():
-    assert len(header(RIVALS)) <= WIDEST
-    assert len(line(Frame(others=everyone()))) <= WIDEST
-    assert len(header(RIVALS)) == len(line(Frame(others=everyone()))), "names end where their columns end"
-
-
-def test_alone_it_is_narrow():
-    assert len(header()) <= 80
-    assert len(line(Frame())) <= 80
-
-
 def ends(text):
     """Where the words of a line end."""
     return [at for at, letter in enumerate(text) if letter != " " and text[at + 1 : at + 2] in ("", " ")]
 
 
-def test_names_stand_above_their_columns():
-    shown = line(Frame(others=everyone(12, 3)))
+def test_the_columns_fit_on_a_terminal_and_end_where_their_names_end():
+    widest, shown = line(Frame(others=everyone())), line(Frame(others=everyone(12, 3)))
+    assert len(header(RIVALS)) == len(widest) <= 120
     assert ends(header(RIVALS))[-len(RIVALS) :] == ends(shown)[-len(RIVALS) :]
     assert ends(header(RIVALS))[:4] == ends(shown)[:4]
+    assert max(len(header()), len(line(Frame()))) <= 80, "alone it is narrow"
 
 
 def test_short_names_differ_and_unknown_ones_are_cut():
-    names = header(RIVALS).split()[-len(RIVALS) :]
-    assert len(set(names)) == len(RIVALS)
+    assert len(set(header(RIVALS).split()[-len(RIVALS) :])) == len(RIVALS)
     assert set(SHORT) <= set(RIVALS)
     assert header(["a_method_of_your_own"]).endswith(" a_method")
 
@@ -79,11 +68,8 @@ def test_what_is_not_known_is_a_dash():
     assert line(nothing).split() == ["12345.678", "-", "-", "-", "-", "0", "searching"]
     nothing.others = dict.fromkeys(RIVALS)
     assert line(nothing).split() == ["12345.678", "-", "-", "-", "searching", *["-"] * len(RIVALS)]
-
-
-def test_a_rival_is_azimuth_and_elevation_in_whole_degrees():
-    shown = line(Frame(others={"vmf": direction(math.radians(62.9), math.radians(-3.2))}))
-    assert shown.endswith(" +63/-3")
+    rival = line(Frame(others={"vmf": direction(math.radians(62.9), math.radians(-3.2))}))
+    assert rival.endswith(" +63/-3"), "whole degrees"
 
 
 @pytest.mark.parametrize(

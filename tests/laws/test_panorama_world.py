@@ -54,14 +54,6 @@ def test_no_turn_changes_nothing_and_types_are_kept():
         assert np.allclose(turned, picture, atol=1e-6)
 
 
-@given(ANGLES, ANGLES, ANGLES)
-@settings(max_examples=20, deadline=None)
-def test_turning_there_and_back_returns(yaw, pitch, roll):
-    picture, new_R_old = smooth_picture(), world_R_body(yaw, pitch, roll).T
-    back = turn(turn(picture, new_R_old), new_R_old.T)
-    assert np.abs(back.astype(int) - picture).max() <= 3
-
-
 @given(ANGLES, st.floats(-1.5, 1.5), ANGLES, ANGLES, ANGLES)
 @at_most(40)
 def test_a_marker_appears_where_the_rotation_says(azimuth, elevation, yaw, pitch, roll):
@@ -119,35 +111,13 @@ def test_a_fisheye_is_black_where_it_sees_nothing():
     assert (seen[32, 32] == 200).all()
 
 
-@pytest.mark.parametrize(
-    ("mode", "suffix"),
-    [("RGB", "png"), ("L", "png"), ("LA", "png"), ("RGBA", "png"), ("P", "png"), ("I;16", "png"), ("CMYK", "jpg")],
-)
-def test_every_kind_of_picture_becomes_rgb(tmp_path, mode, suffix):
-    path = tmp_path / f"pano.{suffix}"
-    grey = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (32, 1))
-    if mode == "I;16":
-        Image.fromarray(grey.astype(np.uint16) * 257).save(path)
-    else:
-        Image.fromarray(grey).convert(mode).save(path)
-    picture = read_panorama(path)
-    assert (picture.shape, picture.dtype) == ((32, 64, 3), np.uint8)
-    assert np.abs(picture[..., 1].astype(int) - grey).max() <= 6  # palette and JPEG round
-    assert picture.flags.writeable
-
-
 def test_a_transparent_palette_is_read_without_a_warning(tmp_path):
     image = Image.new("P", (8, 4), 1)
     image.putpalette([0, 0, 0, 250, 10, 10])
     image.save(tmp_path / "p.png", transparency=b"\x00\x80")
-    assert (read_panorama(tmp_path / "p.png") == [250, 10, 10]).all()
-
-
-def test_an_image_that_is_not_two_to_one_is_accepted_with_a_warning(tmp_path):
-    Image.new("RGB", (300, 200)).save(tmp_path / "odd.png")
-    with pytest.warns(UserWarning, match=r"300 x 200, not 2:1: longitude and latitude are mapped separately"):
-        picture = read_panorama(tmp_path / "odd.png")
-    assert picture.shape == (200, 300, 3)
+    picture = read_panorama(tmp_path / "p.png")
+    assert (picture == [250, 10, 10]).all()
+    assert picture.flags.writeable
 
 
 def test_an_image_of_another_shape_maps_longitude_and_latitude_apart():
@@ -162,26 +132,19 @@ def test_unreadable_images_say_what_to_do(tmp_path):
         read_panorama(tmp_path / "missing.png")
     with pytest.raises(ImageError, match="folder"):
         read_panorama(tmp_path)
-    (tmp_path / "empty.png").write_bytes(b"")
-    with pytest.raises(ImageError, match=r"empty \(0 bytes\)"):
-        read_panorama(tmp_path / "empty.png")
-    (tmp_path / "text.png").write_text("not an image")
-    with pytest.raises(ImageError, match="cannot be read as an image"):
-        read_panorama(tmp_path / "text.png")
+    Image.fromarray(smooth_picture()).save(tmp_path / "good.jpg")
+    good = (tmp_path / "good.jpg").read_bytes()
+    for content, says in (
+        (b"", r"empty \(0 bytes\)"),
+        (b"not an image", "cannot be read as an image"),
+        (good[: len(good) // 2], "fetch or export it again"),
+    ):
+        (tmp_path / "bad.jpg").write_bytes(content)
+        with pytest.raises(ImageError, match=says):
+            read_panorama(tmp_path / "bad.jpg")
     Image.fromarray(np.zeros((2, 4), np.float32)).save(tmp_path / "float.tif")
     with pytest.raises(ImageError, match="tone-map"):
         read_panorama(tmp_path / "float.tif")
-
-
-@pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_a_damaged_image_is_an_image_error(tmp_path, suffix):
-    noise = np.random.default_rng(2).integers(0, 256, (32, 64, 3), dtype=np.uint8)
-    Image.fromarray(noise).save(tmp_path / f"good.{suffix}")
-    data = (tmp_path / f"good.{suffix}").read_bytes()
-    for kept in (10, 40, len(data) // 3, len(data) // 2):
-        (tmp_path / f"cut.{suffix}").write_bytes(data[:kept])
-        with pytest.raises(ImageError, match="fetch or export it again"):
-            read_panorama(tmp_path / f"cut.{suffix}")
 
 
 def test_bad_arrays_and_rotations_are_refused():

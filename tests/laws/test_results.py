@@ -4,6 +4,7 @@ import copy
 import csv
 import io
 import json
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -38,16 +39,20 @@ def run_of(records):
     return made({"task": records[0]["task"]}, json.loads(json.dumps(records)))
 
 
-@pytest.fixture(scope="module", params=MAKERS)
+@cache
+def summarised(task):
+    found = run_of(MAKERS[task](apartments=5, methods=FEW))
+    return found, summarise(found)
+
+
+@pytest.fixture(params=MAKERS)
 def run(request):
-    found = run_of(MAKERS[request.param](apartments=5, methods=FEW))
-    return found, summarise(found)
+    return summarised(request.param)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def navigation():
-    found = run_of(runs.navigation(apartments=5, methods=FEW))
-    return found, summarise(found)
+    return summarised("navigation")
 
 
 def metric(task, key):
@@ -208,12 +213,10 @@ def test_marks_say_who_is_worse_and_the_best_is_as_shown():
     assert f"L4: {tables.shown(summary['methods']['eagor']['L4'], low)} against vmf" in note
 
 
-@pytest.mark.parametrize(
-    ("value", "key", "text"),
-    [(None, "L1", "–"), (12.34, "L1", "12.3"), (-0.04, "delta", "0.0"), (-3, "delta", "−3.0"), (3, "delta", "+3.0")],
-)  # fmt: skip
-def test_figures_as_text(value, key, text):
-    assert tables.shown(value, metric("waypoint", key)) == text
+def test_figures_as_text():
+    cells = [(None, "L1"), (12.34, "L1"), (-0.04, "delta"), (-3, "delta"), (3, "delta")]
+    found = [tables.shown(value, metric("waypoint", key)) for value, key in cells]
+    assert found == ["–", "12.3", "0.0", "−3.0", "+3.0"]
 
 
 def test_records_of_another_task_and_two_of_one_sample_are_refused():

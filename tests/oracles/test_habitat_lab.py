@@ -1,4 +1,4 @@
-"""habitat-lab reads what we write, its measures of our recorded paths are ours, and our episodes can be won in it.
+"""habitat-lab reads what we write, our episodes can be won in it, and its measures of its walks are ours.
 
 Needs habitat-lab and Habitat-Sim, which no extra of ours brings.
 """
@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from listed_rooms import exported
 
-from eagor.cli import main
 from eagor.conventions import from_gltf, pose_from_habitat, rotation_from_xyzw
-from eagor.lab.eval import results
-from eagor.lab.tasks.task import finished
 from eagor.lab.worlds.objectnav import read_episodes, spelt
 
 pytestmark = [
@@ -50,19 +47,6 @@ def test_its_reader_finds_the_episodes_that_we_wrote(file, found):
         for goal, wanted in zip(theirs.goals, goals[mine.scene]["chair"], strict=True):
             places = [view.agent_state.position for view in goal.view_points]
             assert np.allclose(from_gltf(np.array(places)), wanted.view_positions)
-
-
-@pytest.mark.parametrize("method", ["oracle", "eagor"])
-def test_its_measures_of_our_paths_are_ours(file, found, tmp_path, method):
-    words = ["bench", "run", "navigation", "--perception", "truth", "--methods", method, "--episodes-file", str(file),
-             "--out", str(tmp_path), "--set", "max_steps=6"]  # fmt: skip
-    assert main(words) == 0
-    run = results.read(tmp_path)
-    rows = habitat_lab.differences(run.settings, finished(run.records), found)
-    assert len(rows) == 12
-    for ours, theirs in rows.values():
-        assert ours == pytest.approx(theirs, abs=1e-6)
-    assert {ours["success"] for ours, _ in rows.values()} == {0.0, 1.0}
 
 
 def test_an_oracle_wins_our_episodes_in_its_own_simulator_and_we_judge_its_walks_as_it_does(file, tmp_path):

@@ -5,7 +5,6 @@ And no file is ever handed to another program.
 
 import gzip
 import io
-import json
 import os
 import struct
 import subprocess
@@ -14,7 +13,7 @@ import zlib
 
 import numpy as np
 import pytest
-from mutations import reads
+from mutations import glb, png, reads
 from PIL import Image
 from processes import limited
 
@@ -23,14 +22,6 @@ from eagor.lab.tasks.hstar.data import open_panorama
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama
-
-
-def glb(tree, binary=b""):
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 
 def patch(corners):
@@ -159,14 +150,9 @@ def test_no_other_program_is_asked_to_read_a_picture(tmp_path, monkeypatch):
 
 def sixteen_bits(side):
     """A grey PNG of 16 bits that shows nothing."""
-
-    def chunk(name, body):
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
     packer = zlib.compressobj(9)
     rows = b"".join(packer.compress(b"\0" * (1 + 2 * side)) for _ in range(side)) + packer.flush()
-    header = struct.pack(">IIBBBBB", side, side, 16, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    return png(side, side, 16, 0, rows)
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
@@ -196,15 +182,19 @@ from eagor.errors import EagorError
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama
+from eagor.perception.records import parse_record
 """
 READERS = """
-readers = {"a.glb": import_glb, "b.glb": import_glb, "c.json.gz": read_episodes, "d.png": read_panorama}
+readers = {"a.glb": import_glb, "b.glb": import_glb, "c.json.gz": read_episodes, "d.png": read_panorama,
+           "e.png": read_panorama, "f.jpg": read_panorama}
 for name, read in readers.items():
     try:
         read(folder / name)
     except EagorError as error:
         assert "MemoryError" not in str(error), error
         print(error)
+line = '{"stamp": 1, "image": {"width": 65536, "height": 65536}, "boxes": [{"box": [10, 10, 900, 900]}]}'
+print(numpy.asarray(parse_record(line).evidence("x").coefficients(5)).shape)
 """
 
 
@@ -216,8 +206,15 @@ def test_bombs_take_no_room(tmp_path):
     (tmp_path / "b.glb").write_bytes(glb(*with_pictures([flat_png(8000, 8000)], [0] * 12)))
     (tmp_path / "c.json.gz").write_bytes(16 * gzip.compress(b" " * (64 << 20)))
     (tmp_path / "d.png").write_bytes(sixteen_bits(9000))
+    (tmp_path / "e.png").write_bytes(png(12_000, 12_000))
+    jpeg = io.BytesIO()
+    Image.new("RGB", (32, 16)).save(jpeg, "JPEG")
+    claims = bytearray(jpeg.getvalue())
+    at = claims.index(b"\xff\xc0")
+    claims[at + 5 : at + 9] = struct.pack(">HH", 12_000, 14_000)
+    (tmp_path / "f.jpg").write_bytes(claims)
     printed = limited(IMPORTS, READERS, tmp_path, 400)
-    assert len(printed) == 4, printed
+    assert len(printed) == 7, printed
 
 
 SPREAD = """

@@ -3,7 +3,6 @@
 A limit on the size of files stands for a full disk: the kernel then refuses to write on, in the middle of a line too.
 """
 
-import json
 import os
 import shutil
 
@@ -14,7 +13,6 @@ from PIL import Image
 from processes import little_room
 
 from eagor._files import Lines, written
-from eagor.cli import main
 from eagor.errors import StorageError
 from eagor.lab.eval import log
 from eagor.lab.worlds.painted import painted_room
@@ -53,18 +51,18 @@ def records(folder):
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
     data = hstar_data.write(tmp_path_factory.mktemp("data"))
-    return ("bench", "run", "hstar-hos", "--data", data, "--perception", "truth:miss=0.5", "--json")
+    return ("bench", "run", "hstar-hos", "--data", data, "--perception", "truth:miss=0.5")
 
 
 @pytest.fixture(scope="module")
 def whole(told, tmp_path_factory):
     out = tmp_path_factory.mktemp("whole") / "run"
-    assert main([*map(str, told), "--out", str(out)]) == 0
+    assert commands.answer(*told, "--out", out)["episodes"] == 16
     return out
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_run_without_room_says_where_and_goes_on_when_there_is_room_again(told, whole, tmp_path, capsys, workers):
+def test_a_run_without_room_says_where_and_goes_on_when_there_is_room_again(told, whole, tmp_path, workers):
     out = tmp_path / "run"
     words = (*told, "--out", out, "--workers", workers)
     room = (whole / "records.jsonl").stat().st_size // 4
@@ -72,9 +70,7 @@ def test_a_run_without_room_says_where_and_goes_on_when_there_is_room_again(told
     kept = records(out)
     assert 0 < len(kept) < 16
     assert (out / log.RECORDS).read_bytes()[-2:] in (b"", b"}\n")
-    capsys.readouterr()
-    assert main(list(map(str, words))) == 0
-    assert json.loads(capsys.readouterr().out)["episodes"] == 16
+    assert commands.answer(*words)["episodes"] == 16
     assert records(out) == records(whole)
     assert all(records(out)[key] == record for key, record in kept.items())
 
@@ -131,19 +127,18 @@ def test_lines_are_made_with_the_first_and_stay_whole(tmp_path):
         lines.add("a\n")
 
 
-def test_a_file_in_place_of_the_folder_and_a_folder_of_another_run_are_refused(told, whole, tmp_path, capsys):
+def test_a_file_in_place_of_the_folder_and_a_folder_of_another_run_are_refused(told, whole, tmp_path):
     (tmp_path / "file").write_text("x")
     for out, says in ((tmp_path / "file", "cannot be made a folder"), (whole, "holds another run")):
-        assert main([*map(str, told), "--out", str(out), "--set", "sure=0.7"]) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert says in said.err
+        done = commands.eagor(*told, "--out", out, "--set", "sure=0.7")
+        assert (done.returncode, done.stdout) == (2, "")
+        assert says in done.stderr
     assert (tmp_path / "file").read_text() == "x"
 
 
-def test_a_folder_that_cannot_be_written_to_any_more_is_named(told, tmp_path, capsys, monkeypatch):
+def test_a_folder_that_cannot_be_written_to_any_more_is_named(told, tmp_path, monkeypatch):
     out = tmp_path / "run"
-    assert main([*map(str, told), "--limit", "2", "--out", str(out)]) == 0
+    commands.answer(*told, "--limit", 2, "--out", out)
     before = records(out)
     really = os.open
 
@@ -153,11 +148,7 @@ def test_a_folder_that_cannot_be_written_to_any_more_is_named(told, tmp_path, ca
         return really(path, flags, *more)
 
     monkeypatch.setattr(os, "open", read_only)
-    capsys.readouterr()
-    assert main([*map(str, told), "--out", str(out)]) == 1
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert f"cannot write in {out}: Permission denied" in said.err.splitlines()[-1]
+    assert f"cannot write in {out}: Permission denied" in commands.refused(*told, "--out", out, code=1)
     assert records(out) == before
 
 

@@ -1,37 +1,18 @@
 """Folders and files of episodes that are wrong: one sentence each, nothing half written, nothing lost of a run."""
 
 import gzip
-import json
 import shutil
 
-import commands
 import pytest
+from commands import eagor, refused
 from listed_rooms import exported, rewrite, room
 from processes import little_room
 
-from eagor.cli import main
 from eagor.errors import StorageError, WorldError
 from eagor.lab.eval import log
 from eagor.lab.worlds import objectnav
 from eagor.lab.worlds.glb import export_glb
 from eagor.lab.worlds.objectnav import Source, export_dataset
-
-
-@pytest.fixture
-def refused(capsys):
-    """The one line on stderr of a command that ends with this exit code and prints nothing."""
-
-    def refused(*words, code=2):
-        capsys.readouterr()
-        assert main([str(word) for word in words]) == code
-        out, err = capsys.readouterr()
-        assert out == ""
-        (line,) = err.splitlines()
-        assert line.startswith("eagor: error: ")
-        return line
-
-    return refused
-
 
 # --- export ---
 
@@ -52,13 +33,16 @@ SCENES = [
 
 
 @pytest.mark.parametrize(("words", "says"), SCENES)
-def test_impossible_scenes_are_refused_before_anything_is_made(refused, tmp_path, words, says):
+def test_impossible_scenes_are_refused_before_anything_is_made(tmp_path, words, says):
     assert says in refused("export", "habitat", *words, "--out", tmp_path / "data")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_there_is_left_alone(refused, tmp_path):
-    path = export_glb(room(), tmp_path / "made" / "room.glb")
+def test_what_is_there_is_left_alone(tmp_path):
+    path = tmp_path / "room.glb"
+    path.write_bytes(b"no GLB at all")
+    assert "room.glb" in refused("export", "habitat", path, "--out", tmp_path / "new")
+    assert list(tmp_path.iterdir()) == [path], "a corrupt one leaves nothing"
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "mine").write_text("kept")
     assert "data holds something; name a new folder, or an empty one" in refused(
@@ -69,17 +53,10 @@ def test_what_is_there_is_left_alone(refused, tmp_path):
     assert (tmp_path / "data" / "mine").read_text() == "kept"
 
 
-def test_a_corrupt_glb_leaves_nothing(refused, tmp_path):
-    path = tmp_path / "bad.glb"
-    path.write_bytes(b"no GLB at all")
-    assert "bad.glb" in refused("export", "habitat", path, "--out", tmp_path / "data")
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_disk_that_fills_up_leaves_nothing_and_says_where(tmp_path):
     path = export_glb(room(), tmp_path / "made" / "room.glb")
     with little_room(path.stat().st_size // 2):
-        done = commands.eagor("export", "habitat", path, "--out", tmp_path / "data")
+        done = eagor("export", "habitat", path, "--out", tmp_path / "data")
     assert (done.returncode, done.stdout) == (1, "")
     (line,) = done.stderr.splitlines()
     assert "cannot be written (File too large)" in line
@@ -141,13 +118,13 @@ def strange(found):
         ),
     ],
 )
-def test_episodes_of_others_and_of_other_versions_are_refused(refused, file, tmp_path, change, says):
+def test_episodes_of_others_and_of_other_versions_are_refused(file, tmp_path, change, says):
     rewrite(file, change)
     assert says in refused(*bench(file, tmp_path / "run"))
     assert not (tmp_path / "run").exists()
 
 
-def test_files_that_cannot_be_read_are_refused(refused, file, tmp_path):
+def test_files_that_cannot_be_read_are_refused(file, tmp_path):
     path = file.parent / "content" / "room.json.gz"
     whole = path.read_bytes()
     for blob, says in ((whole[:400], "cut off or corrupt"), (b"{}", "gzipped"), (gzip.compress(b"{"), "JSON")):
@@ -158,7 +135,7 @@ def test_files_that_cannot_be_read_are_refused(refused, file, tmp_path):
     assert "cannot be read" in refused(*bench(file.with_name("nothing.json.gz"), tmp_path / "run"))
 
 
-def test_scenes_that_are_not_there_are_named(refused, file, tmp_path):
+def test_scenes_that_are_not_there_are_named(file, tmp_path):
     scenes = tmp_path / "data" / "scene_datasets"
     scenes.rename(tmp_path / "elsewhere")
     line = refused(*bench(file, tmp_path / "run"))
@@ -167,7 +144,7 @@ def test_scenes_that_are_not_there_are_named(refused, file, tmp_path):
     line = refused(*bench(file, tmp_path / "run", "--scenes", tmp_path))
     assert "none of the 2 scenes of" in line
     assert "eagor/val/00001-other/other.glb" in line
-    assert main([str(word) for word in bench(file, tmp_path / "run", "--scenes", tmp_path / "elsewhere")]) == 0
+    assert eagor(*bench(file, tmp_path / "run", "--scenes", tmp_path / "elsewhere")).returncode == 0
 
 
 @pytest.mark.parametrize(
@@ -180,11 +157,11 @@ def test_scenes_that_are_not_there_are_named(refused, file, tmp_path):
         (["--set", "success_distance=0"], "success_distance"),
     ],
 )
-def test_options_that_do_not_go_with_a_file_are_refused(refused, file, tmp_path, words, says):
+def test_options_that_do_not_go_with_a_file_are_refused(file, tmp_path, words, says):
     assert says in refused(*bench(file, tmp_path / "run", *words))
 
 
-def test_options_that_need_a_file_and_tasks_that_take_none_say_so(refused, file, tmp_path):
+def test_options_that_need_a_file_and_tasks_that_take_none_say_so(file, tmp_path):
     words = ["bench", "run", "navigation", "--perception", "truth", "--out", tmp_path / "run"]
     assert "--scenes is the folder of the scenes of --episodes-file" in refused(*words, "--scenes", tmp_path)
     assert "goal=view_points needs episodes that have view points" in refused(*words, "--set", "goal=view_points")
@@ -218,39 +195,24 @@ def walled(found):
         (lambda found: found["episodes"][1]["info"]["eagor"].update(radius=0.3), "radius 0.3 m"),
     ],
 )
-def test_one_episode_that_cannot_be_played_costs_only_itself(file, tmp_path, capsys, change, says):
+def test_one_episode_that_cannot_be_played_costs_only_itself(file, tmp_path, change, says):
     rewrite(file, change)
-    assert main([str(word) for word in bench(file, tmp_path / "run")]) == 3
-    out, err = capsys.readouterr()
-    assert "7 episodes, 2 scenes; 1 could not be run" in out
-    assert says in err
+    said = eagor(*bench(file, tmp_path / "run"))
+    assert said.returncode == 3
+    assert "7 episodes, 2 scenes; 1 could not be run" in said.stdout
+    assert says in said.stderr
     failed = [record for record in log.read(tmp_path / "run") if record["status"] == "failed"]
     assert [record["key"] for record in failed] == ["navigation/room-1/oracle"]
 
 
-def test_goals_without_a_way_to_them_cost_their_scene_alone(file, tmp_path, capsys):
+def test_goals_without_a_way_to_them_cost_their_scene_alone(file, tmp_path):
     rewrite(file, walled)
-    assert main([str(word) for word in bench(file, tmp_path / "run")]) == 3
-    out, err = capsys.readouterr()
-    assert "4 episodes, 1 scene; 4 could not be run" in out
-    assert "no way leads from (" in err
-    assert "to a view point of any chair" in err
-
-
-def test_if_no_episode_can_be_played_the_run_has_failed(file, tmp_path, capsys):
-    for name in ("room", "other"):
-        rewrite(file, walled, name)
-    assert main([str(word) for word in bench(file, tmp_path / "run")]) == 1
-    assert "no episode could be run" in capsys.readouterr().err
-
-
-def test_a_run_of_listed_episodes_goes_on_where_it_stopped(file, tmp_path, capsys):
-    words = [str(word) for word in bench(file, tmp_path / "run", "--json")]
-    assert main(words) == 0
-    before = json.loads(capsys.readouterr().out)
-    records = log.read(tmp_path / "run")
-    assert main(words) == 0
-    out, err = capsys.readouterr()
-    assert json.loads(out) == before
-    assert "8 of 8 units were already in" in err
-    assert log.read(tmp_path / "run") == records
+    said = eagor(*bench(file, tmp_path / "run"))
+    assert said.returncode == 3
+    assert "4 episodes, 1 scene; 4 could not be run" in said.stdout
+    assert "no way leads from (" in said.stderr
+    assert "to a view point of any chair" in said.stderr
+    rewrite(file, walled, "other")
+    said = eagor(*bench(file, tmp_path / "none"))
+    assert said.returncode == 1
+    assert "no episode could be run" in said.stderr

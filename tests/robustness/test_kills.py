@@ -13,7 +13,7 @@ ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "EAG
 
 pytestmark = [
     pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them"),
-    pytest.mark.slow,  # one kill of each kind is in tests/end_to_end: test_benchmarks.py, test_runner.py
+    pytest.mark.slow,  # one kill of each kind is in tests/end_to_end/test_runner.py
 ]
 
 

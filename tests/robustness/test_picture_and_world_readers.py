@@ -3,17 +3,15 @@
 import gzip
 import io
 import json
-import struct
-import sys
-import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from box_scenes import scene_of, thing
 from hypothesis import example, given
 from hypothesis import strategies as st
-from mutations import as_text, damaged, reads, trees
+from mutations import as_text, damaged, glb, png, reads, trees
 from PIL import Image
-from processes import limited
 from strategies import HOSTILE
 
 from eagor.lab.tasks.hstar.data import open_panorama
@@ -21,7 +19,7 @@ from eagor.lab.worlds.glb import export_glb, import_glb
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.objectnav import read_episodes
 from eagor.lab.worlds.painted import painted_room
-from eagor.lab.worlds.scene import Instance, Material, Scene
+from eagor.lab.worlds.scene import Material
 from eagor.media.panorama import read_panorama
 
 PIXELS = painted_room(16, 32)
@@ -46,16 +44,6 @@ def encoded(mode="RGB", kind="PNG", **more):
 
 PICTURES = [encoded(), encoded(kind="JPEG"), encoded(kind="WEBP"), encoded("P"), encoded("I;16"), encoded(kind="GIF"),
             encoded(kind="BMP"), encoded("CMYK", "TIFF"), encoded("RGBA"), encoded(kind="PPM")]  # fmt: skip
-
-
-def png(width, height, depth=8, colour=2, data=b""):
-    """A PNG that claims a size."""
-
-    def chunk(name, body):
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
-    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
 
 
 @pytest.fixture(scope="module")
@@ -100,79 +88,14 @@ def test_every_mode_is_read_as_colours_or_refused_by_name(folder, mode, kind):
         assert np.abs(image.astype(int) - wanted).mean() < 40  # other colours, coarser colours, but the same picture
 
 
-def test_the_orientation_tag_does_not_turn_a_panorama(folder):
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    path = folder / "turned.jpg"
-    path.write_bytes(encoded(kind="JPEG", exif=exif, quality=95))
-    assert np.abs(read_panorama(path).astype(int) - PIXELS).mean() < 8
-
-
-IMPORTS = """
-from eagor.errors import EagorError
-from eagor.evidence import Evidence
-from eagor.perception.records import parse_record
-from eagor.lab.worlds.glb import import_glb
-from eagor.media.panorama import read_panorama
-import numpy, trimesh
-"""
-READERS = """
-for name, read in (("claims.png", read_panorama), ("claims.jpg", read_panorama), ("claims.glb", import_glb)):
-    try:
-        read(folder / name)
-    except EagorError as error:
-        assert name in str(error), error
-        assert "MemoryError" not in str(error), error
-        print(error)
-    else:
-        raise AssertionError(name)
-line = '{"stamp": 1, "image": {"width": 65536, "height": 65536}, "boxes": [{"box": [10, 10, 900, 900]}]}'
-print(numpy.asarray(parse_record(line).evidence("x").coefficients(5)).shape)
-"""
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits memory as Linux does")
-def test_no_room_is_made_for_what_a_file_only_claims(tmp_path):
-    (tmp_path / "claims.png").write_bytes(png(12_000, 12_000))
-    jpeg = bytearray(encoded(kind="JPEG"))
-    at = jpeg.index(b"\xff\xc0")
-    jpeg[at + 5 : at + 9] = struct.pack(">HH", 12_000, 14_000)
-    (tmp_path / "claims.jpg").write_bytes(jpeg)
-    tree = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "accessors": [{"componentType": 5126, "count": 300_000_000, "type": "VEC3"}],
-    }
-    (tmp_path / "claims.glb").write_bytes(glb(tree))
-    printed = limited(IMPORTS, READERS, tmp_path, 300)
-    assert len(printed) == 4, printed
-
-
 # Worlds
-
-
-def glb(tree, binary=b""):
-    text = tree if isinstance(tree, bytes) else as_text(tree).encode("utf-8", "surrogatepass")
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 
 def box_scene():
     """A floor and a box on it."""
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float32)
-    floor = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], dtype=np.float32)
-    box = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]]
-    triangles = np.array([[0, 1, 2], [0, 2, 3], *(np.array(box) + 4).tolist()], dtype=np.int32)
-    owner = np.array([0, 0, *[1] * len(box)], dtype=np.int32)
-    return Scene(
-        np.concatenate([floor, corners]), triangles, owner, owner, np.zeros((len(triangles), 3, 2), np.float32),
-        (Instance("floor", None, None, floor.min(axis=0), floor.max(axis=0)),
-         Instance("chair", "red", None, corners.min(axis=0), corners.max(axis=0))),
-        (Material("wood", (0.5, 0.4, 0.3)), Material("red", (0.9, 0.1, 0.1))),
-    )  # fmt: skip
+    materials = (Material("wood", (0.5, 0.4, 0.3)), Material("red", (0.9, 0.1, 0.1)))
+    things = [thing("floor", (-2, -2, -0.1), (2, 2, 0)), thing("chair", (0, 0, 0), (1, 1, 1), None, "red")]
+    return scene_of(things, materials=materials)
 
 
 @pytest.fixture(scope="module")
@@ -234,9 +157,8 @@ def test_semantics(folder, world, draw):
 def test_a_floor_far_below_another_takes_no_room_for_what_is_between():
     scene = box_scene()
     far = scene.vertices.copy()
-    far[4:] += np.array([0, 0, 3e9], dtype=np.float32)
-    high = Scene(far, scene.triangles, scene.instance, scene.material, scene.uv, scene.instances, scene.materials)
-    assert Ground.from_scene(high).floor == 0.0
+    far[8:] += np.array([0, 0, 3e9], dtype=np.float32)
+    assert Ground.from_scene(replace(scene, vertices=far)).floor == 0.0
 
 
 EPISODES = {

@@ -14,10 +14,6 @@ from eagor.lab.eval import log
 from eagor.lab.eval.log import Log, begin, description, read
 
 
-def record(key, attempt=1, status="ok", **more):
-    return {"key": key, "attempt": attempt, "status": status, **more}
-
-
 def test_of_runs_with_different_settings_that_start_together_one_goes_on(tmp_path):
     gate = threading.Barrier(4)
 
@@ -76,25 +72,17 @@ def soon():
 
 
 @pytest.mark.parametrize("kind", ["link", "dangling", "device", "pipe", "folder"])
-def test_a_file_of_records_that_is_no_regular_file_is_named_and_left_alone(tmp_path, soon, kind):
+def test_what_is_no_regular_file_is_named_and_left_alone(tmp_path, soon, kind):
     target, run = tmp_path / "letter.txt", tmp_path / "run"
     run.mkdir()
-    target.write_text("Dear reader, no newline here")
-    special(kind, run / "records.jsonl", target)
+    target.write_text("{}")  # no newline
+    special(kind, run / log.RECORDS, target)
+    special(kind, run / log.RUN, target)
     with pytest.raises(StorageError, match=r"records\.jsonl is a link, a pipe"), Log(run) as book:
-        book.append(record("a"))
+        book.append({"key": "a", "attempt": 1, "status": "ok"})
     with pytest.raises(FormatError, match=r"records\.jsonl cannot be read .* is a link, a pipe"):
         read(run)
-    assert target.read_text() == "Dear reader, no newline here"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["letter.txt", "run"]
-
-
-@pytest.mark.parametrize("kind", ["link", "dangling", "device", "pipe", "folder"])
-def test_a_description_that_is_no_regular_file_is_named_and_left_alone(tmp_path, soon, kind):
-    target, run = tmp_path / "letter.txt", tmp_path / "run"
-    run.mkdir()
-    target.write_text("{}")
-    special(kind, run / log.RUN, target)
     with pytest.raises(FormatError, match=r"run\.json is a link, a pipe"):
         begin(run, {"task": "x"})
     assert target.read_text() == "{}"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["letter.txt", "run"]
