@@ -8,10 +8,9 @@ from functools import partial
 
 import pytest
 
-from eagor._files import claimed
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.lab.eval import log
-from eagor.lab.eval.log import Log, begin, description, read
+from eagor.lab.eval.log import Log, begin, claimed, description, read
 
 
 def record(key, attempt=1, status="ok", **more):
