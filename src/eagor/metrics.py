@@ -119,42 +119,36 @@ def temporal_consistency(
     return float(angular_error_deg(directions[1:], points).mean())
 
 
-def success(distance: ArrayLike, stopped: ArrayLike, success_distance: float) -> np.ndarray:
+def success(distance: float, stopped: bool, success_distance: float) -> bool:
     """Habitat's Success: the agent called stop AND is nearer to the target than `success_distance` (metres, strict).
 
-    `distance` (metres at the end, inf without a path) and `stopped` have one entry per episode.
+    `distance` is the one at the end, inf without a path.
     """
-    distance, stopped = _lengths(distance, "distance", endless=True), outcomes(np.atleast_1d(stopped), "stopped")
-    same_length(distance=distance, stopped=stopped)
     if not success_distance > 0:
         raise EagorError(f"success_distance is {success_distance}; wanted metres above 0, such as 1.0")
-    return stopped & (distance < success_distance)
+    return bool(stopped) and _metres("distance", distance, endless=True) < success_distance
 
 
-def spl(succeeded: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """Success weighted by path length, per episode: ``S * shortest / max(shortest, path)``.
+def spl(succeeded: bool, shortest: float, path: float) -> float:
+    """Success weighted by path length: ``S * shortest / max(shortest, path)``.
 
     Anderson et al., On Evaluation of Embodied Navigation Agents, 2018. `shortest` is the shortest path from start to
     target, `path` the agent's path, metres. An episode that starts on the target (shortest = 0) scores S if
     the agent stayed there, and 0 if it walked: the limits of the formula, where it would divide by zero.
     """
-    succeeded = outcomes(np.atleast_1d(succeeded), "succeeded")
-    efficiency = _efficiency(shortest, path)
-    same_length(succeeded=succeeded, shortest=efficiency)
-    return succeeded * efficiency
+    shortest, path = _metres("shortest", shortest), _metres("path", path)
+    longer = max(shortest, path)
+    return float(bool(succeeded) * (shortest / longer if longer > 0 else 1.0))
 
 
-def soft_spl(distance: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """SoftSPL, per episode: ``max(0, 1 - distance / shortest) * shortest / max(shortest, path)``, Habitat's definition.
+def soft_spl(distance: float, shortest: float, path: float) -> float:
+    """SoftSPL: ``max(0, 1 - distance / shortest) * shortest / max(shortest, path)``, Habitat's definition.
 
     `distance` is the remaining one at the end (metres, inf without a path). If shortest = 0, the progress is 1 for an
     agent that ends on the target and 0 for any other.
     """
-    distance, shortest = _lengths(distance, "distance", endless=True), _lengths(shortest, "shortest")
-    efficiency = _efficiency(shortest, path)
-    same_length(distance=distance, shortest=shortest)
-    gained = np.maximum(0.0, shortest - distance) / np.where(shortest > 0, shortest, 1.0)
-    return np.where(shortest > 0, gained, distance == 0) * efficiency
+    distance, efficiency = _metres("distance", distance, endless=True), spl(True, shortest, path)
+    return efficiency * (max(0.0, shortest - distance) / shortest if shortest > 0 else float(distance == 0))
 
 
 def _directions(vectors: ArrayLike, name: str, wanted: str = "(..., 3)") -> np.ndarray:
@@ -172,17 +166,8 @@ def _turned(directions: np.ndarray, new_R_old: ArrayLike) -> np.ndarray:
     return (turns @ directions[:-1, :, None])[..., 0]
 
 
-def _lengths(values: ArrayLike, name: str, endless: bool = False) -> np.ndarray:
-    """`values` as metres, one per episode ``(n,)``; only `endless` ones may be infinite."""
-    array = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if array.ndim != 1 or array.size == 0 or not ((array >= 0) & (endless | np.isfinite(array))).all():
-        raise EagorError(f"{name} must be (n,) metres, none negative{', NaN' if endless else ', NaN or inf'}: {array}")
-    return array
-
-
-def _efficiency(shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """``shortest / max(shortest, path)``; 1 where both are 0."""
-    shortest, path = _lengths(shortest, "shortest"), _lengths(path, "path")
-    same_length(shortest=shortest, path=path)
-    longer = np.maximum(shortest, path)
-    return np.where(longer > 0, shortest / np.where(longer > 0, longer, 1.0), 1.0)
+def _metres(name: str, value: float, endless: bool = False) -> float:
+    """`value`, once it is metres; only an `endless` one may be infinite."""
+    if not (value >= 0 and (endless or np.isfinite(value))):
+        raise EagorError(f"{name} is {value}; wanted metres, not negative{', NaN' if endless else ', NaN or infinite'}")
+    return float(value)

@@ -185,20 +185,23 @@ def test_consistency_needs_two_steps_and_fitting_input():
 
 
 def test_success_needs_a_stop_strictly_inside():
-    distance, stopped = [0.5, 0.5, 1.0, np.inf], [True, False, True, True]
-    assert metrics.success(distance, stopped, success_distance=1.0).tolist() == [True, False, False, False]
+    ends = [(0.5, True), (0.5, False), (1.0, True), (np.inf, True)]
+    assert [metrics.success(*end, success_distance=1.0) for end in ends] == [True, False, False, False]
     with pytest.raises(EagorError, match="success_distance"):
         metrics.success(0.5, True, success_distance=0)
 
 
 def test_spl_closed_forms_and_guards():
-    succeeded, shortest, path = [1, 1, 0, 1, 1, 1], [10, 10, 10, 0, 0, 10], [20, 10, 10, 0, 5, 5]
-    assert metrics.spl(succeeded, shortest, path).tolist() == [0.5, 1.0, 0.0, 1.0, 0.0, 1.0]
+    episodes = {(1, 10, 20): 0.5, (1, 10, 10): 1.0, (0, 10, 10): 0.0, (1, 0, 0): 1.0, (1, 0, 5): 0.0, (1, 10, 5): 1.0}
+    assert {episode: metrics.spl(*episode) for episode in episodes} == episodes
 
 
 def test_soft_spl_closed_forms_and_guards():
-    distance, shortest, path = [5, 20, np.inf, 0, 0, 0, 2], [10, 10, 10, 10, 0, 0, 0], [10, 10, 10, 40, 0, 3, 0]
-    assert metrics.soft_spl(distance, shortest, path).tolist() == [0.5, 0, 0, 0.25, 1, 0, 0]
+    episodes = {
+        (5, 10, 10): 0.5, (20, 10, 10): 0, (np.inf, 10, 10): 0, (0, 10, 40): 0.25, (0, 0, 0): 1, (0, 0, 3): 0,
+        (2, 0, 0): 0,
+    }  # fmt: skip
+    assert {episode: metrics.soft_spl(*episode) for episode in episodes} == episodes
 
 
 lengths = st.floats(0, 1e6, allow_subnormal=False)
@@ -207,19 +210,19 @@ lengths = st.floats(0, 1e6, allow_subnormal=False)
 @given(lengths, lengths, lengths, st.booleans())
 def test_spl_and_soft_spl_stay_in_the_unit_interval(distance, shortest, path, stopped):
     succeeded = metrics.success(distance, stopped, 1.0)
-    (hard,), (soft,) = metrics.spl(succeeded, shortest, path), metrics.soft_spl(distance, shortest, path)
-    assert 0 <= hard <= succeeded[0]
+    hard, soft = metrics.spl(succeeded, shortest, path), metrics.soft_spl(distance, shortest, path)
+    assert 0 <= hard <= succeeded
     assert 0 <= soft <= 1
-    assert soft <= metrics.spl([True], shortest, path)[0]
-    assert metrics.soft_spl(0.0, shortest, path)[0] == metrics.spl([True], shortest, path)[0]
+    assert soft <= metrics.spl(True, shortest, path)
+    assert metrics.soft_spl(0.0, shortest, path) == metrics.spl(True, shortest, path)
 
 
-@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf, [], [[1.0]], [1.0, 2.0]])
+@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
 def test_navigation_refuses_impossible_lengths(bad):
     with pytest.raises(EagorError):
-        metrics.spl([True], bad, [1.0])
+        metrics.spl(True, bad, 1.0)
     with pytest.raises(EagorError):
-        metrics.soft_spl([1.0], [1.0], bad)
+        metrics.soft_spl(1.0, 1.0, bad)
     if bad is not np.inf:
         with pytest.raises(EagorError):
-            metrics.soft_spl(bad, [1.0], [1.0])
+            metrics.soft_spl(bad, 1.0, 1.0)
