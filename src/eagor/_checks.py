@@ -42,7 +42,7 @@ def above(value: Any, lowest: float, highest: float = math.inf) -> bool:
     return within(value, lowest, highest) and value > lowest
 
 
-def whole(value: Any, lowest: int, highest: float = math.inf) -> bool:
+def whole(value: Any, lowest: float, highest: float = math.inf) -> bool:
     """Whether `value` is a whole number from `lowest` to `highest`, both included; 2.0 and True are not."""
     return isinstance(value, Integral) and within(value, lowest, highest)
 

@@ -7,6 +7,7 @@ Condon-Shortley phase, index l*l + l + m. No other module converts.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -132,7 +133,7 @@ def from_healpix_alm(alm: np.ndarray) -> np.ndarray:
     if (degree + 1) * (degree + 2) // 2 != alm.shape[-1]:
         raise EagorError(f"{alm.shape[-1]} values do not form a triangle of a_lm; wanted (lmax + 1)(lmax + 2) / 2")
     m, l = np.triu_indices(degree + 1)
-    scaled = np.where(m == 0, 1.0, (-1.0) ** m * math.sqrt(2)) * alm
+    scaled: Any = np.where(m == 0, 1.0, (-1.0) ** m * math.sqrt(2)) * alm
     found = np.zeros((*alm.shape[:-1], (degree + 1) ** 2))
     found[..., l * l + l - m] = -scaled.imag
     found[..., l * l + l + m] = scaled.real

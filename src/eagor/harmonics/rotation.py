@@ -67,15 +67,16 @@ def _rotated(degree: int, columns: Array, turns: Array) -> Array:
         tilt = math.hypot(r02, r12)
         if tilt < 1e-15 and r22 > 0:  # a pure yaw
             return _turn(degree, columns, r00, r10)
-        alpha = (r02 / tilt, r12 / tilt) if tilt > 0 else (1.0, 0.0)
+        alpha, upright = ((r02 / tilt, r12 / tilt) if tilt > 0 else (1.0, 0.0)), False
     else:
         (r00, r01, r02), (r10, r11, r12), (_, _, r22) = ([turns[:, i, j] for j in range(3)] for i in range(3))
         tilt = xp.hypot(r02, r12)
         level = tilt == 0
         safe = xp.where(level, xp.ones_like(tilt), tilt)
         alpha = xp.where(level, xp.ones_like(tilt), r02 / safe), xp.where(level, xp.zeros_like(tilt), r12 / safe)
+        upright = xp is np and bool(level.all() and (r22 > 0).all())
     columns = _turn(degree, columns, alpha[0] * r11 - alpha[1] * r01, alpha[0] * r10 - alpha[1] * r00)
-    if turns.ndim == 3 and xp is np and not tilt.any() and (r22 > 0).all():
+    if upright:
         return columns
     columns = _turn(degree, _quarter(degree, columns, False), r22, tilt)
     return _turn(degree, _quarter(degree, columns, True), *alpha)
