@@ -101,6 +101,8 @@ def table_like(table: np.ndarray, reference: Array) -> Array:
 
 def constant(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
     """``plan(*key)``, a pure function of hashable arguments, as an array like `like` (cached)."""
+    if type(like) is np.ndarray:  # the hot path
+        return _cached(plan, key, like.dtype.char)
     return _cached(plan, key, *_kind(like))
 
 

@@ -56,8 +56,8 @@ def analyse(degree: int, values: Array, grid: Grid) -> Array:
     rings = _product(values, constant(_longitude_plan, degree, grid, like=values))
     rings = xp.permute_dims(xp.reshape(rings, (-1, height, count, 2)), (2, 3, 1, 0))
     packed = _by_order(operator.matmul, degree, height, type(grid), rings)
-    packed = xp.reshape(xp.permute_dims(packed, (3, 0, 1, 2)), (*batch, -1))
-    return xp.take(packed, constant(_place, degree, like=rings), axis=-1)
+    packed = xp.reshape(packed, (2 * count**2, -1))
+    return xp.reshape(xp.take(packed, constant(_place, degree, like=rings), axis=0).T, (*batch, count**2))
 
 
 def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array) -> Array:

@@ -104,9 +104,9 @@ def _turn(degree: int, columns: Array, cosine: Array | float, sine: Array | floa
         cosines.append(c * cosine - s * sine)
         sines.append(s * cosine + c * sine)
     index, partner = constant(_order_index, degree, like=columns), constant(_partner, degree, like=columns)
-    even = xp.take(xp.stack(cosines[:0:-1] + cosines), index, axis=0)
-    odd = xp.take(xp.stack([-s for s in sines[:0:-1]] + sines), index, axis=0)
-    return columns * even - xp.take(columns, partner, axis=0) * odd
+    even, odd = xp.stack(cosines[:0:-1] + cosines), xp.stack([-s for s in sines[:0:-1]] + sines)
+    # One large table at a time, for the cache.
+    return columns * xp.take(even, index, axis=0) - xp.take(columns, partner, axis=0) * xp.take(odd, index, axis=0)
 
 
 def _quarter(degree: int, columns: Array, transposed: bool) -> Array:
