@@ -32,6 +32,7 @@ from typing import Any
 import common
 import numpy as np
 from PIL import Image
+from scipy.stats import binomtest
 
 from eagor.grids import ErpGrid
 from eagor.lab.envs.places import APARTMENT, Place, load_place
@@ -42,7 +43,7 @@ from eagor.lab.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episode
 from eagor.lab.tasks.hstar.rules import View, level_of
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
-from eagor.statistics import bootstrap_interval, calibration_error, reliability, wilson_interval
+from eagor.statistics import bootstrap_interval, calibration_error, reliability
 
 FIRST, LUCK = 8600, 2_000_000  # the first apartment; what seeds of noise begin with
 AGENTS = ("eagor", "grid", "sweep", "centroid", "single")
@@ -155,7 +156,7 @@ def show(runs: dict[str, list[dict[str, Any]]]) -> None:
     table = reliability([p for p, _ in said], [good for _, good in said], 10)
     print("  stated -> found (n): " + ", ".join(f"{r.stated:.2f} -> {r.frequency:.2f} ({r.n})" for r in table if r.n))
     sure = [record["score"] == 1 for record in ours if record["sure"]]
-    share = wilson_interval(sum(sure), len(sure))
+    share = binomtest(sum(sure), len(sure)).proportion_ci(method="wilson")
     print(
         f"  submitted because sure: {len(sure)} of {len(ours)}, {100 * np.mean(sure):.1f} % right "
         f"({100 * share.low:.1f} to {100 * share.high:.1f}); calibration error {100 * calibration_error(table):.1f} %"

@@ -11,13 +11,14 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.wrappers import RescaleAction
+from scipy.stats import binomtest
 from stable_baselines3 import PPO
 
 from eagor import perception
 from eagor.lab.agents.methods import answer_at, make_estimator
 from eagor.lab.agents.models import EpisodePerception
 from eagor.lab.envs.rules import NavigationRules
-from eagor.statistics import paired_difference, wilson_interval
+from eagor.statistics import paired_difference
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=20_000, help="of training, in four apartments")
@@ -76,7 +77,7 @@ for place in np.unique(places).tolist():
         for name, choose in ways.items():
             found[name].append(success(env, seed, choose))
 for name, wins in found.items():
-    ends = wilson_interval(int(sum(wins)), len(wins))
+    ends = binomtest(int(sum(wins)), len(wins)).proportion_ci(method="wilson")
     print(f"{name} reaches the target in {100 * np.mean(wins):.0f} % ({100 * ends.low:.0f} to {100 * ends.high:.0f})")
 gain = paired_difference(found["trained"], found["random"], np.random.default_rng(0), groups=places)
 low, high = 100 * gain.interval.low, 100 * gain.interval.high

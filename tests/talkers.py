@@ -41,8 +41,3 @@ def employ(line):
     other = Worker(stay)
     line.send((os.getpid(), other.receive()))
     line.recv()
-
-
-def write_mark():
-    """What is done at the parent's end: tests look for the file."""
-    os.close(os.open(os.environ["EAGOR_TEST_MARK"], os.O_CREAT | os.O_WRONLY))

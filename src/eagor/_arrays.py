@@ -101,24 +101,23 @@ def table_like(table: np.ndarray, reference: Array) -> Array:
 
 def constant(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
     """``plan(*key)``, a pure function of hashable arguments, as an array like `like` (cached)."""
-    if type(like) is np.ndarray:
-        return _as_numpy(plan, key, like.dtype.char)
-    return _as_foreign(plan, key, namespace(like), like.dtype, device(like))
+    if type(like) is np.ndarray:  # the hot path
+        return _cached(plan, key, like.dtype.char)
+    return _cached(plan, key, *_kind(like))
 
 
 def recent(plan: Callable[..., np.ndarray], *key: Any, like: Array) -> Array:
     """As `constant`, for large plans that may differ at every look: it caches the last `RECENT_BYTES` of them."""
-    numpy = type(like) is np.ndarray
-    kind = (like.dtype.char,) if numpy else (namespace(like), like.dtype, device(like))
+    wanted = plan, key, _kind(like)
     with _turn:
-        if (plan, key, kind) in _recent:
-            _recent.move_to_end((plan, key, kind))
-            return _recent[plan, key, kind]
+        if wanted in _recent:
+            _recent.move_to_end(wanted)
+            return _recent[wanted]
     # Outside the lock: a plan may ask for another. Two threads may compute the same plan; that is harmless.
-    made = _make_numpy(plan, key, *kind) if numpy else _make_foreign(plan, key, *kind)
+    made = _made(plan, key, *wanted[2])
     with _turn:
-        _recent[plan, key, kind] = made
-        while len(_recent) > 1 and sum(map(_bytes, _recent.values())) > RECENT_BYTES:
+        _recent[wanted] = made
+        while len(_recent) > 1 and sum(map(_size, _recent.values())) > RECENT_BYTES:
             _recent.popitem(last=False)
     return made
 
@@ -128,23 +127,21 @@ _recent: OrderedDict[tuple, Array] = OrderedDict()
 _turn = Lock()
 
 
-def _bytes(values: Array) -> int:
-    return math.prod(values.shape) * getattr(values, "itemsize", 8)
+def _size(kept: Array) -> int:
+    return math.prod(kept.shape) * getattr(kept, "itemsize", 8)
 
 
-def _make_numpy(plan: Callable[..., np.ndarray], key: tuple, dtype: str) -> np.ndarray:
+def _kind(like: Array) -> tuple:
+    """What `_made` has to know of an array: its dtype; of other libraries' arrays also the namespace and the device."""
+    return (like.dtype.char,) if type(like) is np.ndarray else (like.dtype, namespace(like), device(like))
+
+
+def _made(plan: Callable[..., np.ndarray], key: tuple, dtype: Any, xp: Any = np, place: Any = None) -> Array:
     table = np.ascontiguousarray(plan(*key))
-    if table.dtype.kind == "f":
-        table = table.astype(dtype, copy=False)
-    table.setflags(write=False)
-    return table
+    floats = table.dtype.kind == "f"
+    if xp is np:
+        return frozen(table.astype(dtype, copy=False) if floats else table)
+    return xp.asarray(table.copy(), device=place, **({"dtype": dtype} if floats else {}))
 
 
-def _make_foreign(plan: Callable[..., np.ndarray], key: tuple, xp: Any, dtype: Any, place: Any) -> Array:
-    table = np.ascontiguousarray(plan(*key))
-    if table.dtype.kind == "f":
-        return xp.asarray(table.copy(), dtype=dtype, device=place)
-    return xp.asarray(table.copy(), device=place)
-
-
-_as_numpy, _as_foreign = lru_cache(maxsize=256)(_make_numpy), lru_cache(maxsize=256)(_make_foreign)
+_cached = lru_cache(maxsize=256)(_made)

@@ -42,7 +42,7 @@ def above(value: Any, lowest: float, highest: float = math.inf) -> bool:
     return within(value, lowest, highest) and value > lowest
 
 
-def whole(value: Any, lowest: int, highest: float = math.inf) -> bool:
+def whole(value: Any, lowest: float, highest: float = math.inf) -> bool:
     """Whether `value` is a whole number from `lowest` to `highest`, both included; 2.0 and True are not."""
     return isinstance(value, Integral) and within(value, lowest, highest)
 
@@ -96,32 +96,12 @@ def parsed(text: str | bytes, strict: bool = False) -> Any:
     """
     try:
         found = json.loads(text, parse_constant=_refused if strict else None, object_pairs_hook=_once)
+        opened = text.count(b"[") + text.count(b"{") if isinstance(text, bytes) else text.count("[") + text.count("{")
+        if opened > _DEEPEST:
+            _check_depth(found, _DEEPEST)
     except RecursionError:
         raise ValueError("the lists are nested too deep to be read") from None
-    opened = text.count(b"[") + text.count(b"{") if isinstance(text, bytes) else text.count("[") + text.count("{")
-    if opened > _DEEPEST and _is_deep(found):
-        raise ValueError(f"the lists are nested more than {_DEEPEST} deep")
     return found
-
-
-def number(value: Any) -> float:
-    """`value` as a float. Raises `ValueError` unless it is a finite number; text and True are not numbers."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{shown(value)} is not a number")
-    try:
-        found = float(value)
-    except OverflowError:
-        found = math.inf
-    if not math.isfinite(found):
-        raise ValueError(f"{shown(value)} is not a finite number")
-    return found
-
-
-def whole_number(value: Any) -> int:
-    """`value` itself. Raises `ValueError` unless it is a whole number."""
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"{shown(value)} is not a whole number")
-    return value
 
 
 def shown(value: Any, most: int = 60) -> str:
@@ -135,17 +115,16 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"an object has the key {shown(twice)} twice")
+        raise ValueError(f"an object has the key {shown(next(key for key in keys if keys.count(key) > 1))} twice")
     return found
 
 
-def _is_deep(value: Any) -> bool:
-    level = [value]
-    for _ in range(_DEEPEST):
-        inner = [each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list)]
-        level = [value for values in inner for value in values]
-    return any(isinstance(each, dict | list) for each in level)
+def _check_depth(value: Any, left: int) -> None:
+    if isinstance(value, dict | list):
+        if not left:
+            raise ValueError(f"the lists are nested more than {_DEEPEST} deep")
+        for each in value.values() if isinstance(value, dict) else value:
+            _check_depth(each, left - 1)
 
 
 def _refused(name: str) -> NoReturn:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
@@ -41,27 +42,15 @@ EXTRAS = {
 
 def how_to_install(extra: str) -> str:
     """The command that installs an extra. The package is on no registry, so it names the clone, if that is known."""
-    origin = _origin()
-    if origin is None:
-        return f"in a clone of eagor, pip install '.[{extra}]'"
-    clone, editable = origin
-    return f"pip install {'-e ' if editable else ''}{shlex.quote(f'{clone}[{extra}]')}"
-
-
-def _origin() -> tuple[Path, bool] | None:
-    """The clone that pip installed this package from, and whether as editable (`direct_url.json`, PEP 610).
-
-    None if pip noted no folder (a wheel, a registry), or the folder is gone.
-    """
-    try:
+    try:  # where pip installed this package from, and whether as editable (PEP 610)
         told = json.loads(distribution("eagor").read_text("direct_url.json") or "{}")
-        url, about = urlsplit(told["url"]), told["dir_info"]
-        folder = Path(unquote(url.path))
-        if url.scheme != "file" or not (folder / "pyproject.toml").is_file():
-            return None
-        return folder, bool(about.get("editable", False))
+        url, editable = urlsplit(told["url"]), "-e " if told["dir_info"].get("editable") else ""
+        clone = Path(unquote(url.path))
+        if url.scheme == "file" and (clone / "pyproject.toml").is_file():
+            return f"pip install {editable}{shlex.quote(f'{clone}[{extra}]')}"
     except (PackageNotFoundError, OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
+        pass  # a wheel, a registry, or no metadata
+    return f"in a clone of eagor, pip install '.[{extra}]'"
 
 
 def need(what: str, extra: str, *packages: str) -> None:
@@ -72,8 +61,5 @@ def need(what: str, extra: str, *packages: str) -> None:
 
 def is_older(version: str, least: str) -> bool:
     """Whether a version such as ``"2.13.0+cpu"`` comes before another; its first three numbers count."""
-    return _numbers(version) < _numbers(least)
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(int("".join(c for c in part if c.isdigit()) or 0) for part in version.split("+")[0].split(".")[:3])
+    numbers = ([int(re.sub(r"\D", "", part) or 0) for part in v.split("+")[0].split(".")[:3]] for v in (version, least))
+    return next(numbers) < next(numbers)

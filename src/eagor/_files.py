@@ -1,4 +1,4 @@
-"""Safe files: the cache, atomic writes, bounded unpacking, no links or devices, no keys or passwords.
+"""Safe files: the cache, atomic writes, no links or devices, no keys or passwords, no formulas in tables.
 
 Code that reads a secret passes it to `keep_out`. Code that writes text to a file, a report or a terminal passes the
 text through `redacted`; `written` does.
@@ -6,18 +6,20 @@ text through `redacted`; `written` does.
 
 from __future__ import annotations
 
+import csv
 import errno
-import gzip
+import io
 import os
 import re
 import stat
 import tempfile
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
-from eagor.errors import FormatError, StorageError
+from eagor.errors import StorageError
 
 _SHORTEST = 6  # letters: shorter ones occur in ordinary words
 _GONE = "***"
@@ -29,27 +31,8 @@ def cache_folder() -> Path:
     """What can be made again: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else in ~/.cache, else (no home) in /tmp."""
     if chosen := os.environ.get("EAGOR_CACHE"):
         return Path(chosen)
-    if chosen := os.environ.get("XDG_CACHE_HOME"):
-        return Path(chosen) / "eagor"
-    try:
-        return Path.home() / ".cache" / "eagor"
-    except RuntimeError:  # a user without a home, as in containers
-        return Path(tempfile.gettempdir()) / "eagor"
-
-
-def most_unpacked(size: int) -> int:
-    """The most bytes that a file of `size` packed bytes may hold: text packs to a tenth, a bomb to a thousandth."""
-    return max(1 << 24, 100 * size)
-
-
-def unpacked(path: Path) -> bytes:
-    """The content of a gzipped file. Raises `OSError`, `EOFError`, `zlib.error`, or `FormatError` for a bomb."""
-    most = most_unpacked(path.stat().st_size)
-    with gzip.open(path) as file:
-        found = file.read(most + 1)
-    if len(found) > most:
-        raise FormatError(f"it holds more than {most} bytes, packed in {path.stat().st_size}")
-    return found
+    above = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(tempfile.gettempdir() if above.startswith("~") else above) / "eagor"  # ~: a user without a home
 
 
 def written(path: Path, content: str | bytes) -> Path:
@@ -58,36 +41,11 @@ def written(path: Path, content: str | bytes) -> Path:
     The old file stays until all of the new content is on the disk. If writing fails, the old file stays and nothing
     else is left. Raises `StorageError`, which says where, why, and how much room is needed.
     """
-    _put(path, content, Path.replace)
+    put(path, content, Path.replace)
     return path
 
 
-def claimed(path: Path, content: str) -> bool:
-    """Write `content` to `path` as `written` does, but only if no such file exists; returns whether it did.
-
-    If several processes try at once, exactly one succeeds. Raises `StorageError`.
-    """
-    won = True
-
-    def link(part: Path, place: Path) -> None:
-        nonlocal won
-        try:
-            os.link(part, place)  # unlike a rename, it replaces nothing
-        except FileExistsError:
-            won = False
-        except OSError:  # a file system without such links
-            try:
-                os.close(os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
-            except FileExistsError:
-                won = False
-            else:
-                part.replace(place)
-
-    _put(path, content, link)
-    return won
-
-
-def _put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]) -> None:
+def put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]) -> None:
     """Write all of `content` under a temporary name, then `place` it at `path`."""
     data = redacted(content).encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:12]}.part")  # other threads and machines may write too
@@ -149,34 +107,6 @@ def append_all(file: int, data: bytes, sync: bool = False) -> None:
         raise
 
 
-class Lines:
-    """A text file that grows by whole lines. The first line creates the file."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self._file = path, -1
-
-    def add(self, text: str) -> None:
-        """Append `text`. Raises `StorageError` if it cannot be written; the file is then as it was before."""
-        data = redacted(text).encode("utf-8", "backslashreplace")
-        try:
-            if self._file < 0:
-                self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-            append_all(self._file, data)
-        except OSError as error:
-            raise StorageError(
-                f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are needed. What was "
-                "written before is intact. Make room, or name another place, then start again"
-            ) from error
-
-    def __enter__(self) -> Lines:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
-
-
 def keep_out(*secrets: str) -> None:
     """Remember `secrets`, so that `redacted` hides them; very short ones are ignored."""
     _secrets.update(secret for secret in secrets if len(secret) >= _SHORTEST)
@@ -187,3 +117,21 @@ def redacted(text: str) -> str:
     for secret in sorted(_secrets, key=len, reverse=True):  # longest first: one may be part of another
         text = text.replace(secret, _GONE)
     return _LOGIN.sub(_GONE, text)
+
+
+def as_csv(rows: Iterable[Sequence[Any]], ending: str = "\n") -> str:
+    """`rows` as CSV. Text that a spreadsheet would take for a formula gets an apostrophe before it."""
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator=ending).writerows(map(_cell, row) for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    value = value.replace("\r", "\n")  # the writer does not always quote \r, which would start a new row
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}" if value.startswith(("=", "+", "-", "@", "\t", "\n")) else value
+    return value

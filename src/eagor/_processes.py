@@ -8,33 +8,21 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
-from typing import Any
+from pkgutil import resolve_name
+from typing import Any, NamedTuple
 
 from eagor.errors import EagorError
 
 __all__ = ["Worker", "WorkerEnded", "WorkerSilent"]
 
-THREADS = (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
+THREADS = [f"{name}_THREADS" for name in ("OPENBLAS_NUM", "OMP_NUM", "MKL_NUM", "NUMEXPR_NUM", "VECLIB_MAXIMUM")]
 
 
 def usable_cores() -> int:
     """The cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def cores_to_take() -> int:
-    """The cores that long work should take: all that are usable, or as many as OMP_NUM_THREADS says."""
-    asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
-    return min(int(asked), 1024) if asked.isdecimal() and int(asked) else usable_cores()
 
 
 _START = threading.Lock()  # the environment is that of all threads
@@ -54,7 +42,7 @@ class Worker:
     It calls ``serve(line, *arguments)``; `serve` may be named as ``"package.module:function"``, which is then imported
     in that process alone. It ends when that returns, which it should when reading the line raises EOFError: then this
     process has closed it, or is gone. An `EagorError` there is its last word, and raised here by `receive`. Ctrl-C is
-    left to this process, and it never outlives it, however that ends: `at_parents_end` is called there first.
+    left to this process, and it never outlives it, however that ends.
 
     `parent`: whether it starts processes itself. Such a worker has to be closed before this process can end.
 
@@ -62,18 +50,12 @@ class Worker:
     """
 
     def __init__(
-        self,
-        serve: Callable[..., object] | str,
-        *arguments: Any,
-        name: str | None = None,
-        parent: bool = False,
-        at_parents_end: Callable[[], object] | None = None,
+        self, serve: Callable[..., object] | str, *arguments: Any, name: str | None = None, parent: bool = False
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self.line, there = context.Pipe()
         self._closing = threading.Lock()
-        given = (there, serve, arguments, at_parents_end)
-        self.process = context.Process(target=_live, args=given, name=name, daemon=not parent)
+        self.process = context.Process(target=_live, args=(there, serve, arguments), name=name, daemon=not parent)
         try:
             with _START, _starting():
                 self.process.start()
@@ -135,48 +117,33 @@ class Worker:
         return error if of_caller else WorkerEnded()
 
 
-class _LastWord:
+class _LastWord(NamedTuple):
     """The error that a worker ended with."""
 
-    def __init__(self, error: EagorError) -> None:
-        self.error = error
+    error: EagorError
 
 
-def _live(
-    line: Connection,
-    serve: Callable[..., object] | str,
-    arguments: tuple[Any, ...],
-    at_parents_end: Callable[[], object] | None,
-) -> None:
+def _live(line: Connection, serve: Callable[..., object] | str, arguments: tuple[Any, ...]) -> None:
     """The life of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it, too, and decides
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # for processes that this one starts
-    threading.Thread(target=_leave_with_parent, args=(at_parents_end,), daemon=True).start()
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
         with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the line has been closed there
-            _named(serve)(line, *arguments)
+            (resolve_name(serve) if isinstance(serve, str) else serve)(line, *arguments)
     except EagorError as error:
         with suppress(OSError):
             line.send(_LastWord(error))
 
 
-def _named(serve: Callable[..., object] | str) -> Callable[..., object]:
-    if not isinstance(serve, str):
-        return serve
-    module, _, function = serve.partition(":")
-    return getattr(import_module(module), function)
-
-
-def _leave_with_parent(before: Callable[[], object] | None) -> None:
+def _leave_with_parent() -> None:
     """End this process and those it has started once its parent has ended: nobody gives it work."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
     for process in multiprocessing.active_children():
         process.kill()
-    if before is not None:
-        before()
     os._exit(1)
 
 
@@ -187,7 +154,7 @@ def _starting() -> Iterator[None]:
     They have one BLAS thread each (the libraries read that once, when they are loaded), and are not interrupted: Ctrl-C
     reaches every process of a terminal, and one that still imports would print a traceback. `_live` undoes that.
     """
-    before = {name: os.environ.get(name) for name in THREADS}
+    before = {name: os.environ[name] for name in THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     mask = None
     if hasattr(signal, "pthread_sigmask"):  # not on Windows
@@ -198,8 +165,6 @@ def _starting() -> Iterator[None]:
     finally:
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in THREADS:
+            os.environ.pop(name, None)
+        os.environ.update(before)

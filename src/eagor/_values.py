@@ -8,9 +8,10 @@ two threads compute the same value.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, Generic, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -19,33 +20,29 @@ _LONGEST = 6  # in a repr; longer rows of numbers are cut
 Value = TypeVar("Value")
 Owner = TypeVar("Owner")
 
+if TYPE_CHECKING:
+    from functools import cached_property as lazy  # noqa: TID251
+else:
 
-class lazy(Generic[Value]):
-    """A property that replaces itself by its value. Pickles and copies leave such values out."""
+    class lazy:
+        """A property that replaces itself by its value. Pickles and copies leave such values out."""
 
-    def __init__(self, compute: Callable[[Any], Value]) -> None:
-        self.compute = compute
-        self.name = compute.__name__
-        self.__doc__ = compute.__doc__
+        def __init__(self, compute: Callable[[Any], Any]) -> None:
+            self.compute, self.__doc__ = compute, compute.__doc__
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-        if owner.__getstate__ is object.__getstate__:
-            owner.__getstate__ = state_of  # type: ignore[method-assign]
+        def __set_name__(self, owner: type, name: str) -> None:
+            self.name = name
+            if owner.__getstate__ is object.__getstate__:
+                owner.__getstate__ = state_of
 
-    @overload
-    def __get__(self, instance: None, owner: type) -> lazy[Value]: ...
-    @overload
-    def __get__(self, instance: object, owner: type | None = None) -> Value: ...
-    def __get__(self, instance: object | None, owner: type | None = None) -> Any:
-        if instance is None:
-            return self
-        value = self.compute(instance)
-        instance.__dict__[self.name] = value
-        return value
+        def __get__(self, instance: Any, owner: type | None = None) -> Any:
+            if instance is None:
+                return self
+            value = instance.__dict__[self.name] = self.compute(instance)
+            return value
 
 
-class given(lazy[Value]):
+class given(lazy):
     """A lazy value that may also be known when the object is made (see `known`). Pickles and copies keep it."""
 
 
@@ -85,16 +82,14 @@ def state_of(owner: Any) -> dict[str, Any]:
     return {name: value for name, value in found.items() if type(getattr(kind, name, None)) is not lazy}
 
 
-# --- repr: only fields that differ from the default, arrays by their shape --------------------------------------------
-
-
 def changed(self: Any) -> str:
     """`__repr__` of a dataclass: only the fields that differ from their defaults."""
     told = []
     for field in fields(self):
         value = getattr(self, field.name)
         default = field.default if field.default_factory is MISSING else field.default_factory()
-        if field.repr and (default is MISSING or not _same(value, default)):
+        same = np.array_equal if isinstance(value, np.ndarray) or isinstance(default, np.ndarray) else operator.eq
+        if field.repr and (default is MISSING or not (value is default or same(value, default))):
             told.append(f"{field.name}={_value(value)}")
     return f"{type(self).__name__}({', '.join(told)})"
 
@@ -103,14 +98,6 @@ def where(azimuth: float, elevation: float) -> str:
     """A direction (radians): 29° left, +6° up."""
     side = "left" if azimuth >= 0 else "right"
     return f"{abs(math.degrees(azimuth)):.0f}° {side}, {math.degrees(elevation):+.0f}° up"
-
-
-def _same(value: Any, default: Any) -> bool:
-    if value is default:
-        return True
-    if isinstance(value, np.ndarray) or isinstance(default, np.ndarray):
-        return np.array_equal(value, default)
-    return bool(value == default)
 
 
 def _value(value: Any) -> str:

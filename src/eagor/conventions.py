@@ -16,9 +16,8 @@ from eagor.sphere import azimuth_elevation, check_rotation, direction
 
 __all__ = [
     "E3NN_R_BODY", "GLTF_R_WORLD", "HABITAT_R_BODY", "OPTICAL_R_BODY", "direction_from_hstar", "from_gltf",
-    "from_habitat", "from_healpix_alm", "from_optical", "from_pyshtools", "hstar_from_direction", "pose_from_habitat",
-    "pose_to_habitat", "rotation_from_habitat", "rotation_from_wxyz", "rotation_from_xyzw", "rotation_to_e3nn",
-    "to_e3nn_direction", "to_gltf", "to_habitat", "to_healpix_alm", "to_optical", "to_pyshtools", "wxyz_from_rotation",
+    "from_healpix_alm", "from_pyshtools", "hstar_from_direction", "pose_from_habitat", "pose_to_habitat",
+    "rotation_from_wxyz", "rotation_from_xyzw", "to_gltf", "to_healpix_alm", "to_pyshtools", "wxyz_from_rotation",
     "xyzw_from_rotation",
 ]  # fmt: skip
 
@@ -78,35 +77,14 @@ def direction_from_hstar(yaw_deg: np.ndarray, pitch_deg: np.ndarray) -> np.ndarr
 
 # --- camera and simulator axes ---
 
-# Rows: the axes of the other frame in ours, so that OTHER_R_BODY @ direction_body = direction_other.
+# Rows: the axes of the other frame in ours. OTHER_R_BODY @ direction_body = direction_other; for arrays (..., 3) of
+# directions or points, `directions @ OTHER_R_BODY.T`, and back `@ OTHER_R_BODY`. A rotation R becomes
+# OTHER_R_BODY @ R @ OTHER_R_BODY.T.
 HABITAT_R_BODY = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])  # x right, y up, z backward (also OpenGL)
 OPTICAL_R_BODY = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x right, y down, z forward (ROS REP-103 optical)
-
-
-def to_habitat(directions: np.ndarray) -> np.ndarray:
-    """Directions or points ``(..., 3)`` from our body frame to Habitat's (x right, y up, z backward)."""
-    return np.asarray(directions) @ HABITAT_R_BODY.T
-
-
-def from_habitat(directions: np.ndarray) -> np.ndarray:
-    """Directions or points ``(..., 3)`` from Habitat's frame to ours."""
-    return np.asarray(directions) @ HABITAT_R_BODY
-
-
-def rotation_from_habitat(matrix: np.ndarray) -> np.ndarray:
-    """A rotation or pose ``(..., 3, 3)`` between Habitat frames as one between ours; a left turn stays a left turn."""
-    return HABITAT_R_BODY.T @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ HABITAT_R_BODY
-
-
-def to_optical(directions: np.ndarray) -> np.ndarray:
-    """Directions or points ``(..., 3)`` from our body frame to an optical frame (x right, y down, z forward)."""
-    return np.asarray(directions) @ OPTICAL_R_BODY.T
-
-
-def from_optical(directions: np.ndarray) -> np.ndarray:
-    """Directions or points ``(..., 3)`` from a camera's optical frame to ours."""
-    return np.asarray(directions) @ OPTICAL_R_BODY
-
+# e3nn (normalization="integral", normalize=True): its polar axis is its second. Hand it our (y, z, x) as its (x, y, z),
+# and the same coefficients describe the same field, with the same index l*l + l + m.
+E3NN_R_BODY = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
 # --- worlds: ours has z up; glTF, and with it a scene in Habitat, has Y up: its x is ours, its Z our -y ---
 
@@ -143,13 +121,9 @@ def to_healpix_alm(coefficients: np.ndarray) -> np.ndarray:
     a_lm = (-1)^m (c_lm - i c_l-m) / sqrt(2).
     """
     coefficients = np.asarray(coefficients, dtype=np.float64)
-    degree = _degree(coefficients)
-    parts = []
-    for m in range(degree + 1):
-        l = np.arange(m, degree + 1)
-        cosine, sine = coefficients[..., l * l + l + m], coefficients[..., l * l + l - m]
-        parts.append(cosine + 0j if m == 0 else (-1) ** m * (cosine - 1j * sine) / math.sqrt(2))
-    return np.concatenate(parts, axis=-1)
+    m, l = np.triu_indices(_degree(coefficients) + 1)
+    cosine, sine = coefficients[..., l * l + l + m], coefficients[..., l * l + l - m]
+    return np.where(m == 0, cosine, (-1.0) ** m * (cosine - 1j * sine) / math.sqrt(2))
 
 
 def from_healpix_alm(alm: np.ndarray) -> np.ndarray:
@@ -158,16 +132,11 @@ def from_healpix_alm(alm: np.ndarray) -> np.ndarray:
     degree = (math.isqrt(8 * alm.shape[-1] + 1) - 3) // 2
     if (degree + 1) * (degree + 2) // 2 != alm.shape[-1]:
         raise EagorError(f"{alm.shape[-1]} values do not form a triangle of a_lm; wanted (lmax + 1)(lmax + 2) / 2")
+    m, l = np.triu_indices(degree + 1)
+    scaled: Any = np.where(m == 0, 1.0, (-1.0) ** m * math.sqrt(2)) * alm
     found = np.zeros((*alm.shape[:-1], (degree + 1) ** 2))
-    start = 0
-    for m in range(degree + 1):
-        l = np.arange(m, degree + 1)
-        part: Any = alm[..., start : start + len(l)]
-        start += len(l)
-        scale = 1.0 if m == 0 else (-1) ** m * math.sqrt(2)
-        found[..., l * l + l + m] = scale * part.real
-        if m > 0:
-            found[..., l * l + l - m] = -scale * part.imag
+    found[..., l * l + l - m] = -scaled.imag
+    found[..., l * l + l + m] = scaled.real
     return found
 
 
@@ -176,10 +145,10 @@ def to_pyshtools(coefficients: np.ndarray) -> np.ndarray:
     coefficients = np.asarray(coefficients, dtype=np.float64)
     degree = _degree(coefficients)
     found = np.zeros((*coefficients.shape[:-1], 2, degree + 1, degree + 1))
-    for l in range(degree + 1):
-        m = np.arange(l + 1)
-        found[..., 0, l, : l + 1] = coefficients[..., l * l + l + m]
-        found[..., 1, l, 1 : l + 1] = coefficients[..., l * l + l - m[1:]]
+    l, m = np.tril_indices(degree + 1)
+    found[..., 1, l, m] = coefficients[..., l * l + l - m]
+    found[..., 0, l, m] = coefficients[..., l * l + l + m]
+    found[..., 1, :, 0] = 0.0
     return found
 
 
@@ -188,28 +157,11 @@ def from_pyshtools(cilm: np.ndarray) -> np.ndarray:
     cilm = np.asarray(cilm, dtype=np.float64)
     if cilm.ndim < 3 or cilm.shape[-3:] != (2, cilm.shape[-1], cilm.shape[-1]):
         raise EagorError(f"cilm has shape {cilm.shape}; wanted (..., 2, degree + 1, degree + 1)")
-    degree = cilm.shape[-1] - 1
-    found = np.zeros((*cilm.shape[:-3], (degree + 1) ** 2))
-    for l in range(degree + 1):
-        m = np.arange(l + 1)
-        found[..., l * l + l + m] = cilm[..., 0, l, : l + 1]
-        found[..., l * l + l - m[1:]] = cilm[..., 1, l, 1 : l + 1]
+    l, m = np.tril_indices(cilm.shape[-1])
+    found = np.zeros((*cilm.shape[:-3], cilm.shape[-1] ** 2))
+    found[..., l * l + l - m] = cilm[..., 1, l, m]
+    found[..., l * l + l + m] = cilm[..., 0, l, m]
     return found
-
-
-# e3nn's polar axis is its second. Hand it our (y, z, x) as its (x, y, z), and the same numbers describe the same
-# field, with the same index l*l + l + m.
-E3NN_R_BODY = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-
-
-def to_e3nn_direction(directions: np.ndarray) -> np.ndarray:
-    """Points ``(..., 3)`` for e3nn (normalization="integral", normalize=True): coefficients then need no reordering."""
-    return np.asarray(directions) @ E3NN_R_BODY.T
-
-
-def rotation_to_e3nn(matrix: np.ndarray) -> np.ndarray:
-    """Our rotation `matrix` ``(..., 3, 3)`` in e3nn's axes."""
-    return E3NN_R_BODY @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ E3NN_R_BODY.T
 
 
 def _degree(coefficients: np.ndarray) -> int:

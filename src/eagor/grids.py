@@ -18,10 +18,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor._values import changed, lazy
 from eagor.errors import GridError
 from eagor.lenses import FisheyeLens, PinholeLens
-from eagor.sphere import azimuth_elevation, check_rotation, direction
+from eagor.sphere import azimuth_elevation, checked_pose, direction
 
 __all__ = [
     "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "PatchGrid", "PerspectiveGrid", "ViewKey", "forward_view",
@@ -48,19 +49,33 @@ def _centres(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None]
 
 
-class _Equirectangular:
-    """The projection that `ErpGrid` and `PatchGrid` share: longitude and latitude, linear in the pixel."""
+class _Cells:
+    """What all grids share."""
 
     height: int
     width: int
 
     def __post_init__(self) -> None:
-        _check_size(self.height, self.width)
+        if min(self.shape) < 1:
+            raise GridError(f"a grid needs at least one row and one column; got {self.height} x {self.width}")
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
         return self.height, self.width
+
+    @lazy
+    def directions(self) -> np.ndarray:
+        """Unit vectors ``(H, W, 3)`` of the cell centres, body frame; those beyond a fisheye's rim are meaningless."""
+        return frozen(self.unproject(*_centres(*self.shape)))
+
+    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Directions at continuous pixel coordinates."""
+        raise NotImplementedError
+
+
+class _Equirectangular(_Cells):
+    """The projection that `ErpGrid` and `PatchGrid` share: longitude and latitude, linear in the pixel."""
 
     @property
     def latitudes(self) -> np.ndarray:
@@ -71,11 +86,6 @@ class _Equirectangular:
     def longitudes(self) -> np.ndarray:
         """Azimuth (radians) of each column's centre, left to right, from pi down to -pi."""
         return math.pi - 2 * math.pi * (np.arange(self.width) + 0.5) / self.width
-
-    @lazy
-    def directions(self) -> np.ndarray:
-        """Unit vectors ``(H, W, 3)`` of the cell centres, body frame."""
-        return _frozen(self.unproject(*_centres(*self.shape)))
 
     def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Directions at continuous pixel coordinates; x may run past the seam, y stops at the poles."""
@@ -115,7 +125,7 @@ class ErpGrid(_Equirectangular):
     def weights(self) -> np.ndarray:
         """Quadrature weights ``(H, W)`` in steradians; they sum to 4 pi."""
         row = fejer_weights(self.height) * (2 * math.pi / self.width)
-        return _frozen(np.broadcast_to(row[:, None], self.shape))
+        return frozen(np.broadcast_to(row[:, None], self.shape))
 
 
 @dataclass(frozen=True)
@@ -125,22 +135,15 @@ class PatchGrid(_Equirectangular):
     rows: int
     cols: int
 
-    @property
-    def height(self) -> int:  # type: ignore[override]
-        """Number of rows."""
-        return self.rows
-
-    @property
-    def width(self) -> int:  # type: ignore[override]
-        """Number of columns."""
-        return self.cols
+    height = property(lambda self: self.rows)  # type: ignore[assignment]
+    width = property(lambda self: self.cols)  # type: ignore[assignment]
 
     @lazy
     def weights(self) -> np.ndarray:
         """Exact solid angles ``(H, W)`` of the cells in steradians; they sum to 4 pi."""
         edges = np.sin(math.pi / 2 - math.pi * np.arange(self.height + 1) / self.height)
         row = (edges[:-1] - edges[1:]) * (2 * math.pi / self.width)
-        return _frozen(np.broadcast_to(row[:, None], self.shape))
+        return frozen(np.broadcast_to(row[:, None], self.shape))
 
 
 @dataclass(frozen=True)
@@ -182,28 +185,22 @@ class ErpWindow:
     def directions(self) -> np.ndarray:
         """Unit vectors ``(rows, cols, 3)`` of the cell centres, body frame."""
         x, y = self.left + np.arange(self.cols) + 0.5, self.top + np.arange(self.rows)[:, None] + 0.5
-        return _frozen(self.whole.unproject(x, y))
+        return frozen(self.whole.unproject(x, y))
 
     @lazy
     def weights(self) -> np.ndarray:
         """Quadrature weights ``(rows, cols)`` in steradians."""
         row = fejer_weights(self.whole.height)[self.top : self.top + self.rows] * (2 * math.pi / self.whole.width)
-        return _frozen(np.broadcast_to(row[:, None], self.shape))
+        return frozen(np.broadcast_to(row[:, None], self.shape))
 
 
-class _Sampled:
-    """What `PerspectiveGrid` and `FisheyeGrid` share: the pixels of a lens without distortion."""
+class _Sampled(_Cells):
+    """What `PerspectiveGrid` and `FisheyeGrid` share: the pixels of a lens."""
 
     body_R_view: np.ndarray
-    shape: tuple[int, int]
     lens: PinholeLens | FisheyeLens
 
     __repr__ = changed
-
-    @lazy
-    def directions(self) -> np.ndarray:
-        """Unit vectors ``(H, W, 3)`` of the pixel centres, body frame; those beyond a fisheye's rim are meaningless."""
-        return _frozen(self.unproject(*_centres(*self.shape)))
 
     def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Directions at continuous pixel coordinates."""
@@ -214,9 +211,9 @@ class _Sampled:
         x, y, depth = self.lens.project(directions)
         return x, y, depth >= -_EDGE
 
-    def _keep_pose(self) -> None:
-        pose = np.array(check_rotation(np.asarray(self.body_R_view, dtype=np.float64), "body_R_view"))
-        object.__setattr__(self, "body_R_view", _frozen(pose))
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "body_R_view", frozen(np.array(checked_pose(self.body_R_view, "body_R_view"))))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -235,7 +232,7 @@ class PerspectiveGrid(_Sampled):
     optics: PinholeLens | None = None
 
     def __post_init__(self) -> None:
-        _check_size(self.height, self.width)
+        super().__post_init__()
         if not 0 < self.hfov < math.pi:
             raise GridError(
                 f"hfov = {self.hfov:g} rad; a perspective view needs 0 < hfov < pi. Given in degrees? Use math.radians"
@@ -245,7 +242,6 @@ class PerspectiveGrid(_Sampled):
                 f"the lens {self.optics.name!r} has a picture of {self.optics.size[0]} x {self.optics.size[1]}, the "
                 f"grid of {self.width} x {self.height}; wanted the same: use PerspectiveGrid.of_lens, or resized"
             )
-        self._keep_pose()
 
     @classmethod
     def of_lens(cls, lens: PinholeLens) -> PerspectiveGrid:
@@ -264,11 +260,6 @@ class PerspectiveGrid(_Sampled):
             focal, centre = (fx * by[0], fy * by[1]), (cx * by[0], cy * by[1])
             optics = replace(optics, size=(width, height), focal=focal, centre=centre)
         return replace(self, height=height, width=width, optics=optics)
-
-    @property
-    def shape(self) -> tuple[int, int]:  # type: ignore[override]
-        """(rows, columns)."""
-        return self.height, self.width
 
     @property
     def focal(self) -> float:
@@ -290,10 +281,10 @@ class PerspectiveGrid(_Sampled):
         Exact but for a lens with distortion, where each is that of the pixel's centre.
         """
         if any(self.lens.distortion):
-            return _frozen(self.density(*_centres(*self.shape)))
+            return frozen(self.density(*_centres(*self.shape)))
         x, y = self.lens.plane(np.arange(self.width + 1), np.arange(self.height + 1)[:, None])
         corner = np.arctan2(x * y, np.sqrt(1 + x * x + y * y))
-        return _frozen(np.diff(np.diff(corner, axis=0), axis=1))
+        return frozen(np.diff(np.diff(corner, axis=0), axis=1))
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Steradians per square pixel: cos^3 of the angle off the axis, times the pixel's area in the plane."""
@@ -339,12 +330,9 @@ class FisheyeGrid(_Sampled):
             raise GridError(
                 f"fisheye of size {self.size}, fov {self.fov:g} rad; wanted size >= 1 and 0 < fov <= 2 pi (radians)"
             )
-        self._keep_pose()
+        super().__post_init__()
 
-    @property
-    def shape(self) -> tuple[int, int]:  # type: ignore[override]
-        """(rows, columns)."""
-        return self.size, self.size
+    height = width = property(lambda self: self.size)  # type: ignore[assignment]
 
     @lazy
     def lens(self) -> FisheyeLens:  # type: ignore[override]
@@ -358,7 +346,7 @@ class FisheyeGrid(_Sampled):
         fine = (np.arange(4 * self.size) + 0.5) / 4
         x, y = fine, fine[:, None]
         seen = np.where(self._angle(x, y) <= self.fov / 2, self.density(x, y), 0.0) / 16
-        return _frozen(seen.reshape(self.size, 4, self.size, 4).sum(axis=(1, 3)))
+        return frozen(seen.reshape(self.size, 4, self.size, 4).sum(axis=(1, 3)))
 
     def _angle(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Angle off the axis, radians."""
@@ -396,15 +384,3 @@ def forward_view(key: ViewKey) -> PerspectiveGrid | FisheyeGrid:
         fx, fy, cx, cy, *distortion = optics
         return PerspectiveGrid.of_lens(PinholeLens("view", (width, height), (fx, fy), (cx, cy), tuple(distortion)))
     return PerspectiveGrid(height, width, optics) if kind == "perspective" else FisheyeGrid(height, optics)
-
-
-def _check_size(height: int, width: int) -> None:
-    if min(height, width) < 1:
-        raise GridError(f"a grid needs at least one row and one column; got {height} x {width}")
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    """`array`, made read-only: grids return their cached arrays."""
-    array = np.asarray(array)
-    array.setflags(write=False)
-    return array

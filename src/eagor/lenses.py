@@ -13,10 +13,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor._checks import above, within
 from eagor._values import lazy
 from eagor.errors import GridError
-from eagor.sphere import check_rotation
+from eagor.sphere import checked_pose
 
 __all__ = ["FisheyeLens", "Lens", "PinholeLens", "inverted"]
 
@@ -48,7 +49,7 @@ class FisheyeLens:
     picture: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "body_R_lens", _rotation(self.body_R_lens))
+        object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "polynomial", tuple(float(k) for k in self.polynomial))
         if not (above(self.focal, 0) and above(self.radius, 0) and all(within(v, -1e6, 1e6) for v in self.centre)):
             raise GridError(
@@ -154,7 +155,7 @@ class PinholeLens:
     picture: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "body_R_lens", _rotation(self.body_R_lens))
+        object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
         if not (all(above(f, 0) for f in self.focal) and all(within(c, -1e6, 1e6) for c in self.centre)):
             raise GridError(
@@ -269,10 +270,3 @@ def _slope(polynomial: Sequence[float], angle: np.ndarray) -> np.ndarray:
     for power in range(len(polynomial), 0, -1):
         total = (total + (2 * power + 1) * polynomial[power - 1]) * squared
     return 1 + total
-
-
-def _rotation(matrix: np.ndarray) -> np.ndarray:
-    """A read-only copy of `matrix`, checked to be a rotation."""
-    checked = np.array(check_rotation(np.asarray(matrix, dtype=np.float64), "body_R_lens"))
-    checked.setflags(write=False)
-    return checked

@@ -8,18 +8,15 @@ that is empty, not finite, or does not fit. Intervals and tests are in `eagor.st
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from eagor.errors import DirectionError, EagorError
 from eagor.sphere import angular_distance, check_rotation, unit
-from eagor.statistics import finite_values, outcomes, plain_labels, same_length
+from eagor.statistics import finite_values, outcomes, same_length
 
 __all__ = [
-    "angular_error_deg", "credible_coverage", "ego_motion", "leg_delta", "log_score", "mae_by_segment", "mean_error",
-    "occlusion_error", "seam_crossings", "seam_error", "soft_spl", "spl", "success", "tc_rotation",
+    "angular_error_deg", "ego_motion", "mean_error", "seam_crossings", "soft_spl", "spl", "success",
     "temporal_consistency",
 ]  # fmt: skip
 
@@ -46,47 +43,6 @@ def mean_error(errors: ArrayLike, where: ArrayLike | None = None) -> float | Non
     return float(errors[mask].mean()) if mask.any() else None
 
 
-def mae_by_segment(
-    errors: ArrayLike, segments: Sequence[Hashable] | np.ndarray, names: Sequence[Hashable] | None = None
-) -> dict[Hashable, float | None]:
-    """Mean of `errors` ``(n,)`` in each segment, such as a leg of a walk; None for a segment without cases.
-
-    Args:
-        errors: one per step, any unit.
-        segments: ``(n,)`` labels, one per step; None where a step belongs to no segment.
-        names: the segments to report, in this order; by default those that occur, in order of appearance.
-
-    Raises `EagorError` for a label that is not among `names`.
-    """
-    errors = finite_values(errors, "errors")
-    labels = plain_labels(segments)
-    if errors.ndim != 1 or len(labels) != len(errors):
-        raise EagorError(f"errors have shape {errors.shape} and there are {len(labels)} segments; wanted one per step")
-    present = [label for label in dict.fromkeys(labels) if label is not None]
-    names = present if names is None else list(names)
-    unknown = [label for label in present if label not in names]
-    if unknown:
-        raise EagorError(f"segments {unknown} are not among the names {names}; add them, or mark those steps None")
-    return {name: mean_error(errors, np.array([label == name for label in labels])) for name in names}
-
-
-def leg_delta(
-    by_segment: Mapping[Hashable, float | None], first: Hashable = "L1", last: Hashable = "L4"
-) -> float | None:
-    """The growth of the error over a walk: last leg minus first leg; None if either has no cases."""
-    if missing := [name for name in (first, last) if name not in by_segment]:
-        raise EagorError(
-            f"no segment {missing} among {list(by_segment)}; name the first and last leg as they are there"
-        )
-    begin, end = by_segment[first], by_segment[last]
-    return None if begin is None or end is None else end - begin
-
-
-def occlusion_error(errors: ArrayLike, occluded: ArrayLike) -> float | None:
-    """Mean of `errors` ``(n,)`` over the steps at which the target is `occluded` ``(n,)``; None if it never is."""
-    return mean_error(errors, occluded)
-
-
 def seam_crossings(true_directions: ArrayLike) -> np.ndarray:
     """Mask ``(n,)`` of the steps at which the true bearing crosses the seam of the panorama, azimuth +-pi.
 
@@ -105,11 +61,6 @@ def seam_crossings(true_directions: ArrayLike) -> np.ndarray:
     return np.concatenate([[False], (left[1:] != left[:-1]) & behind])
 
 
-def seam_error(errors: ArrayLike, true_directions: ArrayLike) -> float | None:
-    """Mean of `errors` ``(n,)`` over the `seam_crossings` of `true_directions` ``(n, 3)``; None if there are none."""
-    return mean_error(errors, seam_crossings(true_directions))
-
-
 def ego_motion(world_R_body: ArrayLike, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """The motions between n poses, as input of `temporal_consistency`.
 
@@ -125,13 +76,18 @@ def ego_motion(world_R_body: ArrayLike, positions: ArrayLike) -> tuple[np.ndarra
 
 
 def temporal_consistency(
-    estimates: ArrayLike, new_R_old: ArrayLike, translations: ArrayLike, true_ranges: ArrayLike
+    estimates: ArrayLike,
+    new_R_old: ArrayLike,
+    translations: ArrayLike | None = None,
+    true_ranges: ArrayLike | None = None,
 ) -> float | None:
     """TC (deg/step): mean angle between each estimate and the previous one, moved along by the true motion.
 
     The previous estimate, put at the target's true range, becomes the point ``new_R_old @ (direction * range) -
     translation`` of the new body frame. So a perfect estimate of a static target scores 0; while the body only turns,
-    so does any estimate that is fixed in the world. Lower is smoother, not always better.
+    so does any estimate that is fixed in the world. Lower is smoother, not always better. Without translations and
+    ranges it is moved by the rotation alone, our reading of the paper: a perfect one scores above 0 while the body
+    walks.
 
     Args:
         estimates: ``(n, 3)``, body frame of each step.
@@ -148,82 +104,51 @@ def temporal_consistency(
     directions = _directions(estimates, "estimates", "(n, 3)")
     if len(directions) == 1:
         return None
+    points = _turned(directions, new_R_old)
+    if translations is None or true_ranges is None:
+        return float(angular_error_deg(directions[1:], points).mean())
     moved = np.asarray(translations, dtype=np.float64)
     ranges = finite_values(true_ranges, "true_ranges")
     if moved.shape != (len(directions) - 1, 3) or not np.isfinite(moved).all():
         raise EagorError(f"translations {moved.shape} do not fit; wanted {(len(directions) - 1, 3)}, finite, metres")
     if ranges.shape != (len(directions),) or ranges.min() < 0:
         raise EagorError(f"true_ranges {ranges.shape} do not fit; wanted {(len(directions),)}, metres, none negative")
-    points = _turned(directions, new_R_old) * ranges[:-1, None] - moved
+    points = points * ranges[:-1, None] - moved
     if (np.linalg.norm(points, axis=-1) == 0).any():
         raise EagorError("a moved estimate falls on the camera itself; end the episode before the target is reached")
     return float(angular_error_deg(directions[1:], points).mean())
 
 
-def tc_rotation(estimates: ArrayLike, new_R_old: ArrayLike) -> float | None:
-    """TC (deg/step) with the rotation alone, our reading of the paper; None if there is only one step.
-
-    `estimates` are ``(n, 3)``, `new_R_old` ``(n - 1, 3, 3)``. A perfect estimate scores above 0 while the body walks.
-    """
-    directions = _directions(estimates, "estimates", "(n, 3)")
-    if len(directions) == 1:
-        return None
-    return float(angular_error_deg(directions[1:], _turned(directions, new_R_old)).mean())
-
-
-def success(distance: ArrayLike, stopped: ArrayLike, success_distance: float) -> np.ndarray:
+def success(distance: float, stopped: bool, success_distance: float) -> bool:
     """Habitat's Success: the agent called stop AND is nearer to the target than `success_distance` (metres, strict).
 
-    `distance` (metres at the end, inf without a path) and `stopped` have one entry per episode.
+    `distance` is the one at the end, inf without a path.
     """
-    distance, stopped = _lengths(distance, "distance", endless=True), outcomes(np.atleast_1d(stopped), "stopped")
-    same_length(distance=distance, stopped=stopped)
     if not success_distance > 0:
         raise EagorError(f"success_distance is {success_distance}; wanted metres above 0, such as 1.0")
-    return stopped & (distance < success_distance)
+    return bool(stopped) and _metres("distance", distance, endless=True) < success_distance
 
 
-def spl(succeeded: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """Success weighted by path length, per episode: ``S * shortest / max(shortest, path)``.
+def spl(succeeded: bool, shortest: float, path: float) -> float:
+    """Success weighted by path length: ``S * shortest / max(shortest, path)``.
 
     Anderson et al., On Evaluation of Embodied Navigation Agents, 2018. `shortest` is the shortest path from start to
     target, `path` the agent's path, metres. An episode that starts on the target (shortest = 0) scores S if
     the agent stayed there, and 0 if it walked: the limits of the formula, where it would divide by zero.
     """
-    succeeded = outcomes(np.atleast_1d(succeeded), "succeeded")
-    efficiency = _efficiency(shortest, path)
-    same_length(succeeded=succeeded, shortest=efficiency)
-    return succeeded * efficiency
+    shortest, path = _metres("shortest", shortest), _metres("path", path)
+    longer = max(shortest, path)
+    return float(bool(succeeded) * (shortest / longer if longer > 0 else 1.0))
 
 
-def soft_spl(distance: ArrayLike, shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """SoftSPL, per episode: ``max(0, 1 - distance / shortest) * shortest / max(shortest, path)``, Habitat's definition.
+def soft_spl(distance: float, shortest: float, path: float) -> float:
+    """SoftSPL: ``max(0, 1 - distance / shortest) * shortest / max(shortest, path)``, Habitat's definition.
 
     `distance` is the remaining one at the end (metres, inf without a path). If shortest = 0, the progress is 1 for an
     agent that ends on the target and 0 for any other.
     """
-    distance, shortest = _lengths(distance, "distance", endless=True), _lengths(shortest, "shortest")
-    efficiency = _efficiency(shortest, path)
-    same_length(distance=distance, shortest=shortest)
-    gained = np.maximum(0.0, shortest - distance) / np.where(shortest > 0, shortest, 1.0)
-    return np.where(shortest > 0, gained, distance == 0) * efficiency
-
-
-def credible_coverage(inside: ArrayLike) -> float:
-    """Share of the truths that lay `inside` ``(n,)`` their credible region: for 90 % regions it should be near 0.9."""
-    return float(outcomes(inside, "inside").mean())
-
-
-def log_score(log_densities: ArrayLike) -> float:
-    """Mean log density (nats per steradian) that the beliefs gave to the truths: HIGHER is better.
-
-    Proper: only the honest belief maximises it in expectation (Good, 1952). Knowing nothing scores -log(4 pi) = -2.53;
-    one truth that was given density 0 makes it -inf, as it should.
-    """
-    values = np.asarray(log_densities, dtype=np.float64)
-    if values.size == 0 or np.isnan(values).any() or (values == np.inf).any():
-        raise EagorError(f"log densities {values.shape} are empty, NaN or +inf; wanted one number or -inf per truth")
-    return float(values.mean())
+    distance, efficiency = _metres("distance", distance, endless=True), spl(True, shortest, path)
+    return efficiency * (max(0.0, shortest - distance) / shortest if shortest > 0 else float(distance == 0))
 
 
 def _directions(vectors: ArrayLike, name: str, wanted: str = "(..., 3)") -> np.ndarray:
@@ -241,17 +166,8 @@ def _turned(directions: np.ndarray, new_R_old: ArrayLike) -> np.ndarray:
     return (turns @ directions[:-1, :, None])[..., 0]
 
 
-def _lengths(values: ArrayLike, name: str, endless: bool = False) -> np.ndarray:
-    """`values` as metres, one per episode ``(n,)``; only `endless` ones may be infinite."""
-    array = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if array.ndim != 1 or array.size == 0 or not ((array >= 0) & (endless | np.isfinite(array))).all():
-        raise EagorError(f"{name} must be (n,) metres, none negative{', NaN' if endless else ', NaN or inf'}: {array}")
-    return array
-
-
-def _efficiency(shortest: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """``shortest / max(shortest, path)``; 1 where both are 0."""
-    shortest, path = _lengths(shortest, "shortest"), _lengths(path, "path")
-    same_length(shortest=shortest, path=path)
-    longer = np.maximum(shortest, path)
-    return np.where(longer > 0, shortest / np.where(longer > 0, longer, 1.0), 1.0)
+def _metres(name: str, value: float, endless: bool = False) -> float:
+    """`value`, once it is metres; only an `endless` one may be infinite."""
+    if not (value >= 0 and (endless or np.isfinite(value))):
+        raise EagorError(f"{name} is {value}; wanted metres, not negative{', NaN' if endless else ', NaN or infinite'}")
+    return float(value)

@@ -20,7 +20,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -30,9 +29,7 @@ from typing import Any
 
 from eagor.errors import EagorError, MissingExtraError
 
-__all__ = [
-    "bring", "brought", "check_named", "faults", "known", "left_out", "readable_lists", "unreadable", "version_of",
-]  # fmt: skip
+__all__ = ["bring", "brought", "faults", "known", "left_out", "readable_lists", "unreadable", "version_of"]
 
 _READ: Any = Distribution.entry_points.fget  # as it is outside of `readable_lists`
 PATIENCE = 30.0  # seconds that an import may take when all are tested; importing torch takes ten
@@ -88,35 +85,31 @@ def bring(point: EntryPoint, kind: str) -> Any:
 
 def faults(points: Iterable[EntryPoint]) -> dict[EntryPoint, str]:
     """Those of `points` that cannot be imported, with the reason; all tried at once in separate processes."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    tried = {}
-    for point in points:
-        tried[point] = subprocess.Popen(
-            [sys.executable, "-c", _PROBE, point.name, point.value, point.group],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            start_new_session=True,  # so that its child processes can be ended with it
-        )
-    found, late = {}, time.monotonic() + PATIENCE
+    from concurrent.futures import ThreadPoolExecutor
+
+    points = list(points)
+    with ThreadPoolExecutor(len(points) or 1) as pool:
+        return {point: why for point, why in zip(points, pool.map(_fault, points), strict=True) if why}
+
+
+def _fault(point: EntryPoint) -> str:
+    process = subprocess.Popen(
+        [sys.executable, "-c", _PROBE, point.name, point.value, point.group],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        start_new_session=True,  # so that its child processes can be ended with it
+    )
     try:
-        for point, process in tried.items():
-            try:
-                out, _ = process.communicate(timeout=max(0.5, late - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                why = f"its import took longer than {PATIENCE:.0f} s"
-            else:
-                _, ended, said = out.rpartition(b"\0")
-                why = said.decode() if ended else "its import ends the process"
-            if why:
-                found[point] = why
+        _, ended, said = process.communicate(timeout=PATIENCE)[0].rpartition(b"\0")
+        return said.decode() if ended else "its import ends the process"
+    except subprocess.TimeoutExpired:
+        return f"its import took longer than {PATIENCE:.0f} s"
     finally:
-        for process in tried.values():
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.communicate()
-    return found
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
 
 
 @contextmanager
@@ -144,18 +137,6 @@ def unreadable() -> list[str]:
     ]
 
 
-def check_named(found: Any, point: EntryPoint, kind: str, wanted: Any, *, or_maker: bool = False) -> None:
-    """Raise `EagorError` unless `found` is a `wanted` with the name of `point`, or, with `or_maker`, makes one."""
-    if isinstance(found, wanted) and found.name == point.name:
-        return
-    what = f"the {kind} {found.name!r}" if isinstance(found, wanted) else f"a {type(found).__name__}"
-    raise EagorError(
-        f"the entry point {point.name!r} of {point.group} ({point.value}) is {what}; wanted an "
-        f"{wanted.__module__}.{wanted.__name__} whose name is that of the entry point"
-        + (", or a function that makes it" if or_maker else "")
-    )
-
-
 def version_of(point: EntryPoint) -> str | None:
     """Name and version of the package of `point`, such as ``"eagor-example 1.0"``; None for our own."""
     return _name(point.dist) if point.dist is not None else None
@@ -163,24 +144,16 @@ def version_of(point: EntryPoint) -> str | None:
 
 def _installed(group: str) -> tuple[EntryPoint, ...]:
     """The entry points of installed packages in `group`."""
-    return _listed(group, tuple((place, _changed(place)) for place in sys.path))
+    return _listed(group, tuple(sys.path))
 
 
 @lru_cache(maxsize=32)
-def _listed(group: str, places: tuple[tuple[str, int | None], ...]) -> tuple[EntryPoint, ...]:
-    """Those of `_installed`, read again once a folder of `places` has changed: it takes as long as a unit of work."""
+def _listed(group: str, places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Those of `_installed`, read once for each `sys.path`: it takes as long as a unit of work."""
     try:
         return tuple(entry_points(group=group))
     except Exception:  # one unreadable list makes the call fail for all
         return tuple(point for each in distributions() for point in _points(each)[0] if point.group == group)
-
-
-def _changed(place: str) -> int | None:
-    """When something was last put into a folder of `sys.path` or taken from it; None if it is not there."""
-    try:
-        return os.stat(place or ".").st_mtime_ns
-    except (OSError, ValueError):
-        return None
 
 
 def _points(package: Distribution) -> tuple[list[EntryPoint], str]:

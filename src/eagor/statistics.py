@@ -17,7 +17,7 @@ from eagor.errors import EagorError
 
 __all__ = [
     "Discordance", "Interval", "PairedDifference", "ReliabilityBin", "bootstrap_interval", "calibration_error",
-    "mcnemar", "outcomes", "paired_difference", "plain_labels", "reliability", "share_interval", "wilson_interval",
+    "mcnemar", "outcomes", "paired_difference", "reliability", "share_interval",
 ]  # fmt: skip
 
 
@@ -101,7 +101,7 @@ def bootstrap_interval(
     """Percentile bootstrap interval of ``statistic(values)``; a cluster bootstrap where `groups` are given.
 
     Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13. With few groups (under about 30) or
-    a long tail it is too narrow by a few percent of coverage; for a share of successes use `wilson_interval`.
+    a long tail it is too narrow by a few percent of coverage; for a share of successes use `share_interval`.
 
     Args:
         values: ``(n,)``.
@@ -129,17 +129,6 @@ def bootstrap_interval(
             choice = rng.integers(len(members), size=len(members))
             drawn[k] = statistic(values[np.concatenate([members[i] for i in choice])])
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2])
-    return Interval(float(low), float(high), level)
-
-
-def wilson_interval(successes: int, n: int, level: float = 0.95) -> Interval:
-    """Wilson's score interval for a share of successes: right also at 0 % and 100 %, where the bootstrap fails."""
-    _check_level(level)
-    if not 0 <= successes <= n or n < 1:
-        raise EagorError(f"got {successes} successes of {n}; wanted 0 <= successes <= n and n >= 1")
-    from scipy.stats import binomtest
-
-    low, high = binomtest(int(successes), int(n)).proportion_ci(level, method="wilson")
     return Interval(float(low), float(high), level)
 
 
@@ -253,11 +242,6 @@ def calibration_error(table: Sequence[ReliabilityBin]) -> float:
     return sum(n * gap for n, gap in gaps) / total
 
 
-def plain_labels(labels: Sequence | np.ndarray) -> list:
-    """`labels` as a list of plain Python objects, which can be compared and hashed."""
-    return labels.tolist() if isinstance(labels, np.ndarray) else list(labels)
-
-
 def _vector(values: ArrayLike, name: str) -> np.ndarray:
     array = finite_values(values, name)
     if array.ndim != 1:
@@ -272,7 +256,7 @@ def _check_level(level: float) -> None:
 
 def _members(groups: Sequence | np.ndarray | None, n: int) -> list[np.ndarray]:
     """The indices that make up each group, in order of first appearance; `EagorError` for fewer than two groups."""
-    labels = list(range(n)) if groups is None else plain_labels(groups)
+    labels = range(n) if groups is None else groups.tolist() if isinstance(groups, np.ndarray) else list(groups)
     if len(labels) != n:
         raise EagorError(f"groups has {len(labels)} labels for {n} values; wanted one per value")
     found: dict[object, list[int]] = {}

@@ -10,7 +10,6 @@ import html
 import io
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -36,17 +35,24 @@ def density_html(
     answer: np.ndarray | None = None,
 ) -> str:
     """A density, the border of its 90 % region (a log density, steradians), candidates (rings), an answer (dot)."""
-    picture = _density(np.asarray(log_density(GRID.directions)), border, area)
-    for mode in modes:
-        _ring(picture, mode, 6.5, 5.0, BORDER)
-    if answer is not None:
-        _ring(picture, answer, 3.0, 0.0, ANSWER)
+    values = np.asarray(log_density(GRID.directions))
+    times = 4 * math.pi * np.exp(values)
+    most, known = float(times.max()), np.ptp(times) >= 1e-6
+    picture = _coloured((1 - 1 / most) * np.sqrt(np.clip((times - 1) / (most - 1), 0, 1)) if known else 0 * times, HEAT)
+    if known and not undrawn(values, GRID.weights, border, area):
+        inside = np.pad(values >= border, ((1, 1), (0, 0)), mode="edge")
+        inner = np.roll(inside, 1, 1) & np.roll(inside, -1, 1) & np.roll(inside, 1, 0) & np.roll(inside, -1, 0)
+        picture[(inside & ~inner)[1:-1]] = BORDER
+    marks = [(mode, 7.5, 10.0, BORDER) for mode in modes] + ([] if answer is None else [(answer, 0.0, 4.5, ANSWER)])
+    for direction, least, widest, colour in marks:
+        angle = np.degrees(np.arccos(np.clip(GRID.directions @ direction, -1, 1)))
+        picture[(angle >= least) & (angle <= widest)] = colour
     return _html(picture, text)
 
 
 def unknown_html(text: str) -> str:
     """A picture without a belief."""
-    return _html(_blank(), text)
+    return _html(_coloured(np.zeros(GRID.shape), HEAT), text)
 
 
 def text_html(text: str) -> str:
@@ -57,9 +63,7 @@ def text_html(text: str) -> str:
 def ratio_html(text: str, values: np.ndarray, seen: np.ndarray) -> str:
     """Log ratios on `GRID`: red where they speak for the target, blue where against, grey where nobody looked."""
     most = max(float(np.abs(values[seen]).max(initial=0.0)), MOST)
-    picture = _coloured((values / most + 1) / 2, SIGNED)
-    picture[~seen] = UNSEEN
-    return _html(_ruled(picture), text)
+    return _html(_coloured((values / most + 1) / 2, SIGNED, seen), text)
 
 
 def on_grid(map_: Array, grid: Grid, coverage: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -86,54 +90,23 @@ def undrawn(log_density: np.ndarray, weights: np.ndarray, border: float, area: f
     return "its border runs where all is alike" if float(weights[near].sum()) > ALIKE else ""
 
 
-def _density(log_density: np.ndarray, border: float, area: float) -> np.ndarray:
-    times = 4 * math.pi * np.exp(log_density)
-    most = float(times.max())
-    if most - float(times.min()) < 1e-6:
-        return _blank()
-    picture = _ruled(_coloured((1 - 1 / most) * np.sqrt(np.clip((times - 1) / (most - 1), 0, 1)), HEAT))
-    if not undrawn(log_density, GRID.weights, border, area):
-        inside = log_density >= border
-        inner = inside & np.roll(inside, 1, 1) & np.roll(inside, -1, 1)
-        inner[1:] &= inside[:-1]
-        inner[:-1] &= inside[1:]
-        picture[inside & ~inner] = BORDER
-    return picture
-
-
-def _blank() -> np.ndarray:
-    return _ruled(_coloured(np.zeros(GRID.shape), HEAT))
-
-
-def _coloured(share: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """Values in [0, 1] ``(H, W)`` as colours ``(H, W, 3)``."""
+def _coloured(share: np.ndarray, colours: np.ndarray, seen: np.ndarray | None = None) -> np.ndarray:
+    """Values in [0, 1] ``(H, W)`` as colours ``(H, W, 3)``, with lines at the horizon, to both sides and ahead."""
     at = np.clip(share, 0, 1) * (len(colours) - 1)
-    return np.stack([np.interp(at, np.arange(len(colours)), channel) for channel in colours.T], axis=-1)
-
-
-def _ruled(picture: np.ndarray) -> np.ndarray:
-    """With lines at the horizon, to both sides and ahead."""
-    height, width = picture.shape[:2]
-    picture[height // 2] = 0.7 * picture[height // 2] + 0.3 * np.array(LINES)
-    for column in (width // 4, width // 2, 3 * width // 4):
-        picture[:, column] = 0.7 * picture[:, column] + 0.3 * np.array(LINES)
+    picture = np.stack([np.interp(at, np.arange(len(colours)), channel) for channel in colours.T], axis=-1)
+    if seen is not None:
+        picture[~seen] = UNSEEN
+    lines = np.zeros(share.shape, dtype=bool)
+    lines[len(lines) // 2], lines[:, GRID.width // 4 :: GRID.width // 4] = True, True
+    picture[lines] = 0.7 * picture[lines] + 0.3 * np.array(LINES)
     return picture
-
-
-def _ring(picture: np.ndarray, direction: np.ndarray, outer: float, inner: float, colour: Any) -> None:
-    """Cells whose distance (cells) from a direction lies between two radii."""
-    x, y, _ = GRID.project(direction)
-    rows, columns = np.arange(GRID.height)[:, None] + 0.5, np.arange(GRID.width) + 0.5
-    across = (columns - float(x) + GRID.width / 2) % GRID.width - GRID.width / 2
-    distance = np.hypot(across, rows - float(y))
-    picture[(distance <= outer) & (distance >= inner)] = colour
 
 
 def _html(picture: np.ndarray, text: str) -> str:
     from PIL import Image
 
-    image = Image.fromarray(np.rint(picture).astype(np.uint8)).quantize(64, dither=Image.Dither.NONE)
     buffer = io.BytesIO()
+    image = Image.fromarray(np.rint(picture).astype(np.uint8)).quantize(64, dither=Image.Dither.NONE)
     image.save(buffer, format="PNG", optimize=True)
     data, told = base64.b64encode(buffer.getvalue()).decode("ascii"), html.escape(text)
     return (

@@ -176,7 +176,7 @@ def things():
 def plain():
     rng = np.random.default_rng(0)
     for made in (baselines.Centroid(), baselines.CircularCentroid(), baselines.GridFilter(),
-                 baselines.HistogramFilter(), baselines.ParticleFilter.uniform(2000, rng), baselines.Published(),
+                 baselines.HistogramFilter(), baselines.ParticleFilter.uniform(2000, rng),
                  baselines.VonMisesFisherFilter(), baselines.BestDetection(), baselines.LastDetection()):  # fmt: skip
         yield type(made).__name__, made
         yield f"{type(made).__name__} used", made.update(Evidence.from_points([[0.0, 1.0, 0.0]]))

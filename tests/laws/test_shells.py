@@ -12,7 +12,6 @@ from eagor.belief.ranged import log_ranges
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.shells import translate
-from eagor.sphere import rotation
 
 RANGES = log_ranges(0.5, 12.0, 14)
 STEPS = st.tuples(*[st.floats(-0.2, 0.2)] * 3).map(np.array)
@@ -45,12 +44,6 @@ def test_the_warp_is_its_definition(seed, R, step):
     c = shells(6, seed)
     fine = by_definition(6, c, RANGES, R, step, ErpGrid(60, 120))
     assert np.linalg.norm(translate(6, c, RANGES, R, step) - fine) < 0.01 * np.linalg.norm(fine)
-
-
-def test_the_public_face_is_the_same_warp():
-    c, step, R = shells(5, 1), np.array([0.2, 0.1, -0.1]), rotation((0, 1, 0), 0.3)
-    assert np.array_equal(RealHarmonics(5).translate(c, RANGES, step, R), translate(5, c, RANGES, R, step))
-    assert np.array_equal(RealHarmonics(5).translate(c, RANGES, step), translate(5, c, RANGES, np.eye(3), step))
 
 
 @given(st.integers(0, 100), rotations())

@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 from processes import little_room
 
-from eagor._files import Lines, written
+from eagor._files import written
+from eagor.cli.answers import Lines
 from eagor.errors import StorageError
 from eagor.lab.eval import log
 from eagor.lab.worlds.painted import painted_room

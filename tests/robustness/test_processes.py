@@ -79,7 +79,7 @@ import sys, talkers
 from eagor._processes import Worker
 
 if __name__ == "__main__":
-    worker = Worker(talkers.employ, parent=True, at_parents_end=talkers.write_mark)
+    worker = Worker(talkers.employ, parent=True)
     print(*worker.receive(), flush=True)
     worker.receive()
 """
@@ -87,13 +87,12 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
 def test_a_worker_and_those_that_it_has_started_end_with_a_parent_that_is_killed(tmp_path):
-    script, mark = tmp_path / "parent.py", tmp_path / "mark"
+    script = tmp_path / "parent.py"
     script.write_text(PARENT)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "EAGOR_TEST_MARK": str(mark)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen([sys.executable, script], env=environment, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         both = parent.stdout.readline().split()
         parent.kill()
     assert len(both) == 2
     wait_for(lambda: all(map(gone, both)))
-    assert mark.exists()

@@ -8,10 +8,9 @@ from functools import partial
 
 import pytest
 
-from eagor._files import claimed
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.lab.eval import log
-from eagor.lab.eval.log import Log, begin, description, read
+from eagor.lab.eval.log import Log, begin, claimed, description, read
 
 
 def test_of_runs_with_different_settings_that_start_together_one_goes_on(tmp_path):

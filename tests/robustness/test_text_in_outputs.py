@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eagor._tables import as_csv
+from eagor._files import as_csv
 from eagor.cli import main
 from eagor.drawing.still import draw_errors
 from eagor.lab.eval import log

@@ -4,8 +4,9 @@ Every baseline is an immutable value: ``predict(new_R_old, translation=None)`` a
 one, ``direction()`` is a unit vector ``(3,)`` in the body frame, forward while nothing is known. Those with a
 distribution have ``log_density(directions)``, its logarithm ``(...)`` per steradian at unit vectors ``(..., 3)``.
 
-- From the published comparison, without parameters: `Centroid`, `CircularCentroid`, `GridFilter`, `Published`. The
-  last two read log(l + 1e-3), which is negative in every direction looked at: they need whole panoramas, not views.
+- From the published comparison, without parameters: `Centroid`, `CircularCentroid`, `GridFilter`. The last reads
+  log(l + 1e-3), which is negative in every direction looked at: it needs whole panoramas, not views. The published
+  method itself is `eagor.TrackerConfig.paper`.
 - `Plain`: the strongest response of each look, as a model answers without a belief.
 - `BestDetection`, `LastDetection`: one detection, turned with the camera: the best so far, or the best of the newest
   look that has any. They read detections as such; of a response map they take the strongest response.
@@ -24,7 +25,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eagor.baselines.filters import GridFilter, HistogramFilter, ParticleFilter, Published, VonMisesFisherFilter
+from eagor.baselines.filters import GridFilter, HistogramFilter, ParticleFilter, VonMisesFisherFilter
 from eagor.baselines.maps import GRID
 from eagor.baselines.one_look import BestDetection, Centroid, CircularCentroid, LastDetection, Plain
 from eagor.evidence import Evidence
@@ -40,7 +41,6 @@ __all__ = [
     "LastDetection",
     "ParticleFilter",
     "Plain",
-    "Published",
     "VonMisesFisherFilter",
 ]
 

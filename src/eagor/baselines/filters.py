@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eagor._arrays import to_numpy
 from eagor._checks import above, require, within
 from eagor._values import changed, lazy
 from eagor.baselines import maps
 from eagor.baselines.maps import GRID
-from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import SILENT, Calibration
 from eagor.harmonics.peaks import peak_on_grid
@@ -48,28 +46,6 @@ class GridFilter:
 
     def log_density(self, directions: np.ndarray) -> np.ndarray:
         return maps.log_density(maps.normalised(self.values), directions)
-
-
-@dataclass(frozen=True, eq=False)
-class Published:
-    """EAGOR as published: degree 7, log(l + 1e-3) of the response over its maximum, mean direction of the log field."""
-
-    belief: Belief = field(default_factory=lambda: Belief.uniform(7))
-
-    __repr__ = changed
-
-    def predict(self, new_R_old: np.ndarray, translation: ArrayLike | None = None) -> Published:
-        return Published(self.belief.predict(new_R_old))
-
-    def update(self, evidence: Evidence) -> Published:
-        found = to_numpy(maps.calibrated(evidence, Calibration.paper()).coefficients(self.belief.degree))
-        return Published(self.belief.plus(found))
-
-    def direction(self) -> np.ndarray:
-        return self.belief.mean_direction()
-
-    def log_density(self, directions: np.ndarray) -> np.ndarray:
-        return self.belief.log_density(directions)
 
 
 @dataclass(frozen=True, eq=False)

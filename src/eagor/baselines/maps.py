@@ -48,15 +48,10 @@ def strongest(response: np.ndarray, grid: Grid) -> np.ndarray:
     return unit(middle)
 
 
-def calibrated(evidence: Evidence, calibration: Calibration) -> Evidence:
-    """`evidence` read with `calibration`."""
-    _check_single(evidence)
-    return evidence.with_calibration(calibration)
-
-
 def log_ratio(evidence: Evidence, calibration: Calibration, directions: np.ndarray) -> np.ndarray:
     """The log ratio ``(...)`` at directions ``(..., 3)`` of the body frame: bilinear, zero where nothing was seen."""
-    values = to_numpy(calibrated(evidence, calibration).log_ratio).astype(np.float64)
+    _check_single(evidence)
+    values = to_numpy(evidence.with_calibration(calibration).log_ratio).astype(np.float64)
     return sample(values, evidence.grid, directions)
 
 

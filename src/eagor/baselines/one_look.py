@@ -18,10 +18,10 @@ from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, 
 
 
 @dataclass(frozen=True, eq=False)
-class _Kept:
-    """One detection: its direction `found` ``(3,)`` in the body frame, None before the first, and its `score`.
+class LastDetection:
+    """The best detection of the newest look that has any, turned with the camera.
 
-    Looks without a detection change nothing.
+    `found` ``(3,)``: its direction in the body frame, None before the first.
     """
 
     found: np.ndarray | None = None
@@ -35,29 +35,20 @@ class _Kept:
 
     def update(self, evidence: Evidence) -> Self:
         best = _best(evidence)
-        if best is None or not self._takes(best[1]):
-            return self
-        return replace(self, found=best[0], score=best[1])
+        return replace(self, found=best[0], score=best[1]) if best is not None and self._takes(best[1]) else self
 
     def direction(self) -> np.ndarray:
         return np.array(FORWARD) if self.found is None else self.found
 
     def _takes(self, score: float) -> bool:
-        raise NotImplementedError
+        return True
 
 
-class BestDetection(_Kept):
+class BestDetection(LastDetection):
     """The detection with the highest score of all looks so far, turned with the camera; of equal ones the newest."""
 
     def _takes(self, score: float) -> bool:
         return score >= self.score
-
-
-class LastDetection(_Kept):
-    """The best detection of the newest look that has any, turned with the camera."""
-
-    def _takes(self, score: float) -> bool:
-        return True
 
 
 def _best(evidence: Evidence) -> tuple[np.ndarray, float] | None:
@@ -74,10 +65,11 @@ def _best(evidence: Evidence) -> tuple[np.ndarray, float] | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _PerFrame:
-    """Keeps only the last answer, at the same place in the image, while the response is zero everywhere.
+class Plain:
+    """The direction of the strongest response, per frame: the answer of a model without a filter.
 
-    `predict` changes nothing: the published methods do not move the answer with the camera.
+    Keeps only the last answer, at the same place in the image, while the response is zero everywhere: the published
+    methods do not move the answer with the camera.
     """
 
     last: np.ndarray = field(default_factory=lambda: np.array(FORWARD))
@@ -98,10 +90,10 @@ class _PerFrame:
         return self.last
 
     def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
-        raise NotImplementedError
+        return strongest(share, grid)
 
 
-class Centroid(_PerFrame):
+class Centroid(Plain):
     """Response-weighted mean of the pixel coordinates, per frame: linear in u, so it fails at the seam."""
 
     def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
@@ -111,17 +103,10 @@ class Centroid(_PerFrame):
         )
 
 
-class CircularCentroid(_PerFrame):
+class CircularCentroid(Plain):
     """Circular mean of the azimuth and linear mean of the elevation over response-weighted pixels, per frame."""
 
     def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
         azimuth, elevation = azimuth_elevation(grid.directions)
         mean = np.arctan2(np.sum(share * np.sin(azimuth)), np.sum(share * np.cos(azimuth)))
         return direction(mean, np.sum(share * elevation))
-
-
-class Plain(_PerFrame):
-    """The direction of the strongest response, per frame: the answer of a model without a filter."""
-
-    def _read(self, share: np.ndarray, grid: Grid) -> np.ndarray:
-        return strongest(share, grid)

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._tables import as_csv
+from eagor._files import append_all, as_csv, redacted
 from eagor.cli import terminal
 from eagor.cli.checks import checked_out
 from eagor.cli.options import Common, given
 from eagor.cli.terminal import UsageError
+from eagor.errors import StorageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -108,6 +110,34 @@ SUFFIXES = (".csv", ".jsonl")
 Entry = Mapping[str, Any]
 
 
+class Lines:
+    """A text file that grows by whole lines. The first line creates the file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._file = path, -1
+
+    def add(self, text: str) -> None:
+        """Append `text`. Raises `StorageError` if it cannot be written; the file is then as it was before."""
+        data = redacted(text).encode("utf-8", "backslashreplace")
+        try:
+            if self._file < 0:
+                self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+            append_all(self._file, data)
+        except OSError as error:
+            raise StorageError(
+                f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are needed. What was "
+                "written before is intact. Make room, or name another place, then start again"
+            ) from error
+
+    def __enter__(self) -> Lines:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
 @contextmanager
 def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], None]]:
     """The file `path`; the yielded function adds one answer, as ``--json`` shows it. The first one creates the file.
@@ -115,8 +145,6 @@ def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], 
     It is flushed after every answer. `rivals` are the other methods that the answers have under "methods". Raises
     `UsageError` before the first answer if the file cannot be written.
     """
-    from eagor._files import Lines
-
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")

@@ -248,14 +248,15 @@ def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
 
 def make_perception(spec: str, busy: bool = False) -> Perception:
     """The perception that ``--perception`` names. `busy`: nothing else runs meanwhile, so it may take all cores."""
-    from eagor._processes import cores_to_take
+    from eagor._processes import usable_cores
     from eagor.perception import load
 
     name, _, text = spec.partition(":")
     if name == "replay" and not text:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
     if busy and name in SHARED and not re.search(r"\b(together|threads)=", text):
-        return load(spec, together=cores_to_take())
+        asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+        return load(spec, together=min(int(asked), 1024) if asked.isdecimal() and int(asked) else usable_cores())
     return load(spec)
 
 

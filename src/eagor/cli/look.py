@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
+from eagor.cli.answers import Lines
 from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, nothing_of, places_of
 from eagor.cli.options import Footage
 from eagor.cli.track import journey_of
@@ -41,7 +42,6 @@ class Look(Footage):
 
 def look(options: Look) -> int:
     """Run the command; returns its exit code."""
-    from eagor._files import Lines
     from eagor.media.posed_frames import ahead
     from eagor.perception.footage import HiddenParts, first_line, looked_at
 

@@ -28,7 +28,7 @@ import numpy as np
 from eagor._arrays import Array, constant, namespace, recent
 from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, ViewKey, forward_view, view_key
 from eagor.harmonics import RealHarmonics
-from eagor.harmonics.projection import largest_cell, pool
+from eagor.harmonics.projection import largest_cell, lens_weights, pool
 
 _MOST_POINTS = 1_000_000  # sample points of a view: at most half a kernel apart, even if pixels are very large
 _MARGIN = 3.0  # nats: the truncated part of the kernel stays so far below the lowest ratio
@@ -67,12 +67,12 @@ def _laid_out(values: Array, lens: ViewKey, degree: int) -> Array:
     """`values` ``(..., h, w)`` of a view that looks forward as a density on `_panorama` ``(..., H, W)``, else 0."""
     xp = namespace(values)
     rows, columns = _blocks(lens, degree)
-    sums = pool(pool(values * constant(_weights, lens, like=values), rows, -2), columns, -1)
+    sums = pool(pool(values * constant(lens_weights, lens, like=values), rows, -2), columns, -1)
     sums = xp.reshape(sums, (*sums.shape[:-2], -1))
-    parts = xp.take(sums, recent(_block_of, lens, degree, like=values), axis=-1)
-    parts = pool(parts * recent(_share, lens, degree, like=values), _plan(lens, degree).edges, -1)
+    parts = xp.take(sums, recent(_part, lens, degree, "block_of", like=values), axis=-1)
+    parts = pool(parts * recent(_part, lens, degree, "share", like=values), _plan(lens, degree).edges, -1)
     cells = xp.concat([parts, xp.zeros_like(parts[..., :1])], axis=-1)
-    cells = xp.take(cells, recent(_place, lens, degree, like=values), axis=-1)
+    cells = xp.take(cells, recent(_part, lens, degree, "place", like=values), axis=-1)
     return xp.reshape(cells, (*values.shape[:-2], *_panorama(degree).shape))
 
 
@@ -163,17 +163,5 @@ def _half_cell(degree: int) -> float:
     return math.pi / _panorama(degree).height / 2
 
 
-def _weights(lens: ViewKey) -> np.ndarray:
-    return forward_view(lens).weights
-
-
-def _block_of(lens: ViewKey, degree: int) -> np.ndarray:
-    return _plan(lens, degree).block_of
-
-
-def _share(lens: ViewKey, degree: int) -> np.ndarray:
-    return _plan(lens, degree).share
-
-
-def _place(lens: ViewKey, degree: int) -> np.ndarray:
-    return _plan(lens, degree).place
+def _part(lens: ViewKey, degree: int, name: str) -> np.ndarray:
+    return getattr(_plan(lens, degree), name)

@@ -164,8 +164,9 @@ def log_ratios(response: Array, calibration: Calibration, peak: float) -> Array:
     out = np.empty_like(flat)
     for start in range(0, flat.size, _BLOCK):
         part = slice(start, start + _BLOCK)
-        if bits[part].max() > one:
-            _fail_unless_valid(response)
+        # The slow, exact check after the fast one, which also rejects -0.0.
+        if bits[part].max() > one and not (response.min() >= 0 and response.max() <= 1):
+            raise ResponseError(_what_is_wrong(response))
         block = out[part]
         np.multiply(flat[part], gain, out=block)
         np.add(block, offset, out=block)
@@ -173,12 +174,6 @@ def log_ratios(response: Array, calibration: Calibration, peak: float) -> Array:
         if calibration.temperature != 1.0:
             np.multiply(block, calibration.temperature, out=block)
     return out.reshape(response.shape)
-
-
-def _fail_unless_valid(response: np.ndarray) -> None:
-    """The slow, exact check after the fast one, which also rejects -0.0."""
-    if not (response.min() >= 0 and response.max() <= 1):
-        raise ResponseError(_what_is_wrong(response))
 
 
 def _what_is_wrong(response: np.ndarray) -> str:

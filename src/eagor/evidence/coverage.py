@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import Array, frozen, recent
-from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, PerspectiveGrid, ViewKey, forward_view, view_key
+from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, PerspectiveGrid, forward_view, view_key
 from eagor.harmonics import RealHarmonics
 
 PENALTY = 1000.0
@@ -41,11 +41,6 @@ def region(grid: Grid, mask: np.ndarray | None) -> Region | None:
     return "pixels" if isinstance(grid, ErpGrid) else "patches", *grid.shape, 0.0, packed
 
 
-def looked_at(where: Region) -> np.ndarray:
-    """The cells ``(H, W)`` that were looked at, bool."""
-    return _mask(where)
-
-
 def taper(degree: int, where: Region, like: Array) -> Array:
     """Weights ``(H, W)`` in [0, 1]: zero at the border of the seen region, one from pi / (degree + 1) inside."""
     return recent(_taper, degree, where, like=like)
@@ -64,24 +59,23 @@ def _forward_grid(where: Region) -> PerspectiveGrid | FisheyeGrid | ErpGrid | Pa
         return ErpGrid(height, width)
     if kind == "patches":
         return PatchGrid(height, width)
-    lens: ViewKey = (kind, height, width, optics)
-    return forward_view(lens)
+    return forward_view((kind, height, width, optics))
 
 
 @lru_cache(maxsize=32)
-def _mask(where: Region) -> np.ndarray:
-    """The cells that were looked at ``(H, W)``."""
+def looked_at(where: Region) -> np.ndarray:
+    """The cells ``(H, W)`` that were looked at, bool."""
     _, height, width, _, packed = where
     seen = np.ones((height, width), dtype=bool)
     if packed:
-        seen = np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=height * width).astype(bool)
-        seen = seen.reshape(height, width)
+        bits = np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=height * width)
+        seen = bits.astype(bool).reshape(height, width)
     return frozen(seen & (_forward_grid(where).weights > 0))
 
 
 def _taper(degree: int, where: Region) -> np.ndarray:
     """sin^2 of the depth inside the seen region."""
-    grid, seen = _forward_grid(where), _mask(where)
+    grid, seen = _forward_grid(where), looked_at(where)
     border = grid.depth_inside()
     depth = np.where(seen, math.pi if border is None else border, 0.0)
     if where[-1]:
@@ -103,7 +97,7 @@ def _confinement(degree: int, where: Region) -> np.ndarray:
 
 def _contains(where: Region, directions: np.ndarray) -> np.ndarray:
     """Which of `directions` ``(..., 3)`` lie in a cell that was looked at."""
-    grid, seen = _forward_grid(where), _mask(where)
+    grid, seen = _forward_grid(where), looked_at(where)
     x, y, inside = grid.project(directions)
     row, column = (np.clip(at.astype(np.intp), 0, n - 1) for at, n in zip((y, x), grid.shape, strict=True))
     return inside & seen[row, column]
@@ -111,7 +105,7 @@ def _contains(where: Region, directions: np.ndarray) -> np.ndarray:
 
 def _rim(where: Region) -> np.ndarray:
     """Directions ``(n, 3)`` along the border of the seen region, on its inner side."""
-    grid, seen = _forward_grid(where), _mask(where)
+    grid, seen = _forward_grid(where), looked_at(where)
     if not where[-1] and isinstance(grid, PerspectiveGrid):  # cell centres would miss the outer half cells
         side, width, height = np.linspace(0, 1, 100), grid.width, grid.height
         x = np.concatenate([side * width, side * width, 0 * side, 0 * side + width])

@@ -1,4 +1,4 @@
-"""Real spherical harmonics: analyse, synthesise, rotate, smooth and translate fields on the sphere.
+"""Real spherical harmonics: analyse, synthesise, rotate and smooth fields on the sphere.
 
 `RealHarmonics` is the public interface; `legendre` holds the basis, `projection` the grids, `rotation` Wigner's D and
 `shells` the warp of a field over direction and distance under a displacement.
@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, constant, namespace, to_numpy
-from eagor.errors import GridError, PoseError
+from eagor._arrays import Array, as_float, constant, namespace
+from eagor.errors import GridError
 from eagor.grids import ErpGrid, ErpWindow, Grid
 from eagor.harmonics import legendre, projection, rotation
-from eagor.harmonics.shells import translate
 from eagor.sphere import check_rotation, check_unit
 
 __all__ = ["RealHarmonics"]
@@ -100,27 +99,6 @@ class RealHarmonics:
         coefficients = self._checked(coefficients)
         xp = namespace(coefficients)
         return coefficients * xp.exp(-0.5 * sigma**2 * constant(_eigenvalues, self.degree, like=coefficients))
-
-    def translate(
-        self, shells: Array, ranges: np.ndarray, displacement: np.ndarray, new_R_old: np.ndarray | None = None
-    ) -> Array:
-        """Fields over direction and distance after the body has moved: the shell warp.
-
-        `shells` ``(..., K, size)`` are fields at growing `ranges` ``(K,)`` in metres. The body turns by `new_R_old` (by
-        default not at all) and moves by `displacement` ``(3,)`` metres, in the NEW body frame. See
-        `eagor.harmonics.shells`. Raises `GridError` for shells and ranges that do not fit, `RotationError`, and
-        `PoseError` for a displacement that is not three finite numbers.
-        """
-        turn = np.eye(3) if new_R_old is None else to_numpy(check_rotation(new_R_old))
-        step = np.asarray(to_numpy(displacement), dtype=np.float64)
-        if step.shape != (3,) or not np.isfinite(step).all():
-            raise PoseError(f"displacement = {step.tolist()}; wanted (x, y, z) metres of the body, in its new frame")
-        shells, ranges = self._checked(shells), np.asarray(ranges, dtype=np.float64)
-        if shells.shape[-2:-1] != ranges.shape:
-            raise GridError(
-                f"shells have shape {tuple(shells.shape)}, ranges {ranges.shape}; wanted (..., K, size), (K,)"
-            )
-        return translate(self.degree, shells, ranges, turn, step)
 
     def quadrature(self, factor: int = 2) -> ErpGrid:
         """The smallest `ErpGrid` on which products of `factor` fields of this degree are integrated exactly."""

@@ -44,40 +44,27 @@ def _recursion(degree: int) -> tuple[list[float], list[list[float]], list[list[f
     return start, a, b
 
 
-def reduced_legendre(degree: int, z: Array) -> list[Array]:
-    """Q_lm(z) for l = 0 .. degree: a list of arrays ``(l + 1, ...)`` over m, for `z` = sin(elevation) ``(...)``.
+def evaluate(degree: int, directions: Array) -> Array:
+    """Y ``(..., (degree + 1)^2)`` at unit vectors ``(..., 3)``.
 
     Q_lm = a_lm (z Q_l-1,m - b_lm Q_l-2,m), from Q_mm, all orders at once (Holmes & Featherstone, J. Geodesy 76, 2002).
     """
-    xp = namespace(z)
-    start, a, b = _recursion(degree)
-    column = (-1,) + (1,) * z.ndim
-    one = xp.ones_like(z)[None, ...]
-    rows = [start[0] * one]
-    for l in range(1, degree + 1):
-        scale_a, scale_b = (xp.reshape(table_like(np.array(t[l]), z), column) for t in (a, b))
-        below = z * rows[l - 1]
-        if l > 1:
-            two_below = xp.concat([rows[l - 2], xp.zeros_like(one)])
-            below = below - scale_b * two_below
-        rows.append(xp.concat([scale_a * below, start[l] * one]))
-    return rows
-
-
-def evaluate(degree: int, directions: Array) -> Array:
-    """Y ``(..., (degree + 1)^2)`` at unit vectors ``(..., 3)``."""
     xp = namespace(directions)
     if xp is np:
         return _evaluate(degree, directions)
+    start, a, b = _recursion(degree)
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
-    cosines, sines = [xp.ones_like(x)], [xp.zeros_like(x)]
-    for _ in range(degree):
+    one = xp.ones_like(z)[None, ...]
+    row, before, cosines, sines = start[0] * one, one[:0, ...], [one[0, ...]], [xp.zeros_like(z)]
+    columns = [row[0, ...]]
+    for l in range(1, degree + 1):
         c, s = cosines[-1], sines[-1]
         cosines.append(c * x - s * y)
         sines.append(s * x + c * y)
-    columns = []
-    for l, row in enumerate(reduced_legendre(degree, z)):
-        columns += [row[-m, ...] * sines[-m] for m in range(-l, 0)]
+        scale_a, scale_b = (xp.reshape(table_like(np.array(t[l]), z), (-1,) + (1,) * z.ndim) for t in (a, b))
+        below = z * row - scale_b * xp.concat([before, xp.zeros_like(one)])
+        row, before = xp.concat([scale_a * below, start[l] * one]), row
+        columns += [row[m, ...] * sines[m] for m in range(l, 0, -1)]
         columns += [row[m, ...] * cosines[m] for m in range(l + 1)]
     return xp.stack(columns, axis=-1)
 
@@ -114,61 +101,29 @@ def _monic(degree: int) -> tuple[np.ndarray, np.ndarray]:
     return below, leading[degrees(degree), np.abs(orders(degree))][:, None]
 
 
-def latitude_functions(degree: int, sines: Array) -> Array:
-    """The latitude part of Y_lm, ``(degree + 1 (l), degree + 1 (m), n)``, at sin(elevation) ``(n,)``; zero where m > l.
+def latitude_functions(degree: int, sines: np.ndarray, first: int = 0, last: int | None = None) -> np.ndarray:
+    """The latitude part of Y_lm ``(degree + 1 (l), orders, n)`` at sin(elevation) ``(n,)``; zero where m > l.
 
-    It is the reduced function times cos(elevation)^m.
+    It is the reduced function times cos(elevation)^m, which does not depend on l. Of the orders `first` to `last` - 1,
+    by default of all from 0 on.
     """
-    xp = namespace(sines)
-    cosines = xp.sqrt(xp.clip(1 - sines * sines, 0.0, 1.0))
-    if xp is np:  # the same recursion in place: the factor cos^m does not depend on l
-        start, a, b = _recursion(degree)
-        table = np.zeros((degree + 1, degree + 1, sines.size), sines.dtype)
-        table[0, 0] = start[0]
-        power = np.ones_like(sines)
-        for l in range(1, degree + 1):
-            row = table[l, :l]
-            np.multiply(table[l - 1, :l], sines, out=row)
-            if l > 1:
-                row[:-1] -= np.array(b[l][:-1])[:, None] * table[l - 2, : l - 1]
-            row *= np.array(a[l])[:, None]
-            power = power * cosines
-            np.multiply(power, start[l], out=table[l, l])
-        return table
-    powers = [xp.ones_like(cosines)]
-    for _ in range(degree):
-        powers.append(powers[-1] * cosines)
-    blank = xp.zeros_like(sines)[None, ...]
-    rows = reduced_legendre(degree, sines)
-    full = xp.stack([xp.concat([row, *([blank] * (degree - l))]) for l, row in enumerate(rows)])
-    return full * xp.stack(powers)
-
-
-def latitude_functions_of(degree: int, sines: np.ndarray, first: int, last: int) -> np.ndarray:
-    """The same for the orders `first` to `last` - 1, ``(orders, degree + 1 (l), n)``."""
     start, a, b = _recursion(degree)
+    last = degree + 1 if last is None else last
     cosines = np.sqrt(np.clip(1 - sines * sines, 0.0, 1.0))
-    table = np.zeros((degree + 1, last - first, sines.size))
+    table, power = np.zeros((degree + 1, last - first, sines.size), sines.dtype), cosines**first
     for l in range(first, degree + 1):
-        below = min(l, last) - first  # orders smaller than l
-        if below > 0:
-            row = table[l, :below]
-            np.multiply(table[l - 1, :below], sines, out=row)
-            if l > 1:
-                row -= np.array(b[l][first : first + below])[:, None] * table[l - 2, :below]
-            row *= np.array(a[l][first : first + below])[:, None]
+        count = min(l, last) - first  # orders smaller than l
+        row = table[l, :count]
+        np.multiply(table[l - 1, :count], sines, out=row)
+        row -= np.array(b[l][first : first + count])[:, None] * table[l - 2, :count]
+        row *= np.array(a[l][first : first + count])[:, None]
         if l < last:
-            np.multiply(cosines**l, start[l], out=table[l, l - first])
-    return table.transpose(1, 0, 2)
-
-
-def latitude_table(degree: int, sines: np.ndarray) -> np.ndarray:
-    """The latitude part as table ``(2 degree + 1, degree + 1, n)``: signed order m by degree l, zero where l < |m|."""
-    found = latitude_functions(degree, np.asarray(sines, dtype=np.float64)).transpose(1, 0, 2)
-    return np.concatenate([found[:0:-1], found])
+            np.multiply(power, start[l], out=table[l, l - first])
+            power = power * cosines
+    return table
 
 
 def longitude_table(degree: int, azimuths: np.ndarray) -> np.ndarray:
-    """The longitude part ``(n, 2 degree + 1)``: sin(|m| azimuth) for m < 0, then cos(m azimuth)."""
+    """The longitude part ``(n, 2 (degree + 1))``: cos(m azimuth) and sin(m azimuth), in turn, for m >= 0."""
     angle = np.outer(azimuths, np.arange(degree + 1))
-    return np.concatenate([np.sin(angle[:, :0:-1]), np.cos(angle)], axis=1)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1).reshape(len(angle), -1)

@@ -34,11 +34,11 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
     """
     if type(new_R_old) is not type(coefficients):
         new_R_old = table_like(to_numpy(new_R_old), coefficients)
-    if new_R_old.ndim == 2 and type(coefficients) is np.ndarray and type(new_R_old) is np.ndarray:
+    if new_R_old.ndim == 2 and type(coefficients) is np.ndarray:
         if coefficients.ndim == 1:
-            return _rotate_alike(degree, coefficients, new_R_old)
+            return _rotated(degree, coefficients, new_R_old)
         columns = np.ascontiguousarray(coefficients.reshape(-1, coefficients.shape[-1]).T)
-        return _rotate_alike(degree, columns, new_R_old).T.reshape(coefficients.shape)
+        return _rotated(degree, columns, new_R_old).T.reshape(coefficients.shape)
     xp = namespace(coefficients)
     batch = np.broadcast_shapes(tuple(coefficients.shape[:-1]), tuple(new_R_old.shape[:-2]))
     size = coefficients.shape[-1]
@@ -49,64 +49,52 @@ def rotate(degree: int, coefficients: Array, new_R_old: Array) -> Array:
         turns = new_R_old[None, ...]
     turns = xp.astype(turns, flat.dtype)
     if xp is not np:
-        rotated = _rotate_columns(degree, flat, turns)
+        rotated = _rotated(degree, flat, turns)
     else:
         rotated = np.empty(flat.shape, flat.dtype)
         for start in range(0, flat.shape[1], CHUNK):
             part = slice(start, start + CHUNK)
             some = turns if turns.shape[0] == 1 else turns[part]
-            rotated[:, part] = _rotate_columns(degree, np.ascontiguousarray(flat[:, part]), some)
+            rotated[:, part] = _rotated(degree, np.ascontiguousarray(flat[:, part]), some)
     return xp.reshape(rotated.T, (*batch, size))
 
 
-def _rotate_alike(degree: int, coefficients: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
-    """One rotation of one belief ``(size,)`` or of several ``(size, n)``, in as few NumPy calls as possible."""
-    (r00, r01, r02), (r10, r11, r12), (_, _, r22) = new_R_old.tolist()
-    tilt = math.hypot(r02, r12)
-    if tilt < 1e-15 and r22 > 0:  # a pure yaw
-        return _turn_alike(degree, coefficients, complex(r00, r10))
-    alpha = complex(r02, r12) / tilt if tilt > 0 else 1 + 0j
-    gamma = complex(alpha.real * r11 - alpha.imag * r01, alpha.real * r10 - alpha.imag * r00)
-    turned = _turn_alike(degree, coefficients, gamma)
-    turned = _turn_alike(degree, _quarter(degree, turned, False), complex(r22, tilt))
-    return _turn_alike(degree, _quarter(degree, turned, True), alpha)
-
-
-def _turn_alike(degree: int, coefficients: np.ndarray, phase: complex) -> np.ndarray:
-    """Z of one angle, given as (cos, sin) in a complex number."""
-    phase /= abs(phase)
-    if abs(phase - 1) < 1e-15:
-        return coefficients
-    powers = [1 + 0j]
-    for _ in range(degree):
-        powers.append(powers[-1] * phase)
-    table = np.array([power.conjugate() for power in powers[:0:-1]] + powers)
-    mixed: Any = table[_order_index(degree)]
-    even, odd = mixed.real, mixed.imag
-    if coefficients.ndim == 2:
-        even, odd = even[:, None], odd[:, None]
-    turned = coefficients * even - coefficients[_partner(degree)] * odd
-    return turned.astype(coefficients.dtype, copy=False)
-
-
-def _rotate_columns(degree: int, columns: Array, turns: Array) -> Array:
-    """`columns` ``(size, n)`` rotated by `turns` ``(n or 1, 3, 3)``, for any kind of array."""
+def _rotated(degree: int, columns: Array, turns: Array) -> Array:
+    """`columns` ``(size, n)`` rotated by `turns` ``(n or 1, 3, 3)``; or by one NumPy matrix, then also ``(size,)``."""
     xp = namespace(columns)
-    r = [[turns[:, i, j] for j in range(3)] for i in range(3)]
-    tilt = xp.hypot(r[0][2], r[1][2])
-    level = tilt == 0
-    safe = xp.where(level, xp.ones_like(tilt), tilt)
-    alpha = xp.where(level, xp.ones_like(tilt), r[0][2] / safe), xp.where(level, xp.zeros_like(tilt), r[1][2] / safe)
-    gamma = alpha[0] * r[1][1] - alpha[1] * r[0][1], alpha[0] * r[1][0] - alpha[1] * r[0][0]
-    columns = _turn(degree, columns, *gamma)
-    if xp is np and not tilt.any() and (r[2][2] > 0).all():
+    if turns.ndim == 2:  # in plain floats
+        (r00, r01, r02), (r10, r11, r12), (_, _, r22) = turns.tolist()
+        tilt = math.hypot(r02, r12)
+        if tilt < 1e-15 and r22 > 0:  # a pure yaw
+            return _turn(degree, columns, r00, r10)
+        alpha, upright = ((r02 / tilt, r12 / tilt) if tilt > 0 else (1.0, 0.0)), False
+    else:
+        (r00, r01, r02), (r10, r11, r12), (_, _, r22) = ([turns[:, i, j] for j in range(3)] for i in range(3))
+        tilt = xp.hypot(r02, r12)
+        level = tilt == 0
+        safe = xp.where(level, xp.ones_like(tilt), tilt)
+        alpha = xp.where(level, xp.ones_like(tilt), r02 / safe), xp.where(level, xp.zeros_like(tilt), r12 / safe)
+        upright = xp is np and bool(level.all() and (r22 > 0).all())
+    columns = _turn(degree, columns, alpha[0] * r11 - alpha[1] * r01, alpha[0] * r10 - alpha[1] * r00)
+    if upright:
         return columns
-    columns = _turn(degree, _quarter(degree, columns, False), r[2][2], tilt)
+    columns = _turn(degree, _quarter(degree, columns, False), r22, tilt)
     return _turn(degree, _quarter(degree, columns, True), *alpha)
 
 
-def _turn(degree: int, columns: Array, cosine: Array, sine: Array) -> Array:
-    """Z of n angles ``(n,)`` on `columns` ``(size, n)``."""
+def _turn(degree: int, columns: Array, cosine: Array | float, sine: Array | float) -> Array:
+    """Z of n angles ``(n,)`` on `columns` ``(size, n)``, or of one angle."""
+    if isinstance(cosine, float):
+        phase = complex(cosine, sine)
+        phase /= abs(phase)
+        if abs(phase - 1) < 1e-15:
+            return columns
+        powers = [1 + 0j]
+        for _ in range(degree):
+            powers.append(powers[-1] * phase)
+        table: Any = np.array([power.conjugate() for power in powers[:0:-1]] + powers)[_order_index(degree)]
+        table = table if columns.ndim == 1 else table[:, None]
+        return (columns * table.real - columns[_partner(degree)] * table.imag).astype(columns.dtype, copy=False)
     xp = namespace(columns)
     length = xp.hypot(cosine, sine)
     cosine, sine = cosine / length, sine / length
@@ -115,10 +103,9 @@ def _turn(degree: int, columns: Array, cosine: Array, sine: Array) -> Array:
         c, s = cosines[-1], sines[-1]
         cosines.append(c * cosine - s * sine)
         sines.append(s * cosine + c * sine)
-    index = constant(_order_index, degree, like=columns)
-    even = xp.stack(cosines[:0:-1] + cosines)
-    odd = xp.stack([-s for s in sines[:0:-1]] + sines)
-    partner = constant(_partner, degree, like=columns)
+    index, partner = constant(_order_index, degree, like=columns), constant(_partner, degree, like=columns)
+    even, odd = xp.stack(cosines[:0:-1] + cosines), xp.stack([-s for s in sines[:0:-1]] + sines)
+    # One large table at a time, for the cache.
     return columns * xp.take(even, index, axis=0) - xp.take(columns, partner, axis=0) * xp.take(odd, index, axis=0)
 
 

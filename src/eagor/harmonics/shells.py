@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import Array, constant, namespace, table_like
-from eagor.harmonics.legendre import latitude_functions, latitude_table
+from eagor.harmonics.legendre import latitude_functions
 from eagor.harmonics.rotation import rotate
 
 _DIGITS = 9  # of a step in metres, so that steps of equal length share their tables despite rounding
@@ -109,7 +109,7 @@ def _nodes(degree: int) -> tuple[np.ndarray, np.ndarray]:
 def _gauss_plan(degree: int) -> np.ndarray:
     """Quadrature back to coefficients ``(degree + 1 (m), nodes, degree + 1 (l))``."""
     nodes, weights = _nodes(degree)
-    table = latitude_table(degree, nodes)[degree:] * weights
+    table = latitude_functions(degree, nodes).transpose(1, 0, 2) * weights
     table[0] *= 2 * math.pi
     table[1:] *= math.pi
     return table.transpose(0, 2, 1)

@@ -22,7 +22,7 @@ import numpy as np
 
 import eagor
 from eagor._checks import parsed
-from eagor._files import append_all, claimed, open_regular, redacted, written
+from eagor._files import append_all, open_regular, put, redacted, written
 from eagor.errors import EagorError, FormatError, StorageError
 
 LONGEST = 1 << 28  # bytes: no record is as long
@@ -136,6 +136,30 @@ def begin(folder: Path, config: Mapping[str, Any], samples: Mapping[str, Any] | 
         )
     if wanted.get("episodes", 0) > found.get("episodes", 0):
         written(path, _text({**found, **{key: wanted[key] for key in ("samples", "episodes", "development")}}))
+
+
+def claimed(path: Path, content: str) -> bool:
+    """Write `content` to `path` as `written` does, but only if no such file exists; returns whether it did.
+
+    If several processes try at once, exactly one succeeds. Raises `StorageError`.
+    """
+
+    def link(part: Path, place: Path) -> None:
+        try:
+            os.link(part, place)  # unlike a rename, it replaces nothing
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without such links
+            os.close(os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
+            part.replace(place)
+
+    try:
+        put(path, content, link)
+    except StorageError as error:
+        if isinstance(error.__cause__, FileExistsError) and os.path.lexists(path):
+            return False
+        raise
+    return True
 
 
 def commit() -> str | None:

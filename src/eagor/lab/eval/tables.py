@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from eagor._tables import as_csv
+from eagor._files import as_csv
 from eagor.lab.eval import steps
 from eagor.lab.eval.page import NOTHING, Cell, Row, Table, cell, in_columns, number, span
 from eagor.lab.eval.results import (

@@ -144,7 +144,12 @@ def load(name: str) -> Any:
     made: Any = plugins.bring(choices[name], "task")
     if callable(made) and not inspect.signature(made).parameters:  # a class would pass for a task itself
         made = made()
-    plugins.check_named(made, choices[name], "task", Task, or_maker=True)
+    if not (isinstance(made, Task) and made.name == name):
+        what = f"the task {made.name!r}" if isinstance(made, Task) else f"a {type(made).__name__}"
+        raise EagorError(
+            f"the entry point {name!r} of {GROUP} ({choices[name].value}) is {what}; wanted an {Task.__module__}.Task "
+            "whose name is that of the entry point, or a function that makes it"
+        )
     return made
 
 

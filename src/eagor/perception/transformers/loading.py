@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import sys
 import warnings
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._checks import whole_number, within
+from eagor._checks import whole, within
 from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor.errors import EagorError, MissingExtraError
 from eagor.perception.vlm import Family, chosen, family_of
@@ -195,6 +196,9 @@ def _numbers(layers: str | int | Sequence[int] | None) -> tuple[int, ...] | None
     try:
         if isinstance(layers, str):
             return tuple(int(part) for part in layers.split(","))
-        return tuple(whole_number(part) for part in ([layers] if isinstance(layers, int) else layers))
+        found = (layers,) if isinstance(layers, int) else tuple(layers)
+        if not all(whole(layer, -math.inf) for layer in found):
+            raise TypeError("not all are whole numbers")
+        return found
     except (ValueError, TypeError) as error:
         raise EagorError(f"layers = {layers!r}; wanted numbers such as 20,21,22") from error

@@ -27,7 +27,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from eagor._checks import number, shown
+from eagor._checks import shown, within
 from eagor._values import lazy
 from eagor.conventions import direction_from_hstar, hstar_from_direction
 from eagor.errors import EagorError, FormatError
@@ -112,10 +112,9 @@ def window_of(item: Mapping[str, Any]) -> Window:
 
 def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
     value = item.get(key)
-    try:
-        low, high = map(number, value if isinstance(value, list | tuple) else ())
-    except ValueError:  # not two values, or not numbers
-        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles in degrees, finite numbers") from None
+    if not (isinstance(value, list | tuple) and len(value) == 2 and all(within(each, -math.inf) for each in value)):
+        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles in degrees, finite numbers")
+    low, high = map(float, value)
     if max(abs(low), abs(high)) > FARTHEST:
         raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")
     return low, high

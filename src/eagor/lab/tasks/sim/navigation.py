@@ -79,11 +79,11 @@ def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np
 
 def score(rules: NavigationRules, shortest: float, distance: float, path: float, stopped: bool) -> dict[str, float]:
     """Habitat's measures of one episode: success, spl, soft_spl (0 to 1)."""
-    won = metrics.success([distance], [stopped], rules.success_distance)
+    won = metrics.success(distance, stopped, rules.success_distance)
     return {
-        "success": float(won[0]),
-        "spl": float(metrics.spl(won, [shortest], [path])[0]),
-        "soft_spl": float(metrics.soft_spl([distance], [shortest], [path])[0]),
+        "success": float(won),
+        "spl": metrics.spl(won, shortest, path),
+        "soft_spl": metrics.soft_spl(distance, shortest, path),
     }
 
 

@@ -153,15 +153,16 @@ def _fault(place: Place, target: int, route: _Route, rules: WaypointRules) -> tu
 def measure(result: EpisodeResult) -> dict[str, float | None]:
     """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where one does not apply."""
     errors, truth, estimates = np.array(result.trace["error_deg"]), result.truth, result.estimates
-    legs = metrics.mae_by_segment(errors, truth["leg"], LEGS)
+    legs = {leg: metrics.mean_error(errors, np.array(truth["leg"]) == leg) for leg in LEGS}
+    first, last = legs[LEGS[0]], legs[LEGS[-1]]
     ranges = np.array(truth["range_m"])
     return {
-        **{str(leg): value for leg, value in legs.items()},
-        "delta": metrics.leg_delta(legs),
-        "occ": metrics.occlusion_error(errors, ~np.array(truth["visible"], dtype=bool)),
-        "seam": metrics.seam_error(errors, result.directions),
+        **legs,
+        "delta": None if first is None or last is None else last - first,
+        "occ": metrics.mean_error(errors, ~np.array(truth["visible"], dtype=bool)),
+        "seam": metrics.mean_error(errors, metrics.seam_crossings(result.directions)),
         "tc": metrics.temporal_consistency(estimates, result.rotations, result.translations, ranges),
-        "tc_rotation": metrics.tc_rotation(estimates, result.rotations),
+        "tc_rotation": metrics.temporal_consistency(estimates, result.rotations),
         "mae": metrics.mean_error(errors),
         "coverage": result.coverage,
     }
