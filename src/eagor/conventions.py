@@ -16,8 +16,9 @@ from eagor.sphere import azimuth_elevation, check_rotation, direction
 
 __all__ = [
     "E3NN_R_BODY", "GLTF_R_WORLD", "HABITAT_R_BODY", "OPTICAL_R_BODY", "direction_from_hstar", "from_gltf",
-    "from_healpix_alm", "from_pyshtools", "hstar_from_direction", "pose_from_habitat", "pose_to_habitat",
-    "rotation_from_wxyz", "rotation_from_xyzw", "to_gltf", "to_healpix_alm", "to_pyshtools", "wxyz_from_rotation",
+    "from_habitat", "from_healpix_alm", "from_optical", "from_pyshtools", "hstar_from_direction", "pose_from_habitat",
+    "pose_to_habitat", "rotation_from_habitat", "rotation_from_wxyz", "rotation_from_xyzw", "rotation_to_e3nn",
+    "to_e3nn_direction", "to_gltf", "to_habitat", "to_healpix_alm", "to_optical", "to_pyshtools", "wxyz_from_rotation",
     "xyzw_from_rotation",
 ]  # fmt: skip
 
@@ -77,14 +78,48 @@ def direction_from_hstar(yaw_deg: np.ndarray, pitch_deg: np.ndarray) -> np.ndarr
 
 # --- camera and simulator axes ---
 
-# Rows: the axes of the other frame in ours. OTHER_R_BODY @ direction_body = direction_other; for arrays (..., 3) of
-# directions or points, `directions @ OTHER_R_BODY.T`, and back `@ OTHER_R_BODY`. A rotation R becomes
-# OTHER_R_BODY @ R @ OTHER_R_BODY.T.
+# Rows: the axes of the other frame in ours, so that OTHER_R_BODY @ direction_body = direction_other.
 HABITAT_R_BODY = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])  # x right, y up, z backward (also OpenGL)
 OPTICAL_R_BODY = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x right, y down, z forward (ROS REP-103 optical)
-# e3nn (normalization="integral", normalize=True): its polar axis is its second. Hand it our (y, z, x) as its (x, y, z),
-# and the same coefficients describe the same field, with the same index l*l + l + m.
+# e3nn's polar axis is its second. Hand it our (y, z, x) as its (x, y, z), and the same numbers describe the same
+# field, with the same index l*l + l + m.
 E3NN_R_BODY = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+
+
+def to_habitat(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from our body frame to Habitat's (x right, y up, z backward)."""
+    return np.asarray(directions) @ HABITAT_R_BODY.T
+
+
+def from_habitat(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from Habitat's frame to ours."""
+    return np.asarray(directions) @ HABITAT_R_BODY
+
+
+def rotation_from_habitat(matrix: np.ndarray) -> np.ndarray:
+    """A rotation or pose ``(..., 3, 3)`` between Habitat frames as one between ours; a left turn stays a left turn."""
+    return HABITAT_R_BODY.T @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ HABITAT_R_BODY
+
+
+def to_optical(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from our body frame to an optical frame (x right, y down, z forward)."""
+    return np.asarray(directions) @ OPTICAL_R_BODY.T
+
+
+def from_optical(directions: np.ndarray) -> np.ndarray:
+    """Directions or points ``(..., 3)`` from a camera's optical frame to ours."""
+    return np.asarray(directions) @ OPTICAL_R_BODY
+
+
+def to_e3nn_direction(directions: np.ndarray) -> np.ndarray:
+    """Points ``(..., 3)`` for e3nn (normalization="integral", normalize=True): coefficients then need no reordering."""
+    return np.asarray(directions) @ E3NN_R_BODY.T
+
+
+def rotation_to_e3nn(matrix: np.ndarray) -> np.ndarray:
+    """Our rotation `matrix` ``(..., 3, 3)`` in e3nn's axes."""
+    return E3NN_R_BODY @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ E3NN_R_BODY.T
+
 
 # --- worlds: ours has z up; glTF, and with it a scene in Habitat, has Y up: its x is ours, its Z our -y ---
 

@@ -27,20 +27,26 @@ def test_hstar_yaw_grows_to_the_right_of_the_image_centre():
 
 
 def test_habitat_looks_along_minus_z_with_x_to_the_right():
-    assert np.allclose(np.eye(3) @ conv.HABITAT_R_BODY.T, [[0, 0, -1], [-1, 0, 0], [0, 1, 0]])
-    assert (conv.HABITAT_R_BODY @ CHAIR)[0] < 0 < (conv.HABITAT_R_BODY @ LAMP)[0]
+    assert np.allclose(conv.to_habitat([1, 0, 0]), [0, 0, -1])
+    assert np.allclose(conv.to_habitat([0, 1, 0]), [-1, 0, 0])
+    assert np.allclose(conv.to_habitat([0, 0, 1]), [0, 1, 0])
+    assert conv.to_habitat(CHAIR)[0] < 0 < conv.to_habitat(LAMP)[0]
+    for target in (CHAIR, LAMP, BED):
+        assert np.allclose(conv.from_habitat(conv.to_habitat(target)), target)
 
 
 def test_a_turn_to_the_left_stays_one_in_habitat():
     """Habitat turns left by a positive angle about its +y."""
-    turn = conv.HABITAT_R_BODY @ world_R_body(0.4) @ conv.HABITAT_R_BODY.T
-    assert np.allclose(turn, rotation((0, 1, 0), 0.4))
+    habitat = rotation((0, 1, 0), 0.4)
+    assert np.allclose(conv.rotation_from_habitat(habitat), world_R_body(0.4))
+    assert np.allclose(conv.from_habitat(habitat @ conv.to_habitat(CHAIR)), world_R_body(0.4) @ CHAIR)
 
 
 def test_optical_frames_look_along_z_with_y_down():
-    assert np.allclose(conv.OPTICAL_R_BODY @ [1, 0, 0], [0, 0, 1])
-    assert (conv.OPTICAL_R_BODY @ CHAIR)[0] < 0, "left is negative x"
-    assert (conv.OPTICAL_R_BODY @ LAMP)[1] < 0, "up is negative y"
+    assert np.allclose(conv.to_optical([1, 0, 0]), [0, 0, 1])
+    assert conv.to_optical(CHAIR)[0] < 0, "left is negative x"
+    assert conv.to_optical(LAMP)[1] < 0, "up is negative y"
+    assert np.allclose(conv.from_optical(conv.to_optical(BED)), BED)
 
 
 @pytest.mark.parametrize("axes", [conv.HABITAT_R_BODY, conv.OPTICAL_R_BODY, conv.E3NN_R_BODY])
