@@ -1,5 +1,11 @@
 """The exceptions. All are ``ValueError``; each text says what came, what was wanted, and what to change."""
 
+__all__ = [
+    "AnswerError", "DeviceError", "DirectionError", "EagorError", "FormatError", "GridError", "ImageError",
+    "MissingExtraError", "PoseError", "QueryError", "ResponseError", "RotationError", "ServerError", "StorageError",
+    "TimeError", "WorkError", "WorldError",
+]  # fmt: skip
+
 
 class EagorError(ValueError):
     """Base of the errors that this package raises for bad input."""
