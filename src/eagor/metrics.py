@@ -102,6 +102,8 @@ def temporal_consistency(
         EagorError: also if a moved point falls on the camera itself, where it has no direction.
     """
     directions = _directions(estimates, "estimates", "(n, 3)")
+    if (translations is None) != (true_ranges is None):
+        raise EagorError("translations and true_ranges go together; give both, or neither for the rotation alone")
     if len(directions) == 1:
         return None
     points = _turned(directions, new_R_old)
@@ -126,7 +128,8 @@ def success(distance: float, stopped: bool, success_distance: float) -> bool:
     """
     if not success_distance > 0:
         raise EagorError(f"success_distance is {success_distance}; wanted metres above 0, such as 1.0")
-    return bool(stopped) and _metres("distance", distance, endless=True) < success_distance
+    near = _metres("distance", distance, endless=True) < success_distance
+    return _told("stopped", stopped) and near
 
 
 def spl(succeeded: bool, shortest: float, path: float) -> float:
@@ -138,7 +141,7 @@ def spl(succeeded: bool, shortest: float, path: float) -> float:
     """
     shortest, path = _metres("shortest", shortest), _metres("path", path)
     longer = max(shortest, path)
-    return float(bool(succeeded) * (shortest / longer if longer > 0 else 1.0))
+    return _told("succeeded", succeeded) * (shortest / longer if longer > 0 else 1.0)
 
 
 def soft_spl(distance: float, shortest: float, path: float) -> float:
@@ -164,6 +167,11 @@ def _turned(directions: np.ndarray, new_R_old: ArrayLike) -> np.ndarray:
     if turns.shape != (len(directions) - 1, 3, 3):
         raise EagorError(f"new_R_old {turns.shape} does not fit; wanted {(len(directions) - 1, 3, 3)}: one per move")
     return (turns @ directions[:-1, :, None])[..., 0]
+
+
+def _told(name: str, value: bool) -> bool:
+    """`value`, once it is a boolean, or 0 or 1."""
+    return bool(outcomes([value], name)[0])
 
 
 def _metres(name: str, value: float, endless: bool = False) -> float:

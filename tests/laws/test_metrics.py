@@ -175,6 +175,8 @@ def test_consistency_needs_two_steps_and_fitting_input():
         metrics.temporal_consistency(two, still, [[np.nan, 0, 0]], [1.0, 1.0])
     with pytest.raises(EagorError, match="true_ranges"):
         metrics.temporal_consistency(two, still, np.zeros((1, 3)), [1.0])
+    with pytest.raises(EagorError, match="go together"):
+        metrics.temporal_consistency(two, still, np.zeros((1, 3)))
     with pytest.raises(EagorError, match="camera itself"):
         metrics.temporal_consistency(two, still, FORWARD[None], [1.0, 0.0])
     with pytest.raises(EagorError, match="positions"):
@@ -189,6 +191,10 @@ def test_success_needs_a_stop_strictly_inside():
     assert [metrics.success(*end, success_distance=1.0) for end in ends] == [True, False, False, False]
     with pytest.raises(EagorError, match="success_distance"):
         metrics.success(0.5, True, success_distance=0)
+    with pytest.raises(EagorError, match="distance"):
+        metrics.success(np.nan, False, success_distance=1.0)
+    with pytest.raises(EagorError, match="booleans"):
+        metrics.spl(0.5, 1.0, 1.0)  # type: ignore[arg-type]
 
 
 def test_spl_closed_forms_and_guards():

@@ -153,7 +153,8 @@ def _fault(place: Place, target: int, route: _Route, rules: WaypointRules) -> tu
 def measure(result: EpisodeResult) -> dict[str, float | None]:
     """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where one does not apply."""
     errors, truth, estimates = np.array(result.trace["error_deg"]), result.truth, result.estimates
-    legs = {leg: metrics.mean_error(errors, np.array(truth["leg"]) == leg) for leg in LEGS}
+    labels = np.array(truth["leg"])
+    legs = {leg: metrics.mean_error(errors, labels == leg) for leg in LEGS}
     first, last = legs[LEGS[0]], legs[LEGS[-1]]
     ranges = np.array(truth["range_m"])
     return {
