@@ -85,7 +85,7 @@ def with_e3nn(turn: np.ndarray) -> Callable[[], np.ndarray]:
     to_grid = o3.ToS2Grid(L, (64, 128))
     irreps = o3.Irreps([(1, (l, 1)) for l in range(L + 1)])
     start, image = torch.tensor(START, dtype=torch.float32), torch.tensor(FULL_MAP)
-    matrix = torch.tensor(conventions.E3NN_R_BODY @ turn @ conventions.E3NN_R_BODY.T, dtype=torch.float32)
+    matrix = torch.tensor(conventions.rotation_to_e3nn(turn), dtype=torch.float32)
 
     def step() -> np.ndarray:
         with torch.no_grad():

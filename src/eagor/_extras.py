@@ -61,5 +61,8 @@ def need(what: str, extra: str, *packages: str) -> None:
 
 def is_older(version: str, least: str) -> bool:
     """Whether a version such as ``"2.13.0+cpu"`` comes before another; its first three numbers count."""
-    numbers = ([int(re.sub(r"\D", "", part) or 0) for part in v.split("+")[0].split(".")[:3]] for v in (version, least))
-    return next(numbers) < next(numbers)
+    return _numbers(version) < _numbers(least)
+
+
+def _numbers(version: str) -> list[int]:
+    return [int(re.sub(r"\D", "", part) or 0) for part in version.split("+")[0].split(".")[:3]]

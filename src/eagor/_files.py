@@ -31,8 +31,12 @@ def cache_folder() -> Path:
     """What can be made again: $EAGOR_CACHE, else eagor in $XDG_CACHE_HOME, else in ~/.cache, else (no home) in /tmp."""
     if chosen := os.environ.get("EAGOR_CACHE"):
         return Path(chosen)
-    above = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(tempfile.gettempdir() if above.startswith("~") else above) / "eagor"  # ~: a user without a home
+    if chosen := os.environ.get("XDG_CACHE_HOME"):
+        return Path(chosen) / "eagor"
+    try:
+        return Path.home() / ".cache" / "eagor"
+    except RuntimeError:  # a user without a home, as in containers
+        return Path(tempfile.gettempdir()) / "eagor"
 
 
 def written(path: Path, content: str | bytes) -> Path:

@@ -144,16 +144,24 @@ def version_of(point: EntryPoint) -> str | None:
 
 def _installed(group: str) -> tuple[EntryPoint, ...]:
     """The entry points of installed packages in `group`."""
-    return _listed(group, tuple(sys.path))
+    return _listed(group, tuple((place, _changed(place)) for place in sys.path))
 
 
 @lru_cache(maxsize=32)
-def _listed(group: str, places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Those of `_installed`, read once for each `sys.path`: it takes as long as a unit of work."""
+def _listed(group: str, places: tuple[tuple[str, int | None], ...]) -> tuple[EntryPoint, ...]:
+    """Those of `_installed`, read again once a folder of `places` has changed: it takes as long as a unit of work."""
     try:
         return tuple(entry_points(group=group))
     except Exception:  # one unreadable list makes the call fail for all
         return tuple(point for each in distributions() for point in _points(each)[0] if point.group == group)
+
+
+def _changed(place: str) -> int | None:
+    """When something was last put into a folder of `sys.path` or taken from it; None if it is not there."""
+    try:
+        return os.stat(place or ".").st_mtime_ns
+    except (OSError, ValueError):
+        return None
 
 
 def _points(package: Distribution) -> tuple[list[EntryPoint], str]:

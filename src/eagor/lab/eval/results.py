@@ -573,7 +573,8 @@ def _compared(metric: Metric, left: Sequence[Result], right: Sequence[Result]) -
     found: dict[str, Any] = {"title": metric.title, "n": len(both), "a": float(x.mean), "b": float(y.mean)}
     found["difference"] = found["a"] - found["b"]
     if (paired := difference(x, y)) is not None:
-        found |= _plain(paired) | found
+        ends = paired.interval
+        found |= {"low": ends.low, "high": ends.high, "p": paired.p, "groups": paired.groups}
     outcomes = np.array([x.array, y.array]) / metric.scale
     if metric.share and np.isin(outcomes, (0.0, 1.0)).all():
         found["mcnemar"] = asdict(mcnemar(*outcomes))
