@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from eagor.conventions import OPTICAL_R_BODY
+from eagor.conventions import to_optical
 from eagor.errors import PoseError
 from eagor.media.motion import MotionTrack, complementary, integrate, read_insta360
 from eagor.media.video import Video
@@ -108,14 +108,10 @@ def test_between_samples_and_beyond_the_ends():
 # --- camm ------------------------------------------------------------------------------------------------------------
 
 
-def optical(vectors):
-    return vectors @ OPTICAL_R_BODY.T
-
-
 def test_orientations_of_a_camm_track(tmp_path):
     times = np.arange(0, 1, 0.02)
     truth = tumbling(times, seed=4)
-    packets = [(t, 0, optical(v)) for t, v in zip(times, truth.as_rotvec(), strict=True)]
+    packets = [(t, 0, to_optical(v)) for t, v in zip(times, truth.as_rotvec(), strict=True)]
     packets += [(t, 4, (1.0, 2.0, 3.0)) for t in times]  # positions
     packets.sort(key=lambda packet: packet[0])
     video = Video(clips.with_camm(clips.clip(tmp_path / "a.mp4"), packets))
@@ -140,7 +136,7 @@ def test_gyroscope_and_accelerometer_of_a_camm_track(tmp_path, late):
     rates, felt = imu(truth, times)
     packets = []
     for t, rate, acceleration in zip(times, rates, felt, strict=True):
-        packets += [(t + late, 2, optical(rate)), (t + late, 3, optical(acceleration))]
+        packets += [(t + late, 2, to_optical(rate)), (t + late, 3, to_optical(acceleration))]
     video = Video(clips.with_camm(clips.clip(tmp_path / "a.mp4"), packets))
     assert (video.motion.start, video.motion.end) == pytest.approx((late, 3.99 + late), abs=2e-3)
     for stamp in np.arange(0.5, 3.5, 0.25):

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor._values import lazy
-from eagor.conventions import OPTICAL_R_BODY
+from eagor.conventions import from_optical
 from eagor.errors import FormatError, PoseError
 from eagor.media.containers import Movie, samples
 from eagor.sphere import interpolate_rotation
@@ -220,7 +220,7 @@ def read_camm(movie: Movie, file: BinaryIO) -> tuple[MotionTrack | None, tuple[s
 
 def _in_body(table: np.ndarray) -> np.ndarray:
     """Rows of time and vector ``(N, 4)``, from the camera's optical axes to ours."""
-    return np.concatenate([table[:, :1], table[:, 1:] @ OPTICAL_R_BODY], axis=1)
+    return np.concatenate([table[:, :1], from_optical(table[:, 1:])], axis=1)
 
 
 # --- Insta360 ---

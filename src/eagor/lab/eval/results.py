@@ -573,8 +573,7 @@ def _compared(metric: Metric, left: Sequence[Result], right: Sequence[Result]) -
     found: dict[str, Any] = {"title": metric.title, "n": len(both), "a": float(x.mean), "b": float(y.mean)}
     found["difference"] = found["a"] - found["b"]
     if (paired := difference(x, y)) is not None:
-        ends = paired.interval
-        found |= {"low": ends.low, "high": ends.high, "p": paired.p, "groups": paired.groups}
+        found |= {key: value for key, value in _plain(paired).items() if key not in found}
     outcomes = np.array([x.array, y.array]) / metric.scale
     if metric.share and np.isin(outcomes, (0.0, 1.0)).all():
         found["mcnemar"] = asdict(mcnemar(*outcomes))
