@@ -134,7 +134,7 @@ class Steady:
 def program(domain: int, speed: float) -> None:
     """The program that steers: says the numbers of its processes, and walks until somebody ends it."""
     from eagor.live.loop import LiveLoop
-    from eagor.robots.ros.sources import RosCamera
+    from eagor.robots.ros import RosCamera
     from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 
     network, topic = {"domain": domain, "interface": "lo"}, CAMERA_TOPIC.removeprefix("rt")

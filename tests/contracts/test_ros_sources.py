@@ -10,19 +10,18 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from eagor.robots.ros.graph import DdsGraph
 from rosmaking import camera_info
 
 from eagor.errors import DeviceError, FormatError, ImageError, PoseError
 from eagor.lab.worlds.painted import painted_room
 from eagor.media import Pose, check_camera
 from eagor.media import ros_messages as m
+from eagor.media.bag_sources import BagCamera, BagPoses
 from eagor.media.bags import BagWriter
 from eagor.media.camera_sources import open_camera
 from eagor.media.intrinsics import camera_of
 from eagor.robots.dds import Link, free_domain
-from eagor.robots.ros.graph import DdsGraph
-from eagor.robots.ros.pose_sources import BagPoses, RosPoses
-from eagor.robots.ros.sources import BagCamera, RosCamera
 from eagor.sphere import world_R_body
 
 ROOM = painted_room(32, 64)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.media import Pose
 from eagor.media import ros_messages as m
-from eagor.robots.ros.odometry import TOLERATED, PoseReader, Turning
+from eagor.media.ros_frames import TOLERATED, PoseReader, Turning
 from eagor.sphere import interpolate_rotation, world_R_body
 
 FINE = 0.005  # seconds between two steps of the truth

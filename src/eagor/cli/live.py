@@ -224,7 +224,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
     opens = partial(open_camera, source, stitched=stitched, **how)
     if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
-        from eagor.robots.ros.sources import RosCamera
+        from eagor.robots.ros import RosCamera
 
         network = {"domain": options.domain, "interface": options.interface}
         opens = partial(RosCamera, source.removeprefix(ROS), stitched=stitched, **network, **how)
@@ -247,10 +247,9 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
 def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
     from eagor.live.threads import GivenPoses, MotionPoses
+    from eagor.media.bag_sources import BagCamera, bag_odometry
     from eagor.media.pose_files import odometry_of_file
     from eagor.robots import GO2, ROS, open_poses
-    from eagor.robots.ros.pose_sources import bag_odometry
-    from eagor.robots.ros.sources import BagCamera
 
     text = options.poses
     if isinstance(camera, BagCamera) and (text == "auto" or text.startswith(ROS)):

@@ -103,9 +103,8 @@ class Robot:
 
 def check(options: RobotCheck) -> int:
     """Run the command; exit code 1 if something is wrong."""
-    from eagor.robots.dds import Link
+    from eagor.robots.dds import Link, default_domain
     from eagor.robots.go2.sport import examine
-    from eagor.robots.ros.graph import default_domain
 
     if not within(options.seconds, 0.5, 600):
         raise terminal.UsageError(f"--seconds {options.seconds:g}: wanted 0.5 to 600")
@@ -150,8 +149,8 @@ def _heard(report: Report) -> dict[str, str]:
 
 def sim(options: RobotSim) -> int:
     """Run the command."""
+    from eagor.robots.dds import default_domain
     from eagor.robots.go2.sim import LiveGo2, SimulatedGo2
-    from eagor.robots.ros.graph import default_domain
 
     settings = settings_of(options)
     if options.seconds is not None and not above(options.seconds, 0):

@@ -262,7 +262,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
     def camera() -> CameraSource:
         if source.startswith(ROS):  # on the robot's network, not on that of the environment
-            from eagor.robots.ros.sources import RosCamera
+            from eagor.robots.ros import RosCamera
 
             network = {"domain": options.domain, "interface": options.interface}
             return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, **lenses, **network)
@@ -281,7 +281,7 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
 
     from eagor.robots.go2.house import CameraSettings
     from eagor.robots.go2.sim import CAMERA, Rehearsal, SimSettings, SimulatedGo2, clear_start
-    from eagor.robots.ros.sources import RosCamera
+    from eagor.robots.ros import RosCamera
     from eagor.robots.run_page import Plan
 
     rows = rows_for(spec, options.rows, PICTURE)

@@ -256,13 +256,12 @@ def _of_images(
 def _of_bag(
     options: Footage, place: Path, poses: Sequence[FramePose], rows: int, looks: float, shown: float, stitched: bool
 ) -> Journey:
+    from eagor.media.bag_sources import BagCamera, bag_odometry
     from eagor.media.bags import Bag
     from eagor.media.footage import BagFrames, FrameCheck
     from eagor.media.intrinsics import in_words
     from eagor.media.posed_frames import posed_by_odometry, thinned
     from eagor.media.ros_messages import IMU
-    from eagor.robots.ros.pose_sources import bag_odometry
-    from eagor.robots.ros.sources import BagCamera
 
     lens = checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info)
     bag, rig = Bag(place), checks.rig_of(options.rig)

@@ -23,14 +23,30 @@ from typing import Any, Self
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.media.bag_files import Channel, McapFile, SqliteFile, read_mcap, read_sqlite
-from eagor.media.ros_messages import NANO, nanoseconds, store
+from eagor.media.ros_messages import (
+    COMPRESSED,
+    IMAGE,
+    IMU,
+    NANO,
+    ODOMETRY,
+    POSE,
+    TRANSFORMS,
+    nanoseconds,
+    store,
+)
 
-__all__ = ["AT_RISK", "SUFFIXES", "Bag", "BagWriter", "bag_topics", "is_bag", "listed", "read_bag", "split_bag"]
+__all__ = [
+    "AT_RISK", "MOTION", "PICTURES", "SUFFIXES", "TF", "TF_STATIC", "Bag", "BagWriter", "bag_topics", "is_bag", "listed",
+    "pick", "read_bag", "split_bag",
+]  # fmt: skip
 
 ROS_1 = b"#ROSBAG V"
 
 SUFFIXES = (".mcap", ".db3")
 ROS_1_SUFFIX = ".bag"
+PICTURES = (IMAGE, COMPRESSED)
+MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS)  # the best first
+TF, TF_STATIC = "/tf", "/tf_static"
 
 
 def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
@@ -321,3 +337,39 @@ class BagWriter:
             raise StorageError(
                 f"the recording {self.path} cannot be written ({error.strerror}); what was written before is intact"
             ) from error
+
+
+def pick(
+    topics: Mapping[str, str],
+    kinds: Sequence[str],
+    asked: str | None,
+    *,
+    where: str,
+    option: str,
+    error: type[EagorError] = FormatError,
+) -> tuple[str, str]:
+    """The topic `asked` for, or the only one of the first of `kinds` that there is; with its type.
+
+    Of an Image and a CompressedImage with the same pictures (``name``, ``name/compressed``) the first kind is taken.
+    `where` ("the bag x.mcap") and `option` ("--image-topic") are for the text of the error: the topic is not there, has
+    another type, or there are several.
+    """
+    has = f"{where} has {listed(topics)}"
+    if asked is not None:
+        name = asked if asked.startswith("/") else f"/{asked}"
+        if name not in topics:
+            raise error(f"{where} has no topic {name}; it has {listed(topics)}")
+        if topics[name] not in kinds:
+            raise error(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
+        return name, topics[name]
+    fit = [(name, kind) for name, kind in topics.items() if kind in kinds and name != TF_STATIC]
+    if not fit:
+        raise error(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
+    kind = next(kind for kind in kinds if any(each[1] == kind for each in fit))
+    found = [name for name, its in fit if its == kind]
+    if set(kinds) == set(PICTURES):
+        base = {name.removesuffix("/compressed") for name, _ in fit}
+        found = found if len(base) == 1 else sorted(base)
+    if len(found) > 1:
+        raise error(f"{where} has several topics that fit: {', '.join(found)}; say which one with {option}")
+    return found[0], kind

@@ -35,7 +35,7 @@ from eagor.media.video import Video
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_camera"]
 
 GROUP = "eagor.cameras"
-BUILT_IN = {"bag": "eagor.robots.ros.sources:BagCamera", "ros": "eagor.robots.ros.sources:RosCamera"}
+BUILT_IN = {"bag": "eagor.media.bag_sources:BagCamera", "ros": "eagor.robots.ros:RosCamera"}
 SOURCES = (
     "a folder of panoramas, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
     "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "

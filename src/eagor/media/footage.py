@@ -176,7 +176,7 @@ class BagFrames:
     Stamps are those of the messages' headers.
     """
 
-    camera: Any  # an `eagor.robots.ros.sources.BagCamera`
+    camera: Any  # an `eagor.media.bag_sources.BagCamera`
     rate: float
     start: float
     end: float | None

@@ -131,7 +131,7 @@ def posed_by_odometry(
     say: Callable[[str], object] = lambda text: None,
     lost: Callable[[str], object] = lambda text: None,
 ) -> Iterator[PosedFrame]:
-    """Frames of a bag with the `poses` of its odometry (`eagor.robots.ros.sources`), interpolated at their stamps.
+    """Frames of a bag with the `poses` of its odometry (`eagor.media.bag_sources`), interpolated at their stamps.
 
     Frames before the first pose and after the last one are left out, and `say` is told of it, and of what is wrong with
     the poses. Those in a hole of more than `LONGEST` seconds are as well, and `lost` is told. Raises `PoseError` if all

@@ -54,11 +54,11 @@ def open_poses(
     another text, or if the network cannot be used; `MissingExtraError`.
     """
     if text.startswith(ROS):
-        from eagor.robots.ros.pose_sources import RosPoses
+        from eagor.robots.ros import RosPoses
 
         return RosPoses(text.removeprefix(ROS) or None, domain=domain, interface=interface, camera=camera)
     if text.partition(":")[0] == GO2:
-        from eagor.robots.ros.graph import default_domain
+        from eagor.robots.dds import default_domain
 
         source = text.partition(":")[2] or "sport"
         return Go2Poses(default_domain() if domain is None else domain, interface, source)

@@ -5,6 +5,7 @@ A `Link` is a process's place on a domain: it writes topics, and reads them in t
 
 from __future__ import annotations
 
+import os
 import random
 import socket
 import threading
@@ -19,7 +20,7 @@ from eagor._extras import need
 from eagor.errors import DeviceError
 from eagor.media.ros_messages import encoded_type, hash_of, store, topic_name
 
-__all__ = ["LAST_DOMAIN", "Link", "Reader", "Writer", "checked_domain", "free_domain"]
+__all__ = ["LAST_DOMAIN", "Link", "Reader", "Writer", "checked_domain", "default_domain", "free_domain"]
 
 LAST_DOMAIN = 232  # above, the ports that the standard derives from the number do not exist (DDSI-RTPS 9.6.1.1)
 PARTICIPANTS = 64  # most processes of one domain on this machine: each has ports of its own
@@ -52,6 +53,15 @@ def checked_domain(domain: int) -> int:
     if not whole(domain, 0, LAST_DOMAIN):
         raise DeviceError(f"DDS domain {domain!r}; wanted a whole number from 0 to {LAST_DOMAIN} (ROS_DOMAIN_ID)")
     return int(domain)
+
+
+def default_domain() -> int:
+    """The domain of the environment (ROS_DOMAIN_ID), else 0. Raises `DeviceError` if it is no number."""
+    told = os.environ.get("ROS_DOMAIN_ID", "").strip()
+    try:
+        return int(told or 0)
+    except ValueError:
+        raise DeviceError(f"ROS_DOMAIN_ID is {told!r}; wanted a whole number from 0 to {LAST_DOMAIN}") from None
 
 
 def _domain_xml(interface: str | None) -> str:

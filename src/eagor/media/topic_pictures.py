@@ -7,28 +7,25 @@ other, ``/tf_static`` tells how.
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from eagor.errors import DeviceError, FormatError
+from eagor.errors import FormatError
 from eagor.lenses import Lens
-from eagor.media.bags import Bag
+from eagor.media.bags import TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera, Told, ordinary_grid, rig_of_info
 from eagor.media.panorama import is_whole
 from eagor.media.rig_videos import makers
 from eagor.media.rigs import Rig, sizes_of
+from eagor.media.ros_frames import TransformTree, optical
 from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of
-from eagor.robots.ros.graph import TF_STATIC, WAITING, Graph, find_topic, pick
-from eagor.robots.ros.odometry import TransformTree, optical
 
 __all__ = [
-    "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "placed_in_bag", "placed_on_graph",
-    "told_in_bag", "told_on_graph", "topics_of",
+    "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "placed_in_bag",
+    "told_in_bag", "topics_of",
 ]  # fmt: skip
 
 OPTION = "--camera-info"
@@ -207,44 +204,6 @@ def told_in_bag(bag: Bag, image_topic: str, asked: str | None = None) -> LensTol
     return _told(first[3], topic, image_topic)
 
 
-def told_on_graph(
-    graph: Graph,
-    image_topic: str,
-    asked: str | None = None,
-    wait: float = 10.0,
-    ended: Callable[[], bool] = lambda: False,
-) -> LensTold | None:
-    """The same of a graph; the message may take `wait` seconds. Raises `DeviceError` if none comes, `FormatError`."""
-    topic = beside(image_topic)
-    if asked is not None:
-        topic, _, _ = find_topic(graph, (CAMERA_INFO,), asked, option=OPTION, ended=ended)
-    elif graph.topics().get(topic, ("", 0))[0] != CAMERA_INFO:
-        return None
-    came, found = threading.Event(), list[Any]()
-
-    def received(message: Any, _: float) -> None:
-        found.append(message)
-        came.set()
-
-    # A reader of what was said before hears no writer that keeps nothing, so there is one of either kind.
-    readers = [
-        graph.subscribe(topic, CAMERA_INFO, received, reliable=kept, depth=1, transient=kept) for kept in (True, False)
-    ]
-    end = time.monotonic() + wait
-    try:
-        while not (came.wait(WAITING) or ended()) and time.monotonic() < end:
-            pass
-    finally:
-        for reader in readers:
-            reader.close()
-    if not found:
-        raise DeviceError(
-            f"no CameraInfo came on {topic} within {wait:g} s; drivers send one with each picture. Start it, or give "
-            "the lens with --hfov"
-        )
-    return _told(found[0], topic, image_topic)
-
-
 def _plain(image_topic: str) -> str:
     return image_topic.removesuffix("/compressed")
 
@@ -266,30 +225,6 @@ def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
     if (missing := _unplaced(tree, frames)) is not None:
         raise FormatError(f"{bag.path}: {missing}")
     return _placed(tree, frames)
-
-
-def placed_on_graph(
-    graph: Graph, frames: Sequence[str], wait: float = SETTLING, ended: Callable[[], bool] = lambda: False
-) -> list[np.ndarray]:
-    """The same of a graph, whose transforms may take `wait` seconds. Raises `DeviceError`."""
-    tree, changed = TransformTree(), threading.Condition()
-
-    def received(message: Any, _: float) -> None:
-        with changed:
-            tree.add(message, True)
-            changed.notify_all()
-
-    reader = graph.subscribe(TF_STATIC, TRANSFORMS, received, reliable=True, depth=100, transient=True)
-    end = time.monotonic() + wait
-    try:
-        with changed:
-            while (missing := _unplaced(tree, frames)) is not None:
-                if ended() or (left := end - time.monotonic()) <= 0:
-                    raise DeviceError(missing)
-                changed.wait(min(left, WAITING))
-            return _placed(tree, frames)
-    finally:
-        reader.close()
 
 
 def _unplaced(tree: TransformTree, frames: Iterable[str]) -> str | None:

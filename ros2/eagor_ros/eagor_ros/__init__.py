@@ -1,1 +1,0 @@
-"""The node of eagor for ROS 2 with rclpy."""

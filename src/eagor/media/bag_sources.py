@@ -1,0 +1,225 @@
+"""Cameras and odometry of a recorded bag."""
+
+from __future__ import annotations
+
+import heapq
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
+from eagor.media import Frame, Pose
+from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick, split_bag
+from eagor.media.intrinsics import Camera
+from eagor.media.rigs import Rig
+from eagor.media.ros_frames import BODY, PoseReader
+from eagor.media.ros_messages import TRANSFORMS, stamp_of
+from eagor.media.topic_pictures import Lenses, TopicPictures, placed_in_bag, told_in_bag, topics_of
+
+__all__ = ["BagCamera", "BagPoses", "apart", "bag_odometry"]
+
+OPTION = "--image-topic"
+
+
+def apart(rate: float | None) -> float:
+    """Seconds between two pictures of so many per second, a little less for rounding. Raises `TimeError`."""
+    if rate is not None and not (math.isfinite(rate) and rate > 0):
+        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
+    return 0.0 if rate is None else 0.99 / rate
+
+
+class BagCamera:
+    """A `CameraSource` that plays the pictures of a bag; each iteration begins at its start.
+
+    `topic`: None is the only one with pictures, and several have commas between, as for `RosCamera`; or `bag` is the
+    text ``BAG?topic=/image``. Stamps are those of the headers less the `latency`; where a header has none, the time of
+    recording. `rate`: the most pictures per second of each topic. `back`: of the `dropped`, how many had stamps that go
+    back, which is said once. `count`: how many pictures there are; `frame`: as of
+    `TopicPictures`; `lens`: the ordinary camera, if it is one; `views`: the grid of each camera's pictures, None where
+    they become panoramas. Otherwise as `RosCamera`. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
+    """
+
+    live = False
+
+    def __init__(
+        self,
+        bag: Bag | str | Path,
+        topic: str | None = None,
+        *,
+        latency: float = 0.0,
+        rows: int | None = None,
+        rig: Rig | None = None,
+        camera: Camera | None = None,
+        info: str | None = None,
+        rate: float | None = None,
+        stitched: bool = False,
+    ) -> None:
+        self._apart = apart(rate)
+        if isinstance(bag, str) and topic is None:
+            bag, topic = split_bag(bag)
+        self.bag = bag if isinstance(bag, Bag) else Bag(bag)
+        self.latency, self.dropped, self.back, self.problem = latency, 0, 0, None
+        self._closed = False
+        where = str(self.bag.path)
+        found = [pick(self.bag.topics, PICTURES, each, where=where, option=OPTION) for each in topics_of(topic, OPTION)]
+        self.topics, self.kind = tuple(name for name, _ in found), found[0][1]
+        self.topic = ",".join(self.topics)
+        firsts = [self._first(each) for each in self.topics]
+        self.begins = min(self._stamp(received, when) for when, received in firsts)
+        self._pictures = TopicPictures(
+            [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows, stitched),
+            lambda image, told: told_in_bag(self.bag, image, told),
+            lambda frames: placed_in_bag(self.bag, frames),
+        )  # fmt: skip
+        self.frame, camera, makers = self._pictures.frame, self._pictures.camera, self._pictures.makers
+        self.lens = camera if camera is not None and camera.known else None
+        self.grid, self.unseen, self.views = makers[0].grid, makers[0].unseen, tuple(each.view for each in makers)
+        self.count = sum(self.bag.counts[each] for each in self.topics[: len(makers)])
+
+    def __iter__(self) -> Iterator[Frame]:
+        last = -math.inf
+        for stamp, lens, read in self.pictures():
+            topic = self.topics[lens]
+            try:
+                picture = read()
+            except EagorError as error:
+                if not self.dropped:
+                    warnings.warn(f"a picture of {topic} is left out: {error}", UserWarning, stacklevel=2)
+                self.dropped += 1
+                continue
+            last = max(stamp, math.nextafter(last, math.inf))  # cameras may see at the same moment
+            yield Frame(last, picture, f"{topic} at {stamp:.3f} s", self.views[lens], lens)
+
+    def pictures(self) -> Iterator[tuple[float, int, Callable[[], np.ndarray]]]:
+        """Stamp of each picture, in order of time, which camera's, and what gives the frame or raises `ImageError`."""
+        newest: list[Any] = [None] * len(self.topics)
+        together, after = self._pictures.together, [-math.inf] * len(self.topics)
+        for stamp, lens, received in heapq.merge(*map(self._of, range(len(self.topics)))):
+            newest[lens] = received
+            if together and (lens or None in newest):  # those of the first topic are stitched with the others' newest
+                continue
+            if stamp < after[lens]:
+                continue
+            after[lens] = stamp + self._apart
+            taken = tuple(newest) if together else (received,)
+            yield stamp, lens, partial(self._pictures.made, lens, taken)
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _first(self, topic: str) -> tuple[float, Any]:
+        """Time of recording and message."""
+        first = next(iter(self.bag.messages([topic])), None)
+        if first is None:
+            raise FormatError(f"{self.bag.path} has no message on {topic}")
+        return first[0], first[3]
+
+    def _of(self, lens: int) -> Iterator[tuple[float, int, Any]]:
+        """Stamp, number and message of one topic, whose stamps rise."""
+        last, told, topic = -math.inf, False, self.topics[lens]
+        for when, _, _, received in self.bag.messages([topic]):
+            if self._closed:
+                return
+            stamp = self._stamp(received, when)
+            if stamp_of(received) <= 0 and not told:
+                told = True
+                warnings.warn(
+                    f"{topic} tells no times (its headers have the stamp 0): those of the recording are taken",
+                    UserWarning,
+                    stacklevel=1,  # the frame above is heapq's
+                )
+            if stamp <= last:  # sent twice, or out of order
+                self.dropped += 1
+                if stamp < last and not self.back:
+                    warnings.warn(
+                        f"the stamps of {topic} go back by {last - stamp:.2f} s at {last:.3f} s: its pictures are left "
+                        "out until they have passed that",
+                        UserWarning,
+                        stacklevel=1,
+                    )
+                self.back += stamp < last
+                continue
+            last = stamp
+            yield stamp, lens, received
+
+    def _stamp(self, received: Any, when: float) -> float:
+        stamp = stamp_of(received)
+        return (stamp if stamp > 0 else when) - self.latency
+
+
+class BagPoses:
+    """A `PoseSource` that plays the odometry of a bag; each iteration begins at its start.
+
+    `topic`, `camera`, `body`, `world`, `strict`: as for `RosPoses`. The fixed transforms of
+    the whole bag are known from the beginning. `dropped`: messages that hold no pose. Raises `FormatError`.
+    """
+
+    live = False
+
+    def __init__(
+        self,
+        bag: Bag | str | Path,
+        topic: str | None = None,
+        *,
+        camera: str | None = None,
+        body: str = BODY,
+        world: str | None = None,
+        strict: bool = False,
+    ) -> None:
+        self.bag = bag if isinstance(bag, Bag) else Bag(bag)
+        self.topic, self.kind = pick(self.bag.topics, MOTION, topic, where=str(self.bag.path), option="--odom-topic")
+        self._settings: dict[str, Any] = {"camera": camera, "body": body, "world": world, "strict": strict}
+        self.dropped, self._closed = 0, False
+        self.reader = self._new_reader()
+
+    @property
+    def problem(self) -> str | None:
+        """What is missing, in words, or None."""
+        return self.reader.problem
+
+    def __iter__(self) -> Iterator[Pose]:
+        self.reader = reader = self._new_reader()
+        self.dropped, came, first = 0, False, ""
+        wanted = {self.topic} | ({TF} & self.bag.topics.keys())
+        for _, topic, _, received in self.bag.messages(wanted):
+            if self._closed:
+                return
+            try:
+                poses = reader.take(received) if topic == self.topic else reader.transforms(received, False)
+            except PoseError as error:
+                if not self.dropped:
+                    first = str(error)
+                    warnings.warn(f"a pose of {self.topic} is left out: {error}", UserWarning, stacklevel=2)
+                self.dropped += 1
+                continue
+            except DeviceError as error:
+                raise FormatError(f"{self.bag.path}: {error}") from error
+            came = came or bool(poses)
+            yield from poses
+        if not came:
+            told = reader.problem or "it has no message"
+            if self.dropped:
+                told = f"all {self.dropped} messages are left out; the first: {first}"
+            raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {told}")
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _new_reader(self) -> PoseReader:
+        reader = PoseReader(self.topic, self.kind, **self._settings)
+        if self.bag.topics.get(TF_STATIC) == TRANSFORMS:
+            for _, _, _, received in self.bag.messages([TF_STATIC]):
+                reader.transforms(received, True)
+        return reader
+
+
+def bag_odometry(bag: Bag, topic: str | None, frame: str | None) -> BagPoses | None:
+    """The odometry of a bag, as poses of the camera whose `frame` it is; None if no topic is named and it has none."""
+    if topic is None and not any(kind in MOTION and name != TF_STATIC for name, kind in bag.topics.items()):
+        return None
+    return BagPoses(bag, topic, camera=frame)
