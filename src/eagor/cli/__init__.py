@@ -95,6 +95,8 @@ def _run(arguments: list[str]) -> int:
     if arguments[:1] == [COMPLETION]:
         print(_completion(arguments), end="")
         return 0
+    if arguments[:1] == ["ros"] and "--ros-args" in arguments:  # the rest is for ROS
+        arguments.insert(arguments.index("--ros-args"), "--")
     try:
         command = _parse(joined(arguments))
     except SystemExit as stop:  # tyro has printed a text: help, or a mistake that we cannot explain

@@ -109,9 +109,9 @@ class Live(Common):
     rows: Annotated[int | None, bare("N")] = None
     """Rows of the pictures at most (default: 960, or what the detector wants)."""
     domain: Annotated[int | None, bare("N")] = None
-    """DDS domain of ros: and go2 (default: ROS_DOMAIN_ID, else 0)."""
+    """DDS domain of go2 (default: ROS_DOMAIN_ID, else 0)."""
     interface: Annotated[str | None, bare("NAME")] = None
-    """Network interface of ros: and go2, such as eth0."""
+    """Network interface of go2, such as eth0."""
     modes: Modes = 10
     floor: Floor = None
     degree: Whole = 15
@@ -210,7 +210,6 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_camera
     from eagor.media.rig_videos import are_ordinary
-    from eagor.robots import ROS
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
@@ -223,11 +222,6 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
     opens = partial(open_camera, source, stitched=stitched, **how)
-    if source.startswith(ROS) and (options.domain is not None or options.interface is not None):
-        from eagor.robots.ros import RosCamera
-
-        network = {"domain": options.domain, "interface": options.interface}
-        opens = partial(RosCamera, source.removeprefix(ROS), stitched=stitched, **network, **how)
     camera = opens()
     try:
         loop = LiveLoop(

@@ -30,14 +30,15 @@ from eagor.media.ros_messages import (
     NANO,
     ODOMETRY,
     POSE,
+    POSE_WITH_COVARIANCE,
     TRANSFORMS,
     nanoseconds,
     store,
 )
 
 __all__ = [
-    "AT_RISK", "MOTION", "PICTURES", "SUFFIXES", "TF", "TF_STATIC", "Bag", "BagWriter", "bag_topics", "is_bag", "listed",
-    "pick", "read_bag", "split_bag",
+    "AT_RISK", "MOTION", "PICTURES", "SUFFIXES", "TF", "TF_STATIC", "Bag", "BagWriter", "bag_topics", "is_bag",
+    "listed", "pick", "read_bag", "split_bag",
 ]  # fmt: skip
 
 ROS_1 = b"#ROSBAG V"
@@ -45,7 +46,7 @@ ROS_1 = b"#ROSBAG V"
 SUFFIXES = (".mcap", ".db3")
 ROS_1_SUFFIX = ".bag"
 PICTURES = (IMAGE, COMPRESSED)
-MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS)  # the best first
+MOTION = (ODOMETRY, POSE, POSE_WITH_COVARIANCE, IMU, TRANSFORMS)  # the best first
 TF, TF_STATIC = "/tf", "/tf_static"
 
 

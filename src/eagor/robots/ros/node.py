@@ -1,0 +1,417 @@
+"""The node of ROS 2: pictures, poses and queries in; directions, goals, markers, answers and diagnostics out.
+
+It is a lifecycle node that configures and activates itself, and runs the live loop (`eagor.live`) in a thread of its
+own, so it answers at a steady rate however slow the perception is. Topics and parameters: docs/how-to/ros2.md.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain, count, pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, PointStamped, PoseStamped, Quaternion, TransformStamped, Vector3, Vector3Stamped
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
+from std_msgs.msg import ColorRGBA, Header, String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from eagor.conventions import xyzw_from_rotation
+from eagor.errors import DeviceError, EagorError, FormatError, QueryError
+from eagor.live.core import deviation
+from eagor.live.events import Answer, Event, Fault, FaultLog, FrameCame, PoseCame
+from eagor.live.loop import LiveLoop
+from eagor.live.threads import already_open
+from eagor.media.ros_frames import optical
+from eagor.media.ros_messages import NANO
+from eagor.robots.ros import PARAMETERS, SOURCES, Setup
+from eagor.robots.ros.topics import Ears, RosCamera, RosPoses
+from eagor.sphere import azimuth_elevation, world_R_body
+
+__all__ = ["EagorNode", "queries_after", "run", "spaces"]
+
+MOST = 16  # queries at a time
+AGAIN, FIRST_TIME = 2.0, 10.0  # seconds before sources are opened again; in which a simulation has to tell the time
+GRAVE = 5.0  # seconds after which a fault is an error rather than a warning
+LASTING = Duration(nanoseconds=NANO // 2)  # of markers
+DIAGNOSED = ("azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "look_age", "image_age")
+TURNS = np.linspace(0, 2 * np.pi, 37)
+
+
+def queries_after(now: Sequence[str], text: str) -> list[str]:
+    """The queries that are followed after a message.
+
+    "red chair" replaces all by one; "red chair; blue ball" by two. "+blue ball" is followed as well, "-blue ball" no
+    longer. An empty text ends them all. At most `MOST` are followed; further ones are left out.
+    """
+    parts = [part.strip() for part in re.split(r"[;\n]", text)]
+    relative = text.strip() and all(part[:1] in ("+", "-") for part in parts if part)
+    found = list(now) if relative else []
+    for part in parts:
+        word = part.lstrip("+-").strip()
+        if part.startswith("-"):
+            found = [each for each in found if each != word]
+        elif re.search(r"\w", word) and word not in found:
+            found.append(word)
+    return found[:MOST]
+
+
+def spaces(queries: Sequence[str]) -> list[str]:
+    """Where the topics of each query are: "~" for the first, "~/blue_ball" for a further one; no two share one."""
+    found = ["~"]
+    for number, query in enumerate(queries[1:], 2):
+        name = re.sub(r"[^a-z0-9]+", "_", query.lower()).strip("_")
+        usable = [f"~/{name}"] if name[:1].isalpha() else []  # names of ROS begin with a letter
+        numbered = (f"~/query_{each}" for each in count(number))
+        found.append(next(each for each in chain(usable, numbered) if each not in found))
+    return found
+
+
+class EagorNode(LifecycleNode):
+    """The node, and a watcher of its loop.
+
+    `setup`: from the values of the parameters, and the queries; it may raise `EagorError`.
+    """
+
+    def __init__(self, setup: Callable[[Mapping[str, Any], Sequence[str]], Setup]) -> None:
+        super().__init__("eagor")
+        for name, (value, words) in PARAMETERS.items():  # of any type: rate:=10 is a number as well
+            self.declare_parameter(name, value, ParameterDescriptor(description=words, dynamic_typing=True))
+        self.setup, self.queries, self.spec = setup, list[str](), None
+        self.stopping, self.thread, self.loop, self.trouble, self.log = threading.Event(), None, None, "", FaultLog()
+        self.tick, self.told = dict[str, dict[str, Any]](), list[dict[str, Any]]()  # answers, being made and made
+        self.outputs, self.askers, self.before = dict[str, Any](), set[bytes](), None
+        self.faults: Sequence[Fault] = ()
+
+    def values(self) -> dict[str, Any]:
+        """The parameters, as they are now; numbers as floats."""
+        found = {name: self.get_parameter(name).value for name in PARAMETERS}
+        return {name: float(value) if type(value) is int else value for name, value in found.items()}
+
+    # --- lifecycle ---
+
+    def on_configure(self, state: Any) -> TransitionCallbackReturn:
+        values = self.values()
+        try:
+            for name, wanted in (("pose_source", SOURCES), ("image_transport", ("raw", "compressed"))):
+                if values[name] not in wanted:
+                    raise FormatError(f"{name} is {values[name]!r}; wanted one of {', '.join(wanted)}")
+            self.follow(values["queries"])
+        except EagorError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        self.base, self.ears = values["base_frame"], Ears(self, ended=self.stopping.is_set)
+        self.create_subscription(String, "~/query", self.asked, 10)
+        self.add_on_set_parameters_callback(self.on_set)
+        back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        self.jumps = self.get_clock().create_jump_callback(back, post_callback=lambda _: self.begin_anew())
+        self.create_timer(1.0, self.diagnose)
+        self.create_timer(1.0, self.ask_who_asked_before)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: Any) -> TransitionCallbackReturn:
+        self.stopping.clear()
+        self.thread = threading.Thread(target=self.serve, name="eagor", daemon=True)
+        self.thread.start()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
+        self.halt()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
+        self.remove_on_set_parameters_callback(self.on_set)
+        self.jumps.unregister()
+        for each in [*self.subscriptions]:
+            self.destroy_subscription(each)
+        for each in [*self.timers]:
+            self.destroy_timer(each)
+        return TransitionCallbackReturn.SUCCESS
+
+    def halt(self) -> None:
+        """End the loop and its thread."""
+        self.stopping.set()
+        self.begin_anew()
+        if self.thread is not None:
+            self.thread.join()
+
+    def begin_anew(self) -> None:
+        """End this run of the loop; the next one knows nothing of it."""
+        if self.loop is not None:
+            self.loop.stop()
+
+    # --- queries ---
+
+    def asked(self, message: String) -> None:
+        """A message on ~/query."""
+        queries = queries_after(self.queries, message.data) or [""]
+        self.set_parameters([Parameter("queries", Parameter.Type.STRING_ARRAY, queries)])
+
+    def ask_who_asked_before(self) -> None:
+        """Hear once what new latched publishers of ~/query have said; who keeps nothing would warn of such a reader."""
+        if self.before is not None:
+            self.destroy_subscription(self.before)
+            self.before = None
+        latched = DurabilityPolicy.TRANSIENT_LOCAL
+        publishers = self.get_publishers_info_by_topic(self.resolve_topic_name("~/query"))
+        now = {bytes(each.endpoint_gid) for each in publishers if each.qos_profile.durability == latched}
+        if now - self.askers:
+            self.before = self.create_subscription(
+                String, "~/query", self.asked, QoSProfile(depth=1, durability=latched)
+            )
+        self.askers = now
+
+    def on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            for each in parameters:
+                if each.name == "queries":
+                    self.follow(each.value)
+                elif each.name in PARAMETERS and self.thread is not None and self.thread.is_alive():
+                    raise DeviceError(f"{each.name} is read when the node is activated: deactivate it first")
+        except EagorError as error:
+            self.get_logger().error(str(error))
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def follow(self, queries: str | Sequence[str]) -> None:
+        """Look for these from now on."""
+        queries = queries_after((), queries if isinstance(queries, str) else ";".join(queries))
+        spec = self.setup(self.values(), queries) if queries else None
+        same = spec is not None and self.spec is not None and spec.perception == self.spec.perception
+        self.queries, self.spec, self.trouble, loop = queries, spec, "", self.loop
+        if loop is not None:
+            loop.follow(queries) if same else loop.stop()
+
+    # --- the loop, in a thread of its own ---
+
+    def serve(self) -> None:
+        """Run loops, one after the other."""
+        begun = time.monotonic()
+        while not self.stopping.wait(0.1):
+            if self.get_clock().now().nanoseconds == 0:
+                if time.monotonic() - begun > FIRST_TIME:
+                    self.say("nothing comes on /clock, and use_sim_time is set: start the simulation, or do not set it")
+                continue
+            try:
+                if self.spec is not None:
+                    self.run_loop(self.values(), self.spec, self.queries)
+            except QueryError as error:  # until somebody asks for something else
+                self.say(str(error))
+                self.spec = None
+            except Exception as error:  # the node goes on, whatever happens
+                if not self.stopping.is_set():
+                    known = isinstance(error, EagorError | OSError)
+                    self.say(f"{error if known else repr(error) + ' (a bug)'}; tried again")
+                    self.stopping.wait(AGAIN)
+            finally:
+                self.loop = None
+
+    def say(self, text: str) -> None:
+        """What is wrong while no loop runs."""
+        if text != self.trouble:
+            self.get_logger().error(text)
+        self.trouble = text
+
+    def run_loop(self, values: Mapping[str, Any], spec: Setup, queries: Sequence[str]) -> None:
+        """Follow the queries until somebody stops it. Raises as `RosCamera` and `LiveLoop`."""
+        transport = "/compressed" if values["image_transport"] == "compressed" else ""
+        topics = ",".join(self.ears.resolved(each) + transport for each in values["image_topics"])
+
+        def camera() -> RosCamera:
+            return RosCamera(topics, ears=self.ears, latency=values["image_delay"], **spec.camera)
+
+        def poses() -> RosPoses:
+            world = values["world_frame"] or None
+            how = {"kinds": (source[1],), "camera": self.frame, "body": self.base, "world": world}
+            found = RosPoses(source[0], ears=self.ears, **how)
+            self.reader = found.reader
+            return found
+
+        first, source = camera(), SOURCES[values["pose_source"]]
+        try:
+            self.frame, self.pose, self.picture, self.reader = first.frame or self.base, None, 0.0, None
+            self.place_camera(values)
+            self.loop = LiveLoop(
+                already_open(first, camera), spec.perception, queries, config=spec.config, rate=values["rate"],
+                poses=poses if isinstance(source, tuple) else source, patience=values["patience"], clock=self.ears,
+                record=Path(values["record"]) / str(time.time_ns()) if values["record"] else None, watchers=[self],
+            )  # fmt: skip
+        except BaseException:
+            first.close()
+            raise
+        self.trouble = ""
+        if self.queries != queries or self.stopping.is_set():
+            self.loop.stop()
+        self.loop.run(self.answered)
+
+    def place_camera(self, values: Mapping[str, Any]) -> None:
+        """Put the mount of the parameters among the transforms, or say that nothing tells it."""
+        if not np.isnan(values["mount_xyz"]).any():
+            roll, pitch, yaw = np.radians(values["mount_rpy_deg"])
+            told = TransformStamped(header=Header(frame_id=self.base), child_frame_id=self.frame)
+            told.transform.translation = numbers(Vector3, values["mount_xyz"])
+            told.transform.rotation = quaternion(world_R_body(yaw, pitch, roll) @ optical(self.frame).T)
+            with self.ears.news:
+                self.ears.tree.add(SimpleNamespace(transforms=[told]), True)
+        elif self.frame != self.base and not self.ears.has_transforms:
+            self.get_logger().warning(
+                f"tf2_msgs is not installed, so nothing tells where {self.frame} is on {self.base}: its axes are taken "
+                "for the same; set mount_xyz and mount_rpy_deg"
+            )
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """As a watcher of the loop."""
+        if isinstance(event, PoseCame):
+            self.pose = event.pose
+        elif isinstance(event, FrameCame):
+            self.picture = event.stamp
+
+    def close(self) -> None:
+        """As a watcher of the loop."""
+
+    # --- answers ---
+
+    def answered(self, answer: Answer) -> None:
+        """Publish it as of the newest pose, so that who has the transforms of the inputs has the one for it."""
+        queries, pose, estimate = list(self.loop.core.queries), self.pose, answer.estimate
+        stamp = self.picture if pose is None else pose.stamp
+        nanoseconds = self.ears.stamps.get(stamp, round(stamp * NANO)) or round(answer.stamp * NANO)
+        turn, place = self.ears.mount(self.base, self.frame, stamp)
+        camera = estimate.world_R_body if pose is None else pose.world_R_body
+        between = 0.0 if self.reader is None else self.reader.turning.midway
+        estimate = estimate.turned(estimate.stamp, camera @ turn.T, deviation(between**2 / 2))
+        header, d = Header(stamp=Time(nanoseconds=nanoseconds).to_msg(), frame_id=self.base), estimate.direction
+        if d is not None:
+            space = spaces(queries)[queries.index(answer.query)]
+            self.publish(f"{space}/direction", Vector3Stamped(header=header, vector=numbers(Vector3, d)))
+            towards = PoseStamped(header=header)
+            towards.pose.position, towards.pose.orientation = numbers(Point, place), quaternion(pointing(d))
+            self.publish(f"{space}/pose", towards)
+            if estimate.status == "tracking" and estimate.distance is not None:
+                there = numbers(Point, place + estimate.distance * d)
+                self.publish(f"{space}/point", PointStamped(header=header, point=there))
+            self.publish("~/markers", MarkerArray(markers=markers(header, answer.query, estimate, place)))
+        ages = {"pose_age": answer.pose_age, "look_age": answer.look_age, "image_age": answer.image_age}
+        self.tick[answer.query] = {
+            "query": answer.query, "stamp": nanoseconds / NANO, "stamp_ns": nanoseconds, "frame": self.base,
+            "direction": None if d is None else [round(float(each), 6) for each in d], **estimate.as_dict(),
+            **{name: None if age is None or math.isinf(age) else round(age, 6) for name, age in ages.items()},
+            "faults": [fault.text for fault in answer.faults],
+        }  # fmt: skip
+        if answer.query == queries[-1]:
+            self.told, self.tick, self.faults = [*self.tick.values()], {}, answer.faults
+            self.publish("~/answers", String(data=json.dumps(self.told)))
+            for text, wrong in self.log.of(self.wrong(), time.monotonic()):
+                if wrong:  # rclpy knows a call by its line, whose severity must stay
+                    self.get_logger().warning(text)
+                else:
+                    self.get_logger().info(text)
+
+    def wrong(self) -> list[Fault]:
+        """What is wrong now."""
+        problem = None if self.reader is None else self.reader.problem
+        return [*self.faults, *([] if problem is None else [Fault("poses", problem, self.ears.now())])]
+
+    def publish(self, topic: str, message: Any) -> None:
+        if topic not in self.outputs:
+            self.outputs[topic] = self.create_publisher(type(message), topic, 10)
+        try:
+            self.outputs[topic].publish(message)
+        except Exception:  # the context may end at any time
+            if self.context.ok():
+                raise
+
+    def diagnose(self) -> None:
+        """Once a second: a status of the node, and one of each query."""
+        loop, now, level = self.loop, self.get_clock().now(), DiagnosticStatus
+        faults, told = (self.wrong(), self.told) if loop is not None else ([], [])
+        waits = "starting" if self.queries else "waiting for a query on ~/query (std_msgs/String), or in queries"
+        words = self.trouble or "; ".join(fault.text for fault in faults) or ("all is well" if told else waits)
+        lasting = any(now.nanoseconds / NANO - fault.since > GRAVE for fault in faults)
+        grade = level.ERROR if self.trouble or lasting else level.WARN if faults else level.OK
+
+        def status(name: str, message: str, grade: bytes, values: Mapping[str, Any]) -> DiagnosticStatus:
+            pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+            return DiagnosticStatus(name=name, message=message, level=grade, hardware_id="eagor", values=pairs)
+
+        found = [status("eagor", words, grade, {} if loop is None else vars(loop.counts))]
+        for each in told:
+            known = {name: each[name] for name in DIAGNOSED}
+            found.append(status(f"eagor: {each['query']}", each["status"], level.OK, known))
+        self.publish("/diagnostics", DiagnosticArray(header=Header(stamp=now.to_msg()), status=found))
+
+
+def markers(header: Header, query: str, estimate: Any, place: np.ndarray) -> list[Marker]:
+    """An arrow, the cone that holds 90 % of the belief, and words, from the camera's `place`."""
+    d, angle, turn = estimate.direction, estimate.credible_angle, pointing(estimate.direction)
+
+    def marker(number: int, kind: int, alpha: float, at: np.ndarray, **more: Any) -> Marker:
+        colour = ColorRGBA(r=0.9, g=0.1, b=0.1, a=alpha)
+        made = Marker(header=header, ns=query, id=number, type=kind, lifetime=LASTING.to_msg(), color=colour, **more)
+        made.pose.position = numbers(Point, at)
+        return made
+
+    arrow = marker(0, Marker.ARROW, 1.0, place, scale=Vector3(x=1.0, y=0.03, z=0.06))
+    arrow.pose.orientation = quaternion(turn)
+    rim = math.cos(angle) * d + math.sin(angle) * np.stack([np.cos(TURNS), np.sin(TURNS)], 1) @ turn[:, 1:].T
+    sides = [each for a, b in pairwise(rim) for each in (Point(), numbers(Point, a), numbers(Point, b))]
+    cone = marker(1, Marker.TRIANGLE_LIST, 0.25, place, scale=Vector3(x=1.0, y=1.0, z=1.0), points=sides)
+    said = f"{query}: {estimate.status}"
+    return [arrow, cone, marker(2, Marker.TEXT_VIEW_FACING, 1.0, place + 1.1 * d, scale=Vector3(z=0.1), text=said)]
+
+
+def numbers(kind: Any, values: Any) -> Any:
+    """A Vector3 or Point."""
+    return kind(**dict(zip("xyz", map(float, values), strict=True)))
+
+
+def quaternion(turn: np.ndarray) -> Quaternion:
+    return Quaternion(**dict(zip("xyzw", map(float, xyzw_from_rotation(turn)), strict=True)))
+
+
+def pointing(d: np.ndarray) -> np.ndarray:
+    """The rotation whose x axis is `d`, with y level."""
+    azimuth, elevation = azimuth_elevation(d)
+    return world_R_body(float(azimuth), -float(elevation), 0.0)  # pitch is positive with the nose down
+
+
+def run(setup: Callable[[Mapping[str, Any], Sequence[str]], Setup], args: Sequence[str]) -> bool:
+    """Run the node until it is shut down, with `args` such as ``--ros-args -p rate:=10``; whether it could be set up.
+
+    Raises `DeviceError` for arguments that ROS refuses.
+    """
+    try:
+        rclpy.init(args=["eagor", *args])
+        node = EagorNode(setup)
+    except Exception as error:  # rclpy has no common class for what it refuses
+        rclpy.try_shutdown()
+        raise DeviceError(f"{' '.join(args)}: {error}") from error
+    try:
+        if node.values()["autostart"]:
+            if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+                return False
+            node.trigger_activate()
+        rclpy.spin(node)
+    except ExternalShutdownException:
+        pass
+    finally:
+        node.halt()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return True

@@ -1,0 +1,363 @@
+"""Cameras and poses on topics of ROS 2, through `rclpy`: what the node reads, and ``ros:/topic`` elsewhere.
+
+A topic is read with the quality of service that its publishers offer: a reliable reader hears nobody who is not, and a
+best-effort one loses large pictures.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from eagor.errors import DeviceError, EagorError
+from eagor.live.threads import LoopClock
+from eagor.media import Frame, Pose
+from eagor.media.bag_sources import apart
+from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC
+from eagor.media.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
+from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds
+from eagor.media.topic_pictures import Lenses, LensTold, TopicPictures, beside, lens_told, placed, topics_of
+
+__all__ = ["Ears", "RosCamera", "RosPoses"]
+
+FIRST = 10.0  # seconds in which a publisher, and the first message, have to come
+SETTLING = 2.0  # seconds in which a CameraInfo, or a transform that was told before, has to come
+LEASE = 30.0  # seconds that one who has died without a word may still be counted among the publishers
+KEPT = 4000  # poses that wait to be taken, and stamps that are known to the nanosecond
+
+
+class Ears(LoopClock):
+    """What an rclpy `node`, which somebody spins, hears; with the transforms of /tf where tf2_msgs is installed.
+
+    Without a node it makes one, where the environment says (ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE). `ended`:
+    whether nobody waits any more. `stamps`: those of messages in whole nanoseconds, by seconds. `news` is notified of
+    all that comes.
+    """
+
+    def __init__(self, node: Node | None = None, ended: Callable[[], bool] = lambda: False) -> None:
+        self._executor: SingleThreadedExecutor | None = None
+        if node is None:
+            context = Context()
+            rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+            node = Node(f"eagor_{uuid4().hex}", context=context)
+            self._executor = SingleThreadedExecutor(context=context)
+            self._executor.add_node(node)
+            threading.Thread(target=self._executor.spin, name="eagor rclpy", daemon=True).start()
+        self.node, self.ended = node, ended
+        self.stamps, self.tree, self.news = dict[float, int](), TransformTree(), threading.Condition()
+        self.taker: Callable[[Any, bool], Any] = self.tree.add  # of transforms: poses are, while they are read
+        self.has_transforms = find_spec("tf2_msgs") is not None  # no wheel has it
+        for topic, fixed in ((TF_STATIC, True), (TF, False)) if self.has_transforms else ():
+            durability = DurabilityPolicy.TRANSIENT_LOCAL if fixed else DurabilityPolicy.VOLATILE
+            qos = QoSProfile(depth=100, durability=durability)
+            self.subscribe(TRANSFORMS, topic, lambda told, fixed=fixed: self.taker(told, fixed), qos)
+
+    def close(self) -> None:
+        """Leave the graph, if the node is its own."""
+        if self._executor is not None:
+            self._executor.shutdown(1.0)
+            self.node.destroy_node()
+            self.node.context.try_shutdown()
+
+    def resolved(self, topic: str) -> str:
+        """The full name of a topic, after remapping. Raises `DeviceError` for what is no name."""
+        try:
+            return self.node.resolve_topic_name(topic)
+        except NameValidationException as error:
+            raise DeviceError(f"{topic!r} is no name of a topic: {error}") from error
+
+    def subscribe(self, kind: str, topic: str, heard: Callable[[Any], Any], qos: QoSProfile, **more: Any) -> Any:
+        """Call `heard` with each message of a `kind` such as "sensor_msgs/msg/Image"."""
+        package, _, name = kind.partition("/msg/")
+
+        def received(message: Any) -> None:
+            with self.news:
+                heard(message)
+                self.news.notify_all()
+
+        return self.node.create_subscription(
+            getattr(import_module(f"{package}.msg"), name), topic, received, qos, **more
+        )
+
+    def offered(self, topic: str, kinds: Collection[str]) -> tuple[str, QoSProfile]:
+        """The type of a `topic`, one of `kinds`, and how to read it. Raises `DeviceError` if nobody publishes it."""
+        if not self.wait(lambda: self.node.count_publishers(topic)):
+            domain = f"ROS_DOMAIN_ID {self.node.context.get_domain_id()}"
+            raise DeviceError(f"nobody publishes {topic} ({domain}): start its node, or remap the topic")
+        publishers = self.node.get_publishers_info_by_topic(topic)
+        found = publishers[0].topic_type if publishers else "that is gone"
+        if found not in kinds:
+            raise DeviceError(f"{topic} has a type {found}; wanted {' or '.join(kinds)}")
+        reliable, latched = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
+        all_reliable = all(each.qos_profile.reliability == reliable for each in publishers)
+        all_latched = all(each.qos_profile.durability == latched for each in publishers)
+        return found, QoSProfile(
+            depth=10,
+            reliability=reliable if all_reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=latched if all_latched else DurabilityPolicy.VOLATILE,
+        )
+
+    def wait(self, what: Callable[[], Any], most: float = FIRST) -> bool:
+        """Whether it happens within `most` seconds of real time."""
+        end = time.monotonic() + most
+        while not what():
+            if self.ended() or time.monotonic() > end:
+                return False
+            time.sleep(0.02)
+        return True
+
+    def now(self) -> float:
+        """The node's time, which is that of a simulation with ``use_sim_time``."""
+        return self.node.get_clock().now().nanoseconds / NANO
+
+    def slip(self) -> float:
+        return 0.0
+
+    def remember(self, stamp: float, told: Any, later: float = 0.0) -> None:
+        """The seconds `stamp` are those of a message's Time, less `later`: seconds alone are off by up to 120 ns."""
+        self.stamps[stamp] = told.sec * NANO + told.nanosec - round(later * NANO)
+        while len(self.stamps) > KEPT:
+            del self.stamps[next(iter(self.stamps))]
+
+    def mount(self, body: str, camera: str, stamp: float) -> Transform:
+        """Where the camera's axes (x ahead) are on the body; those of the body if nothing tells."""
+        with self.news:
+            found = None if camera == body else self.tree.at(body, camera, stamp)
+        return (IDENTITY if found is None else found)[0] @ optical(camera), (found or IDENTITY)[1]
+
+
+class TopicSource:
+    """What reads topics: through `ears` that are given, or its own."""
+
+    live = True
+
+    def __init__(self, ears: Ears | None) -> None:
+        self._own = Ears() if ears is None else None
+        self._ears, self._closed, self._readers = ears or self._own, False, list[Any]()
+
+    def close(self) -> None:
+        with self._ears.news:
+            self._closed = True
+            self._ears.news.notify_all()
+        while self._readers:
+            self._ears.node.destroy_subscription(self._readers.pop())
+        if self._own is not None:
+            self._own.close()
+
+
+class RosCamera(TopicSource):
+    """A `CameraSource`: a topic of Image or CompressedImage, or several with commas between, of cameras of one body.
+
+    The CameraInfo beside the pictures tells the lens of those that are no panoramas, and ``/tf_static`` where several
+    cameras are; or a `rig` does (`lenses`: as of `Lenses`). `latency`: seconds from capture to the headers' stamps.
+    `ears`: of a node that runs; `rate`: the most pictures a second. The newest picture is kept, and decoded when it is
+    asked for; `dropped` counts the others, and those that were damaged. `frame`: as the pictures name it. Raises
+    `DeviceError` if nobody publishes, or no picture comes; otherwise as `TopicPictures`.
+    """
+
+    keeps_newest = True
+
+    def __init__(
+        self,
+        topic: str,
+        *,
+        ears: Ears | None = None,
+        latency: float = 0.0,
+        rate: float | None = None,
+        **lenses: Any,
+    ) -> None:
+        self.latency, self.dropped, self.problem, self._apart = latency, 0, None, apart(rate)
+        super().__init__(ears)
+        try:
+            named = topics_of(topic or None, "topics")
+            self.topics = tuple(self._ears.resolved(each or "image") for each in named)
+            self._newest: list[Any] = [None for _ in named]
+            self._fresh, self._last = [False for _ in named], [-math.inf for _ in named]
+            self._turn = [*range(len(named))]  # the cameras, that which waited longest first
+            for at, name in enumerate(self.topics):
+                self._read(name, PICTURES, partial(self._received, at))
+            if not self._ears.wait(lambda: None not in self._newest):
+                silent = self.topics[self._newest.index(None)]
+                raise DeviceError(f"no picture came on {silent} within {FIRST:g} s; is the camera running?")
+            self._pictures = TopicPictures(self._newest, self.topics, Lenses(**lenses), self._told, self._placed)
+        except BaseException:
+            self.close()
+            raise
+        self.frame, first = self._pictures.frame, self._pictures.makers[0]
+        self.grid, self.unseen = first.grid, first.unseen
+        if self._pictures.together:
+            self._turn = [0]  # the others are taken with it
+
+    def __iter__(self) -> Iterator[Frame]:
+        while True:
+            with self._ears.news:
+                self._ears.news.wait_for(lambda: self._closed or any(self._fresh[each] for each in self._turn))
+                if self._closed:
+                    return
+                lens = next(each for each in self._turn if self._fresh[each])
+                self._turn.remove(lens)
+                self._turn.append(lens)
+                messages = self._newest[:] if self._pictures.together else [self._newest[lens]]
+                self._fresh[lens] = False
+            try:
+                frame = self._frame(lens, messages)
+            except EagorError as error:
+                frame, self.problem = None, f"{self.topics[lens]}: a picture is left out: {error}"
+            if frame is None:
+                self.dropped += 1
+            else:
+                yield frame
+
+    def _frame(self, lens: int, messages: list[Any]) -> Frame | None:
+        """The next frame; None if it was sent twice, or comes too soon or out of order. Raises as `TopicPictures`."""
+        topic, told, last = self.topics[lens], messages[0].header.stamp, self._last[lens]
+        stamp = (seconds(told) or self._ears.now()) - self.latency
+        if last - BACK <= stamp <= last or 0 < stamp - last < self._apart:
+            return None
+        picture = self._pictures.made(lens, messages, ": another camera or mode? Set it back, or start again")
+        while stamp in self._last:  # of another camera: no two frames have one stamp
+            stamp = math.nextafter(stamp, math.inf)
+        self._last[lens], self.problem = stamp, None
+        if seconds(told):
+            self._ears.remember(stamp, told, self.latency)
+        else:
+            self.problem = f"{topic} tells no times (its headers have the stamp 0): those of arrival are taken"
+        return Frame(stamp, picture, f"{topic} at {stamp:.3f} s", self._pictures.makers[lens].view, lens)
+
+    def _received(self, lens: int, message: Any) -> None:
+        self.dropped += self._fresh[lens] and lens in self._turn
+        self._newest[lens], self._fresh[lens] = message, True
+
+    def _read(self, topic: str, kinds: Collection[str], heard: Callable[[Any], Any]) -> None:
+        """As its publishers offer it; if one comes that offers less, the camera ends, and is opened again."""
+
+        def less(_: Any) -> None:
+            with self._ears.news:
+                self._closed = True
+                self._ears.news.notify_all()
+
+        kind, qos = self._ears.offered(topic, kinds)
+        events = SubscriptionEventCallbacks(incompatible_qos=less)
+        self._readers.append(self._ears.subscribe(kind, topic, heard, qos, event_callbacks=events))
+
+    def _told(self, topic: str, asked: str | None) -> LensTold | None:
+        """What the CameraInfo says; None if nobody publishes it."""
+        name, found = self._ears.resolved(asked or beside(topic)), list[Any]()
+        if not self._ears.wait(lambda: self._ears.node.count_publishers(name), SETTLING):
+            return None
+        self._read(name, (CAMERA_INFO,), found.append)
+        came = self._ears.wait(lambda: found)
+        self._ears.node.destroy_subscription(self._readers.pop())
+        if not came:
+            raise DeviceError(f"no CameraInfo came on {name} within {FIRST:g} s; drivers send one with each picture")
+        return lens_told(found[0], name, topic)
+
+    def _placed(self, frames: Sequence[str]) -> list[np.ndarray]:
+        """Where cameras are in the axes of the first."""
+        with self._ears.news:
+            self._ears.news.wait_for(lambda: {*frames} <= self._ears.tree.frames, SETTLING)
+            return placed(self._ears.tree, frames)
+
+
+class RosPoses(TopicSource):
+    """A `PoseSource`: the camera's poses from Odometry, poses, an Imu's orientation, or ``/tf`` (`PoseReader`).
+
+    `camera`: its frame; transforms tell where it is on the body. Where they do not, the axes of the messages are taken
+    for the camera's, and `problem` says so. `body`, `world`: as for `PoseReader`. Otherwise as `RosCamera`. Raises
+    `DeviceError` if nobody publishes the topic, if two do, or if no pose comes.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        *,
+        ears: Ears | None = None,
+        kinds: Collection[str] = MOTION,
+        camera: str | None = None,
+        body: str = BODY,
+        world: str | None = None,
+    ) -> None:
+        super().__init__(ears)
+        self._poses, self._error = deque[Pose](maxlen=KEPT), None
+        self._counted = self._alone = time.monotonic()
+        try:
+            self.topic = self._ears.resolved(topic or "odom")
+            self.kind, qos = self._ears.offered(self.topic, kinds)
+            if self.kind == TRANSFORMS and not self._ears.has_transforms:
+                raise DeviceError(f"{self.topic} needs tf2_msgs, which no wheel has: source a ROS installation")
+            self.reader = PoseReader(self.topic, self.kind, camera=camera, body=body, world=world, rewinds=True)
+            self.reader.tree = self._ears.tree
+            if camera and self._ears.node.count_publishers(TF_STATIC):  # poses before it would be the body's
+                self._ears.wait(lambda: camera in self._ears.tree.frames, SETTLING)
+            self._ears.taker = self._moved
+            if self.kind != TRANSFORMS:
+                qos.depth = 100
+                self._readers.append(self._ears.subscribe(self.kind, self.topic, self._received, qos))
+            if not self._ears.wait(lambda: self._poses or self._error) and not self._ears.ended():
+                told = self.problem or "are its stamps set, and does it run?"
+                raise DeviceError(f"no pose came on {self.topic} within {FIRST:g} s: {told}")
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong now, in words, or None."""
+        return self.reader.problem
+
+    def __iter__(self) -> Iterator[Pose]:
+        while True:
+            with self._ears.news:
+                self._ears.news.wait_for(lambda: self._poses or self._closed or self._error)
+                if self._closed:
+                    return
+                if self._error is not None:
+                    raise self._error
+                pose = self._poses.popleft()
+            yield pose
+
+    def close(self) -> None:
+        self._ears.taker = self._ears.tree.add
+        super().close()
+
+    def _moved(self, message: Any, fixed: bool) -> None:
+        self._take(self.reader.transforms(message, fixed), [each.header.stamp for each in message.transforms])
+
+    def _received(self, message: Any) -> None:
+        now = time.monotonic()
+        if now > self._counted + 1.0:
+            self._counted, writers = now, self._ears.node.count_publishers(self.topic)
+            self._alone = now if writers < 2 else self._alone
+            if now > self._alone + LEASE:
+                self._error = DeviceError(f"{writers} publishers write {self.topic}: stop all but one, or remap it")
+        try:
+            self._take(self.reader.take(message), [message.header.stamp])
+        except DeviceError as error:
+            self._error = error
+        except EagorError as error:
+            self._ears.node.get_logger().warning(f"{self.topic}: a pose is left out: {error}", once=True)
+
+    def _take(self, poses: Sequence[Pose], stamps: Sequence[Any]) -> None:
+        for pose in poses:
+            self._poses.append(pose)
+            for stamp in stamps:
+                if seconds(stamp) == pose.stamp:
+                    self._ears.remember(pose.stamp, stamp)
