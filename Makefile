@@ -67,7 +67,7 @@ $(VENV)/.eagor-installed: $(BIN)/python pyproject.toml
 $(VENV)/.eagor-test-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing $(TORCH), then eagor with what the tests need (the first time takes minutes)"
 	$(PIP) "$(TORCH)"
-	$(PIP) -e ".[sim,photos,report,studio,vlm,endpoint,ray,robot,rerun,oracles,docs,dev]"
+	$(PIP) -e ".[sim,photos,report,studio,vlm,endpoint,ray,robot,ros,rerun,oracles,docs,dev]"
 	touch $(VENV)/.eagor-installed $(VENV)/.eagor-docs-installed $(VENV)/.eagor-lint-installed $@
 
 # The site needs no package that the docs speak of, and the checkers only what is not torch (gigabytes).
@@ -78,7 +78,7 @@ $(VENV)/.eagor-docs-installed: $(BIN)/python pyproject.toml
 
 $(VENV)/.eagor-lint-installed: $(BIN)/python pyproject.toml
 	@echo "==> installing eagor with what the checkers need"
-	$(PIP) -e ".[sim,photos,report,studio,endpoint,ray,robot,rerun,dev]"
+	$(PIP) -e ".[sim,photos,report,studio,endpoint,ray,robot,ros,rerun,dev]"
 	touch $@
 
 demo: $(VENV)/.eagor-installed

@@ -1,4 +1,4 @@
-"""Installs the node; `colcon build` calls this."""
+"""Installs the launch file and the command `eagor_node`; `colcon build` calls this."""
 
 from glob import glob
 
@@ -9,12 +9,11 @@ NAME = "eagor_ros"
 setup(
     name=NAME,
     version="0.0.0",
-    packages=[NAME],
+    packages=[],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
-        (f"share/{NAME}/config", glob("config/*.yaml")),
     ],
     install_requires=["setuptools"],
     zip_safe=True,
@@ -22,5 +21,4 @@ setup(
     maintainer_email="eagor@example.org",
     description="A ROS 2 node that tracks the direction of a thing with a 360-degree camera",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"node = {NAME}.node:main"]},
 )

@@ -28,6 +28,7 @@ EXTRAS = {
     "robot": {
         "av": "14",
         "cyclonedds": "11.0.1",
+        "mcap": "1.2",
         "opencv-python-headless": "4.10",
         "pyyaml": "6.0",
         "rosbags": "0.11",

@@ -1,43 +1,30 @@
-"""``ros2 launch eagor_ros eagor.launch.py query:="red chair"``."""
+"""``ros2 launch eagor_ros eagor.launch.py queries:="red chair" image:=/x3/image odom:=/odom``."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
+from launch.actions import DeclareLaunchArgument, ExecuteProcess
+from launch.substitutions import LaunchConfiguration
 
-ARGUMENTS = {
-    "query": ("", "what to look for"),
-    "image_topic": ("", "the panoramas; empty: the only topic of pictures"),
-    "odom_topic": ("", "the odometry; empty: the only one"),
+REMAPPED = {"image": "image", "odom": "odom"}
+PARAMETERS = {
+    "queries": ("", "what to look for, with semicolons between"),
     "perception": ("", "the detector"),
-    "namespace": ("", "namespace of the node"),
-    "use_sim_time": ("false", "take the time from /clock: in a simulation, or beside ros2 bag play --clock"),
+    "image_transport": ("raw", "raw or compressed"),
+    "pose_source": ("odom", "how the camera's motion is known"),
+    "use_sim_time": ("false", "take the time from /clock"),
 }
 
 
 def generate_launch_description():
-    """The node with the parameters of config/params.yaml, and those that are given as arguments."""
-    told = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-    defaults = PathJoinSubstitution([FindPackageShare("eagor_ros"), "config", "params.yaml"])
-    params = LaunchConfiguration("params_file")
-    text = {name: ParameterValue(told[name], value_type=str) for name in ("image_topic", "odom_topic", "perception")}
-    sim_time = ParameterValue(told["use_sim_time"], value_type=bool)
-    return LaunchDescription(
-        [
-            *(
-                DeclareLaunchArgument(name, default_value=value, description=what)
-                for name, (value, what) in ARGUMENTS.items()
-            ),
-            DeclareLaunchArgument("params_file", default_value=defaults, description="a YAML file of parameters"),
-            Node(
-                package="eagor_ros",
-                executable="node",
-                name="eagor",
-                namespace=told["namespace"],
-                parameters=[params, {"queries": [told["query"]], "use_sim_time": sim_time, **text}],
-                output="screen",
-            ),
-        ]
-    )
+    """The command of the Python package, which is a lifecycle node that configures and activates itself."""
+    command = ["eagor", "ros", "--ros-args", "-r", ["__ns:=/", LaunchConfiguration("namespace")]]
+    for name in REMAPPED:
+        command += ["-r", [f"{name}:=", LaunchConfiguration(name)]]
+    for name in PARAMETERS:  # in quotes: a text without letters stays a text
+        quote = "" if name == "use_sim_time" else "'"
+        command += ["-p", [f"{name}:={quote}", LaunchConfiguration(name), quote]]
+    declared = [DeclareLaunchArgument(name, default_value=value) for name, value in REMAPPED.items()]
+    declared += [
+        DeclareLaunchArgument(name, default_value=value, description=what) for name, (value, what) in PARAMETERS.items()
+    ]
+    declared.append(DeclareLaunchArgument("namespace", default_value=""))
+    return LaunchDescription([*declared, ExecuteProcess(cmd=command, output="screen")])

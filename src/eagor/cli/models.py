@@ -287,7 +287,10 @@ OPTIONAL = {
     )
     for name in dict.fromkeys(name for names in EXTRAS.values() for name in names)
 }
-OPTIONAL |= {"embreex": "pictures of simulated worlds: the extra 'sim'"}
+OPTIONAL |= {
+    "rclpy": "ROS 2: a ROS installation, or the extra 'ros'",
+    "embreex": "pictures of simulated worlds: the extra 'sim'",
+}
 WANTS = {
     "endpoint": "endpoint",
     "onnx": "photos",
