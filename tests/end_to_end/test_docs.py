@@ -184,39 +184,10 @@ def test_apartments_are_exported_and_their_episodes_played_as_the_page_on_habita
     assert check_commands(DOCS / "how-to" / "habitat.md", tmp_path, apart=0.1, share=0.05) == 2
 
 
-def test_a_bag_is_followed_as_the_page_on_ros_says(tmp_path):
-    page = DOCS / "how-to" / "ros2.md"
+def test_a_bag_is_followed_as_the_page_on_bags_says(tmp_path):
+    page = DOCS / "how-to" / "bags.md"
     run_python([text for text, _ in blocks(page, "python")][:1], tmp_path)
     assert check_commands(page, tmp_path, apart=0.3) == 1
-
-
-@pytest.mark.slow
-def test_a_node_answers_as_the_page_on_ros_says(tmp_path):
-    """Robot, node and listener, each a process, on a domain of their own."""
-    from eagor.robots.dds import free_domain
-
-    page, domain = DOCS / "how-to" / "ros2.md", str(free_domain())
-    bag, robot, listener = [text for text, _ in blocks(page, "python")]
-    run_python([bag], tmp_path)
-    (node,) = [text for text, _ in blocks(page, "sh") if "--domain 42" in text]
-    words = shlex.split(node.replace("--domain 42", f"--domain {domain}"))
-    started = [
-        subprocess.Popen([sys.executable, *command], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        for command in (["-c", robot.replace("domain=42", f"domain={domain}")], ["-m", *words])
-    ]
-    try:
-        for _ in range(30):  # the first looks take time: the detector is loaded, on a machine that may be busy
-            printed = run_python([listener.replace("domain=42", f"domain={domain}")], tmp_path)[0].splitlines()
-            assert [process.poll() for process in started] == [None, None], "robot and node go on"
-            if printed:
-                break
-        shown = [float(line.split()[0]) for line in printed]
-        assert printed[0].endswith(" degrees to the left of base_link")
-        assert sum(-105 <= angle <= -15 for angle in shown) > len(shown) // 2  # -24 to -92 in the table, 90 degrees on
-    finally:
-        for process in started:
-            process.kill()
-            process.communicate()
 
 
 @pytest.mark.slow

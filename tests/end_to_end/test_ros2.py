@@ -18,6 +18,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 has wheels for x86-64 Linux a
 from ros_peer import BALL  # noqa: E402
 
 pytestmark = pytest.mark.xdist_group("real time")
+WALKER = Path(__file__).parents[2] / "examples" / "09_twist_mux.py"
 PEER = Path(__file__).parents[1] / "ros_peer.py"
 RED = ("-p", "perception:=colour", "-p", 'queries:=["red ball"]')
 CAMERA = ("-r", "image:=/x3/image", "-r", "odom:=/wheels")
@@ -128,7 +129,7 @@ def off(answer, yaw):
 
 
 def test_a_turning_robot_two_queries_and_a_camera_that_dies_and_comes_back(start, listener):
-    from geometry_msgs.msg import PoseStamped, Vector3Stamped
+    from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
     from nav_msgs.msg import Odometry
     from std_msgs.msg import String
 
@@ -176,10 +177,21 @@ def test_a_turning_robot_two_queries_and_a_camera_that_dies_and_comes_back(start
     listener.until(lambda: listener.query("A red thing!") is None)
     assert "deactivate" in listener.set("rate", 5.0)
 
+    velocities = []
+    listener.hear(TwistStamped, "/eagor_vel", velocities.append)
+    walker = subprocess.Popen([sys.executable, str(WALKER)])
+    listener.until(lambda: len(velocities) > 5)
+    assert velocities[-1].header.frame_id == "base_link"
+
     robot.kill()
     robot.wait()
     listener.until(lambda: any("no picture" in each for each in listener.query()["faults"]))
     listener.until(lambda: listener.status["eagor"].level == b"\x02")
+    moved, ticks = len(velocities), len(listener.answers)
+    listener.until(lambda: len(listener.answers) > ticks + 20)
+    assert len(velocities) == moved, "an old answer moves nothing"
+    walker.kill()
+    walker.wait()
     start(transport="compressed", start=1.0)
     listener.until(lambda: listener.tracks() and not listener.query()["faults"])
     node.send_signal(signal.SIGINT)
