@@ -27,7 +27,8 @@ from eagor.media.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
-    "CAMERA_INFO", "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "TEXT", "TRANSFORMS", "VECTOR",
+    "CAMERA_INFO", "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE",
+    "TEXT", "TRANSFORMS", "VECTOR",
     "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message", "imu_message",
     "message", "odometry_message", "panorama_of", "pose_message", "pose_of", "quaternion", "ros_names",
     "seconds", "stamp_of", "store", "text_message", "time_message", "topic_name", "transform_message",
@@ -36,6 +37,7 @@ __all__ = [
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
 CLOCK, CAMERA_INFO = "rosgraph_msgs/msg/Clock", "sensor_msgs/msg/CameraInfo"
 
