@@ -357,7 +357,8 @@ def pick(
         if topics[name] not in kinds:
             raise error(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
         return name, topics[name]
-    fit = [(name, kind) for name, kind in topics.items() if kind in kinds and name != TF_STATIC]
+    others = (TF_STATIC, "/compressedDepth")
+    fit = [(name, kind) for name, kind in topics.items() if kind in kinds and not name.endswith(others)]
     if not fit:
         raise error(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
     kind = next(kind for kind in kinds if any(each[1] == kind for each in fit))

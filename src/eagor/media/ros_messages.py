@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import threading
 from collections.abc import Mapping
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ __all__ = [
     "TEXT", "TRANSFORMS", "VECTOR",
     "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message", "imu_message",
     "message", "odometry_message", "panorama_of", "pose_message", "pose_of", "quaternion", "ros_names",
-    "seconds", "stamp_of", "store", "text_message", "time_message", "topic_name", "transform_message",
+    "seconds", "stamp_of", "store", "taken_as", "text_message", "time_message", "topic_name", "transform_message",
     "transforms_message", "vector", "vector_message",
 ]  # fmt: skip
 
@@ -45,26 +47,23 @@ NANO = 10**9
 LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32
 _NORM = 0.01  # by which a quaternion's length may differ from 1
 # Encodings of sensor_msgs/Image (sensor_msgs/image_encodings.hpp): values a pixel, and which of them are R, G, B. Those
-# that end in 16 have two bytes a value.
+# with 16 in their names have two bytes a value.
 ENCODINGS: Mapping[str, tuple[int, list[int]]] = {
-    "rgb8": (3, [0, 1, 2]),
-    "bgr8": (3, [2, 1, 0]),
-    "rgba8": (4, [0, 1, 2]),
-    "bgra8": (4, [2, 1, 0]),
-    "mono8": (1, [0, 0, 0]),
-    "rgb16": (3, [0, 1, 2]),
-    "bgr16": (3, [2, 1, 0]),
-    "rgba16": (4, [0, 1, 2]),
-    "bgra16": (4, [2, 1, 0]),
-    "mono16": (1, [0, 0, 0]),
-}
+    **{f"{order}{bits}": (len(order), [order.index(each) for each in "rgb"])
+       for order in ("rgb", "bgr", "rgba", "bgra") for bits in (8, 16)},
+    "mono8": (1, [0, 0, 0]), "mono16": (1, [0, 0, 0]),
+}  # fmt: skip
+# Types of OpenCV's matrices, whose colours lie as OpenCV has them; 16UC1 is depth.
+AS_OPENCV = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8", "16UC3": "bgr16", "16UC4": "bgra16"}
+BAYER = {f"bayer_{pattern}{bits}": pattern for pattern in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)}
+DEPTH = ("16UC1", "32FC1", "compressedDepth")  # REP-118
 # Two pixels of YUV 4:2:2 in four bytes: where Y of both, U and V are. The older names are the same formats.
 YUV_422: Mapping[str, tuple[list[int], int, int]] = {
     "uyvy": ([1, 3], 0, 2), "yuv422": ([1, 3], 0, 2),
     "yuyv": ([0, 2], 1, 3), "yuv422_yuy2": ([0, 2], 1, 3),
 }  # fmt: skip
 # A plane of Y, then one of U and V in turn: how many rows and columns of pixels share them, and where U and V are.
-PLANES: Mapping[str, tuple[int, int, int]] = {"nv21": (2, 1, 0), "nv24": (1, 0, 1)}
+PLANES: Mapping[str, tuple[int, int, int]] = {"nv12": (2, 0, 1), "nv21": (2, 1, 0), "nv24": (1, 0, 1)}
 # RGB of Y (16 to 235), U and V (16 to 240 about 128), as ITU-R BT.601 has it; cameras of ROS drivers use it.
 _RGB_OF_YUV = np.array([[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]])
 _BLACK = np.array([16.0, 128.0, 128.0])
@@ -144,22 +143,62 @@ def panorama_of(received: Any) -> np.ndarray:
     return _decoded(received) if hasattr(received, "format") else _raw(received)
 
 
+def taken_as(received: Any) -> str | None:
+    """In words, how a picture is read whose encoding does not say its colours, or says unusual ones; else None."""
+    if not hasattr(received, "format"):
+        name = AS_OPENCV.get(received.encoding)
+        return name and f"the encoding {received.encoding} names no colours; it is read as {name}, as OpenCV has it"
+    if _is_swapped(received.format):
+        return (
+            f"the format {received.format!r} says that blue is where red should be, as image_transport reads it: they "
+            "are swapped; wanted '... compressed bgr8'"
+        )
+    return None
+
+
 def _raw(received: Any) -> np.ndarray:
-    encoding = received.encoding
-    if encoding in ENCODINGS:
-        values, places = ENCODINGS[encoding]
-        if not encoding.endswith("16"):
-            return np.ascontiguousarray(_rows(received, values)[..., places])
-        order = ">u2" if received.is_bigendian else "<u2"
-        wide = np.ascontiguousarray(_rows(received, 2 * values)).view(order)[..., places]
-        return (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+    encoding = AS_OPENCV.get(received.encoding, received.encoding)
     if encoding in YUV_422:
         return _of_yuv(*_packed(_rows(received, 2), *YUV_422[encoding]))
     if encoding in PLANES:
         return _of_yuv(*_planes(received, *PLANES[encoding]))
-    raise ImageError(
-        f"an Image has the encoding {encoding!r}; wanted one of {', '.join([*ENCODINGS, *YUV_422, *PLANES])}"
-    )
+    if encoding not in ENCODINGS and encoding not in BAYER:
+        raise _refused("an Image has the encoding", encoding)
+    count, places = ENCODINGS.get(encoding, (1, [0]))
+    if "16" in encoding:
+        order = ">u2" if received.is_bigendian else "<u2"
+        wide = np.ascontiguousarray(_rows(received, 2 * count)).view(order)
+        values = (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+    else:
+        values = _rows(received, count)
+    picture = np.ascontiguousarray(values[..., places])
+    return _demosaiced(picture[..., 0], BAYER[encoding]) if encoding in BAYER else picture
+
+
+def _refused(what: str, encoding: str) -> ImageError:
+    why = "depth, and no picture (REP-118)" if encoding in DEPTH else "which names no colours that are known here"
+    known = ", ".join([*ENCODINGS, *AS_OPENCV, *BAYER, *YUV_422, *PLANES])
+    return ImageError(f"{what} {encoding!r}, {why}; wanted one of {known}")
+
+
+def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
+    """RGB ``(H, W, 3)`` of a Bayer mosaic ``(H, W)`` uint8, whose first two by two are `pattern`; bilinear."""
+    if min(mosaic.shape) > 2 and find_spec("cv2") is not None:
+        import cv2
+
+        return cv2.cvtColor(np.ascontiguousarray(mosaic), getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
+    from scipy.ndimage import convolve
+
+    rows, columns = (np.arange(side) % 2 for side in mosaic.shape)
+    sites, planes = np.array([*pattern])[np.add.outer(2 * rows, columns)], []
+    for colour, corner in zip("rgb", (1.0, 0.0, 1.0), strict=True):
+        near = np.array([[corner, 2, corner], [2, 4, 2], [corner, 2, corner]], np.float32)
+        total, seen = (
+            convolve(np.where(sites == colour, values, 0).astype(np.float32), near, mode="constant")
+            for values in (mosaic, 1)
+        )
+        planes.append(total / seen.clip(1.0))
+    return np.rint(np.stack(planes, axis=-1)).clip(0, 255).astype(np.uint8)
 
 
 def _rows(received: Any, size: int) -> np.ndarray:
@@ -205,14 +244,30 @@ def _of_yuv(y: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _decoded(received: Any) -> np.ndarray:
-    data = bytes(memoryview(received.data).cast("B"))
+    """By compressed_image_transport's format, such as "bayer_rggb8; png compressed ", or only "jpeg"."""
+    told, data = received.format, bytes(memoryview(received.data).cast("B"))
+    encoding = "compressedDepth" if "compressedDepth" in told else told.partition(";")[0].strip()
+    if encoding in DEPTH or (encoding not in AS_OPENCV and re.fullmatch(r"\d+[USF]C\d*", encoding)):
+        raise _refused("a CompressedImage has the format", encoding)
     try:
-        return read_image(io.BytesIO(data), len(data))
+        picture = read_image(io.BytesIO(data), len(data))
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
         raise ImageError(
-            f"a CompressedImage of {len(data)} bytes, which says that its format is {received.format!r}, cannot be "
+            f"a CompressedImage of {len(data)} bytes, which says that its format is {told!r}, cannot be "
             f"decoded ({error}); wanted jpeg or png"
         ) from error
+    if encoding in BAYER and (picture == picture[..., :1]).all():  # else it was demosaiced before it was compressed
+        return _demosaiced(picture[..., 0], BAYER[encoding])
+    return np.ascontiguousarray(picture[..., ::-1]) if _is_swapped(told) else picture
+
+
+def _is_swapped(told: str) -> bool:
+    """Whether a format says that the values of a picture in colour lie in the order R, G, B, where OpenCV has B, G, R.
+
+    As compressed_subscriber.cpp has it; compressed_publisher.cpp writes "compressed bgr8".
+    """
+    encoding, found, how = told.partition(";")
+    return bool(found) and encoding[:3] in ("rgb", "bgr") and encoding in ENCODINGS and "compressed bgr" not in how
 
 
 # --- motion ---

@@ -7,6 +7,7 @@ other, ``/tf_static`` tells how.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,7 +22,7 @@ from eagor.media.panorama import is_whole
 from eagor.media.rig_videos import makers
 from eagor.media.rigs import Rig, sizes_of
 from eagor.media.ros_frames import TransformTree, optical
-from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of
+from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
 
 __all__ = [
     "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "placed_in_bag",
@@ -103,6 +104,9 @@ class TopicPictures:
         placed: Callable[[Sequence[str]], Sequence[np.ndarray]],
     ) -> None:
         pictures = [panorama_of(each) for each in firsts]
+        for topic, each in zip(topics, firsts, strict=True):
+            if (told := taken_as(each)) is not None:
+                warnings.warn(f"{topic}: {told}", UserWarning, stacklevel=3)
         self._sizes, rig = sizes_of(pictures), lenses.rig
         infos = topics_of(lenses.info, OPTION)
         if lenses.info is not None and len(infos) != len(topics):
