@@ -237,8 +237,7 @@ def test_bags_that_ask_for_much_room(tmp_path):
     said = limited("from eagor.errors import EagorError\nfrom eagor.media.bags import read_bag\n", ASK, tmp_path, 600)
     wanted = [
         *["is damaged (a chunk holds more than the 1000 bytes that it declares); copy or"] * 2,
-        *["holds no message (a chunk holds more than the 1000 bytes that it declares); rec"]
-        * 2,
+        *["holds no message (a chunk holds more than the 1000 bytes that it declares); rec"] * 2,
         "holds no message (a chunk of 268435456 bytes; at most 134217728 are read); record it again",
         "holds no message (a chunk of 1073741824 bytes; at most 134217728 are read); record it again",
         "is damaged (more than 268435456 bytes wait to be put in order of time); copy or record it again",

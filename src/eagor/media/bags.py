@@ -29,6 +29,7 @@ from eagor.media.ros_messages import (
     ODOMETRY,
     POSE,
     POSE_WITH_COVARIANCE,
+    TRANSFORM,
     TRANSFORMS,
     nanoseconds,
     store,
@@ -43,7 +44,7 @@ SUFFIXES = (".mcap", ".db3")
 PACKED = ("file", "message")  # how a recorder compresses beside what MCAP does itself
 ROS_1, ROS_1_SUFFIX = b"#ROSBAG V", ".bag"
 PICTURES = (IMAGE, COMPRESSED)
-MOTION = (ODOMETRY, POSE, POSE_WITH_COVARIANCE, IMU, TRANSFORMS)  # the best first
+MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
 TF, TF_STATIC = "/tf", "/tf_static"
 
 
@@ -357,7 +358,7 @@ def pick(
         if topics[name] not in kinds:
             raise error(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
         return name, topics[name]
-    others = (TF_STATIC, "/compressedDepth")
+    others = (TF_STATIC, "/compressedDepth", "/goal_pose", "/initialpose")  # none by itself: what it is not about
     fit = [(name, kind) for name, kind in topics.items() if kind in kinds and not name.endswith(others)]
     if not fit:
         raise error(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")

@@ -30,7 +30,7 @@ from eagor.tracking.poses import FARTHEST
 
 __all__ = [
     "CAMERA_INFO", "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE",
-    "TEXT", "TRANSFORMS", "VECTOR",
+    "TEXT", "TRANSFORM", "TRANSFORMS", "VECTOR",
     "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message", "imu_message",
     "message", "odometry_message", "panorama_of", "pose_message", "pose_of", "quaternion", "ros_names",
     "seconds", "stamp_of", "store", "taken_as", "text_message", "time_message", "topic_name", "transform_message",
@@ -40,6 +40,7 @@ __all__ = [
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
 CLOCK, CAMERA_INFO = "rosgraph_msgs/msg/Clock", "sensor_msgs/msg/CameraInfo"
 
@@ -350,7 +351,13 @@ def text_message(text: str) -> Any:
 
 
 def pose_of(received: Any) -> Pose:
-    """The pose of an Odometry, a PoseStamped or an Imu (which has no position). Raises `PoseError`."""
+    """The pose of an Odometry, a PoseStamped, one with covariance, a TransformStamped, or an Imu (without a position).
+
+    Raises `PoseError`.
+    """
+    if hasattr(received, "transform"):
+        inner = received.transform
+        return Pose(stamp_of(received), rotation_of(inner.rotation), triple(inner.translation))
     if hasattr(received, "orientation_covariance"):
         if received.orientation_covariance[0] == -1:  # sensor_msgs/Imu: there is no orientation
             raise PoseError("an Imu says that it has no orientation; wanted one that has, or odometry")

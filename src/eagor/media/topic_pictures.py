@@ -21,7 +21,7 @@ from eagor.media.intrinsics import Camera, Told, ordinary_grid, rig_of_info
 from eagor.media.panorama import is_whole
 from eagor.media.rig_videos import makers
 from eagor.media.rigs import Rig, sizes_of
-from eagor.media.ros_frames import TransformTree, optical
+from eagor.media.ros_frames import BODY, TransformTree, contradiction, optical
 from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
 
 __all__ = [
@@ -105,8 +105,8 @@ class TopicPictures:
     ) -> None:
         pictures = [panorama_of(each) for each in firsts]
         for topic, each in zip(topics, firsts, strict=True):
-            if (told := taken_as(each)) is not None:
-                warnings.warn(f"{topic}: {told}", UserWarning, stacklevel=3)
+            if (how := taken_as(each)) is not None:
+                warnings.warn(f"{topic}: {how}", UserWarning, stacklevel=3)
         self._sizes, rig = sizes_of(pictures), lenses.rig
         infos = topics_of(lenses.info, OPTION)
         if lenses.info is not None and len(infos) != len(topics):
@@ -228,6 +228,10 @@ def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
             tree.add(received, True)
     if (missing := _unplaced(tree, frames)) is not None:
         raise FormatError(f"{bag.path}: {missing}")
+    for frame in frames:
+        on_body = tree.at(BODY, frame, 0.0)
+        if on_body is not None and (told := contradiction(frame, on_body[0])) is not None:
+            warnings.warn(told, UserWarning, stacklevel=2)
     return _placed(tree, frames)
 
 
