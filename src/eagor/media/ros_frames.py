@@ -7,7 +7,6 @@ transform is (R, t): a point p of the child frame is ``R @ p + t`` in the parent
 from __future__ import annotations
 
 import math
-import re
 import warnings
 from collections import deque
 from statistics import fmean, median
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor.conventions import OPTICAL_R_BODY
+from eagor.conventions import OPTICAL_R_BODY, is_optical
 from eagor.errors import DeviceError, EagorError
 from eagor.media import Pose
 from eagor.media.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_of, rotation_of, seconds, triple
@@ -31,9 +30,6 @@ KEPT = 10.0  # seconds of moving transforms, as tf2 keeps them
 MOST = 100  # links from a frame to the root: more are a circle
 OVERTAKEN = 0.1  # seconds: a message that comes so much after a newer one costs nothing
 BACK = 1.0  # seconds by which stamps have to go back before it is a clock that was set, not a message out of order
-# REP-103: the suffix _optical of frames with x right, y down, z forward, as drivers spell it: cam_optical_frame,
-# camera_link_optical, robot1/left_optical_link, CameraOpticalFrame.
-OPTICAL = re.compile(r"optical([_-]?(frame|link|joint))?([_-]?\d+)?$", re.IGNORECASE)
 STEEP = math.cos(math.radians(40))  # an axis that is nearer to the vertical points up, or down
 
 Transform = tuple[np.ndarray, np.ndarray]
@@ -58,12 +54,12 @@ def inverse(a: Transform) -> Transform:
 
 def optical(frame: str) -> np.ndarray:
     """The rotation ``frame_R_camera`` ``(3, 3)`` of a camera's own axes (x forward) in the frame that names it."""
-    return OPTICAL_R_BODY if OPTICAL.search(frame) else np.eye(3)
+    return OPTICAL_R_BODY if is_optical(frame) else np.eye(3)
 
 
 def contradiction(frame: str, body_R_frame: np.ndarray) -> str | None:
     """In words, that a camera's frame is mounted as if its name were wrong: as an optical one, or none. Else None."""
-    named, (_, y, z) = OPTICAL.search(frame), body_R_frame[2]  # how much the axes of the frame point up
+    named, (_, y, z) = is_optical(frame), body_R_frame[2]  # how much the axes of the frame point up
     if named and z > STEEP:
         return (
             f"{frame} is named as an optical frame (x right, y down, z ahead: REP-103), and mounted with its z axis "
