@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from rosmaking import camera_info
+from rosmaking import camera_info, image_of, imu_message
 
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.errors import FormatError, ImageError, PoseError
@@ -36,7 +36,7 @@ def bag(tmp_path):
             t, yaw = START + 0.1 * k, 0.05 * k
             pose = Pose(t, world_R_body(yaw, 0, 0), np.array([0.01 * k, 0, 0]))
             written.write("/odom", m.ODOMETRY, m.odometry_message(pose), t)
-            written.write("/imu/data", m.IMU, m.imu_message(pose), t)
+            written.write("/imu/data", m.IMU, imu_message(pose), t)
             written.write("/tf", m.TRANSFORMS, tf(t, "odom", "base_link", yaw, pose.position), t)
             if k % 10 == 5:
                 written.write("/image", m.IMAGE, m.image_message(np.roll(ROOM, k, axis=1), t - 0.02, "x3_link"), t)
@@ -233,8 +233,7 @@ def test_what_is_not_about_where_the_robot_is_is_not_taken_by_itself():
 
 
 def test_how_colours_without_names_are_read_is_said(tmp_path):
-    made = m.image_message(ROOM, START, "x3", "bgr8")
-    made.encoding = "8UC3"
+    made = image_of("8UC3", ROOM[..., ::-1], stamp=START)
     with BagWriter(tmp_path / "bag") as bag:
         bag.write("/image", m.IMAGE, made, START)
     with pytest.warns(UserWarning, match="/image: the encoding 8UC3 names no colours; it is read as bgr8"):
@@ -246,7 +245,7 @@ def test_how_colours_without_names_are_read_is_said(tmp_path):
     ("made", "said"),
     [
         (lambda: m.image_message(np.zeros((30, 40, 3), np.uint8), START, "x"), "40 x 30, not 2:1"),
-        (lambda: m.image_message(np.zeros((8, 16), np.float32), START, "x"), "encoding '32FC1'"),
+        (lambda: image_of("32FC1", np.zeros((8, 16), np.float32)), "encoding '32FC1'"),
     ],
 )
 def test_pictures_that_are_no_panoramas(tmp_path, made, said):

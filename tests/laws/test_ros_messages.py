@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from rosmaking import image_of, imu_message, pose_message
 
 from eagor.errors import ImageError, PoseError, TimeError
 from eagor.media import Pose
@@ -26,12 +27,12 @@ COLOURS = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [10, 20, 30]]], dtyp
 @given(yaw=ANGLE, pitch=st.floats(-1.5, 1.5), roll=ANGLE, place=st.tuples(METRES, METRES, METRES))
 def test_poses_come_back(yaw, pitch, roll, place):
     pose = Pose(1_700_000_000.25, world_R_body(yaw, pitch, roll), np.array(place))
-    for made in (m.odometry_message(pose), m.pose_message(pose)):
+    for made in (m.odometry_message(pose), pose_message(pose)):
         found = m.pose_of(made)
         assert found.stamp == pose.stamp
         np.testing.assert_allclose(found.world_R_body, pose.world_R_body, atol=1e-9)
         np.testing.assert_array_equal(found.position, pose.position)
-    found = m.pose_of(m.imu_message(pose))
+    found = m.pose_of(imu_message(pose))
     assert found.position is None
     np.testing.assert_allclose(found.world_R_body, pose.world_R_body, atol=1e-9)
 
@@ -61,10 +62,9 @@ def test_times_that_no_message_holds(stamp):
         m.time_message(stamp)
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
-def test_pictures_come_back(encoding):
-    made = m.image_message(PICTURE, 5.0, "x3", encoding)
-    assert (made.height, made.width, made.encoding) == (6, 12, encoding)
+def test_pictures_come_back():
+    made = m.image_message(PICTURE, 5.0, "x3")
+    assert (made.height, made.width, made.encoding) == (6, 12, "rgb8")
     np.testing.assert_array_equal(m.panorama_of(made), PICTURE)
 
 
@@ -94,18 +94,9 @@ def test_pictures_of_sixteen_bits(order):
         "rgba16": np.concatenate([wide[..., rgb], alpha], axis=-1),
         "bgra16": np.concatenate([wide[..., ::-1], alpha], axis=-1),
     }.items():
-        np.testing.assert_array_equal(m.panorama_of(image_of(encoding, pixels, order)), PICTURE)
-    grey = m.panorama_of(image_of("mono16", wide[..., 0], order))
+        np.testing.assert_array_equal(m.panorama_of(image_of(encoding, pixels, big=order == ">u2")), PICTURE)
+    grey = m.panorama_of(image_of("mono16", wide[..., 0], big=order == ">u2"))
     np.testing.assert_array_equal(grey, np.repeat(PICTURE[..., :1], 3, axis=-1))
-
-
-def image_of(encoding, pixels, order="<u2", padded=0):
-    """An Image whose rows ``(H, ...)`` are those of `pixels`, each with so many bytes more."""
-    rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
-    made = m.image_message(PICTURE, 5.0, "x3")
-    made.encoding, made.is_bigendian, made.step = encoding, int(order == ">u2"), rows.shape[1] + padded
-    made.data = np.pad(rows, ((0, 0), (0, padded)), constant_values=99).reshape(-1)
-    return made
 
 
 @pytest.mark.parametrize("padded", [0, 10])
@@ -123,15 +114,15 @@ def test_pictures_of_yuv_are_as_opencv_reads_them(padded):
         shape = (6, 12, 2) if pixels.shape == (6, 24) else pixels.shape
         truth = cv2.cvtColor(np.ascontiguousarray(pixels).reshape(shape), code).astype(int)
         for name in names:
-            found = m.panorama_of(image_of(name, pixels, padded=padded))
+            found = m.panorama_of(image_of(name, pixels, padded=padded, size=(6, 12)))
             assert found.shape == PICTURE.shape
             assert np.abs(found.astype(int) - truth).max() <= 2
     # OpenCV has no NV24. Where four pixels share a colour it says the same as NV21, but for the order of U and V.
     wide = lambda part: np.repeat(np.repeat(part[:3, :6], 2, axis=0), 2, axis=1)  # noqa: E731
     both = two(wide(u), wide(v)).reshape(12, 12)
-    flat = image_of("nv24", np.vstack([y, both]))
+    flat = image_of("nv24", np.vstack([y, both]), size=(6, 12))
     np.testing.assert_array_equal(
-        m.panorama_of(flat), m.panorama_of(image_of("nv21", np.vstack([y, two(v[:3, :6], u[:3, :6])])))
+        m.panorama_of(flat), m.panorama_of(image_of("nv21", np.vstack([y, two(v[:3, :6], u[:3, :6])]), size=(6, 12)))
     )
 
 
@@ -191,15 +182,13 @@ def test_mosaics_are_demosaiced(pattern, opencv, monkeypatch):
         png.format = (
             f"bayer_{pattern}8; png compressed "  # as compressed_image_transport writes it: the mosaic as it is
         )
-        for made in (image_of(f"bayer_{pattern}8", raw), image_of(f"bayer_{pattern}16", wide, ">u2"), png):
-            made.height, made.width = raw.shape
+        for made in (image_of(f"bayer_{pattern}8", raw), image_of(f"bayer_{pattern}16", wide, big=True), png):
             found = m.panorama_of(made)
             np.testing.assert_allclose(found[1:-1, 1:-1].astype(int), picture[1:-1, 1:-1], atol=1)
     done = m.compressed_message(SLOPE, 5.0, "x", kind="png")
     done.format = f"bayer_{pattern}8; png compressed bgr8"  # demosaiced before
     np.testing.assert_array_equal(m.panorama_of(done), SLOPE)
     tiny = image_of(f"bayer_{pattern}8", np.full((1, 1), 7, np.uint8))
-    tiny.height = tiny.width = 1
     assert m.panorama_of(tiny).max() == 7
 
 
@@ -261,14 +250,6 @@ def test_the_order_of_compressed_colours_is_that_of_image_transport(told, swappe
     assert (m.taken_as(made) is not None) == swapped
 
 
-def test_maps_are_floats_or_octets():
-    values = np.linspace(0, 1, 8, dtype=np.float32).reshape(2, 4)
-    made = m.image_message(values, 5.0, "base_link")
-    assert (made.encoding, made.step, made.is_bigendian) == ("32FC1", 16, 0)
-    np.testing.assert_array_equal(np.frombuffer(made.data, "<f4").reshape(2, 4), values)
-    assert m.image_message(np.zeros((2, 4), np.uint8), 5.0, "x").encoding == "mono8"
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -302,7 +283,7 @@ def test_compressed_pictures_that_cannot_be_decoded(data):
 
 
 def test_poses_that_are_none():
-    made = m.pose_message(Pose(5.0, np.eye(3), np.zeros(3)))
+    made = pose_message(Pose(5.0, np.eye(3), np.zeros(3)))
     made.pose.orientation.w = 0.0
     with pytest.raises(PoseError, match="has the length 0, wanted 1: is it unset"):
         m.pose_of(made)
@@ -315,7 +296,7 @@ def test_poses_that_are_none():
     made.pose.position.y = 1e30
     with pytest.raises(PoseError, match=r"wanted finite metres, each within 1e\+09 of the origin"):
         m.pose_of(made)
-    imu = m.imu_message(Pose(5.0, np.eye(3)))
+    imu = imu_message(Pose(5.0, np.eye(3)))
     imu.orientation_covariance[0] = -1
     with pytest.raises(PoseError, match="an Imu says that it has no orientation"):
         m.pose_of(imu)

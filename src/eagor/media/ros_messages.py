@@ -29,10 +29,10 @@ from eagor.media.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
-    "CAMERA_INFO", "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE",
+    "CAMERA_INFO", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE",
     "TEXT", "TRANSFORM", "TRANSFORMS", "VECTOR",
-    "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message", "imu_message",
-    "message", "odometry_message", "panorama_of", "pose_message", "pose_of", "quaternion", "ros_names",
+    "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message", 
+    "message", "odometry_message", "panorama_of", "pose_of", "quaternion", "ros_names",
     "seconds", "stamp_of", "store", "taken_as", "text_message", "time_message", "topic_name", "transform_message",
     "transforms_message", "vector", "vector_message",
 ]  # fmt: skip
@@ -42,7 +42,7 @@ IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
-CLOCK, CAMERA_INFO = "rosgraph_msgs/msg/Clock", "sensor_msgs/msg/CameraInfo"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 NANO = 10**9
 LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32
@@ -110,24 +110,13 @@ def header(stamp: float, frame: str) -> Any:
 # --- pictures ---
 
 
-def image_message(panorama: np.ndarray, stamp: float, frame: str, encoding: str = "rgb8") -> Any:
-    """A sensor_msgs/Image of ``(H, W, 3)`` uint8 RGB; or of ``(H, W)``: uint8 is mono8, float32 is 32FC1."""
-    pixels = np.asarray(panorama)
-    height, width = pixels.shape[:2]
-    if pixels.ndim == 2:
-        encoding = {"u1": "mono8", "f4": "32FC1"}[pixels.dtype.str[1:]]
-    else:
-        size, places = ENCODINGS[encoding]
-        if size == 1:
-            pixels = np.asarray(Image.fromarray(pixels).convert("L"))
-        elif size == 4 or encoding != "rgb8":
-            full = np.full((height, width, size), 255, dtype=np.uint8)
-            full[..., places] = pixels
-            pixels = full
-    data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
+def image_message(panorama: np.ndarray, stamp: float, frame: str) -> Any:
+    """A sensor_msgs/Image in rgb8 of ``(H, W, 3)`` uint8 RGB."""
+    height, width, _ = panorama.shape
+    data = np.ascontiguousarray(panorama, dtype=np.uint8).reshape(-1)
     return message(
-        IMAGE, header=header(stamp, frame), height=height, width=width, encoding=encoding, is_bigendian=0,
-        step=len(data) // height, data=data,
+        IMAGE, header=header(stamp, frame), height=height, width=width, encoding="rgb8", is_bigendian=0,
+        step=3 * width, data=data,
     )  # fmt: skip
 
 
@@ -286,50 +275,26 @@ def quaternion(rotation: np.ndarray) -> Any:
     return message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
 
-def point(values: Any) -> Any:
-    """A geometry_msgs/Point."""
-    x, y, z = (float(value) for value in values)
-    return message("geometry_msgs/msg/Point", x=x, y=y, z=z)
-
-
-def pose_part(rotation: np.ndarray, position: Any = (0, 0, 0)) -> Any:
-    """A geometry_msgs/Pose."""
-    return message("geometry_msgs/msg/Pose", position=point(position), orientation=quaternion(rotation))
-
-
 def vector_message(values: Any, stamp: float, frame: str) -> Any:
     """A geometry_msgs/Vector3Stamped."""
     return message(VECTOR, header=header(stamp, frame), vector=vector(values))
 
 
-def pose_message(pose: Pose, frame: str = "odom") -> Any:
-    """A geometry_msgs/PoseStamped; a pose without a position is at the origin."""
-    return message(POSE, header=header(pose.stamp, frame), pose=pose_part(pose.world_R_body, _place(pose)))
+def pose_part(pose: Pose) -> Any:
+    """A geometry_msgs/Pose; a pose without a position is at the origin."""
+    x, y, z = (0.0, 0.0, 0.0) if pose.position is None else map(float, pose.position)
+    point = message("geometry_msgs/msg/Point", x=x, y=y, z=z)
+    return message("geometry_msgs/msg/Pose", position=point, orientation=quaternion(pose.world_R_body))
 
 
 def odometry_message(
     pose: Pose, frame: str = "odom", child: str = "base_link", *, velocity: Any = (0, 0, 0), turning: Any = (0, 0, 0)
 ) -> Any:
     """A nav_msgs/Odometry; `velocity` m/s and `turning` rad/s in the axes of the body."""
-    spread = np.zeros(36)
-    with_spread = message(
-        "geometry_msgs/msg/PoseWithCovariance", pose=pose_part(pose.world_R_body, _place(pose)), covariance=spread
-    )
+    placed = message("geometry_msgs/msg/PoseWithCovariance", pose=pose_part(pose), covariance=np.zeros(36))
     twist = message("geometry_msgs/msg/Twist", linear=vector(velocity), angular=vector(turning))
-    moving = message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=spread.copy())
-    return message(
-        ODOMETRY, header=header(pose.stamp, frame), child_frame_id=child, pose=with_spread, twist=moving
-    )  # fmt: skip
-
-
-def imu_message(pose: Pose, frame: str = "imu_link", *, turning: Any = (0, 0, 0), felt: Any = (0, 0, 9.81)) -> Any:
-    """A sensor_msgs/Imu; `turning` rad/s, `felt` acceleration m/s2, in the axes of the body."""
-    unknown = np.zeros(9)
-    return message(
-        IMU, header=header(pose.stamp, frame), orientation=quaternion(pose.world_R_body),
-        orientation_covariance=unknown, angular_velocity=vector(turning), angular_velocity_covariance=unknown.copy(),
-        linear_acceleration=vector(felt), linear_acceleration_covariance=unknown.copy(),
-    )  # fmt: skip
+    moving = message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+    return message(ODOMETRY, header=header(pose.stamp, frame), child_frame_id=child, pose=placed, twist=moving)
 
 
 def transform_message(stamp: float, parent: str, child: str, rotation: np.ndarray, translation: Any = (0, 0, 0)) -> Any:
@@ -388,10 +353,6 @@ def triple(place: Any) -> np.ndarray:
             f"a position is {values.tolist()}; wanted finite metres, each within {FARTHEST:g} of the origin"
         )
     return values
-
-
-def _place(pose: Pose) -> Any:
-    return (0, 0, 0) if pose.position is None else pose.position
 
 
 # --- types, and bytes of DDS ---
