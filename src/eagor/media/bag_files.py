@@ -263,8 +263,8 @@ class SqliteFile:
         try:
             with closing(self._opened()) as database:
                 for channel, time, data in database.execute(rows):
-                    if not isinstance(time, int) or not isinstance(data, bytes):
-                        raise ValueError("a row of its messages has no time or no content")
+                    if channel not in wanted or not isinstance(time, int) or not isinstance(data, bytes):
+                        raise ValueError("a row of its messages has no topic, time or content")
                     yield channel, time, data
         except sqlite3.Error as error:
             raise ValueError(f"a row of more than {MOST} bytes" if "too big" in str(error) else str(error)) from error

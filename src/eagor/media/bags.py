@@ -192,7 +192,7 @@ def _numbered(path: Path) -> tuple[int, str]:
 
 def _decoder(path: Path, channel: Any) -> Any:
     """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
-    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     known, kind, text = store(), channel.kind, channel.definition
     if not text and kind not in known.fielddefs:
@@ -212,7 +212,7 @@ def _decoder(path: Path, channel: Any) -> Any:
         own = get_typestore(Stores.EMPTY)
         own.register({name: about for name, about in types.items() if name not in own.fielddefs})
         return own.deserialize_cdr
-    except TypesysError as error:
+    except Exception as error:  # the library's, or what it does not expect
         raise FormatError(f"{path}: the definition of {kind} cannot be read ({error})") from error
 
 

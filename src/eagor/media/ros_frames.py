@@ -22,8 +22,8 @@ from eagor.media.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_of, rotatio
 from eagor.tracking.poses import PoseHistory
 
 __all__ = [
-    "BACK", "BODY", "TOLERATED", "WORLDS", "PoseReader", "Transform", "TransformTree", "Turning", "composed",
-    "contradiction", "inverse", "optical", "unnamed",
+    "BACK", "BODY", "IDENTITY", "TOLERATED", "WORLDS", "PoseReader", "Transform", "TransformTree", "Turning",
+    "composed", "contradiction", "inverse", "optical", "unnamed",
 ]  # fmt: skip
 
 KEPT = 10.0  # seconds of moving transforms, as tf2 keeps them

@@ -8,7 +8,7 @@ other, ``/tf_static`` tells how.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,12 +21,12 @@ from eagor.media.intrinsics import Camera, Told, ordinary_grid, rig_of_info
 from eagor.media.panorama import is_whole
 from eagor.media.rig_videos import makers
 from eagor.media.rigs import Rig, sizes_of
-from eagor.media.ros_frames import BODY, TransformTree, contradiction, optical
+from eagor.media.ros_frames import BODY, IDENTITY, TransformTree, contradiction, optical
 from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
 
 __all__ = [
-    "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "placed_in_bag",
-    "told_in_bag", "topics_of",
+    "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "lens_told",
+    "placed", "placed_in_bag", "told_in_bag", "topics_of",
 ]  # fmt: skip
 
 OPTION = "--camera-info"
@@ -205,14 +205,15 @@ def told_in_bag(bag: Bag, image_topic: str, asked: str | None = None) -> LensTol
     first = next(iter(bag.messages([topic])), None)
     if first is None:
         raise FormatError(f"{bag.path} has no message on {topic}; give the lens with --hfov or --camera FILE")
-    return _told(first[3], topic, image_topic)
+    return lens_told(first[3], topic, image_topic)
 
 
 def _plain(image_topic: str) -> str:
     return image_topic.removesuffix("/compressed")
 
 
-def _told(received: Any, topic: str, image_topic: str) -> LensTold:
+def lens_told(received: Any, topic: str, image_topic: str) -> LensTold:
+    """What a CameraInfo on a `topic` tells of the pictures on another. Raises `FormatError`."""
     rig = rig_of_info(received, is_rectified(image_topic), topic)
     return LensTold(Camera(rig, name=topic), received.header.frame_id)
 
@@ -226,34 +227,27 @@ def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
     if bag.topics.get(TF_STATIC) == TRANSFORMS:
         for _, _, _, received in bag.messages([TF_STATIC]):
             tree.add(received, True)
-    if (missing := _unplaced(tree, frames)) is not None:
-        raise FormatError(f"{bag.path}: {missing}")
+    try:
+        return placed(tree, frames)
+    except FormatError as error:
+        raise FormatError(f"{bag.path}: {error}") from error
+
+
+def placed(tree: TransformTree, frames: Sequence[str]) -> list[np.ndarray]:
+    """As `placed_in_bag`, of what a tree knows; a name that contradicts a mount is a `UserWarning`.
+
+    Raises `FormatError`.
+    """
+    own, found = optical(frames[0]), []
     for frame in frames:
+        between = tree.at(frames[0], frame, 0.0) if frame != frames[0] else IDENTITY
+        if between is None:
+            raise FormatError(
+                f"{TF_STATIC} does not tell where {frame} is in {frames[0]}; cameras of a rig are fixed to each other: "
+                "publish it (robot_state_publisher, static_transform_publisher), or give all lenses in a rig's file"
+            )
         on_body = tree.at(BODY, frame, 0.0)
         if on_body is not None and (told := contradiction(frame, on_body[0])) is not None:
             warnings.warn(told, UserWarning, stacklevel=2)
-    return _placed(tree, frames)
-
-
-def _unplaced(tree: TransformTree, frames: Iterable[str]) -> str | None:
-    """What is not known of where cameras are, in words."""
-    first, *others = frames
-    missing = next((each for each in others if each != first and tree.between(first, each) is None), None)
-    if missing is None:
-        return None
-    return (
-        f"{TF_STATIC} does not tell where {missing} is in {first}; cameras of a rig are fixed to each other: publish "
-        "it (robot_state_publisher, static_transform_publisher), or give all lenses with --rig FILE.yaml"
-    )
-
-
-def _placed(tree: TransformTree, frames: Sequence[str]) -> list[np.ndarray]:
-    own, found = optical(frames[0]), []
-    for frame in frames:
-        turn = np.eye(3)
-        if frame != frames[0]:
-            between = tree.at(frames[0], frame, 0.0)
-            assert between is not None  # they are connected
-            turn = between[0]
-        found.append(own.T @ turn @ optical(frame))
+        found.append(own.T @ between[0] @ optical(frame))
     return found
