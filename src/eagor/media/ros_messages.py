@@ -147,7 +147,7 @@ def taken_as(received: Any) -> str | None:
 
 
 def _raw(received: Any) -> np.ndarray:
-    encoding = AS_OPENCV.get(received.encoding, received.encoding)
+    encoding = AS_OPENCV.get(received.encoding) or received.encoding
     if encoding in YUV_422:
         return _of_yuv(*_packed(_rows(received, 2), *YUV_422[encoding]))
     if encoding in PLANES:
