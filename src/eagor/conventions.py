@@ -7,6 +7,7 @@ Condon-Shortley phase, index l*l + l + m. No other module converts.
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from eagor.sphere import azimuth_elevation, check_rotation, direction
 
 __all__ = [
     "E3NN_R_BODY", "GLTF_R_WORLD", "HABITAT_R_BODY", "OPTICAL_R_BODY", "direction_from_hstar", "from_gltf",
-    "from_habitat", "from_healpix_alm", "from_optical", "from_pyshtools", "hstar_from_direction", "pose_from_habitat",
+    "from_habitat", "from_healpix_alm", "from_optical", "from_pyshtools", "hstar_from_direction", "is_optical",
+    "pose_from_habitat",
     "pose_to_habitat", "rotation_from_habitat", "rotation_from_wxyz", "rotation_from_xyzw", "rotation_to_e3nn",
     "to_e3nn_direction", "to_gltf", "to_habitat", "to_healpix_alm", "to_optical", "to_pyshtools", "wxyz_from_rotation",
     "xyzw_from_rotation",
@@ -99,6 +101,14 @@ def from_habitat(directions: np.ndarray) -> np.ndarray:
 def rotation_from_habitat(matrix: np.ndarray) -> np.ndarray:
     """A rotation or pose ``(..., 3, 3)`` between Habitat frames as one between ours; a left turn stays a left turn."""
     return HABITAT_R_BODY.T @ check_rotation(np.asarray(matrix, dtype=np.float64), "matrix") @ HABITAT_R_BODY
+
+
+def is_optical(frame: str) -> bool:
+    """Whether a ROS frame is an optical one by its name: REP-103's suffix ``_optical``, as drivers spell it.
+
+    Such as cam_optical_frame, camera_link_optical, robot1/left_optical_link, CameraOpticalFrame.
+    """
+    return re.search(r"optical([_-]?(frame|link|joint))?([_-]?\d+)?$", frame, re.IGNORECASE) is not None
 
 
 def to_optical(directions: np.ndarray) -> np.ndarray:

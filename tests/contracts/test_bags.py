@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
 import signal
-import sqlite3
 import subprocess
 import sys
 
@@ -189,23 +189,92 @@ def test_a_type_of_its_own_is_read_by_the_definition_in_the_bag(tmp_path):
     assert (topic, found, battery.volts, battery.cells.tolist()) == ("/battery", kind, 28.5, [0, 1, 2])
 
 
+def databased(path, sent, journal="DELETE", late=()):
+    """As ROS 2 Foxy to Humble wrote it, without definitions; `late` is written by a recorder that is killed then."""
+    path.parent.mkdir(exist_ok=True)
+    rows = [
+        [(topic, kind, m.nanoseconds(t), cdr(kind, each)) for t, topic, kind, each in part] for part in (sent, late)
+    ]
+    subprocess.run([sys.executable, "-c", KILLED, path, journal], input=pickle.dumps(rows), check=True)
+
+
+KILLED = """
+import os, pickle, sqlite3, sys
+rows, late = pickle.load(sys.stdin.buffer)
+bag, topics = sqlite3.connect(sys.argv[1]), sorted({row[:2] for row in rows + late})
+bag.executescript("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+    "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);")
+bag.executemany("INSERT INTO topics(name, type, serialization_format) VALUES (?, ?, 'cdr')", topics)
+put = lambda some: bag.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)",
+    [(topics.index(row[:2]) + 1, *row[2:]) for row in some])
+put(rows); bag.commit()
+bag.execute(f"PRAGMA journal_mode = {sys.argv[2]}")
+bag.executescript("PRAGMA wal_autocheckpoint = 0; PRAGMA cache_size = 1; PRAGMA cache_spill = 1")
+put(late)
+if sys.argv[2] == "WAL":
+    bag.commit()
+os._exit(0)
+"""
+
+
+def content(folder):
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+@pytest.mark.parametrize("lacking", ["", "-shm", "-wal"])
+def test_a_database_whose_recorder_was_killed_is_read_and_not_touched(tmp_path, sent, lacking):
+    """What is in the write-ahead log counts, also where SQLite's index of it was not copied along."""
+    file = tmp_path / "bag" / "bag_0.db3"
+    databased(file, sent[:30], "WAL", sent[30:90])
+    if lacking:
+        file.with_name(f"{file.name}{lacking}").unlink()
+    before = content(file.parent)
+    check_equal(read_bag(file.parent), sent[: 30 if lacking == "-wal" else 90])
+    assert content(file.parent) == before
+
+
+def test_a_transaction_that_was_cut_off_is_taken_back_in_a_copy(tmp_path, sent):
+    file = tmp_path / "bag" / "bag_0.db3"
+    databased(file, sent[:30], "DELETE", sent[30:])
+    before = content(file.parent)
+    assert before[f"{file.name}-journal"]
+    check_equal(read_bag(file), sent[:30])
+    assert content(file.parent) == before
+
+
 def test_an_old_sqlite_bag_without_definitions(tmp_path, sent):
-    """ROS 2 Foxy to Humble: schema without definitions and hashes."""
-    file = tmp_path / "old.db3"
-    some = [each for each in sent[:160] if each[1] in ("/odom", "/image")]
-    with sqlite3.connect(file) as database:
-        database.executescript(
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format "
-            "TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
-            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, "
-            "data BLOB NOT NULL);"
-        )
-        for number, topic in enumerate(["/odom", "/image"]):
-            database.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, topic, READ[topic]))
-            for stamp, _, kind, message in (each for each in some if each[1] == topic):
-                database.execute(
-                    "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-                    (number, m.nanoseconds(stamp), cdr(kind, message)),
-                )
-    database.close()
-    check_equal(read_bag(file), some)
+    databased(tmp_path / "old.db3", sent[:160])
+    check_equal(read_bag(tmp_path / "old.db3"), sent[:160])
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
+def test_a_chunk_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path, compression):
+    from mcap.writer import CompressionType, Writer
+
+    kind, times = m.COMPRESSED, [float(START + n) for n in range(400)]
+    rng, definition = np.random.default_rng(3), store().generate_msgdef(kind, ros_version=2)[0].encode()
+    noise = [rng.integers(0, 256, 3000, dtype=np.uint8) for _ in times]
+    with (tmp_path / "a.mcap").open("wb") as file:
+        out = Writer(file, chunk_size=1 << 30, compression=CompressionType[compression.upper() or "NONE"])
+        out.start("ros2")
+        channel = out.register_channel("/a", "cdr", out.register_schema(kind, "ros2msg", definition))
+        for t, data in zip(times, noise, strict=True):
+            each = m.message(kind, header=m.header(t, "x"), format="jpeg", data=data)
+            out.add_message(channel, m.nanoseconds(t), cdr(kind, each), m.nanoseconds(t))
+        out.finish()
+    whole, cut = (tmp_path / "a.mcap").read_bytes(), tmp_path / "cut.mcap"
+    assert len(list(read_bag(tmp_path / "a.mcap"))) == len(times)
+    cut.write_bytes(whole[: len(whole) // 2])
+    with pytest.warns(UserWarning, match="cut.mcap was cut off"):
+        found = list(read_bag(cut))
+    assert [stamp for stamp, *_ in found] == times[: len(found)]
+    assert all((each.data == data).all() for (*_, each), data in zip(found, noise, strict=False))
+    assert len(found) > 100
+
+
+def test_the_file_that_a_recorder_had_just_begun_is_left_out(tmp_path, sent):
+    written_by_rosbags(tmp_path / "bag", sent[:80], StoragePlugin.MCAP)
+    (tmp_path / "bag" / "metadata.yaml").write_text("")  # and it was killed while it wrote this
+    (tmp_path / "bag" / "bag_1.mcap").write_bytes(b"")
+    with pytest.warns(UserWarning, match="a part of .* is left out: .*bag_1.mcap is empty"):
+        check_equal(read_bag(tmp_path / "bag"), sent[:80])

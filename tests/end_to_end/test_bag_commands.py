@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rosmaking import camera_info
+from rosmaking import camera_info, imu_message
 
 from eagor.cli import main
 from eagor.conventions import OPTICAL_R_BODY
@@ -81,7 +81,7 @@ def recorded(
         if odometry == m.ODOMETRY:
             messages.append((t, "/odom", m.ODOMETRY, m.odometry_message(pose)))
         elif odometry == m.IMU:
-            messages.append((t, "/imu", m.IMU, m.imu_message(pose, "base_link")))
+            messages.append((t, "/imu", m.IMU, imu_message(pose, "base_link")))
         elif odometry == m.TRANSFORMS:
             moved = m.transform_message(START + t, "odom", "base_link", turn, place)
             messages.append((t, "/tf", m.TRANSFORMS, m.transforms_message(moved)))

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from rosmaking import image_of, imu_message, pose_message
 
 from eagor.errors import ImageError, PoseError, TimeError
 from eagor.media import Pose
@@ -26,12 +27,12 @@ COLOURS = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [10, 20, 30]]], dtyp
 @given(yaw=ANGLE, pitch=st.floats(-1.5, 1.5), roll=ANGLE, place=st.tuples(METRES, METRES, METRES))
 def test_poses_come_back(yaw, pitch, roll, place):
     pose = Pose(1_700_000_000.25, world_R_body(yaw, pitch, roll), np.array(place))
-    for made in (m.odometry_message(pose), m.pose_message(pose)):
+    for made in (m.odometry_message(pose), pose_message(pose)):
         found = m.pose_of(made)
         assert found.stamp == pose.stamp
         np.testing.assert_allclose(found.world_R_body, pose.world_R_body, atol=1e-9)
         np.testing.assert_array_equal(found.position, pose.position)
-    found = m.pose_of(m.imu_message(pose))
+    found = m.pose_of(imu_message(pose))
     assert found.position is None
     np.testing.assert_allclose(found.world_R_body, pose.world_R_body, atol=1e-9)
 
@@ -61,10 +62,9 @@ def test_times_that_no_message_holds(stamp):
         m.time_message(stamp)
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
-def test_pictures_come_back(encoding):
-    made = m.image_message(PICTURE, 5.0, "x3", encoding)
-    assert (made.height, made.width, made.encoding) == (6, 12, encoding)
+def test_pictures_come_back():
+    made = m.image_message(PICTURE, 5.0, "x3")
+    assert (made.height, made.width, made.encoding) == (6, 12, "rgb8")
     np.testing.assert_array_equal(m.panorama_of(made), PICTURE)
 
 
@@ -94,18 +94,9 @@ def test_pictures_of_sixteen_bits(order):
         "rgba16": np.concatenate([wide[..., rgb], alpha], axis=-1),
         "bgra16": np.concatenate([wide[..., ::-1], alpha], axis=-1),
     }.items():
-        np.testing.assert_array_equal(m.panorama_of(image_of(encoding, pixels, order)), PICTURE)
-    grey = m.panorama_of(image_of("mono16", wide[..., 0], order))
+        np.testing.assert_array_equal(m.panorama_of(image_of(encoding, pixels, big=order == ">u2")), PICTURE)
+    grey = m.panorama_of(image_of("mono16", wide[..., 0], big=order == ">u2"))
     np.testing.assert_array_equal(grey, np.repeat(PICTURE[..., :1], 3, axis=-1))
-
-
-def image_of(encoding, pixels, order="<u2", padded=0):
-    """An Image whose rows ``(H, ...)`` are those of `pixels`, each with so many bytes more."""
-    rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
-    made = m.image_message(PICTURE, 5.0, "x3")
-    made.encoding, made.is_bigendian, made.step = encoding, int(order == ">u2"), rows.shape[1] + padded
-    made.data = np.pad(rows, ((0, 0), (0, padded)), constant_values=99).reshape(-1)
-    return made
 
 
 @pytest.mark.parametrize("padded", [0, 10])
@@ -117,20 +108,21 @@ def test_pictures_of_yuv_are_as_opencv_reads_them(padded):
     for names, pixels, code in (
         (("uyvy", "yuv422"), packed(u[:, ::2], y[:, ::2], v[:, ::2], y[:, 1::2]), cv2.COLOR_YUV2RGB_UYVY),
         (("yuyv", "yuv422_yuy2"), packed(y[:, ::2], u[:, ::2], y[:, 1::2], v[:, ::2]), cv2.COLOR_YUV2RGB_YUY2),
+        (("nv12",), np.vstack([y, two(u[:3, :6], v[:3, :6])]), cv2.COLOR_YUV2RGB_NV12),
         (("nv21",), np.vstack([y, two(v[:3, :6], u[:3, :6])]), cv2.COLOR_YUV2RGB_NV21),
     ):
         shape = (6, 12, 2) if pixels.shape == (6, 24) else pixels.shape
         truth = cv2.cvtColor(np.ascontiguousarray(pixels).reshape(shape), code).astype(int)
         for name in names:
-            found = m.panorama_of(image_of(name, pixels, padded=padded))
+            found = m.panorama_of(image_of(name, pixels, padded=padded, size=(6, 12)))
             assert found.shape == PICTURE.shape
             assert np.abs(found.astype(int) - truth).max() <= 2
     # OpenCV has no NV24. Where four pixels share a colour it says the same as NV21, but for the order of U and V.
     wide = lambda part: np.repeat(np.repeat(part[:3, :6], 2, axis=0), 2, axis=1)  # noqa: E731
     both = two(wide(u), wide(v)).reshape(12, 12)
-    flat = image_of("nv24", np.vstack([y, both]))
+    flat = image_of("nv24", np.vstack([y, both]), size=(6, 12))
     np.testing.assert_array_equal(
-        m.panorama_of(flat), m.panorama_of(image_of("nv21", np.vstack([y, two(v[:3, :6], u[:3, :6])])))
+        m.panorama_of(flat), m.panorama_of(image_of("nv21", np.vstack([y, two(v[:3, :6], u[:3, :6])]), size=(6, 12)))
     )
 
 
@@ -167,22 +159,105 @@ def test_compressed_pictures():
     np.testing.assert_array_equal(m.panorama_of(made)[..., 2], PICTURE[..., 0])
 
 
-def test_maps_are_floats_or_octets():
-    values = np.linspace(0, 1, 8, dtype=np.float32).reshape(2, 4)
-    made = m.image_message(values, 5.0, "base_link")
-    assert (made.encoding, made.step, made.is_bigendian) == ("32FC1", 16, 0)
-    np.testing.assert_array_equal(np.frombuffer(made.data, "<f4").reshape(2, 4), values)
-    assert m.image_message(np.zeros((2, 4), np.uint8), 5.0, "x").encoding == "mono8"
+# Scenes of which a mosaic holds all: a colour that is the same everywhere, and one that changes evenly.
+FLAT = np.broadcast_to(np.array([200, 120, 40], np.uint8), (8, 10, 3))
+SLOPE = (np.mgrid[0:8, 0:10].sum(axis=0)[..., None] * np.array([5, 8, 11])).astype(np.uint8)
+
+
+def mosaic(picture, pattern):
+    rows, columns = np.indices(picture.shape[:2]) % 2
+    which = np.array(["rgb".index(each) for each in pattern])[2 * rows + columns]
+    return np.take_along_axis(picture, which[..., None], axis=2)[..., 0]
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+@pytest.mark.parametrize("opencv", [True, False])
+def test_mosaics_are_demosaiced(pattern, opencv, monkeypatch):
+    if not opencv:
+        monkeypatch.setattr(m, "find_spec", lambda name: None)
+    for picture in (FLAT, SLOPE):
+        raw = mosaic(picture, pattern)
+        wide = (raw.astype(np.uint16) * 257).astype(">u2")
+        png = m.compressed_message(raw, 5.0, "x", kind="png")
+        png.format = (
+            f"bayer_{pattern}8; png compressed "  # as compressed_image_transport writes it: the mosaic as it is
+        )
+        for made in (image_of(f"bayer_{pattern}8", raw), image_of(f"bayer_{pattern}16", wide, big=True), png):
+            found = m.panorama_of(made)
+            np.testing.assert_allclose(found[1:-1, 1:-1].astype(int), picture[1:-1, 1:-1], atol=1)
+    done = m.compressed_message(SLOPE, 5.0, "x", kind="png")
+    done.format = f"bayer_{pattern}8; png compressed bgr8"  # demosaiced before
+    np.testing.assert_array_equal(m.panorama_of(done), SLOPE)
+    tiny = image_of(f"bayer_{pattern}8", np.full((1, 1), 7, np.uint8))
+    assert m.panorama_of(tiny).max() == 7
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels", "name"),
+    [
+        ("8UC1", PICTURE[..., 0], "mono8"),
+        ("8UC3", PICTURE[..., ::-1], "bgr8"),
+        ("8UC4", np.dstack([PICTURE[..., ::-1], PICTURE[..., :1]]), "bgra8"),
+        ("16UC3", (PICTURE.astype("<u2") * 257)[..., ::-1], "bgr16"),
+        ("16UC4", np.dstack([PICTURE[..., ::-1], PICTURE[..., :1]]).astype("<u2") * 257, "bgra16"),
+    ],
+)
+def test_the_names_of_opencv_have_its_order_which_is_said(encoding, pixels, name):
+    made = image_of(encoding, pixels)
+    np.testing.assert_array_equal(m.panorama_of(made), PICTURE if pixels.ndim == 3 else PICTURE[..., [0, 0, 0]])
+    assert f"{encoding} names no colours; it is read as {name}" in m.taken_as(made)
+    made.encoding = "bgr8"
+    assert m.taken_as(made) is None
+
+
+@pytest.mark.parametrize(
+    "values", ["8UC2", "8UC", "16UC2", "8SC3", "16SC1", "32SC4", "32FC3", "64FC1", "16UC1", "32FC1"]
+)
+def test_numbers_that_are_no_colours_are_refused_by_name(values):
+    packed = m.compressed_message(PICTURE, 5.0, "x3", kind="png")
+    packed.format = f"{values}; png compressed "
+    for made in (image_of(values, np.zeros((6, 12, 32), np.uint8)), packed):
+        with pytest.raises(ImageError, match=f"'{values}', .* wanted one of rgb8"):
+            m.panorama_of(made)
+
+
+@pytest.mark.parametrize("told", ["16UC1; compressedDepth png", "32FC1; compressedDepth", "compressedDepth"])
+def test_compressed_depth_is_refused_by_name(told):
+    made = m.compressed_message(PICTURE, 5.0, "x3", kind="png")
+    made.format = told
+    with pytest.raises(ImageError, match="the format 'compressedDepth', depth, and no picture"):
+        m.panorama_of(made)
+
+
+@pytest.mark.parametrize(
+    ("told", "swapped"),
+    [
+        ("jpeg", False),
+        ("bgr8; jpeg compressed bgr8", False),
+        ("rgb8; png compressed bgr8", False),
+        ("rgba16; png compressed bgr16", False),
+        ("8UC3; png compressed ", False),
+        ("yuv422_yuy2; jpeg compressed bgr8", False),
+        ("rgb8; png compressed ", True),
+        ("bgr8; png compressed rgb8", True),
+    ],
+)
+def test_the_order_of_compressed_colours_is_that_of_image_transport(told, swapped):
+    """compressed_subscriber.cpp, after imdecode, which gives B, G, R."""
+    made = m.compressed_message(PICTURE, 5.0, "x3", kind="png")
+    made.format = told
+    np.testing.assert_array_equal(m.panorama_of(made), PICTURE[..., ::-1] if swapped else PICTURE)
+    assert (m.taken_as(made) is not None) == swapped
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"encoding": "32FC1"}, "has the encoding '32FC1'; wanted one of rgb8, bgr8.* mono16, uyvy.* nv21, nv24"),
+        ({"encoding": "32FC1"}, r"'32FC1', depth, and no picture .REP-118.; wanted one of rgb8, .* uyvy.* nv21, nv24"),
         ({"encoding": "mono16", "width": 19}, "of 19 x 6 pixels of 2 bytes has 36 bytes a row"),
         ({"encoding": "uyvy", "width": 11}, "is 11 pixels wide; wanted an even number"),
         ({"encoding": "nv21", "height": 6, "step": 36}, "as nv21 has 0 bytes of colour; wanted 108, and even sides"),
-        ({"encoding": "bayer_rggb8"}, "bayer_rggb8"),
+        ({"encoding": "bayer_rggb16", "step": 23}, "of 12 x 6 pixels of 2 bytes has 23 bytes a row"),
         ({"step": 35}, "has 35 bytes a row"),
         ({"height": 7}, "of 12 x 7 pixels"),
         ({"width": 0}, "of 0 x 6 pixels"),
@@ -208,7 +283,7 @@ def test_compressed_pictures_that_cannot_be_decoded(data):
 
 
 def test_poses_that_are_none():
-    made = m.pose_message(Pose(5.0, np.eye(3), np.zeros(3)))
+    made = pose_message(Pose(5.0, np.eye(3), np.zeros(3)))
     made.pose.orientation.w = 0.0
     with pytest.raises(PoseError, match="has the length 0, wanted 1: is it unset"):
         m.pose_of(made)
@@ -221,7 +296,7 @@ def test_poses_that_are_none():
     made.pose.position.y = 1e30
     with pytest.raises(PoseError, match=r"wanted finite metres, each within 1e\+09 of the origin"):
         m.pose_of(made)
-    imu = m.imu_message(Pose(5.0, np.eye(3)))
+    imu = imu_message(Pose(5.0, np.eye(3)))
     imu.orientation_covariance[0] = -1
     with pytest.raises(PoseError, match="an Imu says that it has no orientation"):
         m.pose_of(imu)

@@ -167,6 +167,13 @@ def test_a_field_of_view_is_that_of_the_picture_s_middle_row(tmp_path):
     assert grid.hfov == pytest.approx(math.atan((CX + 0.5) / FX) + math.atan((640 - CX - 0.5) / FX))
 
 
+@pytest.mark.parametrize("more", ["", "---\n", "---\n{first}---\n", "---\nheight: 4"])
+def test_what_topic_echo_prints_is_read_up_to_its_first_line(tmp_path, more):
+    first = ROS.format(matrix=MATRIX, model="plumb_bob", count=5, values=[0] * 5)
+    (tmp_path / "camera.yaml").write_text(first + "\n" + more.format(first=first))
+    assert read_camera(tmp_path / "camera.yaml").sizes == (SIZE,)
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

@@ -36,12 +36,12 @@ def apart(rate: float | None) -> float:
 class BagCamera:
     """A `CameraSource` that plays the pictures of a bag; each iteration begins at its start.
 
-    `topic`: None is the only one with pictures, and several have commas between, as for `RosCamera`; or `bag` is the
-    text ``BAG?topic=/image``. Stamps are those of the headers less the `latency`; where a header has none, the time of
+    `topic`: None is the only one with pictures, and several have commas between; or `bag` is the text
+    ``BAG?topic=/image``. Stamps are those of the headers less the `latency`; where a header has none, the time of
     recording. `rate`: the most pictures per second of each topic. `back`: of the `dropped`, how many had stamps that go
     back, which is said once. `count`: how many pictures there are; `frame`: as of
     `TopicPictures`; `lens`: the ordinary camera, if it is one; `views`: the grid of each camera's pictures, None where
-    they become panoramas. Otherwise as `RosCamera`. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
+    they become panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
     """
 
     live = False
@@ -155,8 +155,10 @@ class BagCamera:
 class BagPoses:
     """A `PoseSource` that plays the odometry of a bag; each iteration begins at its start.
 
-    `topic`, `camera`, `body`, `world`, `strict`: as for `RosPoses`. The fixed transforms of
-    the whole bag are known from the beginning. `dropped`: messages that hold no pose. Raises `FormatError`.
+    `topic`, `camera`, `body`, `world`: as for `PoseReader`. The fixed transforms of the whole bag are known from the
+    beginning; poses before one that moves are left out. Where none tells where the camera is, its axes are taken for
+    those of the messages, which is a `problem`, or (`strict`) an error. `dropped`: messages that hold no pose. Raises
+    `FormatError`, `PoseError`.
     """
 
     live = False
@@ -173,9 +175,10 @@ class BagPoses:
     ) -> None:
         self.bag = bag if isinstance(bag, Bag) else Bag(bag)
         self.topic, self.kind = pick(self.bag.topics, MOTION, topic, where=str(self.bag.path), option="--odom-topic")
-        self._settings: dict[str, Any] = {"camera": camera, "body": body, "world": world, "strict": strict}
+        self._settings: dict[str, Any] = {"camera": camera, "body": body, "world": world}
+        self._strict, self._first = strict, ""
         self.dropped, self._closed = 0, False
-        self.reader = self._new_reader()
+        self.reader = self._new_reader(strict)
 
     @property
     def problem(self) -> str | None:
@@ -183,35 +186,40 @@ class BagPoses:
         return self.reader.problem
 
     def __iter__(self) -> Iterator[Pose]:
-        self.reader = reader = self._new_reader()
-        self.dropped, came, first = 0, False, ""
-        wanted = {self.topic} | ({TF} & self.bag.topics.keys())
-        for _, topic, _, received in self.bag.messages(wanted):
+        told = ""
+        for strict in (True,) if self._strict else (True, False):  # a transform may come after the first poses
+            came = False
+            for pose in self._played(strict):
+                came = True
+                yield pose
+            if came or self._closed:
+                return
+            told = self.reader.problem or "it has no message"
+            if self.dropped:
+                told = f"all {self.dropped} messages are left out; the first: {self._first}"
+        raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {told}")
+
+    def _played(self, strict: bool) -> Iterator[Pose]:
+        self.reader, self.dropped = self._new_reader(strict), 0
+        for _, topic, _, received in self.bag.messages({self.topic} | ({TF} & self.bag.topics.keys())):
             if self._closed:
                 return
             try:
-                poses = reader.take(received) if topic == self.topic else reader.transforms(received, False)
+                own = topic == self.topic
+                yield from self.reader.take(received) if own else self.reader.transforms(received, False)
             except PoseError as error:
-                if not self.dropped:
-                    first = str(error)
-                    warnings.warn(f"a pose of {self.topic} is left out: {error}", UserWarning, stacklevel=2)
+                if not self.dropped and not self._first:
+                    self._first = str(error)
+                    warnings.warn(f"a pose of {self.topic} is left out: {error}", UserWarning, stacklevel=3)
                 self.dropped += 1
-                continue
             except DeviceError as error:
                 raise FormatError(f"{self.bag.path}: {error}") from error
-            came = came or bool(poses)
-            yield from poses
-        if not came:
-            told = reader.problem or "it has no message"
-            if self.dropped:
-                told = f"all {self.dropped} messages are left out; the first: {first}"
-            raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {told}")
 
     def close(self) -> None:
         self._closed = True
 
-    def _new_reader(self) -> PoseReader:
-        reader = PoseReader(self.topic, self.kind, **self._settings)
+    def _new_reader(self, strict: bool) -> PoseReader:
+        reader = PoseReader(self.topic, self.kind, strict=strict, **self._settings)
         if self.bag.topics.get(TF_STATIC) == TRANSFORMS:
             for _, _, _, received in self.bag.messages([TF_STATIC]):
                 reader.transforms(received, True)

@@ -1,7 +1,7 @@
 """ROS 2 bags without ROS: recordings of topics, read from MCAP or SQLite (a folder or one file), and written as MCAP.
 
-A file without an end, as a crash leaves it, is read up to where it breaks off (`eagor.media.bag_files`). Reading takes
-about half a GiB at most, whatever a file asks for; what would need more is refused.
+A file without an end, as a crash leaves it, is read up to where it breaks off. Reading takes about half a GiB at most,
+whatever a file asks for; what would need more is refused (`eagor.media.bag_files`).
 
 Of a recording, a crash takes little: `rosbags` keeps up to a megabyte in memory, and Python the rest of a block, so
 chunks are closed often here.
@@ -10,19 +10,17 @@ chunks are closed often here.
 from __future__ import annotations
 
 import os
-import struct
 import threading
 import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from errno import EINVAL
+from errno import ENOENT
 from pathlib import Path
 from typing import Any, Self
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError, StorageError
-from eagor.media.bag_files import Channel, McapFile, SqliteFile, read_mcap, read_sqlite
 from eagor.media.ros_messages import (
     COMPRESSED,
     IMAGE,
@@ -31,6 +29,7 @@ from eagor.media.ros_messages import (
     ODOMETRY,
     POSE,
     POSE_WITH_COVARIANCE,
+    TRANSFORM,
     TRANSFORMS,
     nanoseconds,
     store,
@@ -41,12 +40,11 @@ __all__ = [
     "listed", "pick", "read_bag", "split_bag",
 ]  # fmt: skip
 
-ROS_1 = b"#ROSBAG V"
-
 SUFFIXES = (".mcap", ".db3")
-ROS_1_SUFFIX = ".bag"
+PACKED = ("file", "message")  # how a recorder compresses beside what MCAP does itself
+ROS_1, ROS_1_SUFFIX = b"#ROSBAG V", ".bag"
 PICTURES = (IMAGE, COMPRESSED)
-MOTION = (ODOMETRY, POSE, POSE_WITH_COVARIANCE, IMU, TRANSFORMS)  # the best first
+MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
 TF, TF_STATIC = "/tf", "/tf_static"
 
 
@@ -72,9 +70,9 @@ class Bag:
     """
 
     def __init__(self, path: str | Path) -> None:
-        need("reading bags", "robot", "rosbags")
+        need("reading bags", "robot", "rosbags", "mcap")
         self.path = Path(path)
-        self._files = [_recorded(file) for file in _files(self.path)]
+        self._files = _opened(self.path)
         self.topics: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for channel, count in ((c, file.counts[number]) for file in self._files for number, c in file.channels.items()):
@@ -95,7 +93,14 @@ class Bag:
         for file in self._files:  # a bag of several files was split in time
             decode: dict[int, Any] = {}
             wanted = {key: each for key, each in file.channels.items() if topics is None or each.topic in topics}
-            for number, nanos, data in _told(file, wanted) if wanted else ():
+            told = file.messages(wanted)
+            while wanted:
+                try:
+                    number, nanos, data = next(told)
+                except StopIteration:
+                    break
+                except Exception as error:  # as the libraries happen to meet the damage
+                    raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
                 channel, stamp = wanted[number], nanos / NANO
                 if number not in decode:
                     decode[number] = _decoder(self.path, channel)
@@ -109,77 +114,71 @@ class Bag:
                 yield stamp, channel.topic, channel.kind, found
 
 
-def _told(file: McapFile | SqliteFile, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-    """The messages of a file. Raises `FormatError` where it is damaged."""
-    try:
-        yield from file.messages(wanted)
-    except (OSError, ValueError, EOFError, struct.error) as error:
-        raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
+def _opened(path: Path) -> list[Any]:
+    """The files of a bag, in order of time; of several, those that hold messages. Raises `FormatError`."""
+    from eagor.media.bag_files import McapFile, SqliteFile
 
-
-def _recorded(path: Path) -> McapFile | SqliteFile:
-    """What one file of a bag holds. Raises `FormatError`."""
-    try:
-        found = (read_mcap if path.suffix == ".mcap" else read_sqlite)(path)
-    except (OSError, ValueError) as error:
-        if isinstance(error, EagorError):
-            raise
-        raise FormatError(f"{path} cannot be read as a bag ({error}); copy it again") from error
-    many = sum(found.counts.values())
-    if not many and (found.broken or not found.channels):
-        raise FormatError(f"{path} holds no message ({found.broken or 'it is empty'}); record it again")
-    if found.broken:
-        warnings.warn(f"{path.name} was cut off ({found.broken}); its first {many} messages are read", stacklevel=5)
+    files, found, wrong = _files(path), [], []
+    for file in files:
+        try:
+            with file.open("rb") as opened:
+                head = opened.read(len(ROS_1))
+            if head == ROS_1:
+                to = f"rosbags-convert --src {file} --dst {file.with_suffix('')}"
+                raise FormatError(f"{file} is a bag of ROS 1; convert it: {to}")
+            if not head:
+                raise FormatError(f"{file} is empty; a recording that was never begun, or a copy that failed")
+            if file.suffix.lower() not in SUFFIXES:
+                raise FormatError(
+                    f"{file} is no bag of ROS 2; wanted a folder, or a file that ends in {' or '.join(SUFFIXES)}"
+                )
+            each = (McapFile if file.suffix.lower() == ".mcap" else SqliteFile)(file)
+            many = sum(each.counts.values())
+            if not many and (each.broken or not each.channels):
+                raise FormatError(f"{file} holds no message ({each.broken or 'it is empty'}); record it again")
+            if each.broken:
+                warnings.warn(
+                    f"{file.name} was cut off ({each.broken}); its first {many} messages are read", stacklevel=4
+                )
+            found.append(each)
+        except (OSError, ValueError) as error:
+            told = isinstance(error, EagorError)
+            wrong.append(str(error) if told else f"{file} cannot be read as a bag ({error}); copy it again")
+    if not found:
+        raise FormatError(wrong[0])
+    for text in wrong:
+        warnings.warn(f"a part of {path} is left out: {text}", stacklevel=4)
     return found
 
 
 def _files(path: Path) -> Sequence[Path]:
-    """The files of a bag, in order of time. Raises `FormatError`."""
-    try:
-        if path.is_dir():
-            return _in_folder(path)
-        if path.exists() and not path.is_file():
-            raise OSError(EINVAL, "it is a pipe or a device")
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        raise FormatError(
-            f"{path} cannot be read ({error.strerror}); give a ROS 2 bag: a folder, .mcap or .db3"
-        ) from error
-    if head.startswith(ROS_1):
-        raise FormatError(
-            f"{path} is a bag of ROS 1; convert it: rosbags-convert --src {path} --dst {path.with_suffix('')}"
-        )
-    if not head:
-        raise FormatError(f"{path} is empty; a recording that was never begun, or a copy that failed")
-    if path.suffix not in SUFFIXES:
-        raise FormatError(f"{path} is no bag of ROS 2; wanted a folder, or a file that ends in {' or '.join(SUFFIXES)}")
-    return [path]
-
-
-def _in_folder(path: Path) -> Sequence[Path]:
-    """The files that metadata.yaml names; all bag files where it is missing, as after a crash."""
-    inside = sorted((file for file in path.iterdir() if file.suffix in SUFFIXES), key=_numbered)
+    """The file, or those in a folder that its metadata.yaml names; all where that is missing, as after a crash."""
     about = path / "metadata.yaml"
-    if about.is_file():
-        from ruamel.yaml import YAML, YAMLError
+    try:
+        if not path.is_dir():
+            if not path.is_file():
+                raise OSError(ENOENT, "it is a pipe or a device" if path.exists() else "No such file or directory")
+            return [path]
+        inside = sorted((file for file in path.iterdir() if file.suffix.lower() in SUFFIXES), key=_numbered)
+        text = about.read_text("utf-8", "replace") if about.is_file() else ""
+    except OSError as error:
+        wanted = "give a ROS 2 bag: a folder, .mcap or .db3"
+        raise FormatError(f"{path} cannot be read ({error.strerror}); {wanted}") from error
+    if text:
+        from ruamel.yaml import YAML
 
         try:
-            told = YAML(typ="safe").load(about.read_text("utf-8"))["rosbag2_bagfile_information"]
-            if told.get("compression_mode", "").lower() in ("file", "message"):
-                raise FormatError(
-                    f"{path} is compressed by {told['compression_mode'].lower()}; unpack it: "
-                    f"rosbags-convert --src {path} --dst {path.name}-unpacked"
-                )
-            inside = [path / Path(name).name for name in told["relative_file_paths"]]
-        except (YAMLError, KeyError, TypeError, AttributeError, ValueError, OSError) as error:
-            if isinstance(error, EagorError):
-                raise
+            told = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+            packed = told.get("compression_mode", "").lower()
+            named = [] if packed in PACKED else [path / Path(name).name for name in told["relative_file_paths"]]
+        except Exception as error:  # the library's, or those of another shape
             raise FormatError(f"{about} is not that of a bag ({type(error).__name__}: {error})") from error
-        if missing := [file.name for file in inside if not file.is_file()]:
-            raise FormatError(
-                f"{path} lacks {', '.join(missing)}, which its metadata.yaml names; copy the whole folder"
-            )
+        if packed in PACKED:
+            to = f"rosbags-convert --src {path} --dst {path.name}-unpacked"
+            raise FormatError(f"{path} is compressed by {packed}; unpack it: {to}")
+        if missing := [file.name for file in named if not file.is_file()]:
+            raise FormatError(f"{path} lacks {', '.join(missing)}, which {about.name} names; copy the whole folder")
+        inside = named
     if not inside:
         raise FormatError(f"{path} holds no bag: no metadata.yaml, no {' or '.join(SUFFIXES)} file")
     return inside
@@ -191,34 +190,30 @@ def _numbered(path: Path) -> tuple[int, str]:
     return (int(last) if last.isdigit() else 0, path.name)
 
 
-def _decoder(path: Path, stream: Channel) -> Any:
+def _decoder(path: Path, channel: Any) -> Any:
     """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
-    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    known = store()
-    if not stream.definition:
-        if stream.kind in known.fielddefs:
-            return known.deserialize_cdr
+    known, kind, text = store(), channel.kind, channel.definition
+    if not text and kind not in known.fielddefs:
         raise FormatError(
-            f"{path}: {stream.topic} is of type {stream.kind}, which neither the bag nor ROS 2 Humble defines; record "
-            "it as MCAP, which keeps the definitions"
+            f"{path}: {channel.topic} is of type {kind}, which neither the bag nor ROS 2 Humble defines; record it as "
+            "MCAP, which keeps the definitions"
         )
+    types: dict[str, Any] = {}
     try:
-        if stream.encoding == "ros2idl":
-            types: dict[str, Any] = {}
-            for part in stream.definition.split("=" * 80 + "\n"):
-                types |= (
-                    get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part) if part else {}
-                )
-        else:
-            types = get_types_from_msg(stream.definition, stream.kind)
+        if text and channel.encoding == "ros2idl":
+            for part in filter(None, text.split("=" * 80 + "\n")):
+                types |= get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part)
+        elif text:
+            types = get_types_from_msg(text, kind)
         if all(name in known.fielddefs and known.fielddefs[name][1] == about[1] for name, about in types.items()):
             return known.deserialize_cdr
         own = get_typestore(Stores.EMPTY)
         own.register({name: about for name, about in types.items() if name not in own.fielddefs})
         return own.deserialize_cdr
-    except TypesysError as error:
-        raise FormatError(f"{path}: the definition of {stream.kind} cannot be read ({error})") from error
+    except Exception as error:  # the library's, or what it does not expect
+        raise FormatError(f"{path}: the definition of {kind} cannot be read ({error})") from error
 
 
 # --- paths ---
@@ -229,7 +224,7 @@ def is_bag(path: str | os.PathLike[str]) -> bool:
     path = Path(path)
     try:
         if path.is_dir():
-            return (path / "metadata.yaml").is_file() or any(file.suffix in SUFFIXES for file in path.iterdir())
+            return (path / "metadata.yaml").is_file() or any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
         return path.suffix.lower() in (*SUFFIXES, ROS_1_SUFFIX)
     except OSError:
         return False
@@ -363,7 +358,8 @@ def pick(
         if topics[name] not in kinds:
             raise error(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
         return name, topics[name]
-    fit = [(name, kind) for name, kind in topics.items() if kind in kinds and name != TF_STATIC]
+    others = (TF_STATIC, "/compressedDepth", "/goal_pose", "/initialpose")  # none by itself: what it is not about
+    fit = [(name, kind) for name, kind in topics.items() if kind in kinds and not name.endswith(others)]
     if not fit:
         raise error(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
     kind = next(kind for kind in kinds if any(each[1] == kind for each in fit))

@@ -83,6 +83,14 @@ def read_poses(path: str | Path) -> tuple[FramePose, ...]:
             UserWarning,
             stacklevel=2,
         )
+    elif _is_optical(poses):
+        warnings.warn(
+            f"{path}: the camera moves as if its axes were optical ones (x right, y down, z ahead), as SLAM and COLMAP "
+            "write them, and is read with x ahead, y left, z up: convert the poses (docs/conventions.md). Nothing is "
+            "wrong if the camera nods, or lies on its side",
+            UserWarning,
+            stacklevel=2,
+        )
     return poses
 
 
@@ -101,6 +109,30 @@ def _is_another_order(poses: Sequence[FramePose]) -> bool:
     w, x, y, z = wxyz_from_rotation(np.array([pose.world_R_body for pose in some])).T ** 2
     up, last, first = 1 - 2 * (x + y), 1 - 2 * (w + x), 1 - 2 * (y + z)
     return bool((up < 0).all() or ((up < 0.5).any() and ((last > 0.5).all() or (first > 0.5).all())))
+
+
+def _is_optical(poses: Sequence[FramePose]) -> bool:
+    """Whether the axes seem to be optical ones: y points down, or the camera turns about it and does not go along it.
+
+    The first where the world's z is up, the second where the world is the first camera. What drives or is carried
+    turns about its vertical, by at least 20 degrees here, and goes up and down least.
+    """
+    from scipy.spatial.transform import Rotation
+
+    some = poses[:: 1 + len(poses) // 1000]
+    turns = np.array([pose.world_R_body for pose in some])
+    if (turns[:, 2, 1] < -0.75).all():
+        return True
+    bent = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
+    places = [pose.position for pose in some if pose.position is not None and pose.near]
+    gone = (np.array(places).reshape(-1, 3) - (places[0] if places else 0)) @ turns[0]
+    about = (bent**2).sum(axis=0)
+    along = np.ptp(gone, axis=0) if places else np.zeros(3)
+    return bool(
+        np.linalg.norm(bent, axis=1).max() > math.radians(20)
+        and about[1] > 0.8 * about.sum()
+        and along[1] <= 0.3 * along.max()
+    )
 
 
 def _at_once(names: Sequence[str], body: str) -> tuple[FramePose, ...] | None:

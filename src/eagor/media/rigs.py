@@ -47,7 +47,7 @@ from scipy.spatial.transform import Rotation
 
 from eagor._extras import need
 from eagor._files import read_file, written
-from eagor.conventions import OPTICAL_R_BODY, rotation_from_wxyz
+from eagor.conventions import OPTICAL_R_BODY, is_optical, rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, GridError, ImageError
 from eagor.lenses import FisheyeLens, Lens, PinholeLens
 from eagor.sphere import world_R_body
@@ -63,7 +63,6 @@ KEYS = {
 }
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 QUATERNION = ("x", "y", "z", "w")
-OPTICAL = "_optical_frame"  # REP-103: the suffix of frames with x right, y down, z forward
 UNIT = 0.01  # by which the length of a quaternion may differ from 1
 
 
@@ -197,7 +196,7 @@ def _lens(place: Place, sizes: Sequence[tuple[int, int]]) -> Lens:
     if not 0 <= picture < len(sizes):
         raise found["picture"].wrong(f"is {picture}; wanted 0 to {len(sizes) - 1}, since pictures lists {len(sizes)}")
     rotation = _rotation(found["rotation"]) if "rotation" in found else np.eye(3)
-    optical = found["optical"].text().lower() if "optical" in found else str(name.endswith(OPTICAL)).lower()
+    optical = found["optical"].text().lower() if "optical" in found else str(is_optical(name)).lower()
     if optical not in ("true", "false"):
         raise found["optical"].wrong(f"is {optical!r}; wanted true or false")
     if optical == "true" and "rotation" not in found:
@@ -309,7 +308,7 @@ def read_yaml(path: str | os.PathLike[str], kind: str, wanted: str) -> Place:
         text = read_file(name).decode("utf-8-sig")
         if text.startswith("%YAML"):  # OpenCV writes "%YAML:1.0", which YAML does not allow; the line stays counted
             text = "#" + text
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        root = next(yaml.compose_all(text, Loader=yaml.SafeLoader), None)  # ros2 topic echo ends each message with ---
     except (OSError, UnicodeDecodeError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise FormatError(f"{name} cannot be read as {kind} ({why}); give a YAML file with {wanted}") from error

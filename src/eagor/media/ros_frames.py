@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor.conventions import OPTICAL_R_BODY
+from eagor.conventions import OPTICAL_R_BODY, is_optical
 from eagor.errors import DeviceError, EagorError
 from eagor.media import Pose
 from eagor.media.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_of, rotation_of, seconds, triple
@@ -23,14 +23,14 @@ from eagor.tracking.poses import PoseHistory
 
 __all__ = [
     "BACK", "BODY", "IDENTITY", "TOLERATED", "WORLDS", "PoseReader", "Transform", "TransformTree", "Turning",
-    "composed", "inverse", "optical", "unnamed",
+    "composed", "contradiction", "inverse", "optical", "unnamed",
 ]  # fmt: skip
 
 KEPT = 10.0  # seconds of moving transforms, as tf2 keeps them
 MOST = 100  # links from a frame to the root: more are a circle
 OVERTAKEN = 0.1  # seconds: a message that comes so much after a newer one costs nothing
 BACK = 1.0  # seconds by which stamps have to go back before it is a clock that was set, not a message out of order
-OPTICAL = "_optical_frame"  # REP-103: the suffix of frames with x right, y down, z forward
+STEEP = math.cos(math.radians(40))  # an axis that is nearer to the vertical points up, or down
 
 Transform = tuple[np.ndarray, np.ndarray]
 IDENTITY: Transform = (np.eye(3), np.zeros(3))
@@ -54,7 +54,23 @@ def inverse(a: Transform) -> Transform:
 
 def optical(frame: str) -> np.ndarray:
     """The rotation ``frame_R_camera`` ``(3, 3)`` of a camera's own axes (x forward) in the frame that names it."""
-    return OPTICAL_R_BODY if frame.endswith(OPTICAL) else np.eye(3)
+    return OPTICAL_R_BODY if is_optical(frame) else np.eye(3)
+
+
+def contradiction(frame: str, body_R_frame: np.ndarray) -> str | None:
+    """In words, that a camera's frame is mounted as if its name were wrong: as an optical one, or none. Else None."""
+    named, (_, y, z) = is_optical(frame), body_R_frame[2]  # how much the axes of the frame point up
+    if named and z > STEEP:
+        return (
+            f"{frame} is named as an optical frame (x right, y down, z ahead: REP-103), and mounted with its z axis "
+            "up: the camera is taken to look up. If x is ahead, name it without 'optical'"
+        )
+    if not named and y < -STEEP:
+        return (
+            f"{frame} is not named as an optical frame, and mounted as one, with its y axis down: the camera is taken "
+            f"to look along x, and to lie on its side. If z is ahead, name it {frame}_optical_frame (REP-103)"
+        )
+    return None
 
 
 class TransformTree:
@@ -216,13 +232,14 @@ class Turning:
 class PoseReader:
     """Makes poses of the messages on one `topic` of type `kind`.
 
-    `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message. "": its
-    pictures name none, so that its axes are taken for those of the `body`, which is a problem. None: the pose of the
-    `body` is wanted. `strict`: give no pose before these transforms are known; otherwise the camera's axes are
-    taken for those of the message. `world`: the frame of the poses for transforms (default: odom, else map, else the
-    root of the tree). `rewinds`: whether the stamps may go back by more than a second, as those of a clock that was
-    set; otherwise such poses are left out, which is said once, from `OVERTAKEN` on, and `back` counts them.
-    `turning`: how well the poses tell what lies between them. `problem`: what is missing, in words, or None.
+    `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message; that its
+    name contradicts them is a `UserWarning`, once. "": its pictures name none, so that its axes are taken for those of
+    the `body`, which is a problem. None: the pose of the `body` is wanted. `strict`: give no pose before these
+    transforms are known; otherwise the camera's axes are taken for those of the message. `world`: the frame of the
+    poses for transforms (default: odom, else map, else the root of the tree). `rewinds`: whether the stamps may go back
+    by more than a second, as those of a clock that was set; otherwise such poses are left out, which is said once, from
+    `OVERTAKEN` on, and `back` counts them. `turning`: how well the poses tell what lies between them. `problem`: what
+    is missing, in words, or None.
     """
 
     def __init__(
@@ -243,7 +260,7 @@ class PoseReader:
         self.tree = TransformTree()
         self.turning = Turning()
         self._frames: tuple[str, str] | None = None
-        self._last, self.back = -math.inf, 0
+        self._last, self.back, self._mounted = -math.inf, 0, False
 
     def transforms(self, received: Any, fixed: bool) -> list[Pose]:
         """Take in a message of /tf_static (`fixed`) or /tf; the poses that it gives, if these come from /tf."""
@@ -279,11 +296,23 @@ class PoseReader:
         """The rotation ``(3, 3)`` of the camera's axes in those of the body; the identity if nothing is known of it."""
         if self.camera is None:
             return np.eye(3)
-        body = self.body
-        if self._frames is not None and self.kind == ODOMETRY and body not in self.tree.frames:
-            body = self._frames[1] or body
-        found = self.tree.at(body, self.camera, stamp)
+        found = self.tree.at(self._base(), self.camera, stamp)
         return (np.eye(3) if found is None else found[0]) @ optical(self.camera)
+
+    def _base(self) -> str:
+        """The frame of the body, by the name that it has here."""
+        if self._frames is not None and self.kind == ODOMETRY and self.body not in self.tree.frames:
+            return self._frames[1] or self.body
+        return self.body
+
+    def _check_mount(self, stamp: float) -> None:
+        """Say once that the camera is mounted as its name does not have it."""
+        if self._mounted or not self.camera or self.camera == self._base():
+            return
+        if (found := self.tree.at(self._base(), self.camera, stamp)) is not None:
+            self._mounted = True
+            if (told := contradiction(self.camera, found[0])) is not None:
+                warnings.warn(told, UserWarning, stacklevel=4)
 
     def _source(self, frames: tuple[str, str]) -> str:
         """The frame whose pose a message tells."""
@@ -297,7 +326,8 @@ class PoseReader:
         if target in (source, "") or not source:
             found: Transform | None = IDENTITY
         else:
-            found = self.tree.at(source, target, stamp)
+            known = source if source in self.tree.frames else self.body  # base_footprint, where only base_link is told
+            found = self.tree.at(known, target, stamp)
         self.problem = self._unnamed
         if found is None:
             self.problem = f"/tf_static and /tf do not tell where {target} is in {source}"
@@ -312,10 +342,13 @@ class PoseReader:
 
     def _of_tree(self) -> list[Pose]:
         """The pose at the newest time that all transforms from the world to the camera reach."""
-        target = self.camera if self.camera in self.tree.frames else self.body
-        if self.strict and target != (self.camera or self.body):
-            self.problem = f"/tf and /tf_static do not tell where {self.camera} is"
-            return []
+        target, unknown = self.camera or self.body, None
+        if target not in self.tree.frames and self.camera:
+            unknown = f"/tf and /tf_static do not tell where {self.camera} is"
+            if self.strict:
+                self.problem = unknown
+                return []
+            target, unknown = self.body, f"{unknown}: its axes are taken for those of {self.body}"
         world = self.world or next((w for w in WORLDS if self.tree.between(w, target)), None) or self.tree.root(target)
         moving = self.tree.moving(world, target)
         if not moving:
@@ -327,7 +360,7 @@ class PoseReader:
         found = self.tree.at(world, target, stamp)
         if found is None:
             return []
-        self.problem = self._unnamed
+        self.problem = unknown or self._unnamed
         rotation, place = composed(found, (optical(target), np.zeros(3)))
         return self._in_order(Pose(stamp, rotation, place))
 
@@ -344,6 +377,7 @@ class PoseReader:
                 self.back += 1
             return []
         self._last = pose.stamp
+        self._check_mount(pose.stamp)
         self.turning.add(pose)
         if self.problem is None and self.turning.midway > TOLERATED:
             self.problem = self.turning.said(self.topic)

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import threading
 from collections.abc import Mapping
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -27,43 +29,42 @@ from eagor.media.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
-    "CAMERA_INFO", "CLOCK", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE", "TEXT",
-    "TRANSFORMS", "VECTOR", "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message",
-    "imu_message", "message", "odometry_message", "panorama_of", "pose_message", "pose_of", "quaternion", "ros_names",
-    "seconds", "stamp_of", "store", "text_message", "time_message", "topic_name", "transform_message",
+    "CAMERA_INFO", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE",
+    "TEXT", "TRANSFORM", "TRANSFORMS", "VECTOR",
+    "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message", 
+    "message", "odometry_message", "panorama_of", "pose_of", "quaternion", "ros_names",
+    "seconds", "stamp_of", "store", "taken_as", "text_message", "time_message", "topic_name", "transform_message",
     "transforms_message", "vector", "vector_message",
 ]  # fmt: skip
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
-TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-CLOCK, CAMERA_INFO = "rosgraph_msgs/msg/Clock", "sensor_msgs/msg/CameraInfo"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
+TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 NANO = 10**9
 LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32
 _NORM = 0.01  # by which a quaternion's length may differ from 1
 # Encodings of sensor_msgs/Image (sensor_msgs/image_encodings.hpp): values a pixel, and which of them are R, G, B. Those
-# that end in 16 have two bytes a value.
+# with 16 in their names have two bytes a value.
 ENCODINGS: Mapping[str, tuple[int, list[int]]] = {
-    "rgb8": (3, [0, 1, 2]),
-    "bgr8": (3, [2, 1, 0]),
-    "rgba8": (4, [0, 1, 2]),
-    "bgra8": (4, [2, 1, 0]),
-    "mono8": (1, [0, 0, 0]),
-    "rgb16": (3, [0, 1, 2]),
-    "bgr16": (3, [2, 1, 0]),
-    "rgba16": (4, [0, 1, 2]),
-    "bgra16": (4, [2, 1, 0]),
-    "mono16": (1, [0, 0, 0]),
-}
+    **{f"{order}{bits}": (len(order), [order.index(each) for each in "rgb"])
+       for order in ("rgb", "bgr", "rgba", "bgra") for bits in (8, 16)},
+    "mono8": (1, [0, 0, 0]), "mono16": (1, [0, 0, 0]),
+}  # fmt: skip
+# Types of OpenCV's matrices, whose colours lie as OpenCV has them; 16UC1 is depth.
+AS_OPENCV = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8", "16UC3": "bgr16", "16UC4": "bgra16"}
+BAYER = {f"bayer_{pattern}{bits}": pattern for pattern in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)}
+DEPTH = ("16UC1", "32FC1", "compressedDepth")  # REP-118
 # Two pixels of YUV 4:2:2 in four bytes: where Y of both, U and V are. The older names are the same formats.
 YUV_422: Mapping[str, tuple[list[int], int, int]] = {
     "uyvy": ([1, 3], 0, 2), "yuv422": ([1, 3], 0, 2),
     "yuyv": ([0, 2], 1, 3), "yuv422_yuy2": ([0, 2], 1, 3),
 }  # fmt: skip
 # A plane of Y, then one of U and V in turn: how many rows and columns of pixels share them, and where U and V are.
-PLANES: Mapping[str, tuple[int, int, int]] = {"nv21": (2, 1, 0), "nv24": (1, 0, 1)}
+PLANES: Mapping[str, tuple[int, int, int]] = {"nv12": (2, 0, 1), "nv21": (2, 1, 0), "nv24": (1, 0, 1)}
 # RGB of Y (16 to 235), U and V (16 to 240 about 128), as ITU-R BT.601 has it; cameras of ROS drivers use it.
 _RGB_OF_YUV = np.array([[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]])
 _BLACK = np.array([16.0, 128.0, 128.0])
@@ -109,24 +110,13 @@ def header(stamp: float, frame: str) -> Any:
 # --- pictures ---
 
 
-def image_message(panorama: np.ndarray, stamp: float, frame: str, encoding: str = "rgb8") -> Any:
-    """A sensor_msgs/Image of ``(H, W, 3)`` uint8 RGB; or of ``(H, W)``: uint8 is mono8, float32 is 32FC1."""
-    pixels = np.asarray(panorama)
-    height, width = pixels.shape[:2]
-    if pixels.ndim == 2:
-        encoding = {"u1": "mono8", "f4": "32FC1"}[pixels.dtype.str[1:]]
-    else:
-        size, places = ENCODINGS[encoding]
-        if size == 1:
-            pixels = np.asarray(Image.fromarray(pixels).convert("L"))
-        elif size == 4 or encoding != "rgb8":
-            full = np.full((height, width, size), 255, dtype=np.uint8)
-            full[..., places] = pixels
-            pixels = full
-    data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
+def image_message(panorama: np.ndarray, stamp: float, frame: str) -> Any:
+    """A sensor_msgs/Image in rgb8 of ``(H, W, 3)`` uint8 RGB."""
+    height, width, _ = panorama.shape
+    data = np.ascontiguousarray(panorama, dtype=np.uint8).reshape(-1)
     return message(
-        IMAGE, header=header(stamp, frame), height=height, width=width, encoding=encoding, is_bigendian=0,
-        step=len(data) // height, data=data,
+        IMAGE, header=header(stamp, frame), height=height, width=width, encoding="rgb8", is_bigendian=0,
+        step=3 * width, data=data,
     )  # fmt: skip
 
 
@@ -143,22 +133,62 @@ def panorama_of(received: Any) -> np.ndarray:
     return _decoded(received) if hasattr(received, "format") else _raw(received)
 
 
+def taken_as(received: Any) -> str | None:
+    """In words, how a picture is read whose encoding does not say its colours, or says unusual ones; else None."""
+    if not hasattr(received, "format"):
+        name = AS_OPENCV.get(received.encoding)
+        return name and f"the encoding {received.encoding} names no colours; it is read as {name}, as OpenCV has it"
+    if _is_swapped(received.format):
+        return (
+            f"the format {received.format!r} says that blue is where red should be, as image_transport reads it: they "
+            "are swapped; wanted '... compressed bgr8'"
+        )
+    return None
+
+
 def _raw(received: Any) -> np.ndarray:
-    encoding = received.encoding
-    if encoding in ENCODINGS:
-        values, places = ENCODINGS[encoding]
-        if not encoding.endswith("16"):
-            return np.ascontiguousarray(_rows(received, values)[..., places])
-        order = ">u2" if received.is_bigendian else "<u2"
-        wide = np.ascontiguousarray(_rows(received, 2 * values)).view(order)[..., places]
-        return (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+    encoding = AS_OPENCV.get(received.encoding) or received.encoding
     if encoding in YUV_422:
         return _of_yuv(*_packed(_rows(received, 2), *YUV_422[encoding]))
     if encoding in PLANES:
         return _of_yuv(*_planes(received, *PLANES[encoding]))
-    raise ImageError(
-        f"an Image has the encoding {encoding!r}; wanted one of {', '.join([*ENCODINGS, *YUV_422, *PLANES])}"
-    )
+    if encoding not in ENCODINGS and encoding not in BAYER:
+        raise _refused("an Image has the encoding", encoding)
+    count, places = ENCODINGS.get(encoding, (1, [0]))
+    if "16" in encoding:
+        order = ">u2" if received.is_bigendian else "<u2"
+        wide = np.ascontiguousarray(_rows(received, 2 * count)).view(order)
+        values = (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+    else:
+        values = _rows(received, count)
+    picture = np.ascontiguousarray(values[..., places])
+    return _demosaiced(picture[..., 0], BAYER[encoding]) if encoding in BAYER else picture
+
+
+def _refused(what: str, encoding: str) -> ImageError:
+    why = "depth, and no picture (REP-118)" if encoding in DEPTH else "which names no colours that are known here"
+    known = ", ".join([*ENCODINGS, *AS_OPENCV, *BAYER, *YUV_422, *PLANES])
+    return ImageError(f"{what} {encoding!r}, {why}; wanted one of {known}")
+
+
+def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
+    """RGB ``(H, W, 3)`` of a Bayer mosaic ``(H, W)`` uint8, whose first two by two are `pattern`; bilinear."""
+    if min(mosaic.shape) > 2 and find_spec("cv2") is not None:
+        import cv2
+
+        return cv2.cvtColor(np.ascontiguousarray(mosaic), getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
+    from scipy.ndimage import convolve
+
+    rows, columns = (np.arange(side) % 2 for side in mosaic.shape)
+    sites, planes = np.array([*pattern])[np.add.outer(2 * rows, columns)], []
+    for colour, corner in zip("rgb", (1.0, 0.0, 1.0), strict=True):
+        near = np.array([[corner, 2, corner], [2, 4, 2], [corner, 2, corner]], np.float32)
+        total, seen = (
+            convolve(np.where(sites == colour, values, 0).astype(np.float32), near, mode="constant")
+            for values in (mosaic, 1)
+        )
+        planes.append(total / seen.clip(1.0))
+    return np.rint(np.stack(planes, axis=-1)).clip(0, 255).astype(np.uint8)
 
 
 def _rows(received: Any, size: int) -> np.ndarray:
@@ -204,14 +234,30 @@ def _of_yuv(y: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _decoded(received: Any) -> np.ndarray:
-    data = bytes(memoryview(received.data).cast("B"))
+    """By compressed_image_transport's format, such as "bayer_rggb8; png compressed ", or only "jpeg"."""
+    told, data = received.format, bytes(memoryview(received.data).cast("B"))
+    encoding = "compressedDepth" if "compressedDepth" in told else told.partition(";")[0].strip()
+    if encoding in DEPTH or (encoding not in AS_OPENCV and re.fullmatch(r"\d+[USF]C\d*", encoding)):
+        raise _refused("a CompressedImage has the format", encoding)
     try:
-        return read_image(io.BytesIO(data), len(data))
+        picture = read_image(io.BytesIO(data), len(data))
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
         raise ImageError(
-            f"a CompressedImage of {len(data)} bytes, which says that its format is {received.format!r}, cannot be "
+            f"a CompressedImage of {len(data)} bytes, which says that its format is {told!r}, cannot be "
             f"decoded ({error}); wanted jpeg or png"
         ) from error
+    if encoding in BAYER and (picture == picture[..., :1]).all():  # else it was demosaiced before it was compressed
+        return _demosaiced(picture[..., 0], BAYER[encoding])
+    return np.ascontiguousarray(picture[..., ::-1]) if _is_swapped(told) else picture
+
+
+def _is_swapped(told: str) -> bool:
+    """Whether a format says that the values of a picture in colour lie in the order R, G, B, where OpenCV has B, G, R.
+
+    As compressed_subscriber.cpp has it; compressed_publisher.cpp writes "compressed bgr8".
+    """
+    encoding, found, how = told.partition(";")
+    return bool(found) and encoding[:3] in ("rgb", "bgr") and encoding in ENCODINGS and "compressed bgr" not in how
 
 
 # --- motion ---
@@ -229,50 +275,26 @@ def quaternion(rotation: np.ndarray) -> Any:
     return message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
 
-def point(values: Any) -> Any:
-    """A geometry_msgs/Point."""
-    x, y, z = (float(value) for value in values)
-    return message("geometry_msgs/msg/Point", x=x, y=y, z=z)
-
-
-def pose_part(rotation: np.ndarray, position: Any = (0, 0, 0)) -> Any:
-    """A geometry_msgs/Pose."""
-    return message("geometry_msgs/msg/Pose", position=point(position), orientation=quaternion(rotation))
-
-
 def vector_message(values: Any, stamp: float, frame: str) -> Any:
     """A geometry_msgs/Vector3Stamped."""
     return message(VECTOR, header=header(stamp, frame), vector=vector(values))
 
 
-def pose_message(pose: Pose, frame: str = "odom") -> Any:
-    """A geometry_msgs/PoseStamped; a pose without a position is at the origin."""
-    return message(POSE, header=header(pose.stamp, frame), pose=pose_part(pose.world_R_body, _place(pose)))
+def pose_part(pose: Pose) -> Any:
+    """A geometry_msgs/Pose; a pose without a position is at the origin."""
+    x, y, z = (0.0, 0.0, 0.0) if pose.position is None else map(float, pose.position)
+    point = message("geometry_msgs/msg/Point", x=x, y=y, z=z)
+    return message("geometry_msgs/msg/Pose", position=point, orientation=quaternion(pose.world_R_body))
 
 
 def odometry_message(
     pose: Pose, frame: str = "odom", child: str = "base_link", *, velocity: Any = (0, 0, 0), turning: Any = (0, 0, 0)
 ) -> Any:
     """A nav_msgs/Odometry; `velocity` m/s and `turning` rad/s in the axes of the body."""
-    spread = np.zeros(36)
-    with_spread = message(
-        "geometry_msgs/msg/PoseWithCovariance", pose=pose_part(pose.world_R_body, _place(pose)), covariance=spread
-    )
+    placed = message("geometry_msgs/msg/PoseWithCovariance", pose=pose_part(pose), covariance=np.zeros(36))
     twist = message("geometry_msgs/msg/Twist", linear=vector(velocity), angular=vector(turning))
-    moving = message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=spread.copy())
-    return message(
-        ODOMETRY, header=header(pose.stamp, frame), child_frame_id=child, pose=with_spread, twist=moving
-    )  # fmt: skip
-
-
-def imu_message(pose: Pose, frame: str = "imu_link", *, turning: Any = (0, 0, 0), felt: Any = (0, 0, 9.81)) -> Any:
-    """A sensor_msgs/Imu; `turning` rad/s, `felt` acceleration m/s2, in the axes of the body."""
-    unknown = np.zeros(9)
-    return message(
-        IMU, header=header(pose.stamp, frame), orientation=quaternion(pose.world_R_body),
-        orientation_covariance=unknown, angular_velocity=vector(turning), angular_velocity_covariance=unknown.copy(),
-        linear_acceleration=vector(felt), linear_acceleration_covariance=unknown.copy(),
-    )  # fmt: skip
+    moving = message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+    return message(ODOMETRY, header=header(pose.stamp, frame), child_frame_id=child, pose=placed, twist=moving)
 
 
 def transform_message(stamp: float, parent: str, child: str, rotation: np.ndarray, translation: Any = (0, 0, 0)) -> Any:
@@ -294,7 +316,13 @@ def text_message(text: str) -> Any:
 
 
 def pose_of(received: Any) -> Pose:
-    """The pose of an Odometry, a PoseStamped or an Imu (which has no position). Raises `PoseError`."""
+    """The pose of an Odometry, a PoseStamped, one with covariance, a TransformStamped, or an Imu (without a position).
+
+    Raises `PoseError`.
+    """
+    if hasattr(received, "transform"):
+        inner = received.transform
+        return Pose(stamp_of(received), rotation_of(inner.rotation), triple(inner.translation))
     if hasattr(received, "orientation_covariance"):
         if received.orientation_covariance[0] == -1:  # sensor_msgs/Imu: there is no orientation
             raise PoseError("an Imu says that it has no orientation; wanted one that has, or odometry")
@@ -325,10 +353,6 @@ def triple(place: Any) -> np.ndarray:
             f"a position is {values.tolist()}; wanted finite metres, each within {FARTHEST:g} of the origin"
         )
     return values
-
-
-def _place(pose: Pose) -> Any:
-    return (0, 0, 0) if pose.position is None else pose.position
 
 
 # --- types, and bytes of DDS ---

@@ -7,6 +7,7 @@ other, ``/tf_static`` tells how.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,8 +21,8 @@ from eagor.media.intrinsics import Camera, Told, ordinary_grid, rig_of_info
 from eagor.media.panorama import is_whole
 from eagor.media.rig_videos import makers
 from eagor.media.rigs import Rig, sizes_of
-from eagor.media.ros_frames import IDENTITY, TransformTree, optical
-from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of
+from eagor.media.ros_frames import BODY, IDENTITY, TransformTree, contradiction, optical
+from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
 
 __all__ = [
     "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "lens_told",
@@ -103,6 +104,9 @@ class TopicPictures:
         placed: Callable[[Sequence[str]], Sequence[np.ndarray]],
     ) -> None:
         pictures = [panorama_of(each) for each in firsts]
+        for topic, each in zip(topics, firsts, strict=True):
+            if (how := taken_as(each)) is not None:
+                warnings.warn(f"{topic}: {how}", UserWarning, stacklevel=3)
         self._sizes, rig = sizes_of(pictures), lenses.rig
         infos = topics_of(lenses.info, OPTION)
         if lenses.info is not None and len(infos) != len(topics):
@@ -230,7 +234,10 @@ def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
 
 
 def placed(tree: TransformTree, frames: Sequence[str]) -> list[np.ndarray]:
-    """As `placed_in_bag`, of what a tree knows. Raises `FormatError`."""
+    """As `placed_in_bag`, of what a tree knows; a name that contradicts a mount is a `UserWarning`.
+
+    Raises `FormatError`.
+    """
     own, found = optical(frames[0]), []
     for frame in frames:
         between = tree.at(frames[0], frame, 0.0) if frame != frames[0] else IDENTITY
@@ -239,5 +246,8 @@ def placed(tree: TransformTree, frames: Sequence[str]) -> list[np.ndarray]:
                 f"{TF_STATIC} does not tell where {frame} is in {frames[0]}; cameras of a rig are fixed to each other: "
                 "publish it (robot_state_publisher, static_transform_publisher), or give all lenses in a rig's file"
             )
+        on_body = tree.at(BODY, frame, 0.0)
+        if on_body is not None and (told := contradiction(frame, on_body[0])) is not None:
+            warnings.warn(told, UserWarning, stacklevel=2)
         found.append(own.T @ between[0] @ optical(frame))
     return found
