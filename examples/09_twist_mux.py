@@ -1,7 +1,8 @@
 """Walk a ROS 2 base to the thing that `eagor ros` answers about. It needs rclpy, and runs until Ctrl-C.
 
-What is learnt: velocities go through twist_mux, and stop with the answers. twist_mux passes on what has the highest priority and is not older than its timeout, so a joystick or a lock in its
-configuration always wins. This node sends nothing while an answer is old: the base then stops by twist_mux's timeout.
+What is learnt: velocities go through twist_mux, and stop with the answers. twist_mux passes on what has the highest
+priority and is not older than its timeout, so a joystick or a lock in its configuration always wins. This node sends
+nothing while an answer is old: the base then stops by twist_mux's timeout.
 
     topics:
       eagor: {topic: eagor_vel, timeout: 0.3, priority: 10}
