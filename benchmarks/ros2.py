@@ -1,6 +1,6 @@
 """The node among real ROS 2 nodes: how often, how late and how far off its answers are, and what it costs.
 
-A robot turns beside a red ball, and publishes pictures and odometry (``tests/ros_peer.py``); the node and a listener are
+A robot turns beside a red ball, and publishes pictures and odometry (``tests/ros_peer.py``); node and listener are
 processes of their own on this machine. ``python benchmarks/ros2.py`` takes four minutes; it needs rclpy.
 """
 

@@ -264,6 +264,40 @@ def test_what_cannot_be_is_said_at_once(domain, arguments, said):
     assert said in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("now", "text", "after"),
+    [
+        (["a"], "red chair", ["red chair"]),
+        (["a"], " red chair ;blue ball\n", ["red chair", "blue ball"]),
+        (["a"], "+blue ball", ["a", "blue ball"]),
+        (["a", "b"], "-a; +c", ["b", "c"]),
+        (["a", "b"], "-a; c", ["c"]),
+        (["a"], "", []),
+        (["a"], "a;a", ["a"]),
+        ([], ";".join(f"thing {n}" for n in range(20)), [f"thing {n}" for n in range(16)]),
+    ],
+)
+def test_what_a_message_changes(now, text, after):
+    from eagor.robots.ros.node import queries_after
+
+    assert queries_after(now, text) == after
+
+
+@pytest.mark.parametrize(
+    ("queries", "found"),
+    [
+        (["a", "Blue  ball!"], ["~", "~/blue_ball"]),
+        (["a", "blue ball", "blue-ball"], ["~", "~/blue_ball", "~/query_3"]),
+        (["a", "红", "2 chairs"], ["~", "~/query_2", "~/query_3"]),
+        (["a", "query 3", "!"], ["~", "~/query_3", "~/query_4"]),
+    ],
+)
+def test_no_two_queries_share_a_topic(queries, found):
+    from eagor.robots.ros.node import spaces
+
+    assert spaces(queries) == found
+
+
 @pytest.mark.parametrize("kind", ["odom", "pose", "pose_with_covariance", "imu"])
 def test_poses_of_each_kind(start, kind):
     from eagor.robots.ros import RosPoses

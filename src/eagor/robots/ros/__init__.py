@@ -48,7 +48,6 @@ PARAMETERS: Mapping[str, tuple[Any, str]] = {
     "calibration": ("", "a file from eagor calibrate"),
     "detector": ("", "how well the detector does, as --detector of other commands"),
     "static": (False, "things never move"),
-    "record": ("", "a new folder for a bag of all that happens"),
     "autostart": (True, "configure and activate by itself"),
 }
 

@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, count, pairwise
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -250,7 +249,7 @@ class EagorNode(LifecycleNode):
             self.loop = LiveLoop(
                 already_open(first, camera), spec.perception, queries, config=spec.config, rate=values["rate"],
                 poses=poses if isinstance(source, tuple) else source, patience=values["patience"], clock=self.ears,
-                record=Path(values["record"]) / str(time.time_ns()) if values["record"] else None, watchers=[self],
+                watchers=[self],
             )  # fmt: skip
         except BaseException:
             first.close()

@@ -20,12 +20,16 @@ from uuid import uuid4
 import numpy as np
 import rclpy
 from rclpy.context import Context
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+
+try:
+    from rclpy.event_handler import SubscriptionEventCallbacks
+except ImportError:  # Humble
+    from rclpy.qos_event import SubscriptionEventCallbacks  # type: ignore[import-not-found, no-redef]
 
 from eagor.errors import DeviceError, EagorError
 from eagor.live.threads import LoopClock
@@ -85,7 +89,7 @@ class Ears(LoopClock):
             raise DeviceError(f"{topic!r} is no name of a topic: {error}") from error
 
     def subscribe(self, kind: str, topic: str, heard: Callable[[Any], Any], qos: QoSProfile, **more: Any) -> Any:
-        """Call `heard` with each message of a `kind` such as "sensor_msgs/msg/Image"."""
+        """Call `heard` with each message of a `kind` such as "sensor_msgs/msg/Image", while `news` is held."""
         package, _, name = kind.partition("/msg/")
 
         def received(message: Any) -> None:
@@ -93,9 +97,8 @@ class Ears(LoopClock):
                 heard(message)
                 self.news.notify_all()
 
-        return self.node.create_subscription(
-            getattr(import_module(f"{package}.msg"), name), topic, received, qos, **more
-        )
+        types = import_module(f"{package}.msg")
+        return self.node.create_subscription(getattr(types, name), topic, received, qos, **more)
 
     def offered(self, topic: str, kinds: Collection[str]) -> tuple[str, QoSProfile]:
         """The type of a `topic`, one of `kinds`, and how to read it. Raises `DeviceError` if nobody publishes it."""
