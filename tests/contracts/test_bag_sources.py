@@ -79,7 +79,8 @@ def test_odometry_is_preferred_and_what_is_missing_is_said(bag):
     poses = BagPoses(bag, "/imu/data", camera="x3_link")  # no transform leads to imu_link
     list(poses)
     assert (
-        poses.problem == "/tf_static and /tf do not tell where x3_link is in imu_link: its axes are taken for the same"
+        poses.problem
+        == "/tf_static and /tf do not tell where x3_link is in imu_link: the camera is taken to look ahead along it"
     )
 
 
@@ -202,7 +203,7 @@ def test_poses_before_the_mount_is_known_are_left_out(tmp_path):
     lost = BagPoses(tmp_path / "bag", "/tf", camera="nowhere")
     assert len(list(lost)) == 20
     assert lost.problem == (
-        "/tf and /tf_static do not tell where nowhere is: its axes are taken for those of base_link"
+        "/tf and /tf_static do not tell where nowhere is: it is taken to look ahead along base_link"
     )  # fmt: skip
     live = PoseReader("/tf", m.TRANSFORMS, camera="neck", strict=True)
     assert live.transforms(tf(1.0, "odom", "base_link", 0.0, (0, 0, 0)), False) == []

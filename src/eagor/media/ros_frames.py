@@ -254,7 +254,7 @@ class PoseReader:
         rewinds: bool = False,
     ) -> None:
         self.topic, self.kind = topic, kind
-        self.camera, self.body, self.world, self.strict = camera, body, world, strict
+        self.camera, self.body, self.world, self.strict = camera and _named(camera), _named(body), world, strict
         self.rewinds = rewinds
         self.problem = self._unnamed = unnamed(body) if camera == "" else None
         self.tree = TransformTree()
@@ -297,7 +297,7 @@ class PoseReader:
         if self.camera is None:
             return np.eye(3)
         found = self.tree.at(self._base(), self.camera, stamp)
-        return (np.eye(3) if found is None else found[0]) @ optical(self.camera)
+        return np.eye(3) if found is None else found[0] @ optical(self.camera)
 
     def _base(self) -> str:
         """The frame of the body, by the name that it has here."""
@@ -326,7 +326,8 @@ class PoseReader:
         if target in (source, "") or not source:
             found: Transform | None = IDENTITY
         else:
-            known = source if source in self.tree.frames else self.body  # base_footprint, where only base_link is told
+            untold = self.kind == ODOMETRY and source not in self.tree.frames  # base_footprint, where base_link is
+            known = self.body if untold else source
             found = self.tree.at(known, target, stamp)
         self.problem = self._unnamed
         if found is None:
@@ -334,10 +335,10 @@ class PoseReader:
             if self.strict:
                 return None
             if self.camera:
-                self.problem += ": its axes are taken for the same"
+                self.problem += ": the camera is taken to look ahead along it"
             else:
                 self.problem = self._unnamed  # the body is what the odometry tells of
-            found = IDENTITY
+            return IDENTITY
         return found[0] @ optical(target), found[1]
 
     def _of_tree(self) -> list[Pose]:
@@ -348,7 +349,7 @@ class PoseReader:
             if self.strict:
                 self.problem = unknown
                 return []
-            target, unknown = self.body, f"{unknown}: its axes are taken for those of {self.body}"
+            target, unknown = self.body, f"{unknown}: it is taken to look ahead along {self.body}"
         world = self.world or next((w for w in WORLDS if self.tree.between(w, target)), None) or self.tree.root(target)
         moving = self.tree.moving(world, target)
         if not moving:

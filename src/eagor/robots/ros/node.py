@@ -28,6 +28,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
+from rclpy.utilities import try_shutdown
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -115,7 +116,7 @@ class EagorNode(LifecycleNode):
         except EagorError as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        self.base, self.ears = values["base_frame"], Ears(self, ended=self.stopping.is_set)
+        self.base, self.ears = values["base_frame"].lstrip("/"), Ears(self, ended=self.stopping.is_set)
         self.create_subscription(String, "~/query", self.asked, 10)
         self.add_on_set_parameters_callback(self.on_set)
         back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
@@ -180,7 +181,7 @@ class EagorNode(LifecycleNode):
         try:
             for each in parameters:
                 if each.name == "queries":
-                    self.follow(each.value)
+                    self.follow(each.value or "")
                 elif each.name in PARAMETERS and self.thread is not None and self.thread.is_alive():
                     raise DeviceError(f"{each.name} is read when the node is activated: deactivate it first")
         except EagorError as error:
@@ -237,15 +238,16 @@ class EagorNode(LifecycleNode):
 
         def poses() -> RosPoses:
             world = values["world_frame"] or None
-            how = {"kinds": (source[1],), "camera": self.frame, "body": self.base, "world": world}
+            how = {"kinds": (source[1],), "camera": named, "body": self.base, "world": world}
             found = RosPoses(source[0], ears=self.ears, **how)
             self.reader = found.reader
             return found
 
         first, source = camera(), SOURCES[values["pose_source"]]
         try:
-            self.frame, self.pose, self.picture, self.reader = first.frame or self.base, None, 0.0, None
-            self.place_camera(values)
+            self.pose, self.picture, self.reader = None, 0.0, None
+            named = self.place_camera(values, first.frame)
+            self.placed = self.ears.placed(self.base, self.frame)
             self.loop = LiveLoop(
                 already_open(first, camera), spec.perception, queries, config=spec.config, rate=values["rate"],
                 poses=poses if isinstance(source, tuple) else source, patience=values["patience"], clock=self.ears,
@@ -259,9 +261,12 @@ class EagorNode(LifecycleNode):
             self.loop.stop()
         self.loop.run(self.answered)
 
-    def place_camera(self, values: Mapping[str, Any]) -> None:
-        """Put the mount of the parameters among the transforms, or say that nothing tells it."""
-        if not np.isnan(values["mount_xyz"]).any():
+    def place_camera(self, values: Mapping[str, Any], frame: str | None) -> str | None:
+        """The camera's frame as its poses are to have it; the mount of the parameters is put among the transforms."""
+        mounted = not np.isnan(values["mount_xyz"]).any()
+        named = frame if frame is None else frame.lstrip("/") or ("camera" if mounted else "")
+        self.frame = named or self.base
+        if mounted:
             roll, pitch, yaw = np.radians(values["mount_rpy_deg"])
             told = TransformStamped(header=Header(frame_id=self.base), child_frame_id=self.frame)
             told.transform.translation = numbers(Vector3, values["mount_xyz"])
@@ -270,9 +275,10 @@ class EagorNode(LifecycleNode):
                 self.ears.tree.add(SimpleNamespace(transforms=[told]), True)
         elif self.frame != self.base and not self.ears.has_transforms:
             self.get_logger().warning(
-                f"tf2_msgs is not installed, so nothing tells where {self.frame} is on {self.base}: its axes are taken "
-                "for the same; set mount_xyz and mount_rpy_deg"
+                f"tf2_msgs is not installed, so nothing tells where {self.frame} is on {self.base}: it is taken to "
+                "look ahead along it; set mount_xyz and mount_rpy_deg"
             )
+        return named
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """As a watcher of the loop."""
@@ -288,9 +294,13 @@ class EagorNode(LifecycleNode):
 
     def answered(self, answer: Answer) -> None:
         """Publish it as of the newest pose, so that who has the transforms of the inputs has the one for it."""
+        assert self.loop is not None
         queries, pose, estimate = list(self.loop.core.queries), self.pose, answer.estimate
         stamp = self.picture if pose is None else pose.stamp
         nanoseconds = self.ears.stamps.get(stamp, round(stamp * NANO)) or round(answer.stamp * NANO)
+        if self.ears.placed(self.base, self.frame) != self.placed:  # all before was told in other axes
+            self.begin_anew()
+            return
         turn, place = self.ears.mount(self.base, self.frame, stamp)
         camera = estimate.world_R_body if pose is None else pose.world_R_body
         between = 0.0 if self.reader is None else self.reader.turning.midway
@@ -399,7 +409,7 @@ def run(setup: Callable[[Mapping[str, Any], Sequence[str]], Setup], args: Sequen
         rclpy.init(args=["eagor", *args])
         node = EagorNode(setup)
     except Exception as error:  # rclpy has no common class for what it refuses
-        rclpy.try_shutdown()
+        try_shutdown()
         raise DeviceError(f"{' '.join(args)}: {error}") from error
     try:
         if node.values()["autostart"]:
@@ -407,10 +417,11 @@ def run(setup: Callable[[Mapping[str, Any], Sequence[str]], Setup], args: Sequen
                 return False
             node.trigger_activate()
         rclpy.spin(node)
-    except ExternalShutdownException:
-        pass
+    except (ExternalShutdownException, RuntimeError):  # rclpy may be in the midst of waiting when it is shut down
+        if rclpy.ok():
+            raise
     finally:
         node.halt()
         node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
     return True

@@ -45,7 +45,7 @@ __all__ = ["Ears", "RosCamera", "RosPoses"]
 FIRST = 10.0  # seconds in which a publisher, and the first message, have to come
 SETTLING = 2.0  # seconds in which a CameraInfo, or a transform that was told before, has to come
 LEASE = 30.0  # seconds that one who has died without a word may still be counted among the publishers
-KEPT = 4000  # poses that wait to be taken, and stamps that are known to the nanosecond
+KEPT = 20_000  # poses that wait to be taken, and stamps that are known to the nanosecond
 
 
 class Ears(LoopClock):
@@ -140,11 +140,16 @@ class Ears(LoopClock):
         while len(self.stamps) > KEPT:
             del self.stamps[next(iter(self.stamps))]
 
+    def placed(self, body: str, camera: str) -> bool:
+        """Whether anything tells where the camera is on the body."""
+        with self.news:
+            return camera == body or self.tree.between(body, camera) is not None
+
     def mount(self, body: str, camera: str, stamp: float) -> Transform:
         """Where the camera's axes (x ahead) are on the body; those of the body if nothing tells."""
         with self.news:
             found = None if camera == body else self.tree.at(body, camera, stamp)
-        return (IDENTITY if found is None else found)[0] @ optical(camera), (found or IDENTITY)[1]
+        return IDENTITY if found is None else (found[0] @ optical(camera), found[1])
 
 
 class TopicSource:
@@ -153,8 +158,8 @@ class TopicSource:
     live = True
 
     def __init__(self, ears: Ears | None) -> None:
-        self._own = Ears() if ears is None else None
-        self._ears, self._closed, self._readers = ears or self._own, False, list[Any]()
+        self._ears, self._own = Ears() if ears is None else ears, ears is None
+        self._closed, self._readers = False, list[Any]()
 
     def close(self) -> None:
         with self._ears.news:
@@ -162,8 +167,8 @@ class TopicSource:
             self._ears.news.notify_all()
         while self._readers:
             self._ears.node.destroy_subscription(self._readers.pop())
-        if self._own is not None:
-            self._own.close()
+        if self._own:
+            self._ears.close()
 
 
 class RosCamera(TopicSource):
@@ -306,10 +311,11 @@ class RosPoses(TopicSource):
             self.kind, qos = self._ears.offered(self.topic, kinds)
             if self.kind == TRANSFORMS and not self._ears.has_transforms:
                 raise DeviceError(f"{self.topic} needs tf2_msgs, which no wheel has: source a ROS installation")
-            self.reader = PoseReader(self.topic, self.kind, camera=camera, body=body, world=world, rewinds=True)
+            how = {"strict": self.kind == TRANSFORMS, "rewinds": True}
+            self.reader = PoseReader(self.topic, self.kind, camera=camera, body=body, world=world, **how)
             self.reader.tree = self._ears.tree
-            if camera and self._ears.node.count_publishers(TF_STATIC):  # poses before it would be the body's
-                self._ears.wait(lambda: camera in self._ears.tree.frames, SETTLING)
+            if camera and self._ears.has_transforms:  # poses before those of the camera would be the body's
+                self._ears.wait(lambda: self._ears.placed(self.reader.body, camera), SETTLING)
             self._ears.taker = self._moved
             if self.kind != TRANSFORMS:
                 qos.depth = 100
@@ -342,7 +348,9 @@ class RosPoses(TopicSource):
         super().close()
 
     def _moved(self, message: Any, fixed: bool) -> None:
-        self._take(self.reader.transforms(message, fixed), [each.header.stamp for each in message.transforms])
+        for each in message.transforms:  # the pose will have the stamp of one of them, or of one before
+            self._ears.remember(seconds(each.header.stamp), each.header.stamp)
+        self._poses.extend(self.reader.transforms(message, fixed))
 
     def _received(self, message: Any) -> None:
         now = time.monotonic()
@@ -352,15 +360,9 @@ class RosPoses(TopicSource):
             if now > self._alone + LEASE:
                 self._error = DeviceError(f"{writers} publishers write {self.topic}: stop all but one, or remap it")
         try:
-            self._take(self.reader.take(message), [message.header.stamp])
+            self._ears.remember(seconds(message.header.stamp), message.header.stamp)
+            self._poses.extend(self.reader.take(message))
         except DeviceError as error:
             self._error = error
         except EagorError as error:
             self._ears.node.get_logger().warning(f"{self.topic}: a pose is left out: {error}", once=True)
-
-    def _take(self, poses: Sequence[Pose], stamps: Sequence[Any]) -> None:
-        for pose in poses:
-            self._poses.append(pose)
-            for stamp in stamps:
-                if seconds(stamp) == pose.stamp:
-                    self._ears.remember(pose.stamp, stamp)
