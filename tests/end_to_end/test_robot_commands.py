@@ -16,15 +16,14 @@ from dataclasses import replace
 from itertools import pairwise, takewhile
 from pathlib import Path
 
-import numpy as np
 import pytest
 from commands import eagor
 from processes import alive, sessions_of, wait_for
 
-from eagor.robots.dds import Link, free_domain
-from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim_wire import Go2Server, WireSettings
+from eagor.robots.dds import Link, free_domain, raw
+from eagor.robots.go2.sim import LiveGo2, SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
+from eagor.robots.go2.state import SportModeState, sport_state
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -92,30 +91,49 @@ def test_a_simulated_robot_ends_by_itself_and_says_what_happened():
 
 
 def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
-    domain = free_domain()
-    wire = WireSettings(short=True, battery=9, clock_offset=-777.0)
+    domain, settings = free_domain(), SimSettings(None, short=True, battery=9, clock_offset=-777.0)
+    with LiveGo2(SimulatedGo2(settings), domain) as robot, Link(domain, "lo") as link:
+        robot.error_code = 1001
+        link.publish("rt/sportmodestate", raw(SportModeState))
+        done = check(domain, "--seconds", 1.5)
+        assert done.returncode == 1, done.stderr
+        assert "states of 236 bytes, without a planned path" in done.stdout
+        behind = re.search(r"([\d.]+) s behind this machine's", done.stdout)
+        assert behind is not None, done.stdout
+        assert 770 < float(behind[1]) < 800  # less the time that messages take
+        assert "problem: the robot reports error 1001" in done.stdout
+        assert "problem: the battery is at 9 %: charge it" in done.stdout
+        assert "2 publish rt/sportmodestate" in done.stdout
+        assert done.stdout.endswith("it cannot be used like this\n")
+        assert [*robot.requests] == []  # nothing was moved
+
+
+def test_a_robot_that_has_not_told_its_orientation_is_said_so():
+    domain, ended = free_domain(), threading.Event()
     with Link(domain, "lo") as link:
-        servers = [Go2Server(Plant(PlantSettings(), np.random.default_rng(k)), link, wire) for k in range(2)]
-        servers[0].error_code = 1001
-        with servers[0]:
-            done = check(domain, "--seconds", 1.5)
-            assert done.returncode == 1, done.stderr
-            assert "states of 236 bytes, without a planned path" in done.stdout
-            behind = re.search(r"([\d.]+) s behind this machine's", done.stdout)
-            assert behind is not None, done.stdout
-            assert 770 < float(behind[1]) < 800  # less the time that messages take
-            assert "problem: the robot reports error 1001" in done.stdout
-            assert "problem: the battery is at 9 %: charge it" in done.stdout
-            assert "2 publish rt/sportmodestate" in done.stdout
-            assert done.stdout.endswith("it cannot be used like this\n")
-            assert servers[0].requests == []  # nothing was moved
-        servers[1].close()
+        kind = raw(SportModeState)
+        writer = link.publish("rt/sportmodestate", kind)
+
+        def tell():
+            while not ended.wait(0.01):
+                writer.write(kind(sport_state(time.time(), (0.0, 0.0, 0.0, 0.0))))
+
+        thread = threading.Thread(target=tell)
+        thread.start()
+        try:
+            done = check(domain, "--seconds", 1)
+        finally:
+            ended.set()
+            thread.join()
+    assert done.returncode == 1
+    assert "but the robot has not told its orientation yet (its quaternion is [0, 0, 0, 0], which is" in done.stdout
+    assert "firmware is newer" not in done.stdout
 
 
 @pytest.mark.slow
 def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
     domain = free_domain()
-    with Link(domain, "lo") as link, Go2Server(Plant(PlantSettings(), np.random.default_rng(1)), link) as server:
+    with LiveGo2(SimulatedGo2(SimSettings(None)), domain) as server:
         walks = {"which": 0.0}
         ended = threading.Event()
 
@@ -159,7 +177,6 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
         (("sim", "--target", "elephant"), "names nothing known here"),
         (("sim", "--rows", "33"), "rows = 33; wanted an even number"),
         (("sim", "--speed", "9"), "--speed 9: wanted 0 to 3"),
-        (("sim", "--drop", "2"), "drop = 2.0; wanted a share"),
         (("walk",), "unknown command 'walk'; wanted"),
     ],
 )
@@ -227,9 +244,8 @@ def test_nobody_there_is_said():
 
 def test_a_taken_domain_is_refused():
     domain = free_domain()
-    with Link(domain, "lo") as link, Go2Server(Plant(PlantSettings(), np.random.default_rng(0)), link):
-        time.sleep(0.1)
+    with LiveGo2(SimulatedGo2(SimSettings(None)), domain):
         done = eagor("robot", "sim", "--domain", domain, "--camera", "none", "--seconds", 1)
     assert done.returncode == 2
-    assert f"a robot already speaks on DDS domain {domain} on lo" in done.stderr
+    assert f"a robot already speaks on DDS domain {domain}, lo" in done.stderr
     assert "take another --domain" in done.stderr
