@@ -13,6 +13,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise, takewhile
 from pathlib import Path
 
@@ -188,26 +189,22 @@ def test_wrong_usage_is_one_line(words, said):
     assert said in errors[0]
 
 
-def commands_of_the_page():
-    """The first command of the page, which starts a robot, and the others, which need nothing else."""
-    parts = PAGE.read_text(encoding="utf-8").split("```sh\n")
-    lines = [part.split("```")[0].strip() for before, part in pairwise(parts) if "*Needs" not in before[-40:]]
-    return [shlex.split(line) for line in lines]
+def blocks_of_the_page(language, needs):
+    """The blocks of the page in a language whose line before says what they need, or has none."""
+    parts = PAGE.read_text(encoding="utf-8").split(f"```{language}\n")
+    return [part.split("```")[0].strip() for before, part in pairwise(parts) if needs in before[-60:]]
 
 
 def test_the_page_about_the_go2_begins_with_safety():
     text = PAGE.read_text(encoding="utf-8")
     assert 0 < text.index("(robot-safety.md)") < text.index("```sh")
-    assert [words[:3] for words in commands_of_the_page()] == [
-        ["eagor", "robot", "sim"], ["eagor", "robot", "check"], ["eagor", "live", "ros:/x3/image/compressed"],
-    ]  # fmt: skip
 
 
-@pytest.mark.slow  # its three commands are tried by themselves, too
-def test_the_page_about_the_go2_runs_as_written():
-    first, *others = commands_of_the_page()
+@pytest.mark.slow
+def test_the_page_about_the_go2_runs_as_written(tmp_path):
+    start, look = (shlex.split(line) for line in blocks_of_the_page("sh", "\n\n")[:2])
     alone = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
-    command = [sys.executable, "-m", *first]
+    command = [sys.executable, "-m", *start]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=alone, start_new_session=True
     ) as robot:
@@ -215,19 +212,16 @@ def test_the_page_about_the_go2_runs_as_written():
             assert robot.stdout is not None
             said = list(takewhile(lambda line: line != "end it with Ctrl-C\n", robot.stdout))
             assert any("green sofa" in line for line in said)
-            for words in others:
-                for _ in range(4):  # on a busy machine nothing is looked at within so few seconds
-                    done = subprocess.run(
-                        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=300, env=alone
-                    )
-                    if "nothing was looked at" not in done.stderr:
-                        break
-                busy = words[2] == "check" and "processor" in done.stdout  # this machine, not the robot
-                assert done.returncode == (1 if busy else 0), (words, done.stdout, done.stderr)
-                if words[1] == "live":
-                    assert re.search(
-                        r"[1-9]\d* pictures, [1-9]\d* looks, [1-9]\d* poses, [1-9]\d* answers", done.stderr
-                    )
+            run = partial(subprocess.run, capture_output=True, text=True, timeout=300, env=alone, cwd=tmp_path)
+            done = run([sys.executable, "-m", *look])
+            busy = "processor" in done.stdout  # this machine, not the robot
+            assert done.returncode == (1 if busy else 0), (done.stdout, done.stderr)
+            pages = blocks_of_the_page("python", "*Needs the simulated robot")
+            prints = r"-?\d+ degrees to the left\n", r".* m/s standing 0\n(\d+.*\n){3}"
+            for text, printed in zip(pages, prints, strict=True):
+                (tmp_path / "page.py").write_text(text, encoding="utf-8")
+                done = run([sys.executable, "page.py"])
+                assert (done.returncode, re.fullmatch(printed, done.stdout) is not None) == (0, True), done
         finally:
             robot.send_signal(signal.SIGINT)
             _, log = robot.communicate(timeout=300)
