@@ -40,7 +40,7 @@ BALL = 0.25  # metres, radius
 TICK = 0.1  # seconds between the points of a ball's way
 BALL_ID = 1 << 20  # among instances: no scene has as many
 TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
-BEFORE = 0.8  # metres before the target's centre at which the way may end: things fill some floor
+BEFORE = 1.0  # metres before the target's centre at which the way may end: things fill some floor
 
 
 class SimWorld:
