@@ -55,10 +55,10 @@ STARTING, ENDING = 300.0, 10.0  # seconds for the house and its light on a busy 
 class SimSettings:
     """What is simulated: a body `plant` and perhaps a `camera`, in the house `world` of this `seed` (`SimWorld`).
 
-    `world` None: an endless empty floor, without pictures. `target`, `speed`: what it is to find, and if that is a ball,
-    how fast it rolls. `start`: x, y (metres) and heading (radians); None: some metres from the target. `clock_offset`:
-    seconds by which the robot's clock is ahead of this machine's at first; `clock_drift`: seconds per second by which
-    it gains. `short`: states without the planned path. `battery`: per cent at the start.
+    `world` None: an endless empty floor, without pictures. `target`, `speed`: what it is to find, and how fast that
+    rolls if it is a ball. `start`: x, y (metres), heading (radians); None: some metres from the target. The robot's
+    clock is ahead by `clock_offset` seconds at first, and gains `clock_drift` seconds per second. `short`: states
+    without the planned path. `battery`: per cent at the start.
     """
 
     world: str | None = "apartment"
