@@ -118,27 +118,27 @@ def test_the_simulated_go2_stops_in_time_too(simulated, name):
 def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself():
     domain = free_domain()
     with Simulated(domain=domain) as robot:
-        server = robot._robot.server
+        server = robot.server
         guard = Guard(
             armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG, avoid=True
         )
         with guard, Driver(guard) as driver:
             until(lambda: robot.moves)
-            assert all(server._avoid.values())
+            assert all(server.avoid.values())
             walked = [service for service, api_id, _ in server.requests if api_id in (1003, 1008)]
             assert set(walked) == {"obstacles_avoid"}
             begun = time.monotonic()
             driver.wrong = {"presence": 0.1}
             until(lambda: robot.still_since(begun))
             until(lambda: driver.guard.state.mode == "standing")
-        assert not any(server._avoid.values())  # the remote control has its robot back
+        assert not any(server.avoid.values())  # the remote control has its robot back
 
 
 @pytest.mark.slow
 def test_a_guard_that_is_killed_while_the_robot_avoids_obstacles_is_stood_in_for():
     domain = free_domain()
     with Simulated(domain=domain) as robot:
-        server = robot._robot.server
+        server = robot.server
         guard = Guard(
             armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG, avoid=True
         )
@@ -150,7 +150,7 @@ def test_a_guard_that_is_killed_while_the_robot_avoids_obstacles_is_stood_in_for
             last = {service: (api_id, asked) for service, api_id, asked in server.requests}
             assert last["sport"][0] == last["obstacles_avoid"][0] == 1003
             assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
-        assert not any(server._avoid.values())  # the remote control has its robot back
+        assert not any(server.avoid.values())  # the remote control has its robot back
 
 
 def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
