@@ -24,6 +24,7 @@ from eagor.media.topic_pictures import Lenses, TopicPictures, placed_in_bag, tol
 __all__ = ["BagCamera", "BagPoses", "apart", "bag_odometry"]
 
 OPTION = "--image-topic"
+SETTLING = 10.0  # seconds of a bag in which its transforms have to tell where the camera is
 
 
 def apart(rate: float | None) -> float:
@@ -156,9 +157,9 @@ class BagPoses:
     """A `PoseSource` that plays the odometry of a bag; each iteration begins at its start.
 
     `topic`, `camera`, `body`, `world`: as for `PoseReader`. The fixed transforms of the whole bag are known from the
-    beginning; poses before one that moves are left out. Where none tells where the camera is, its axes are taken for
-    those of the messages, which is a `problem`, or (`strict`) an error. `dropped`: messages that hold no pose. Raises
-    `FormatError`, `PoseError`.
+    beginning; poses before one that moves are left out, if it comes within `SETTLING`. Where none tells where the
+    camera is, its axes are taken for those of the messages, which is a `problem`, or (`strict`) an error. `dropped`:
+    messages that hold no pose. Raises `FormatError`, `PoseError`.
     """
 
     live = False
@@ -177,7 +178,7 @@ class BagPoses:
         self.topic, self.kind = pick(self.bag.topics, MOTION, topic, where=str(self.bag.path), option="--odom-topic")
         self._settings: dict[str, Any] = {"camera": camera, "body": body, "world": world}
         self._strict, self._first = strict, ""
-        self.dropped, self._closed = 0, False
+        self.dropped, self._closed, self._came = 0, False, False
         self.reader = self._new_reader(strict)
 
     @property
@@ -187,12 +188,12 @@ class BagPoses:
 
     def __iter__(self) -> Iterator[Pose]:
         told = ""
-        for strict in (True,) if self._strict else (True, False):  # a transform may come after the first poses
-            came = False
+        for strict in (True,) if self._strict else (True, False):
+            self._came = False
             for pose in self._played(strict):
-                came = True
+                self._came = True
                 yield pose
-            if came or self._closed:
+            if self._came or self._closed:
                 return
             told = self.reader.problem or "it has no message"
             if self.dropped:
@@ -200,9 +201,10 @@ class BagPoses:
         raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {told}")
 
     def _played(self, strict: bool) -> Iterator[Pose]:
-        self.reader, self.dropped = self._new_reader(strict), 0
-        for _, topic, _, received in self.bag.messages({self.topic} | ({TF} & self.bag.topics.keys())):
-            if self._closed:
+        self.reader, self.dropped, begun = self._new_reader(strict), 0, math.inf
+        for when, topic, _, received in self.bag.messages({self.topic} | ({TF} & self.bag.topics.keys())):
+            begun = min(begun, when)
+            if self._closed or (strict and not (self._strict or self._came) and when > begun + SETTLING):
                 return
             try:
                 own = topic == self.topic

@@ -1,11 +1,7 @@
-"""ROS 2 messages without ROS: to and from our types, and as the types and bytes that go over DDS.
+"""ROS 2 messages without ROS: to and from our types.
 
 Messages are `rosbags`' dataclasses; those of `rclpy` have the same fields, and are read as well. Quaternions are xyzw,
 frames REP-103 and REP-105, stamps times of capture.
-
-A ROS 2 topic ``/name`` of type ``package/msg/Type`` is the DDS topic ``rt/name`` of type ``package::msg::dds_::Type_``.
-Octets are declared as ``byte``, never as ``uint8`` or ``int8``: these are the same on the wire, but the type
-information of the latter two, as cyclonedds 11 sends it, ends every process with Cyclone 0.10 that meets it (measured).
 """
 
 from __future__ import annotations
@@ -13,7 +9,6 @@ from __future__ import annotations
 import io
 import math
 import re
-import threading
 from collections.abc import Mapping
 from functools import cache
 from importlib.util import find_spec
@@ -23,18 +18,16 @@ import numpy as np
 from PIL import Image
 
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
-from eagor.errors import EagorError, FormatError, ImageError, PoseError, TimeError
+from eagor.errors import EagorError, ImageError, PoseError, TimeError
 from eagor.media import Pose
 from eagor.media.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
-    "CAMERA_INFO", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE",
-    "TEXT", "TRANSFORM", "TRANSFORMS", "VECTOR",
-    "Encoded", "compressed_message", "encoded_type", "hash_of", "header", "image_message", 
-    "message", "odometry_message", "panorama_of", "pose_of", "quaternion", "ros_names",
-    "seconds", "stamp_of", "store", "taken_as", "text_message", "time_message", "topic_name", "transform_message",
-    "transforms_message", "vector", "vector_message",
+    "CAMERA_INFO", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE", "TEXT", "TRANSFORM",
+    "TRANSFORMS", "VECTOR", "compressed_message", "header", "image_message", "message", "odometry_message",
+    "panorama_of", "pose_of", "quaternion", "seconds", "stamp_of", "store", "taken_as", "text_message", "time_message",
+    "transform_message", "transforms_message", "vector", "vector_message",
 ]  # fmt: skip
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -355,113 +348,9 @@ def triple(place: Any) -> np.ndarray:
     return values
 
 
-# --- types, and bytes of DDS ---
-
-
-_BASES = {
-    "bool": bool,
-    "string": str,
-    "float32": "float32", "float64": "float64",
-    "int16": "int16", "int32": "int32", "int64": "int64",
-    "uint16": "uint16", "uint32": "uint32", "uint64": "uint64",
-    "uint8": "byte", "int8": "byte", "byte": "byte", "char": "byte", "octet": "byte",
-}  # fmt: skip
-_NO_MEMBER = "structure_needs_at_least_one_member"  # as ROS 2 names it in an empty message
-_TURN = threading.RLock()
-
-
-class Encoded:
-    """A message as the bytes that are sent; stands in for cyclonedds' own encoding, which takes 50 times as long."""
-
-    __slots__ = ("data", "sample_info")
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-
-    def serialize(self, **_: Any) -> bytes:
-        return self.data
-
-    @classmethod
-    def deserialize(cls, data: bytes, *_: Any, **__: Any) -> Encoded:
-        return cls(bytes(data))
-
-    deserialize_key = deserialize
-
-
 @cache
-def store(newer: bool = False) -> Any:
-    """`rosbags`' types of ROS 2 Humble, which later releases share; `newer`: of Jazzy, for the few that differ."""
+def store() -> Any:
+    """`rosbags`' types of ROS 2 Humble, which later releases share."""
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS2_JAZZY if newer else Stores.ROS2_HUMBLE)
-
-
-def hash_of(name: str) -> bytes:
-    """What an endpoint of this ROS type says in its user data, so that nodes since Iron know the type (REP-2016)."""
-    return f"typehash={store(newer=True).hash_rihs01(name)};".encode()
-
-
-def topic_name(ros_name: str) -> str:
-    """The DDS topic of a ROS 2 topic: "/odom" or "odom" is "rt/odom"; a name that begins with "rt/" stays."""
-    return ros_name if ros_name.startswith("rt/") else "rt/" + ros_name.strip("/")
-
-
-def ros_names(topic: str, kind: str) -> tuple[str, str] | None:
-    """The ROS 2 names of a DDS topic and its type, or None if they are none of ROS: the way back of `topic_name`."""
-    package, _, rest = kind.partition("::msg::dds_::")
-    if not topic.startswith("rt/") or not rest.endswith("_"):
-        return None
-    return topic[2:], f"{package}/msg/{rest[:-1]}"
-
-
-def encoded_type(name: str, newer: bool = False) -> type[Encoded]:
-    """The class to give to cyclonedds for the ROS type `name`, such as "sensor_msgs/msg/Imu" (`newer`: as `store`).
-
-    Raises `FormatError` for a type that is not known.
-    """
-    with _TURN:
-        return _encoded_type(name, newer)
-
-
-@cache
-def _encoded_type(name: str, newer: bool) -> type[Encoded]:
-    struct = _struct(name, newer)
-    return type(struct.__name__, (Encoded,), {"__idl__": struct.__idl__, "__idl_typename__": struct.__idl_typename__})
-
-
-@cache
-def _struct(name: str, newer: bool = False) -> Any:
-    """cyclonedds' class for a ROS type and all that it holds."""
-    from cyclonedds.idl import make_idl_struct
-    from cyclonedds.idl.annotations import final
-    from cyclonedds.idl.types import byte
-
-    if name not in store(newer).fielddefs:
-        raise FormatError(f"{name!r} is no known ROS 2 type; wanted one such as sensor_msgs/msg/Imu")
-    _, members = store(newer).fielddefs[name]
-    package, kind = name.split("/")[0], name.split("/")[-1]
-    fields = {field: _field(about, newer) for field, about in members} or {_NO_MEMBER: byte}
-    return final(make_idl_struct(f"{kind}_", f"{package}.msg.dds_.{kind}_", fields))
-
-
-def _field(about: tuple[Any, Any], newer: bool) -> Any:
-    """cyclonedds' type of a member."""
-    from cyclonedds.idl import types
-    from rosbags.interfaces import Nodetype
-
-    node, value = about
-    if node == Nodetype.NAME:
-        return _struct(value, newer)
-    if node == Nodetype.BASE:
-        kind, limit = value
-        if kind == "string" and limit:
-            return types.bounded_str[limit]
-        try:
-            found = _BASES[kind]
-        except KeyError:
-            raise FormatError(f"members of type {kind} cannot be sent") from None
-        return getattr(types, found) if isinstance(found, str) else found
-    inner, size = value
-    if node == Nodetype.ARRAY:
-        return types.array[_field(inner, newer), size]
-    return types.sequence[_field(inner, newer), size] if size else types.sequence[_field(inner, newer)]
+    return get_typestore(Stores.ROS2_HUMBLE)
