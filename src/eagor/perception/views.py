@@ -441,8 +441,16 @@ def _supervision(found: Any, _: Any) -> _Read:
 
 
 def _ultralytics(found: Any, _: Any) -> _Read:
-    boxes = found.boxes
-    return boxes.xyxy, boxes.conf, boxes.cls, getattr(found, "names", None)
+    boxes = getattr(found, "obb", None) if found.boxes is None else found.boxes
+    if boxes is None:
+        raise ResponseError(
+            "Ultralytics' results came with neither boxes nor oriented boxes (obb), as of a classifier; wanted a detector's"
+        )
+    corners = getattr(boxes, "xyxy", None)  # of oriented boxes: what holds them
+    if corners is None:
+        points = to_numpy(boxes.xyxyxyxy).reshape(-1, 4, 2)
+        corners = np.concatenate([points.min(axis=1), points.max(axis=1)], axis=1)
+    return corners, boxes.conf, boxes.cls, getattr(found, "names", None)
 
 
 def _mapping(found: Mapping[str, Any], _: Any) -> _Read:
@@ -518,7 +526,7 @@ def _reader(found: Any) -> Callable[[Any, Sequence[int] | None], _Read] | None:
         return _mapping if {"boxes", "scores"} <= {*found} else None
     if hasattr(found, "xyxy") and hasattr(found, "confidence"):
         return _supervision
-    if hasattr(found, "boxes") and all(hasattr(found.boxes, name) for name in ("xyxy", "conf", "cls")):
+    if hasattr(found, "boxes") and (hasattr(found, "obb") or hasattr(found.boxes, "conf")):
         return _ultralytics
     if hasattr(found, "detections"):
         return _mediapipe
