@@ -443,9 +443,7 @@ def _supervision(found: Any, _: Any) -> _Read:
 def _ultralytics(found: Any, _: Any) -> _Read:
     boxes = getattr(found, "obb", None) if found.boxes is None else found.boxes
     if boxes is None:
-        raise ResponseError(
-            "Ultralytics' results came with neither boxes nor oriented boxes (obb), as of a classifier; wanted a detector's"
-        )
+        raise ResponseError("Ultralytics' results came with neither boxes nor oriented boxes (obb), as of a classifier")
     corners = getattr(boxes, "xyxy", None)  # of oriented boxes: what holds them
     if corners is None:
         points = to_numpy(boxes.xyxyxyxy).reshape(-1, 4, 2)

@@ -278,6 +278,7 @@ GENERAL = "Write a general description of the image."
 _FRAMES = {
     "pixels": ("in pixels of this image", "100, 150, 220, 310"),
     "thousand": ("as whole numbers from 0 to 1000 of the image's width and height", "100, 150, 220, 310"),
+    "percent": ("as numbers from 0 to 100 of the image's width and height", "10.0, 15.0, 22.0, 31.0"),
     "unit": ("as fractions from 0 to 1 of the image's width and height", "0.10, 0.15, 0.22, 0.31"),
 }
 _KEYS = {"xyxy": ("bbox_2d", "x1, y1, x2, y2"), "yxyx": ("box_2d", "y1, x1, y2, x2")}
@@ -305,7 +306,7 @@ def ask_boxes(query: str, frame: Frame, order: Order = "xyxy") -> str:
 
 def boxes_schema(frame: Frame, order: Order = "xyxy") -> dict[str, Any]:
     """The JSON schema of the answer to `ask_boxes`."""
-    number = {"type": "number"} if frame == "unit" else {"type": "integer"}
+    number = {"type": "number"} if frame in ("percent", "unit") else {"type": "integer"}
     key = _KEYS[order][0]
     entry = {
         "type": "object",
