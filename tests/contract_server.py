@@ -281,6 +281,8 @@ def reddish(request: Request, then: Callable[[str], str] = str) -> Reply:
     for x0, y0, x1, y1 in boxes:
         if "0 to 1000" in request.text:
             x0, y0, x1, y1 = (round(1000 * v / s) for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
+        elif "from 0 to 100 " in request.text:
+            x0, y0, x1, y1 = (100 * v / s for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
         elif "from 0 to 1 " in request.text:
             x0, y0, x1, y1 = (round(v / s, 4) for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
         box = [x0, y0, x1, y1] if "bbox_2d" in request.text else [y0, x0, y1, x1]

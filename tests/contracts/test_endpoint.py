@@ -39,6 +39,9 @@ FAMILIES = {
     "llava": "llava-hf/llava-1.5-7b-hf",
     "janus": "deepseek-community/Janus-Pro-7B",
     "internvl": "OpenGVLab/InternVL3-8B-hf",
+    "gemini": "gemini-2.5-flash",
+    "kimi_vl": "moonshotai/Kimi-VL-A3B-Instruct",
+    "molmo": "allenai/Molmo-7B-D-0924",
     "other": "some-model",
 }
 SIZES = {  # (height, width) of a panorama as it is sent
@@ -48,6 +51,9 @@ SIZES = {  # (height, width) of a panorama as it is sent
     "llava": (336, 336),
     "janus": (384, 384),
     "internvl": (448, 896),
+    "gemini": (672, 1344),
+    "kimi_vl": (700, 1400),
+    "molmo": (700, 1400),
     "other": (700, 1400),
 }
 
@@ -337,7 +343,7 @@ def test_the_evidence_tells_what_produced_it(server):
 
 
 def test_the_only_model_of_a_server_needs_no_name(server):
-    with pytest.raises(QueryError, match="7 models"):
+    with pytest.raises(QueryError, match="10 models"):
         asking(server, "")(ball(0, 0), "red ball")
     server.models = (QWEN,)
     evidence = asking(server, "")(ball(0, 0), "red ball")

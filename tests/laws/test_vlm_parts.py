@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.media.panorama import cut, resized, tangent_views
-from eagor.perception.vlm import GENERAL, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
+from eagor.perception.vlm import GENERAL, SERVED, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
 from eagor.perception.vlm.lenient import values
 from eagor.perception.vlm.projection import drawn, filled, framed, lift
@@ -409,6 +410,15 @@ def test_questions_need_words():
         ("llava:7b", "llava"),
         ("deepseek-community/Janus-Pro-7B", "janus"),
         ("OpenGVLab/InternVL3-8B-hf", "internvl"),
+        ("models/gemini-2.5-pro", "gemini"),
+        ("zai-org/GLM-4.5V", "glm_v"),
+        ("moonshotai/Kimi-VL-A3B-Thinking", "kimi_vl"),
+        ("openbmb/minicpm-v4.5:8b", "minicpm_v"),
+        ("deepseek-ai/deepseek-vl2-tiny", "deepseek_vl2"),
+        ("allenai/Molmo-7B-D-0924", "molmo"),
+        ("vikhyatk/moondream2", "moondream"),
+        ("microsoft/Florence-2-large", "florence2"),
+        ("google/paligemma2-3b-mix-448", "paligemma"),
         ("Qwen/Qwen3-32B", "other"),
         ("gpt-4o", "other"),
         ("", "other"),
@@ -420,6 +430,18 @@ def test_families_are_known_by_name(name, family):
     height, width = exact_size(style.cell, style.pixels, style.aspect)
     assert width == style.aspect * height
     assert exact_size(style.cell, style.view**2, 1.0) == (style.view, style.view)
+
+
+def test_the_page_has_order_unit_and_source_of_every_family():
+    page = Path(__file__).parents[2].joinpath("docs", "models.md").read_text(encoding="utf-8")
+    for each in SERVED:
+        row = f"| `{each.family}` | {ORDERS[each.order]} | {UNITS[each.frame]} | {each.source} |"
+        assert each.source
+        assert row in page, row
+
+
+ORDERS = {"xyxy": "x first", "yxyx": "y first"}
+UNITS = {"pixels": "pixels", "thousand": "0 to 1000", "percent": "0 to 100", "unit": "0 to 1"}
 
 
 # --- sizes -----------------------------------------------------------------------------------------------------------

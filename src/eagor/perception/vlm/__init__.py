@@ -1,6 +1,7 @@
 """How vision-language models are asked, local or served: their families, questions, conversations.
 
-The differences between families are data (families.toml): no family has code of its own.
+The differences between families are data (families.toml, with the order and the unit of each one's boxes): no family
+has code of its own.
 
 `Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
 pictures both take unchanged. This module imports neither torch nor transformers, so that ``eagor doctor`` can print
@@ -25,9 +26,9 @@ from eagor.errors import EagorError, ImageError, QueryError
 from eagor.perception.vlm.answers import Frame, Order
 
 __all__ = [
-    "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "Account", "Chat", "ChatReply", "Checkpoint", "Extractor",
-    "Family", "Fit", "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema", "chosen",
-    "exact_size", "family_of", "nearest_size", "phrase", "style_of",
+    "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "SERVED", "Account", "Chat", "ChatReply", "Checkpoint",
+    "Extractor", "Family", "Fit", "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema",
+    "chosen", "exact_size", "family_of", "nearest_size", "phrase", "style_of",
 ]  # fmt: skip
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
@@ -58,7 +59,7 @@ class Served:
       the panorama is squeezed beforehand: cells are then twice as wide as high.
     - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes, in the frame
       of its family; others are better asked yes or no.
-    - `family`: its name. `pixels`: of a panorama, by default.
+    - `family`: its name. `pixels`: of a panorama, by default. `source`: who says what it writes.
     """
 
     pattern: str
@@ -70,6 +71,7 @@ class Served:
     family: str = "other"
     pixels: int = PIXELS
     grounded: bool = True
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,8 @@ def _family(entry: dict[str, Any]) -> Family:
 
 
 _FILE = Path(__file__).with_name("families.toml")
-FAMILIES: tuple[Family, ...] = tuple(map(_family, tomllib.loads(_FILE.read_text(encoding="utf-8"))["family"]))
+_TABLES = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+FAMILIES: tuple[Family, ...] = tuple(map(_family, _TABLES["family"]))
 
 
 def chosen(name: str, family: Family, option: str) -> Extractor:
@@ -192,14 +195,12 @@ def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
 
 
 OTHER = Served("", 28, 560)  # of a name of no known family
-# Qwen2-VL runs on servers only.
-_QWEN2_VL = Served(r"qwen[\W_]?2[\W_]?vl", 28, 560, family="qwen2_vl")
+SERVED = (*(each.served for each in FAMILIES if each.served), *msgspec.convert(_TABLES["served"], tuple[Served, ...]))
 
 
 def style_of(model: str) -> Served:
     """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; else `OTHER`."""
-    known = [*(family.served for family in FAMILIES if family.served), _QWEN2_VL]
-    return next((served for served in known if re.search(served.pattern, model.lower())), OTHER)
+    return next((served for served in SERVED if re.search(served.pattern, model.lower())), OTHER)
 
 
 # --- exact sizes ------------------------------------------------------------------------------------------------------
