@@ -182,21 +182,18 @@ class Views:
         return things(pieces)
 
     def _name_strangers(self, seen: Sequence[Boxes], query: str, fit: Collection[str]) -> None:
-        """Warn, once, of labels that say nothing of a query: without it the detector would have seen nothing."""
-        about = query if self.classes is None else ""
-        strangers = _labels(seen)
-        if self.classes is not None:
-            strangers = {label for label in strangers if not same_name(label, self.classes)}
-        if fit:
-            self._settled.add(query)
-        if not strangers or about in self._settled or (self.classes is None and fit):
+        """Warn, once for each query, of labels that say nothing of it: nobody looked in vain."""
+        strangers = {label for label in _labels(seen) if not same_name(label, self.classes or ())}
+        if not strangers or query in self._settled or (fit and self.classes is None):
+            self._settled.update([query] if fit else [])
             return
-        self._settled.add(about)
+        self._settled.add(query)
         shown = ", ".join(map(repr, sorted(strangers)[:MOST_LABELS])) + ", ..." * (len(strangers) > MOST_LABELS)
-        text = f"the detector says {shown}; none fits {query!r}. If it knows these words alone, name all that it knows"
-        if self.classes is not None:
-            text = f"the detector says {shown}; none of its classes is called so. Name all that it knows"
-        warnings.warn(f"{text}: Views(detect, classes=[...])", UserWarning, stacklevel=4)
+        what = f"none fits {query!r}" if self.classes is None else "none of its classes is called so"
+        text = (
+            f"the detector says {shown}; {what}. If it has its own words, name them all: Views(detect, classes=[...])"
+        )
+        warnings.warn(text, UserWarning, stacklevel=4)
 
     def _detected(self, shown: Shown, query: str) -> list[Boxes]:
         """What the detector finds in each picture: in all of them at once, if it has a method `many`."""

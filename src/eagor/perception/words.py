@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -150,9 +150,9 @@ def _colours(words: list[str]) -> set[str]:
     return {name for name in named if name in SHADES}
 
 
-def same_name(label: str, classes: Iterable[str]) -> bool:
+def same_name(label: str, classes: Collection[str]) -> bool:
     """Whether a label is one of the `classes`, as it is or without article, prompt, plural, case and signs."""
-    return any(label == each or _same(_bare(label), _bare(each)) for each in classes)
+    return label in classes or any(_same(_bare(label), _bare(each)) for each in classes)
 
 
 def for_any_words() -> str:

@@ -25,7 +25,7 @@ from eagor.perception.endpoint.addresses import bare_address, login_of, query_of
 _CONNECT = 10.0  # seconds to reach a server
 _LEAST_BYTES = 4 << 20  # allowed for any answer, plus
 _PER_TOKEN = 2 << 10  # for each token with ten alternatives
-LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
+_LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
 UNFIT = "unfit_answer"  # the code of an answer that is not read: too long, or compressed without request
 _TRIES = "x-stainless-retry-count"  # where the client says how often it asked before
 _OF_TRANSPORT = ("content-length", "content-encoding", "transfer-encoding")
@@ -71,17 +71,18 @@ def client_of(
         if status >= 400:
             tried = int(response.request.headers.get(_TRIES, 0))
             if not {"retry-after", "retry-after-ms"} & headers.keys():
-                headers["retry-after-ms"] = str(1000 * max(0.001, min(backoff * 2**tried, LONGEST_REST)))
-            if _hopeless(body.decode("utf-8", "replace").lower()):
+                headers["retry-after-ms"] = str(1000 * max(0.001, min(backoff * 2**tried, _LONGEST_REST)))
+            if _hopeless(status, body.decode("utf-8", "replace").lower()):
                 headers["x-should-retry"] = "false"
         return type(response)(status, headers=headers, content=body, request=response.request)
 
     class Client(openai.DefaultAsyncHttpxClient):
         async def send(self, request: Any, **options: Any) -> Any:
             prepare(request)
+            options["stream"] = True
             try:
                 async with asyncio.timeout(timeout):
-                    return await answered(await super().send(request, **options | {"stream": True}))
+                    return await answered(await super().send(request, **options))
             except TimeoutError as error:
                 below = import_module(type(request).__module__.partition(".")[0])  # httpx, or its successor
                 raise below.ReadTimeout(f"no answer within {timeout:g} s", request=request) from error
@@ -107,17 +108,17 @@ async def _body(response: Any, most: int) -> bytes:
     """The body, without the secrets that the server echoes; an error instead of one too long, or compressed."""
     coding, parts, size = response.headers.get("content-encoding", "identity"), [], 0
     if coding.strip().lower() not in ("", "identity"):
-        return _error(f"compressed its answer ({coding[:40]}), although that was not asked for", UNFIT)
+        return _unfit(f"compressed its answer ({coding[:40]}), although that was not asked for")
     async for part in response.aiter_raw():
         parts.append(part)
         size += len(part)
         if size > most:
-            return _error(f"sent more than {most} bytes for one answer", UNFIT)
+            return _unfit(f"sent more than {most} bytes for one answer")
     return redacted(b"".join(parts).decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
 
 
-def _error(text: str, code: str) -> bytes:
-    return json.dumps({"error": {"message": text, "code": code}}).encode()
+def _unfit(text: str) -> bytes:
+    return json.dumps({"error": {"message": text, "code": UNFIT}}).encode()
 
 
 def _honest(status: int, body: bytes) -> tuple[int, bytes]:
@@ -196,9 +197,10 @@ def refused_feature(error: Any, used: Set[str]) -> str | None:
     return next((name for name, words in _FEATURES.items() if name in used and words.search(said)), None)
 
 
-def _hopeless(said: str) -> bool:
-    """Whether the same request will fail again, whatever the status says."""
-    return UNFIT in said or any(words.search(said) for words in (_CONTEXT, _NO_IMAGES, *_FEATURES.values()))
+def _hopeless(status: int, said: str) -> bool:
+    """Whether the same request will fail again, although the status may promise more."""
+    words = [_CONTEXT, _NO_IMAGES, *(_FEATURES.values() if status in (500, 501) else ())]
+    return UNFIT in said or any(each.search(said) for each in words)
 
 
 def explained(
